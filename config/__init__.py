@@ -1,0 +1,1 @@
+"""Configuration: schema, defaults, robot and tool files, systemd and udev files."""

@@ -1,0 +1,75 @@
+"""The shape of a device: a state machine without I/O (as h11 is for HTTP).
+
+Frames or bytes in, messages out; requests in, frames or bytes out. No socket, thread, sleep or clock inside: time
+arrives as an argument, stamped once where the transport reads. A misbehaving peer is never an exception: what is
+lost, late, doubled, short or foreign changes no state and is counted; what the user must know becomes a `Fault`.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Generic, TypeAlias, TypeVar
+
+from galen_hw.messages import Message, Reply, Request
+
+Output: TypeAlias = tuple[str, Message] | Reply
+"""A device's output: a message with its topic, or the answer to a request."""
+
+
+@dataclass(frozen=True, slots=True)
+class CanFrame:
+    """A CAN 2.0A data frame: 11-bit identifier and up to eight bytes."""
+
+    arbitration_id: int
+    data: bytes = b""
+
+
+Wire = TypeVar("Wire", CanFrame, bytes)
+
+
+class Device(ABC, Generic[Wire]):
+    """One device of the configuration, between its wire and the bus.
+
+    Args:
+        name: of the device in the configuration; the `source` of its messages and the `target` of its requests.
+    """
+
+    name: str
+
+    @abstractmethod
+    def start(self, now_ns: int) -> None:
+        """Begin (or begin again after a reconnect): forget the peer's state; what must be sent comes from `poll`."""
+
+    @abstractmethod
+    def poll(self, now_ns: int) -> tuple[list[Wire], list[Output]]:
+        """What to send now, and what time alone brings (time-outs, status); call at `wakeup_ns` or earlier."""
+
+    @abstractmethod
+    def feed(self, wire: Wire, t_ns: int) -> list[Output]:
+        """Take what the transport read at `t_ns`; any chunking of bytes gives the same outputs."""
+
+    @abstractmethod
+    def request(self, request: Request, now_ns: int) -> list[Output]:
+        """Begin a command; the bytes come from `poll`, the `Reply` now or later.
+
+        Raises:
+            CommandRejectedError: not now, not so, or not known; nothing is sent.
+        """
+
+    @abstractmethod
+    def stop(self, now_ns: int) -> list[Wire]:
+        """Bring the device to rest at once (a motor stops, a stream ends); what to send for it."""
+
+    @property
+    @abstractmethod
+    def wakeup_ns(self) -> int:
+        """The monotonic time at which `poll` wants to be called next."""
+
+    @property
+    @abstractmethod
+    def ready(self) -> bool:
+        """The peer has been identified and samples flow."""
+
+    @property
+    @abstractmethod
+    def counters(self) -> dict[str, int]:
+        """Whole numbers that only grow: samples, lost, late, doubled, short, foreign, timeouts, ..."""

@@ -1,0 +1,21 @@
+"""The table of drivers: the `driver` key of a device in the configuration, and the class that speaks to it.
+
+To add a sensor: one file with a `Device` subclass (with `Settings` and `wire`), one line here, one table of byte
+vectors in `tests/vectors/`, one virtual counterpart in `virtual/`. The conformance checks then run on it.
+"""
+
+from typing import Final
+
+DRIVERS: Final[dict[str, str]] = {
+    "ati_netcanoem": "galen_hw.drivers.ati_netcanoem:AtiNetcanoem",
+    "robotous_rft": "galen_hw.drivers.robotous_rft:RobotousRft",
+    "galil_dmc": "galen_hw.drivers.galil_dmc:GalilDmc",
+    "ndi_tracker": "galen_hw.drivers.ndi_tracker:NdiTracker",
+}
+
+VIRTUAL_DEVICES: Final[dict[str, str]] = {
+    "ati_netcanoem": "galen_hw.drivers.virtual.ati_netcanoem:VirtualAtiNetcanoem",
+    "robotous_rft": "galen_hw.drivers.virtual.robotous_rft:VirtualRobotousRft",
+    "galil_dmc": "galen_hw.drivers.virtual.galil_dmc:VirtualGalilDmc",
+    "ndi_tracker": "galen_hw.drivers.virtual.ndi_tracker:VirtualNdiTracker",
+}

@@ -1,0 +1,53 @@
+"""Transports: the only place that opens and reads a wire. Each read is stamped once, with CLOCK_MONOTONIC."""
+
+from abc import ABC, abstractmethod
+from typing import Generic
+
+from galen_hw.drivers.device import Wire
+
+
+class Transport(ABC, Generic[Wire]):
+    """An open wire.
+
+    Args:
+        address: how the configuration names it, for error messages.
+    """
+
+    address: str
+
+    @abstractmethod
+    def open(self) -> None:
+        """Open the wire.
+
+        Raises:
+            HardwareError: no such port, busy, no permission, no such interface: one line with what to do.
+        """
+
+    @abstractmethod
+    def send(self, wires: list[Wire]) -> None:
+        """Write all of `wires`, in order.
+
+        Raises:
+            HardwareError: the wire is gone.
+        """
+
+    @abstractmethod
+    def receive(self, timeout_s: float) -> list[tuple[Wire, int]]:
+        """What has arrived, each with its time of reading in ns; empty after `timeout_s` without any.
+
+        Raises:
+            HardwareError: the wire is gone.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the wire; closing twice is fine."""
+
+    def fileno(self) -> int | None:
+        """A descriptor that becomes readable when `receive` has something, None where there is none."""
+        return None
+
+    @property
+    @abstractmethod
+    def counters(self) -> dict[str, int]:
+        """Bytes or frames in and out, errors, overruns: whole numbers that only grow."""

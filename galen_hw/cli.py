@@ -1,0 +1,70 @@
+"""The command `galen-hw`: one table of commands, each in a file of its own under `tools/`, loaded when it is named."""
+
+import argparse
+import importlib
+import os
+import sys
+from typing import Final
+
+from galen_hw.errors import EXIT_USAGE, GalenError
+from galen_hw.version import VERSION
+
+COMMANDS: Final[dict[str, tuple[str, str]]] = {
+    # name: (module with `add_arguments(parser)` and `run(args) -> int`, help)
+    "run": ("galen_hw.tools.run", "run the daemon beside the robot"),
+    "check": ("galen_hw.tools.check", "check the set-up and name every problem at once"),
+    "monitor": ("galen_hw.tools.monitor", "show live topics: rates, ages, losses, wrench"),
+    "virtual": ("galen_hw.tools.virtual", "run the virtual robot: the other ends of the wires"),
+    "calibrate": ("galen_hw.tools.calibrate", "sweep, fit and verify a tool's weight, centre of mass and sensor bias"),
+    "tool": ("galen_hw.tools.tool", "list, show, select, roll back and export tools and their calibrations"),
+    "command": ("galen_hw.tools.command", "send one request to a device or service of the running daemon"),
+    "record": ("galen_hw.tools.record", "record the bus to an MCAP file"),
+    "replay": ("galen_hw.tools.replay", "play a recording through the services again"),
+    "export": ("galen_hw.tools.export", "write a recording as a table"),
+    "import": ("galen_hw.tools.import_table", "write a table as an MCAP recording"),
+    "diagnose": ("galen_hw.tools.diagnose", "find what a model left out: locate, name, model, prove"),
+    "collect": ("galen_hw.tools.collect", "guided collection of deflection data with the tracker"),
+    "deflection": ("galen_hw.tools.deflection", "fit and compare deflection models"),
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; the exit status: 0 fine, 1 found a problem, 2 wrong use or input, 3 hardware."""
+    argv = sys.argv[1:] if argv is None else argv
+    parser, command = _parser(argv)
+    args = parser.parse_args(argv)
+    if args.command is None:
+        parser.print_help()
+        return EXIT_USAGE
+    assert command is not None
+    try:
+        return int(importlib.import_module(COMMANDS[command][0]).run(args))
+    except GalenError as error:
+        if os.environ.get("GALEN_HW_TRACEBACK"):
+            raise
+        print(f"galen-hw {command}: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print(f"galen-hw {command}: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output has gone (head, less): not an error, but stop Python's flush from saying so.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _parser(argv: list[str]) -> tuple[argparse.ArgumentParser, str | None]:
+    """The parser; only the named command's module is imported, so that --help is quick."""
+    parser = argparse.ArgumentParser(prog="galen-hw", description="Hardware interface of the Galen surgical robot.")
+    parser.add_argument("--version", action="version", version=f"galen-hw {VERSION}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
+    named = next((word for word in argv if not word.startswith("-")), None)
+    for name, (module, text) in COMMANDS.items():
+        sub = subparsers.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        if name == named:
+            importlib.import_module(module).add_arguments(sub)
+    return parser, named if named in COMMANDS else None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

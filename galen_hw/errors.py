@@ -1,0 +1,42 @@
+"""The errors that a user meets: one line each, saying what is wrong, where, and what to do."""
+
+EXIT_OK = 0
+EXIT_FOUND = 1
+EXIT_USAGE = 2
+EXIT_HARDWARE = 3
+
+
+class GalenError(Exception):
+    """A problem the user can act on.
+
+    Args:
+        what: what is wrong, a clause without a full stop.
+        where: file and key, device and address, row and column; empty where there is no place.
+        todo: what to do about it; empty where nothing helps.
+    """
+
+    exit_code = EXIT_FOUND
+
+    def __init__(self, what: str, *, where: str = "", todo: str = "") -> None:
+        super().__init__(what, where, todo)
+        self.what, self.where, self.todo = what, where, todo
+
+    def __str__(self) -> str:
+        line = f"{self.where}: {self.what}" if self.where else self.what
+        return f"{line}; {self.todo}" if self.todo else line
+
+
+class UsageError(GalenError):
+    """Wrong use, unreadable input or bad configuration (exit status 2)."""
+
+    exit_code = EXIT_USAGE
+
+
+class HardwareError(GalenError):
+    """A device cannot be reached or refuses (exit status 3)."""
+
+    exit_code = EXIT_HARDWARE
+
+
+class CommandRejectedError(GalenError):
+    """A command that is well formed but must not be carried out now; nothing was sent."""

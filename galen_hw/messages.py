@@ -1,0 +1,266 @@
+"""What travels on the bus: one frozen struct a kind, and the table of topics.
+
+Every message starts with the same header. Numbers are SI. `valid` is false unless the producer claims it.
+Encoding is a msgpack map with stable keys, so that PlotJuggler's ZeroMQ plug-in reads it without a bridge.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import msgspec
+
+
+class Vector3(msgspec.Struct, frozen=True):
+    """Three components along x, y, z."""
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+
+
+class Quaternion(msgspec.Struct, frozen=True):
+    """A unit quaternion."""
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    w: float = 1.0
+
+
+class Message(msgspec.Struct, frozen=True, kw_only=True):
+    """The header of all messages.
+
+    Args:
+        timestamp: seconds since the epoch, for viewers.
+        t_ns: CLOCK_MONOTONIC where the transport read the wire, ns.
+        seq: counts up by one per topic and source; a gap is a loss.
+        valid: the producer vouches for the content.
+        source: who says so (device or service name of the configuration).
+    """
+
+    timestamp: float
+    t_ns: int
+    seq: int
+    valid: bool = False
+    source: str = ""
+
+
+class WrenchRaw(Message, frozen=True, kw_only=True):
+    """`wrench/raw`: what the sensor reports, in the sensor frame about its origin, never altered (N, N m).
+
+    Args:
+        status: the device's own status word, 0 where it has none.
+        saturated: a gauge or an axis is at its limit; the wrench must not be used.
+        serial_number: of the sensor, empty until read.
+    """
+
+    force: Vector3
+    torque: Vector3
+    status: int = 0
+    saturated: bool = False
+    serial_number: str = ""
+
+
+class WrenchCompensated(Message, frozen=True, kw_only=True):
+    """`wrench/compensated` and `wrench/contact`: measured minus predicted (report, equation 12), N and N m.
+
+    Args:
+        tool: name of the tool, empty with compensation off.
+        calibration: identity of the calibration that made it (see the tool's file), empty when none.
+        enabled: false while compensation is switched off (then equal to raw minus tare).
+        joints_age_s: age of the joint state at the sample's time, s; negative is impossible.
+        joints_extrapolated: the joint state was extrapolated beyond its bound; `valid` is then false.
+        blend: 0 to 1, progress of the change of tool, toggle or tare.
+        terms: number of extra physical effects of the tool's file in the prediction.
+    """
+
+    force: Vector3
+    torque: Vector3
+    tool: str = ""
+    calibration: str = ""
+    enabled: bool = False
+    joints_age_s: float = 0.0
+    joints_extrapolated: bool = False
+    blend: float = 1.0
+    terms: int = 0
+
+
+class JointsState(Message, frozen=True, kw_only=True):
+    """`joints/state`: by joint name; rad or m, rad/s or m/s, N m or N (NaN where not measured).
+
+    Args:
+        moving: the controller says a move is in progress.
+        enabled: motor on.
+        stop_code: the controller's reason of the last stop.
+        at_lower, at_upper: limit switch or software limit active.
+        estop: emergency stop or abort input engaged.
+    """
+
+    position: dict[str, float]
+    velocity: dict[str, float]
+    effort: dict[str, float]
+    moving: dict[str, bool] = {}
+    enabled: dict[str, bool] = {}
+    stop_code: dict[str, int] = {}
+    at_lower: dict[str, bool] = {}
+    at_upper: dict[str, bool] = {}
+    estop: bool = False
+
+
+class Pose(Message, frozen=True, kw_only=True):
+    """`pose/reported`, `pose/corrected`: tool tip in the base frame, m.
+
+    Args:
+        covariance: 6 x 6 row-major of [position (m), rotation vector (rad)]; empty when not known.
+        tool: whose tip; model: which deflection model made it, empty for the reported pose.
+    """
+
+    position: Vector3
+    orientation: Quaternion
+    covariance: list[float] = []
+    tool: str = ""
+    model: str = ""
+
+
+class TrackedPose(Message, frozen=True, kw_only=True):
+    """`tracker/tool`, `tracker/reference`: pose of one marker body in the tracker frame, m.
+
+    Args:
+        handle: the tracker's port handle; frame: its frame number at 60 Hz, the sample clock.
+        missing: the marker body was not seen; position and orientation are then NaN.
+        error_m: the tracker's own fit error.
+    """
+
+    handle: str
+    frame: int
+    position: Vector3
+    orientation: Quaternion
+    missing: bool = False
+    error_m: float = 0.0
+    port_status: int = 0
+    system_status: int = 0
+
+
+class Status(Message, frozen=True, kw_only=True):
+    """`status`: how a device or service is doing, at least once a second.
+
+    Args:
+        state: "starting", "ready", "degraded", "fault" or "stopped".
+        detail: one line for people.
+        counters: whole numbers that only grow (frames, lost, late, foreign, ...).
+        gauges: rates (Hz) and ages (s), each key with its unit.
+    """
+
+    state: str
+    detail: str = ""
+    counters: dict[str, int] = {}
+    gauges: dict[str, float] = {}
+
+
+class Fault(Message, frozen=True, kw_only=True):
+    """`fault`: something went wrong, at most once a second of a kind: what, where, what to do."""
+
+    what: str
+    where: str = ""
+    todo: str = ""
+
+
+class CalibrationProgress(Message, frozen=True, kw_only=True):
+    """`calibration/progress`: where a sweep stands.
+
+    Args:
+        state: "checking", "moving", "settling", "averaging", "fitting", "done", "stopped".
+        pose, poses: which one of how many; remaining_s: estimated time left.
+    """
+
+    state: str
+    pose: int = 0
+    poses: int = 0
+    remaining_s: float = 0.0
+    detail: str = ""
+
+
+class Request(msgspec.Struct, frozen=True, kw_only=True):
+    """A command to a device or service, on the command socket.
+
+    Args:
+        id: chosen by the client; the reply bears it.
+        target: device or service name of the configuration, e.g. "motors", "compensation".
+        name: what to do, e.g. "move_jp", "stop", "select_tool".
+        args: SI numbers and plain strings.
+        version: of this protocol; another one is refused.
+    """
+
+    id: str
+    target: str
+    name: str
+    args: dict[str, Any] = {}
+    version: int = 1
+
+
+class CommandError(msgspec.Struct, frozen=True, kw_only=True):
+    """Why a command was not carried out; `kind` is "rejected", "unknown", "invalid", "timeout" or "fault"."""
+
+    kind: str
+    what: str
+    where: str = ""
+    todo: str = ""
+
+
+class Reply(msgspec.Struct, frozen=True, kw_only=True):
+    """The answer to a `Request`; `error` is None when it was carried out."""
+
+    id: str
+    result: dict[str, Any] = {}
+    error: CommandError | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One row of the topic table.
+
+    Args:
+        message: the struct that is published.
+        rate_hz: nominal rate; 0 for events.
+        crtk: the community's name for the same thing (Collaborative Robotics Toolkit), if any.
+        doc: one line.
+    """
+
+    message: type[Message]
+    rate_hz: float
+    crtk: str
+    doc: str
+
+
+TOPICS: Final[dict[str, Topic]] = {
+    "wrench/raw": Topic(WrenchRaw, 1000.0, "", "wrench as the sensor reports it, sensor frame"),
+    "wrench/compensated": Topic(WrenchCompensated, 1000.0, "measured_cf", "raw less gravity, bias and effects"),
+    "wrench/contact": Topic(WrenchCompensated, 1000.0, "contact/measured_cf", "compensated, at the contact point"),
+    "joints/state": Topic(JointsState, 40.0, "measured_js", "joint positions, velocities, efforts and axis states"),
+    "pose/reported": Topic(Pose, 40.0, "measured_cp", "tool tip by rigid kinematics"),
+    "pose/corrected": Topic(Pose, 1000.0, "corrected/measured_cp", "tool tip with the arm's give taken into account"),
+    "tracker/tool": Topic(TrackedPose, 60.0, "tracker/measured_cp", "marker on the tool, tracker frame"),
+    "tracker/reference": Topic(TrackedPose, 60.0, "tracker_reference/measured_cp", "marker on the base, tracker frame"),
+    "status": Topic(Status, 1.0, "operating_state", "state, counters and gauges of each device and service"),
+    "fault": Topic(Fault, 0.0, "error", "something went wrong: what, where, what to do"),
+    "calibration/progress": Topic(CalibrationProgress, 0.0, "", "where a sweep stands"),
+}
+
+
+def encode(message: msgspec.Struct) -> bytes:
+    """Msgpack map of a message, keys in the order of its declaration."""
+    return _ENCODER.encode(message)
+
+
+def decode(topic: str, payload: bytes) -> Message:
+    """The message of a payload.
+
+    Raises:
+        KeyError: the topic is not in the table.
+        msgspec.ValidationError: the payload is not that topic's message.
+    """
+    return _DECODERS[topic].decode(payload)
+
+
+_ENCODER: Final = msgspec.msgpack.Encoder()
+_DECODERS: Final = {name: msgspec.msgpack.Decoder(topic.message) for name, topic in TOPICS.items()}

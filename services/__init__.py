@@ -1,0 +1,1 @@
+"""Services: objects that are handed messages and return messages."""

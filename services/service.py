@@ -1,0 +1,54 @@
+"""The shape of a service: handed messages, returns messages; pure, so that it can be replayed bit for bit.
+
+A service survives any well-typed message: NaN, gaps, repeats, time going back.
+"""
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, TypeAlias
+
+from galen_hw.messages import Message, Reply, Request
+
+Output: TypeAlias = tuple[str, Message] | Request | Reply
+"""A service's output: a message with its topic, a request to a device, or the answer to a request."""
+
+
+class Service(ABC):
+    """One service of the configuration.
+
+    Args:
+        name: in the configuration; the `source` of its messages and the `target` of its requests.
+    """
+
+    consumes: ClassVar[tuple[str, ...]]
+    produces: ClassVar[tuple[str, ...]]
+    name: str
+
+    @abstractmethod
+    def handle(self, topic: str, message: Message, now_ns: int) -> list[Output]:
+        """Take one message of a consumed topic."""
+
+    @abstractmethod
+    def request(self, request: Request, now_ns: int) -> list[Output]:
+        """Carry out a command; outputs include its `Reply` unless it comes later.
+
+        Raises:
+            CommandRejectedError: not now, not so, or not known; nothing has changed.
+        """
+
+    def tick(self, now_ns: int) -> list[Output]:
+        """What time alone brings (time-outs, status), called at least ten times a second."""
+        del now_ns
+        return []
+
+    def reply(self, reply: Reply, now_ns: int) -> list[Output]:
+        """Take the answer to a request that this service made."""
+        del reply, now_ns
+        return []
+
+    @abstractmethod
+    def snapshot(self) -> dict[str, Any]:
+        """State worth keeping over a restart, with a version and the identity of the hardware it belongs to."""
+
+    @abstractmethod
+    def restore(self, state: dict[str, Any]) -> bool:
+        """Take a snapshot back; False (and a clean start) when version or identity do not match."""

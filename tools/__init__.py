@@ -1,0 +1,1 @@
+"""Commands of `galen-hw`, one file each, with benchmarks and the blind proof."""
