@@ -4,12 +4,41 @@ A service survives any well-typed message: NaN, gaps, repeats, time going back.
 """
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
+from pydantic import BaseModel
+
+from galen_hw.clock import TimeBase
+from galen_hw.kinematics import Robot
 from galen_hw.messages import Message, Reply, Request
 
 Output: TypeAlias = tuple[str, Message] | Request | Reply
 """A service's output: a message with its topic, a request to a device, or the answer to a request."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceContext:
+    """What every service is given beside its settings.
+
+    Args:
+        robot: the configured robot (joint names, limits, kinematics).
+        time_base: turns `t_ns` into `timestamp`.
+        state_dir: the state directory; tools and calibrations live below it (`ToolStore(context.state_dir)`).
+        identity: of the configured hardware (robot and devices), for `snapshot` and `restore`.
+        sensor, motors, tracker: names of these devices, for the `target` of requests; empty where not configured.
+        virtual: the devices are virtual.
+    """
+
+    robot: Robot
+    time_base: TimeBase
+    state_dir: Path
+    identity: str = ""
+    sensor: str = "ft"
+    motors: str = "motors"
+    tracker: str = "tracker"
+    virtual: bool = False
 
 
 class Service(ABC):
@@ -17,11 +46,17 @@ class Service(ABC):
 
     Args:
         name: in the configuration; the `source` of its messages and the `target` of its requests.
+        settings: an instance of the class' own `Settings`.
+        context: robot, time base, directories and identity.
     """
 
+    Settings: ClassVar[type[BaseModel]]
     consumes: ClassVar[tuple[str, ...]]
     produces: ClassVar[tuple[str, ...]]
     name: str
+
+    @abstractmethod
+    def __init__(self, name: str, settings: Any, context: ServiceContext) -> None: ...
 
     @abstractmethod
     def handle(self, topic: str, message: Message, now_ns: int) -> list[Output]:
