@@ -1,0 +1,52 @@
+# Two commands do everything on a fresh machine with Python 3.11 or newer: make demo, make test.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.DEFAULT_GOAL := help
+.PHONY: help install demo test lint wheel-test bench proof clean
+
+help:
+	@echo "make demo    calibrate a tool on the virtual robot and compensate live, with figures in demo-output/"
+	@echo "make test    the whole test suite"
+	@echo "make lint    style, types, layers"
+	@echo "make bench   the benchmarks, written to docs/benchmarks.md (about 15 minutes)"
+	@echo "make proof   the blind proof of the diagnosis, written to docs/proof.md (long)"
+
+$(STAMP): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "make: $(PYTHON) is older than 3.11; set PYTHON=/path/to/python3.11" >&2; exit 2; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
+	  { echo "make: $(PYTHON) cannot make a virtual environment; install the package python3-venv" >&2; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	@touch $@
+
+install: $(STAMP)
+
+demo: $(STAMP)
+	$(BIN)/galen-hw calibrate --tool retractor --virtual --yes --report demo-output
+
+test: $(STAMP)
+	$(BIN)/python -m pytest
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+wheel-test: $(STAMP)
+	$(BIN)/python tests/wheel_check.py
+
+bench: $(STAMP)
+	$(BIN)/python -m galen_hw.tools.bench --write docs/benchmarks.md
+
+proof: $(STAMP)
+	$(BIN)/python -m pip install --quiet 'torch>=2.4' mujoco 'pysindy>=2.0'
+	$(BIN)/python -m galen_hw.tools.blind_proof --write docs/proof.md
+
+clean:
+	rm -rf $(VENV) build dist demo-output proof-output *.egg-info

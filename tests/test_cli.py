@@ -1,0 +1,64 @@
+"""The command line's face: quick help, one line for wrong use, and documents that know every command."""
+
+import importlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from galen_hw.cli import COMMANDS, main
+from galen_hw.errors import EXIT_USAGE
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_help_imports_nothing_heavy() -> None:
+    """`galen-hw --help` answers at once because no command's module, and so no numpy, is imported for it."""
+    code = (
+        "import sys; from galen_hw.cli import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numpy', 'scipy', 'pydantic', 'zmq', 'can', 'pandas', 'rich'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for name in COMMANDS:
+        assert re.search(rf"^\s+{name}\b", done.stdout, re.MULTILINE), name
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_of_its_own(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each row of the table loads, and its help shows an example of use."""
+    with pytest.raises(SystemExit) as exit_:
+        main([name, "--help"])
+    assert exit_.value.code == 0
+    assert f"galen-hw {name}" in capsys.readouterr().out
+    module = importlib.import_module(COMMANDS[name][0])
+    assert callable(module.run)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_is_in_the_readme(name: str) -> None:
+    """A command that the README does not know is not found by anybody."""
+    assert f"galen-hw {name}" in (ROOT / "README.md").read_text()
+
+
+def test_wrong_use_exits_with_2(capsys: pytest.CaptureFixture[str]) -> None:
+    """No command prints the help; an unknown one is named."""
+    assert main([]) == EXIT_USAGE
+    with pytest.raises(SystemExit) as exit_:
+        main(["calibrat"])
+    assert exit_.value.code == EXIT_USAGE
+    assert "calibrat" in capsys.readouterr().err
+
+
+def test_an_error_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """What, where, what to do; no traceback."""
+    assert main(["diagnose", "no/such/recording"]) == EXIT_USAGE
+    err = capsys.readouterr().err
+    assert len(err.strip().splitlines()) == 1
+    assert "no/such/recording" in err
+    assert "Traceback" not in err

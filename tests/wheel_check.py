@@ -1,0 +1,82 @@
+"""Build the wheel and the sdist, install the wheel in a clean environment away from the sources, and try it there.
+
+Run by `make wheel-test`; not a pytest file, because it must not see the checkout.
+"""
+
+import subprocess
+import sys
+import tarfile
+import tempfile
+import venv
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+MUST_HOLD = (
+    "galen_hw/cli.py",
+    "galen_hw/drivers/ati_netcanoem.py",
+    "galen_hw/drivers/virtual/world.py",
+    "galen_hw/services/compensation.py",
+    "galen_hw/config/galen.urdf",
+    "galen_hw/config/galen.toml",
+    "galen_hw/config/galen-hw.service",
+    "galen_hw/config/tools/retractor.json",
+    "galen_hw/tools/calibrate.py",
+    "galen_hw/py.typed",
+)
+
+
+def main() -> None:
+    """Fail loudly on the first thing that is not as it must be."""
+    with tempfile.TemporaryDirectory() as name:
+        work = Path(name)
+        run(sys.executable, "-m", "build", "--outdir", str(work / "dist"), str(ROOT))
+        wheel = next((work / "dist").glob("*.whl"))
+        sdist = next((work / "dist").glob("*.tar.gz"))
+        check_contents(zipfile.ZipFile(wheel).namelist())
+        check_sdist(tarfile.open(sdist).getnames())
+        venv.create(work / "venv", with_pip=True)
+        python = str(work / "venv/bin/python")
+        run(python, "-m", "pip", "install", "--quiet", str(wheel))
+        run(str(work / "venv/bin/galen-hw"), "--help", cwd=work)
+        run(python, "-I", "-c", CONFORMANCE, cwd=work)
+        run(str(work / "venv/bin/galen-hw"), "tool", "list", cwd=work)
+    print("wheel: contents, installation and every row of the tables are in order")
+
+
+CONFORMANCE = """
+import importlib
+from galen_hw.cli import COMMANDS
+from galen_hw.drivers.table import DRIVERS, VIRTUAL_DEVICES
+from galen_hw.physics import EFFECTS
+from galen_hw.services.table import SERVICES
+for module, _ in COMMANDS.values():
+    importlib.import_module(module)
+for row in [*DRIVERS.values(), *VIRTUAL_DEVICES.values(), *SERVICES.values(), *EFFECTS.values()]:
+    module, _, name = row.partition(":")
+    getattr(importlib.import_module(module), name)
+"""
+
+
+def check_contents(names: list[str]) -> None:
+    """The wheel holds one top-level package, with the linked folders inside it."""
+    tops = {n.split("/")[0] for n in names}
+    assert {t for t in tops if not t.endswith(".dist-info")} == {"galen_hw"}, tops
+    missing = [n for n in MUST_HOLD if n not in names]
+    assert not missing, f"the wheel lacks {missing}"
+
+
+def check_sdist(names: list[str]) -> None:
+    """The sdist can be built again: the linked folders are in it."""
+    inside = {n.split("/", 1)[1] for n in names if "/" in n}
+    missing = [n for n in MUST_HOLD if n not in inside]
+    assert not missing, f"the sdist lacks {missing}"
+
+
+def run(*command: str, cwd: Path | None = None) -> None:
+    """Run a command; its failure is ours."""
+    subprocess.run(command, check=True, cwd=cwd)
+
+
+if __name__ == "__main__":
+    main()
