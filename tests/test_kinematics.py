@@ -98,7 +98,7 @@ def test_gravity_in_a_turned_base_link_is_that_of_the_root() -> None:
 
 def test_unreadable_urdf_and_unknown_link_are_one_line() -> None:
     """What, where and what to do."""
-    with pytest.raises(UsageError, match="no link 'gripper'.*one of:.*sensor"):
+    with pytest.raises(UsageError, match=r"no link 'gripper'.*one of:.*sensor"):
         UrdfRobot(URDF, sensor_link="gripper")
     with pytest.raises(UsageError, match="not a readable URDF"):
         UrdfRobot("no/such/file.urdf")

@@ -34,7 +34,8 @@ def main() -> None:
         wheel = next((work / "dist").glob("*.whl"))
         sdist = next((work / "dist").glob("*.tar.gz"))
         check_contents(zipfile.ZipFile(wheel).namelist())
-        check_sdist(tarfile.open(sdist).getnames())
+        with tarfile.open(sdist) as archive:
+            check_sdist(archive.getnames())
         venv.create(work / "venv", with_pip=True)
         python = str(work / "venv/bin/python")
         run(python, "-m", "pip", "install", "--quiet", str(wheel))
