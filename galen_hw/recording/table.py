@@ -1,0 +1,248 @@
+"""Recordings as tables: a folder with `recording.csv` or `recording.parquet` and `recording.json`."""
+
+import shutil
+import tempfile
+from io import StringIO
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from galen_hw.errors import UsageError
+from galen_hw.recording.checks import check
+from galen_hw.recording.info import RecordingInfo, read_info
+from galen_hw.recording.recording import Recording
+from galen_hw.spatial import Array
+
+# ruff: noqa: A002 - `format` is the word of the seam
+
+CSV, PARQUET, INFO = "recording.csv", "recording.parquet", "recording.json"
+
+
+def read_table(path: Path, *, simulation: Path | None = None, info_needed: bool = True) -> Recording:
+    """Read a table folder (or one of its files).
+
+    Args:
+        path: the folder, its CSV, Parquet or JSON.
+        simulation: folder of a simulation; default the sub-folder `simulation/` if it is there.
+        info_needed: without `recording.json` it is an error; a simulation may do without.
+
+    Raises:
+        UsageError: missing or unreadable, with file, column and row.
+    """
+    folder, table, notes = _locate(path)
+    info_file = folder / INFO
+    info = read_info(info_file) if info_needed or info_file.exists() else RecordingInfo()
+    columns = _read_csv(table) if table.suffix == ".csv" else _read_parquet(table)
+    notes += _tidy(columns, table)
+    if simulation is None and (folder / "simulation").is_dir():
+        simulation = folder / "simulation"
+    simulated = None if simulation is None else read_table(simulation, info_needed=False)
+    recording = Recording(columns, info, folder, simulated)
+    warnings = (*notes, *check(recording))
+    return Recording(columns, info, folder, simulated, warnings)
+
+
+def _locate(path: Path) -> tuple[Path, Path, list[str]]:
+    if path.is_file() and path.suffix in (".csv", ".parquet"):
+        return path.parent, path, []
+    folder = path.parent if path.is_file() and path.name == INFO else path
+    if not folder.is_dir():
+        raise UsageError("not a recording", where=str(path), todo="give a table folder or an MCAP file")
+    found = [folder / name for name in (CSV, PARQUET) if (folder / name).is_file()]
+    if not found:
+        raise UsageError(f"there is no {CSV} or {PARQUET}", where=str(folder), todo="give the folder that holds it")
+    both = [f"{PARQUET} lies beside {CSV} and is not read"] if len(found) == 2 else []
+    return folder, found[0], both
+
+
+def _read_csv(file: Path) -> dict[str, Array]:
+    import pandas as pd
+
+    text = _text(file)
+    first, _, rest = text.partition("\n")
+    names = _names([cell.strip().strip('"') for cell in first.rstrip("\r").split(",")], file)
+    _check_cells(text, len(names), file)
+    try:
+        frame = pd.read_csv(
+            StringIO(rest),
+            header=None,
+            names=names,
+            dtype=float,
+            float_precision="round_trip",
+            skipinitialspace=True,
+            index_col=False,
+            skip_blank_lines=True,
+        )
+    except ValueError:
+        raise _bad_cell(rest, names, file) from None
+    return {name: frame[name].to_numpy(dtype=float, copy=True) for name in names}
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"cannot be read ({error})", where=str(file), todo="give a UTF-8 CSV file") from error
+
+
+def _names(names: list[str], file: Path) -> list[str]:
+    """The header, checked.
+
+    Raises:
+        UsageError: empty, numbers, another separator, or a name twice.
+    """
+    if not any(names):
+        raise UsageError("there are no columns", where=str(file), todo="the first line must name them")
+    if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
+        raise UsageError("the columns are not separated by commas", where=str(file), todo="write it with commas")
+    if all(_is_number(name) for name in names):
+        raise UsageError("there is no header", where=str(file), todo="the first line must name the columns")
+    for place, name in enumerate(names, 1):
+        if not name:
+            raise UsageError("a column has no name", where=f"{file}, column {place}", todo="name it in the first line")
+        if name in names[: place - 1]:
+            raise UsageError(f"column {name!r} is there twice", where=str(file), todo="keep one of them")
+    return names
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _check_cells(text: str, width: int, file: Path) -> None:
+    """Every row has as many cells as the header: pandas would fill a short one in silence."""
+    if '"' in text:
+        return
+    for number, line in enumerate(text.splitlines(), 1):
+        cells = line.count(",") + 1
+        if cells != width and line.strip():
+            raise UsageError(
+                f"{cells} cells where the header has {width}", where=f"{file}, line {number}", todo="complete the row"
+            )
+
+
+def _bad_cell(rest: str, names: list[str], file: Path) -> UsageError:
+    """The error for the first cell that is not a number."""
+    import pandas as pd
+
+    frame = pd.read_csv(StringIO(rest), header=None, names=names, dtype=str, skipinitialspace=True, index_col=False)
+    for name in names:
+        numbers = pd.to_numeric(frame[name], errors="coerce")
+        bad = np.flatnonzero((numbers.isna() & frame[name].notna()).to_numpy())
+        if len(bad):
+            cell = str(frame[name].iloc[bad[0]])[:40]
+            where = f"{file}, column {name!r}, row {bad[0] + 1}"
+            return UsageError(f"{cell!r} is not a number", where=where, todo="leave a cell empty for not measured")
+    return UsageError("not a table of numbers", where=str(file), todo="check the file")
+
+
+def _read_parquet(file: Path) -> dict[str, Array]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(file)
+    except (OSError, pa.ArrowException) as error:
+        raise UsageError(f"not readable as Parquet ({error})", where=str(file), todo="check the file") from error
+    names = _names(list(table.column_names), file)
+    columns: dict[str, Array] = {}
+    for name, column in zip(names, table.columns, strict=True):
+        try:
+            columns[name] = column.cast(pa.float64()).to_numpy().astype(float)
+        except pa.ArrowException:
+            where = f"{file}, column {name!r}"
+            raise UsageError(f"holds {column.type}, not numbers", where=where, todo="write floats") from None
+    return columns
+
+
+def _tidy(columns: dict[str, Array], file: Path) -> list[str]:
+    """Refuse what nothing can be made of; leave out empty columns and say so."""
+    notes = []
+    rows = len(next(iter(columns.values())))
+    if rows == 0:
+        raise UsageError("there are no rows", where=str(file), todo="record something first")
+    for name in list(columns):
+        infinite = np.isinf(columns[name])
+        if infinite.any():
+            columns[name] = np.where(infinite, np.nan, columns[name])
+            notes.append(f"{name}: {int(infinite.sum())} infinite values are taken as not measured")
+        if np.isnan(columns[name]).all():
+            notes.append(f"{name}: every cell is empty; the column is left out")
+            del columns[name]
+    if not set(columns) - {"time", "segment"}:
+        raise UsageError("nothing was measured, every column is empty", where=str(file), todo="check the file")
+    for name in ("time", "segment"):
+        bad = np.flatnonzero(np.isnan(columns.get(name, np.zeros(1))))
+        if len(bad):
+            where = f"{file}, column {name!r}, row {bad[0] + 1}"
+            raise UsageError("the cell is empty", where=where, todo="fill it, or leave the column out")
+    segment = columns.get("segment", np.zeros(1))
+    if np.any(segment != np.round(segment)):
+        raise UsageError("not whole numbers", where=f"{file}, column 'segment'", todo="number the runs 0, 1, 2, ...")
+    return notes
+
+
+def write_table(
+    recording: Recording, folder: Path | str, format: Literal["csv", "parquet"] = "csv", *, overwrite: bool = False
+) -> Path:
+    """Write a table folder, all or nothing; every digit is kept, so that reading it back gives the same bits.
+
+    Args:
+        recording: its columns, info and simulation are written, and the URDF that it names is copied.
+        folder: must not exist yet (or be empty), unless `overwrite`.
+        format: of the table.
+        overwrite: replace a recording that is there.
+
+    Raises:
+        UsageError: the folder is there already, or cannot be written.
+    """
+    folder = Path(folder)
+    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not overwrite)):
+        raise UsageError("is there already", where=str(folder), todo="give another folder, or --force")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as scratch:
+            ready = Path(scratch) / folder.name
+            _write_into(recording, ready, format)
+            if folder.exists():
+                folder.rename(Path(scratch) / "old")
+            ready.rename(folder)
+    except OSError as error:
+        raise UsageError(f"cannot be written ({error.strerror or error})", where=str(folder)) from error
+    return folder
+
+
+def _write_into(recording: Recording, folder: Path, format: str) -> None:
+    folder.mkdir()
+    if format == "csv":
+        _write_csv(recording, folder / CSV)
+    else:
+        _write_parquet(recording, folder / PARQUET)
+    (folder / INFO).write_text(recording.info.to_json(), encoding="utf-8")
+    robot = recording.info.robot
+    if robot and (recording.path / robot).is_file():
+        shutil.copy(recording.path / robot, folder / Path(robot).name)
+    if recording.simulation is not None:
+        _write_into(recording.simulation, folder / "simulation", format)
+
+
+def _ordered(recording: Recording) -> dict[str, Any]:
+    return {n: v.astype(np.int64) if n == "segment" else v for n, v in recording.columns.items()}
+
+
+def _write_csv(recording: Recording, file: Path) -> None:
+    import pandas as pd
+
+    pd.DataFrame(_ordered(recording)).to_csv(file, index=False, na_rep="", lineterminator="\n")
+
+
+def _write_parquet(recording: Recording, file: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.table(_ordered(recording)), file)
