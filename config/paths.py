@@ -1,0 +1,124 @@
+"""Where things live: sockets in the runtime directory, tools and calibrations in the state directory, one settings file."""
+
+import os
+import stat
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from galen_hw.errors import UsageError
+
+SERVICE_RUNTIME: Final = Path("/run/galen-hw")
+SITE_CONFIG: Final = Path("/etc/galen-hw/galen.toml")
+DEFAULT_CONFIG: Final = Path(__file__).with_name("galen.toml")
+VIEWERS_ADDRESS: Final = "tcp://127.0.0.1:9872"
+LONGEST_SOCKET_PATH: Final = 107
+"""Bytes of a Unix socket's path that the kernel takes (sun_path less its final zero)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Addresses:
+    """ZeroMQ addresses of one daemon, all in its runtime directory.
+
+    Args:
+        runtime: the directory.
+    """
+
+    runtime: Path
+
+    @property
+    def bus(self) -> str:
+        """Everything published (connect a SUB)."""
+        return f"ipc://{self.runtime / 'bus.pub'}"
+
+    @property
+    def command(self) -> str:
+        """Requests (connect a REQ or DEALER)."""
+        return f"ipc://{self.runtime / 'command'}"
+
+    @property
+    def inward(self) -> str:
+        """Between the daemon's own processes: publications on their way to the bus."""
+        return f"ipc://{self.runtime / 'inward'}"
+
+    @property
+    def control(self) -> str:
+        """Between the daemon's own processes: requests, replies and heartbeats."""
+        return f"ipc://{self.runtime / 'control'}"
+
+    @property
+    def virtual(self) -> Path:
+        """Directory of the virtual robot's wires."""
+        return self.runtime / "virtual"
+
+    @property
+    def lock(self) -> Path:
+        """File that one daemon locks."""
+        return self.runtime / "lock"
+
+
+def runtime_dir(environ: Mapping[str, str] = os.environ) -> Path:
+    """Directory of the sockets of a daemon started here; not created.
+
+    In order: `GALEN_HW_RUNTIME`, `RUNTIME_DIRECTORY` (systemd), `$XDG_RUNTIME_DIR/galen-hw`, a directory of the user's
+    below the temporary one.
+    """
+    if own := environ.get("GALEN_HW_RUNTIME") or environ.get("RUNTIME_DIRECTORY", "").split(":")[0]:
+        return Path(own)
+    if xdg := environ.get("XDG_RUNTIME_DIR"):
+        return Path(xdg) / "galen-hw"
+    return Path(tempfile.gettempdir()) / f"galen-hw-{os.getuid()}"
+
+
+def client_runtime_dir(environ: Mapping[str, str] = os.environ) -> Path:
+    """Directory where a client looks for a daemon: the user's own if one has been started there, else the service's."""
+    own = runtime_dir(environ)
+    if environ.get("GALEN_HW_RUNTIME") or (own / "command").exists() or not (SERVICE_RUNTIME / "command").exists():
+        return own
+    return SERVICE_RUNTIME
+
+
+def state_dir(environ: Mapping[str, str] = os.environ) -> Path:
+    """Directory of tools, calibrations and what services keep; not created.
+
+    In order: `GALEN_HW_STATE`, `STATE_DIRECTORY` (systemd), `$XDG_STATE_HOME/galen-hw`, `~/.local/state/galen-hw`.
+    """
+    if own := environ.get("GALEN_HW_STATE") or environ.get("STATE_DIRECTORY", "").split(":")[0]:
+        return Path(own)
+    xdg = environ.get("XDG_STATE_HOME")
+    return (Path(xdg) if xdg else Path.home() / ".local" / "state") / "galen-hw"
+
+
+def config_path(given: str | None, environ: Mapping[str, str] = os.environ) -> Path:
+    """The file of settings: the one given, `GALEN_HW_CONFIG`, the site's in /etc, or the default one."""
+    if named := given or environ.get("GALEN_HW_CONFIG"):
+        return Path(named)
+    return SITE_CONFIG if SITE_CONFIG.exists() else DEFAULT_CONFIG
+
+
+def make_runtime(path: Path) -> Addresses:
+    """Create the runtime directory, for its owner and group only.
+
+    Raises:
+        UsageError: it cannot be made, belongs to someone else, is open to others, or is too deep for a socket.
+    """
+    try:
+        path.mkdir(mode=0o750, parents=True, exist_ok=True)
+        found = path.stat()
+    except OSError as error:
+        raise UsageError(
+            error.strerror or "cannot be made", where=str(path), todo="give another one with --dir"
+        ) from None
+    if found.st_uid != os.getuid():
+        raise UsageError(
+            "runtime directory belongs to another user", where=str(path), todo="give another one with --dir"
+        )
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise UsageError("runtime directory is writable by others", where=str(path), todo=f"chmod 750 {path}")
+    if len(os.fsencode(path / "bus.pub")) > LONGEST_SOCKET_PATH:
+        raise UsageError(
+            "runtime directory's path is too long for a socket", where=str(path), todo="give a shorter one"
+        )
+    return Addresses(path)
