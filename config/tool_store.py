@@ -1,0 +1,269 @@
+"""Where tools' files live: nominal ones in the package, calibrations as generations in the state directory.
+
+    STATE/tools/NAME/0001.json ...   generations, written once, never changed
+    STATE/tools/NAME/active.json     {"generation": n}: the one in use
+    STATE/tools/selected.json        {"tool": NAME}: taken up when the daemon starts
+
+Every file is written beside its place, flushed to the disk and then renamed over it, so that a power cut leaves either
+the old content or the new.
+"""
+
+import hashlib
+import json
+import os
+import re
+from contextlib import suppress
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from galen_hw.config.tool_file import NAME, Origin, ToolFile, parse_tool
+from galen_hw.errors import UsageError
+
+
+def write_atomic(path: Path, text: str) -> None:
+    """Replace a file by `text`, all or nothing even if the power fails.
+
+    Raises:
+        UsageError: the directory cannot be written.
+    """
+    scratch = path.with_name(f".{path.name}.{os.getpid()}.new")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with scratch.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        scratch.replace(path)
+        directory = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(directory)
+        finally:
+            os.close(directory)
+    except OSError as error:
+        with suppress(OSError):
+            scratch.unlink(missing_ok=True)
+        raise UsageError(
+            f"cannot be written ({error.strerror})", where=str(path), todo="check space and rights"
+        ) from None
+
+
+@dataclass(frozen=True, slots=True)
+class Generation:
+    """One calibration in the history of a tool; `error` says why it cannot be read."""
+
+    number: int
+    path: Path
+    active: bool
+    tool: ToolFile | None
+    error: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ToolStore:
+    """The tools of one installation.
+
+    Args:
+        state_dir: of the service (`$STATE_DIRECTORY` or the user's).
+        nominal_dir: folder of nominal files, the package's own if None.
+    """
+
+    state_dir: Path
+    nominal_dir: Path | None = field(default=None)
+
+    def names(self) -> list[str]:
+        """All tools, nominal or calibrated, sorted."""
+        found = set(self._nominal_texts())
+        if self._root.is_dir():
+            found |= {folder.name for folder in self._root.iterdir() if folder.is_dir() and self._numbers(folder.name)}
+        return sorted(found)
+
+    def load(self, name: str) -> ToolFile:
+        """The tool in use: its active calibration, or the nominal file if there is none.
+
+        Raises:
+            UsageError: no such tool, or its file is damaged or impossible.
+        """
+        number = self.active(name)
+        return self.nominal(name) if number is None else self.generation(name, number)
+
+    def nominal(self, name: str) -> ToolFile:
+        """Geometry alone, from the package or the first generation of an imported tool.
+
+        Raises:
+            UsageError: no such tool.
+        """
+        _check_name(name)
+        texts = self._nominal_texts()
+        if name in texts:
+            return parse_tool(*texts[name])
+        numbers = self._numbers(name)
+        if not numbers:
+            known = ", ".join(self.names()) or "none"
+            raise UsageError(f"no tool {name!r}", where=str(self._root), todo=f"one of: {known}; or import its file")
+        tool = self.generation(name, numbers[-1])
+        return ToolFile(name=tool.name, tip=tool.tip, contact=tool.contact, inertia=tool.inertia)
+
+    def generation(self, name: str, number: int) -> ToolFile:
+        """One calibration of the history.
+
+        Raises:
+            UsageError: not there, damaged or impossible.
+        """
+        path = self._path(name, number)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError):
+            numbers = ", ".join(map(str, self._numbers(name))) or "none"
+            raise UsageError(
+                f"tool {name!r} has no generation {number}", where=str(path), todo=f"there are: {numbers}"
+            ) from None
+        tool = parse_tool(text, str(path))
+        if tool.name != name:
+            raise UsageError(f"is the file of {tool.name!r}", where=str(path), todo=f"galen-hw tool rollback {name}")
+        return tool
+
+    def active(self, name: str) -> int | None:
+        """Number of the generation in use; None if the tool was never calibrated."""
+        _check_name(name)
+        path = self._root / name / "active.json"
+        number = _read_json(path).get("generation") if path.exists() else None
+        return number if isinstance(number, int) else None
+
+    def history(self, name: str) -> list[Generation]:
+        """All generations, oldest first; a damaged one is listed with its error.
+
+        Raises:
+            UsageError: no such tool.
+        """
+        self.nominal(name)
+        active = self.active(name)
+        return [self._entry(name, number, active) for number in self._numbers(name)]
+
+    def save(self, tool: ToolFile, *, activate: bool = True) -> ToolFile:
+        """Add a generation (nothing is ever overwritten) and, unless told otherwise, make it the one in use.
+
+        Returns:
+            The tool with its generation and identity filled in.
+
+        Raises:
+            UsageError: the tool has no calibration, or the directory cannot be written.
+        """
+        if tool.origin is None or not tool.calibrated:
+            raise UsageError(f"tool {tool.name!r} holds no calibration to save", todo="calibrate it first")
+        number = max(self._numbers(tool.name), default=0) + 1
+        tool = tool.model_copy(update={"origin": _identified(tool, tool.origin, number)})
+        write_atomic(self._path(tool.name, number), tool.to_json() + "\n")
+        if activate:
+            self.activate(tool.name, number)
+        return tool
+
+    def activate(self, name: str, number: int) -> ToolFile:
+        """Make a generation the one in use, after reading it.
+
+        Raises:
+            UsageError: not there, damaged or impossible; the one in use stays.
+        """
+        tool = self.generation(name, number)
+        write_atomic(self._root / name / "active.json", json.dumps({"generation": number}) + "\n")
+        return tool
+
+    def rollback(self, name: str, number: int | None = None) -> ToolFile:
+        """Go back to a generation, or to the latest readable one before the active one.
+
+        Raises:
+            UsageError: there is none.
+        """
+        if number is not None:
+            return self.activate(name, number)
+        active = self.active(name)
+        older = [g.number for g in self.history(name) if g.tool is not None and (active is None or g.number < active)]
+        if not older:
+            raise UsageError(f"tool {name!r} has no earlier calibration", todo=f"galen-hw tool history {name}")
+        return self.activate(name, older[-1])
+
+    def selected(self) -> str | None:
+        """The tool that the daemon takes up when it starts; None for no tool."""
+        path = self._root / "selected.json"
+        name = _read_json(path).get("tool") if path.exists() else None
+        return name if isinstance(name, str) and re.match(NAME, name) else None
+
+    def select(self, name: str | None) -> None:
+        """Remember the tool in hand over restarts; None for no tool.
+
+        Raises:
+            UsageError: no such tool.
+        """
+        if name is not None:
+            self.load(name)
+        write_atomic(self._root / "selected.json", json.dumps({"tool": name}) + "\n")
+
+    @property
+    def _root(self) -> Path:
+        return Path(self.state_dir) / "tools"
+
+    def _path(self, name: str, number: int) -> Path:
+        _check_name(name)
+        return self._root / name / f"{number:04d}.json"
+
+    def _numbers(self, name: str) -> list[int]:
+        folder = self._root / name
+        found = [int(p.stem) for p in folder.glob("*.json") if p.stem.isdigit()] if folder.is_dir() else []
+        return sorted(found)
+
+    def _entry(self, name: str, number: int, active: int | None) -> Generation:
+        path = self._path(name, number)
+        try:
+            return Generation(number, path, number == active, self.generation(name, number))
+        except UsageError as error:
+            return Generation(number, path, number == active, None, str(error))
+
+    def _nominal_texts(self) -> dict[str, tuple[str, str]]:
+        """Text and place of every nominal file by tool."""
+        folder = resources.files("galen_hw.config") / "tools" if self.nominal_dir is None else self.nominal_dir
+        files = [f for f in folder.iterdir() if f.name.endswith(".json")] if folder.is_dir() else []
+        return {f.name.removesuffix(".json"): (f.read_text(encoding="utf-8"), str(f)) for f in files}
+
+
+def binding_problems(tool: ToolFile, *, sensor_serial: str, robot: str) -> list[str]:
+    """Why a calibration does not belong to this hardware, one line each; none if it does or is not known to not."""
+    origin = tool.origin
+    if origin is None:
+        return []
+    problems = []
+    if origin.sensor_serial and sensor_serial and origin.sensor_serial != sensor_serial:
+        problems.append(f"was calibrated on sensor {origin.sensor_serial}, this is {sensor_serial}")
+    if origin.robot and robot and origin.robot != robot:
+        problems.append(f"was calibrated on robot {origin.robot!r}, this is {robot!r}")
+    return problems
+
+
+def check_binding(tool: ToolFile, *, sensor_serial: str, robot: str) -> None:
+    """Refuse a calibration of another sensor or robot.
+
+    Raises:
+        UsageError: it belongs to other hardware.
+    """
+    problems = binding_problems(tool, sensor_serial=sensor_serial, robot=robot)
+    if problems:
+        todo = f"galen-hw calibrate --tool {tool.name}"
+        raise UsageError(f"tool {tool.name!r} {' and '.join(problems)}", todo=todo)
+
+
+def _identified(tool: ToolFile, origin: Origin, number: int) -> Origin:
+    digest = hashlib.sha256(tool.to_json().encode()).hexdigest()[:8]
+    return origin.model_copy(update={"generation": number, "id": f"{tool.name}/{number:04d}-{digest}"})
+
+
+def _check_name(name: str) -> None:
+    if not re.match(NAME, name):
+        raise UsageError(f"{name!r} cannot be a tool's name", todo="small letters, digits, - and _, at most 40")
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise UsageError("is damaged", where=str(path), todo="delete it, then select or roll back again") from None
+    return data if isinstance(data, dict) else {}
