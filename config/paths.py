@@ -1,4 +1,4 @@
-"""Where things live: sockets in the runtime directory, tools and calibrations in the state directory, one settings file."""
+"""Where things live: sockets in the runtime directory, tools in the state directory, settings in a file."""
 
 import os
 import stat

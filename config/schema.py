@@ -1,0 +1,130 @@
+"""The configuration: what may stand in the TOML file, with units in the keys and bounds that catch a wrong unit.
+
+`devices.NAME.transport`, `devices.NAME.settings` and `services.NAME` are checked by the classes that they configure.
+"""
+
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from annotated_types import Len
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from galen_hw.config.paths import VIEWERS_ADDRESS
+from galen_hw.units import STANDARD_GRAVITY
+
+Metres = Annotated[float, Field(ge=-2.0, le=2.0)]
+"""A length of this robot's size; millimetres by mistake are out of bounds."""
+Vector = tuple[Metres, Metres, Metres]
+NAME_PATTERN = r"^[a-z][a-z0-9_]*$"
+
+
+class Section(BaseModel):
+    """A table of the file: unknown keys are errors, values never change after reading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class DeltaSection(Section):
+    """The linear delta; defaults are the nominal Galen."""
+
+    rod_length_m: float = Field(default=0.400, gt=0.0, le=2.0)
+    radius_m: float = Field(default=0.150, gt=0.0, le=2.0)
+    azimuths_rad: tuple[float, float, float] = (1.5707963267948966, 3.6651914291880923, 5.759586531581287)
+
+    @model_validator(mode="after")
+    def _rods_reach(self) -> Self:
+        if self.radius_m >= self.rod_length_m:
+            raise ValueError("radius_m must be less than rod_length_m, or the rods cannot reach the platform")
+        return self
+
+
+class RobotSection(Section):
+    """The robot that carries the sensor: the Galen's geometry, or a URDF file."""
+
+    name: str = Field(default="galen", pattern=NAME_PATTERN)
+    urdf: Path | None = Field(default=None, examples=["/etc/galen-hw/robot.urdf"])
+    sensor_link: str | None = Field(default=None, examples=["ft_sensor"])
+    base_link: str | None = Field(default=None, examples=["base_link"])
+    gravity_m_per_s2: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)
+    delta: DeltaSection = DeltaSection()
+    platform_to_roll_m: Vector = (0.0, 0.0, 0.045)
+    roll_to_tilt_m: Vector = (0.210, 0.0, 0.035)
+    tilt_to_sensor_m: Vector = (0.055, 0.0, 0.0)
+    carriage_lower_m: Vector = (-0.233, -0.272, -0.237)
+    carriage_upper_m: Vector = (0.263, 0.241, 0.254)
+    roll_limits_rad: tuple[float, float] = (-1.57, 1.57)
+    tilt_limits_rad: tuple[float, float] = (-1.04, 0.96)
+
+    @field_validator("gravity_m_per_s2")
+    @classmethod
+    def _earthly(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
+        size = sum(x * x for x in value) ** 0.5
+        if not 9.7 <= size <= 9.9:
+            raise ValueError(f"gravity of {size:.4g} m/s^2 is not the earth's (9.76 to 9.84)")
+        return value
+
+    @model_validator(mode="after")
+    def _limits_in_order(self) -> Self:
+        pairs = [
+            *zip(self.carriage_lower_m, self.carriage_upper_m, strict=True),
+            self.roll_limits_rad,
+            self.tilt_limits_rad,
+        ]
+        if any(low >= high for low, high in pairs):
+            raise ValueError("each lower limit must be below its upper limit")
+        if self.urdf is None and (self.sensor_link or self.base_link):
+            raise ValueError("sensor_link and base_link belong to a URDF: give urdf too")
+        return self
+
+
+class DeviceSection(Section):
+    """One device: its driver, its wire, and the driver's own settings."""
+
+    driver: str = Field(examples=["ati_netcanoem"])
+    optional: bool = False
+    transport: dict[str, Any] = Field(default={}, examples=[{"interface": "socketcan", "channel": "can0"}])
+    settings: dict[str, Any] = {}
+
+
+class BusSection(Section):
+    """Addresses beside the runtime directory's own."""
+
+    viewers: str = Field(default=VIEWERS_ADDRESS, examples=[VIEWERS_ADDRESS])
+    queue_messages: int = Field(default=5000, ge=10, le=1_000_000)
+
+    @field_validator("viewers")
+    @classmethod
+    def _loopback(cls, value: str) -> str:
+        host = value.removeprefix("tcp://").rpartition(":")[0].strip("[]")
+        if value and not (value.startswith("tcp://") and _is_loopback(host)):
+            raise ValueError("viewers may connect from this machine only (tcp://127.0.0.1:PORT; use ssh -L from afar)")
+        return value
+
+
+class DaemonSection(Section):
+    """The process tree."""
+
+    start_timeout_s: float = Field(default=20.0, gt=0.0, le=600.0)
+    command_timeout_s: float = Field(default=30.0, gt=0.0, le=600.0)
+    realtime_priority: int = Field(default=20, ge=0, le=80)
+    garbage_interval_s: float = Field(default=10.0, gt=0.0, le=3600.0)
+
+
+class Config(Section):
+    """The whole file."""
+
+    robot: RobotSection = RobotSection()
+    devices: Annotated[dict[str, DeviceSection], Len(1)] = Field(examples=["[devices.ft] with driver and transport"])
+    services: dict[str, dict[str, Any]] = {}
+    bus: BusSection = BusSection()
+    daemon: DaemonSection = DaemonSection()
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
