@@ -21,7 +21,7 @@ class CompensationParameters:
         bias: (6,) constant offset of the sensor, N and N m.
         bias_body: what hangs on the sensor with no tool.
         zeroed_q: joint positions at which the sensor was zeroed; None if it was not, or see `zeroed_rotation`.
-        zeroed_rotation: (3, 3) sensor orientation at which it was zeroed, where joints do not say; goes before `zeroed_q`.
+        zeroed_rotation: (3, 3) sensor orientation at which it was zeroed; goes before `zeroed_q`.
         gravity: (3,) m/s^2 in the base frame.
         tip, contact: (3,) m in the sensor frame; the contact is the tip unless the user set another point.
         terms: extra physical effects as they stand in the tool's file, for `build_streams`.

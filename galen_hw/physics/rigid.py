@@ -56,7 +56,7 @@ def gravity_map(
     Args:
         tool: what hangs on the sensor with its weight in the reading.
         bias_body: what hung on it already when it was zeroed.
-        zeroed_rotation: (3, 3) orientation at which it was zeroed; None if it never was, the bias body then weighs in full.
+        zeroed_rotation: (3, 3) orientation at which it was zeroed; None if never, the bias body then weighs in full.
         offset: (6,) constant bias of the sensor, N and N m.
         gravity: (3,) m/s^2 in the base.
     """
