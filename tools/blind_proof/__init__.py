@@ -1,0 +1,1 @@
+"""The blind proof: data in which an effect is concealed, sealed truth, verdicts, scores, rivals."""

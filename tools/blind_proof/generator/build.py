@@ -1,0 +1,179 @@
+"""From a case's plan to a folder: find the severity, make the recording and its second run, add noise, write."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from galen_hw.tools.blind_proof.generator import arm, outside, pose, wrench
+from galen_hw.tools.blind_proof.generator.case import Case, Injected
+from galen_hw.tools.blind_proof.generator.galen import BIAS_COM, BIAS_MASS, TOOLS
+from galen_hw.tools.blind_proof.generator.noise import add_noise
+from galen_hw.tools.blind_proof.generator.premises import spoil
+
+Array = NDArray[np.float64]
+
+SIGMA = {"wrench": wrench.SIGMA, "pose": pose.SIGMA, "effort": arm.EFFORT_SIGMA, "position": arm.POSITION_SIGMA}
+CHANNELS = {
+    "wrench": wrench.CHANNELS,
+    "pose": pose.CHANNELS,
+    "effort": tuple(f"joint.{j}.effort" for j in arm.JOINTS),
+    "position": tuple(f"joint.{j}.position" for j in arm.JOINTS),
+}
+MAKERS: dict[str, dict[str, Any]] = {
+    "wrench": wrench.EFFECTS,
+    "pose": pose.EFFECTS,
+    "effort": arm.EFFORT_EFFECTS,
+    "position": arm.POSITION_EFFECTS,
+}
+
+
+def build(case: Case, folder: FilePath) -> Case:
+    """Write `folder/train` and `folder/test`, another run of the same machine; returns the case with its truth."""
+    for hidden in case.effects:
+        if hidden.snr is not None:
+            hidden.amplitude = _amplitude(case, hidden)
+    case.noise_rms = _write(case, folder / "train", run=0)
+    if case.share != "premise":
+        case.holdout_noise_rms = _write(case, folder / "test", run=1)
+    return case
+
+
+def _scene(case: Case, run: int) -> Any:
+    """The recording's scene without effects; run 0 and 1 differ in their motion."""
+    seed = case.seed * 10 + run
+    rng = np.random.default_rng(seed)
+    if case.group == "wrench":
+        tool = str(np.random.default_rng(case.seed).choice(list(TOOLS)))
+        return wrench.Scene(case, wrench.make_path(rng, case), tool, path_seed=seed)
+    if case.group == "pose":
+        scene = pose.make_scene(rng, case)
+        scene.tool = str(np.random.default_rng(case.seed).choice(list(TOOLS)))
+        return scene
+    return arm.make_scene(rng, case)
+
+
+def _parts(group: str) -> tuple[Callable[[Any], Array], Callable[[Any], Array]]:
+    """Simulate and baseline of a group."""
+    if group == "wrench":
+        return wrench.simulate, wrench.baseline
+    if group == "pose":
+        return pose.simulate, pose.baseline
+    return (arm.efforts if group == "effort" else arm.positions), arm.baseline
+
+
+def _hide(case: Case, scene: Any, hidden: Injected, number: int, amplitude: float) -> None:
+    """Apply one effect; its random choices depend on the case and its number, not on the run or the amplitude."""
+    rng = np.random.default_rng([case.seed, 77, number])
+    name = hidden.kind if hidden.key == "unknown" and hidden.kind in outside.OUTSIDE else hidden.key
+    maker = outside.OUTSIDE[name] if name in outside.OUTSIDE else MAKERS[case.group][name]
+    maker(scene, hidden, rng, amplitude)
+
+
+def _excess(case: Case, hidden: Injected, number: int, amplitude: float) -> Array:
+    """Reading less baseline (N, c) in units of the noise, for one effect alone; less its mean where bias is free."""
+    scene = _scene(case, run=0)
+    name = hidden.kind
+    _hide(case, scene, hidden, number, amplitude)
+    if hidden.key == "unknown":
+        hidden.kind = name
+    simulate, baseline = _parts(case.group)
+    excess = (simulate(scene) - baseline(scene)) / SIGMA[case.group]
+    return np.asarray(excess - excess.mean(axis=0) if case.bias_free else excess)
+
+
+def _severity(excess: Array) -> tuple[float, Array]:
+    """SNR over the channels that the effect touches, and which those are."""
+    rms = np.sqrt(np.mean(excess**2, axis=0))
+    touched = rms >= 0.3 * rms.max()
+    return float(np.sqrt(np.mean(rms[touched] ** 2))), touched
+
+
+def _amplitude(case: Case, hidden: Injected) -> float:
+    """The amplitude that gives the wanted SNR, by the secant rule on logarithms."""
+    assert hidden.snr is not None
+    number, a = case.effects.index(hidden), 1.0
+    history: list[tuple[float, float]] = []
+    for _ in range(12):
+        snr, touched = _severity(_excess(case, hidden, number, a))
+        hidden.channels = [c for c, on in zip(CHANNELS[case.group], touched, strict=True) if on]
+        if abs(snr / hidden.snr - 1) < 0.03:
+            break
+        history.append((np.log(a), np.log(max(snr, 1e-9))))
+        slope = 1.0
+        if len(history) > 1 and abs(history[-1][0] - history[-2][0]) > 1e-9:
+            slope = (history[-1][1] - history[-2][1]) / (history[-1][0] - history[-2][0])
+        move = np.clip((np.log(hidden.snr) - history[-1][1]) / np.clip(slope, 0.4, 3.0), -3.0, 3.0)
+        a = float(np.clip(a * np.exp(move), 1e-4, 1e4))
+    return a
+
+
+def _write(case: Case, folder: FilePath, run: int) -> dict[str, float]:
+    """One run: simulate with all effects, add noise, spoil the premises, write; returns the noise really added."""
+    scene = _scene(case, run)
+    for number, hidden in enumerate(case.effects):
+        kind = hidden.kind
+        _hide(case, scene, hidden, number, hidden.amplitude)
+        if hidden.key == "unknown":
+            hidden.kind = kind
+    if case.mask == "temperature not recorded":
+        scene.record_temperature = False
+    simulate, _ = _parts(case.group)
+    module = {"wrench": wrench, "pose": pose}.get(case.group, arm)
+    rng = np.random.default_rng([case.seed, 99, run])
+    clean = simulate(scene)
+    reading = add_noise(rng, clean, SIGMA[case.group], case.noise)
+    columns = module.columns(scene, reading, rng)
+    info = _info(case, scene)
+    if case.premise:
+        spoil(case.premise, columns, info)
+    _write_table(folder, columns, info)
+    if case.group == "position":
+        ideal = arm.baseline(scene)
+        names = CHANNELS["position"]
+        simulated = {"time": scene.path.t} | {n: ideal[:, k] for k, n in enumerate(names)}
+        _write_table(folder / "simulation", simulated, {"schema": 1, "robot": None, "predict": "position"})
+    rms = np.sqrt(np.mean((reading - clean) ** 2, axis=0))
+    return {name: float(r) for name, r in zip(CHANNELS[case.group], rms, strict=True)}
+
+
+def _info(case: Case, scene: Any) -> dict[str, Any]:
+    """recording.json: what the simulation believes, which is the nominal machine."""
+    info: dict[str, Any] = {"schema": 1, "predict": case.group}
+    if case.bias_free:
+        info["model"] = {"bias": "free"}
+    if case.group in {"effort", "position"}:
+        return info | {"robot": "robot.urdf"}
+    t = TOOLS[scene.tool]
+    info |= {
+        "robot": "galen",
+        "tool": {
+            "name": scene.tool,
+            "mass": t.mass,
+            "com": list(t.com),
+            "tip": list(t.tip),
+            "inertia": np.diag(t.inertia).tolist(),
+        },
+        "bias_body": {"mass": BIAS_MASS, "com": list(BIAS_COM)},
+        "zeroed_at": [0.0, 0.0, 0.0, 0.0, 0.0],
+    }
+    model = info.setdefault("model", {})
+    if getattr(scene, "static_model", False):
+        model["dynamics"] = "static"
+    if getattr(scene, "known_compliance", False):
+        model["compliance"] = {"joint": {"roll": pose.KNOWN["roll"], "tilt": pose.KNOWN["tilt"]}}
+    return info
+
+
+def _write_table(folder: FilePath, columns: dict[str, Array], info: dict[str, Any]) -> None:
+    """recording.csv and recording.json, and the URDF where it is named."""
+    folder.mkdir(parents=True, exist_ok=True)
+    names = list(columns)
+    table = np.column_stack([columns[n] for n in names])
+    np.savetxt(folder / "recording.csv", table, delimiter=",", header=",".join(names), comments="", fmt="%.9g")
+    (folder / "recording.json").write_text(json.dumps(info, indent=1))
+    if info.get("robot") == "robot.urdf":
+        (folder / "robot.urdf").write_text(arm.urdf())

@@ -1,0 +1,57 @@
+"""Physics that no word of the vocabulary names: the tool must say that it does not know what is there."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from galen_hw.tools.blind_proof.generator.case import Injected
+from galen_hw.tools.blind_proof.generator.galen import tip_along
+from galen_hw.tools.blind_proof.generator.wrench import SIGMA, Maker, Scene
+
+Array = NDArray[np.float64]
+
+
+def quadratic_gauge(scene: Scene, hidden: Injected, rng: np.random.Generator, a: float) -> None:
+    """A gauge bridge far from its null: the reading bends with the square of the load, both ways the same."""
+    c = int(rng.integers(6))
+    hidden.kind = "quadratic gauge"
+
+    def change(x: Array) -> Array:
+        x = x.copy()
+        centred = x[:, c] - x[:, c].mean()
+        x[:, c] += a * SIGMA[c] * (centred / centred.std()) ** 2
+        return x
+
+    scene.after.append(change)
+
+
+def eddy_pick_up(scene: Scene, hidden: Injected, rng: np.random.Generator, a: float) -> None:
+    """Two motors' stray fields beat in the sensor's wires: a reading that goes with the product of two speeds."""
+    c = int(rng.integers(6))
+    product = scene.path.dq[:, 3] * scene.path.dq[:, 4]
+    product = product / product.std()
+    hidden.kind = "product of two speeds"
+    scene.after.append(lambda x: x + a * SIGMA[c] * product[:, None] * np.eye(6)[c])
+
+
+def air_drag(scene: Scene, hidden: Injected, rng: np.random.Generator, a: float) -> None:
+    """A drape in the air: a force against the tip's velocity that grows with its square."""
+    del rng
+    position, _ = tip_along(scene.path.q, scene.tool, scene.mech)
+    v = np.gradient(position, scene.path.t, axis=0)
+    hidden.kind = "quadratic drag of the air"
+    scene.mech.tip_forces = -0.5 * a * np.linalg.norm(v, axis=1, keepdims=True) * v
+
+
+def spinning_drill(scene: Scene, hidden: Injected, rng: np.random.Generator, a: float) -> None:
+    """The rotor of a drill resists being turned: a torque across its axis and the arm's turning."""
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    hidden.kind = "gyroscopic torque of a rotor"
+    tilt = scene.path.q[:, 4]
+    roll_rate, tilt_rate = scene.path.dq[:, 3], scene.path.dq[:, 4]
+    omega = np.stack([roll_rate * np.cos(tilt), tilt_rate, roll_rate * np.sin(tilt)], axis=1)
+    torque = -1e-3 * a * np.cross(omega, axis)
+    scene.after.append(lambda x: x + np.hstack([np.zeros_like(torque), torque]))
+
+
+OUTSIDE: dict[str, Maker] = {f.__name__: f for f in (quadratic_gauge, eddy_pick_up, air_drag, spinning_drill)}

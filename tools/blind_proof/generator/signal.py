@@ -1,0 +1,54 @@
+"""What sensors, time and temperature do to a signal (N, c): effects behind the mechanics."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, lfilter
+
+Array = NDArray[np.float64]
+
+
+def random_walk(rng: np.random.Generator, n: int) -> Array:
+    """A slow wander of unit rms."""
+    b, a = butter(2, 0.002)
+    walk = lfilter(b, a, np.cumsum(rng.normal(size=n)))
+    walk -= walk.mean()
+    return np.asarray(walk / walk.std())
+
+
+def warm_up(t: Array, tau_s: float) -> Array:
+    """Settling of a sensor that was switched on at t = 0, of unit final value."""
+    return np.asarray(-np.expm1(-t / tau_s))
+
+
+def room_temperature(rng: np.random.Generator, t: Array) -> Array:
+    """Degrees Celsius near 23: a thermostat's cycle and a slow change."""
+    period = rng.uniform(35.0, 60.0)
+    return np.asarray(23.0 + 0.8 * np.sin(2 * np.pi * t / period + rng.uniform(0, 6)) + 0.6 * random_walk(rng, len(t)))
+
+
+def delayed(t: Array, x: Array, seconds: float) -> Array:
+    """The signal as it was `seconds` ago."""
+    return np.stack([np.interp(t - seconds, t, column) for column in x.T], axis=1)
+
+
+def lagged(x: Array, dt: float, tau_s: float) -> Array:
+    """First-order low-pass, settled at the start."""
+    pole = np.exp(-dt / tau_s)
+    start = x[:1]
+    return np.asarray(start + lfilter([1 - pole], [1.0, -pole], x - start, axis=0))
+
+
+def bouc_wen(x: Array, width: float, sharpness: float = 1.0) -> Array:
+    """The hysteretic variable of Bouc and Wen driven by x (N,), between -1 and 1; `width` in units of x."""
+    z, out = 0.0, np.empty_like(x)
+    dx = np.diff(x, prepend=x[0]) / width
+    for i, step in enumerate(dx):
+        z += step - sharpness * (0.5 * abs(step) * z + 0.5 * step * abs(z))
+        out[i] = z
+    return out
+
+
+def narrow_band(rng: np.random.Generator, t: Array, hz: float) -> Array:
+    """A hum of unit rms whose phase wanders slowly."""
+    phase = 2 * np.pi * hz * t + 0.6 * random_walk(rng, len(t))
+    return np.asarray(np.sqrt(2) * np.sin(phase))
