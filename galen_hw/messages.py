@@ -85,6 +85,36 @@ class WrenchCompensated(Message, frozen=True, kw_only=True):
     terms: int = 0
 
 
+class CompensationState(Message, frozen=True, kw_only=True):
+    """`compensation/state`: all that is needed to compute the same wrench again; at each change and once a second.
+
+    It holds for the raw samples after `t_ns` (the last one that was made without it).
+
+    Args:
+        tool, calibration, enabled: as in `WrenchCompensated`; sensor_serial: last seen.
+        problem: why nothing can be valid, empty if nothing is wrong.
+        tool_file, settings: JSON texts of the tool's file and of the service's settings; empty without a tool.
+        contact: point of `wrench/contact` in the sensor frame, m.
+        tare: (6,) N and N m that are taken off beside the prediction.
+        residual: (9,) what the blend takes off in addition where it begins: wrench (6), contact point (3).
+        blend_from_ns: raw sample at which the running or last blend began.
+        samples: `seq` of the next compensated sample.
+    """
+
+    tool: str = ""
+    calibration: str = ""
+    enabled: bool = False
+    sensor_serial: str = ""
+    problem: str = ""
+    tool_file: str = ""
+    settings: str = ""
+    contact: Vector3 = Vector3()
+    tare: list[float] = []
+    residual: list[float] = []
+    blend_from_ns: int = 0
+    samples: int = 0
+
+
 class JointsState(Message, frozen=True, kw_only=True):
     """`joints/state`: by joint name; rad or m, rad/s or m/s, N m or N (NaN where not measured).
 
@@ -236,6 +266,9 @@ TOPICS: Final[dict[str, Topic]] = {
     "wrench/raw": Topic(WrenchRaw, 1000.0, "", "wrench as the sensor reports it, sensor frame"),
     "wrench/compensated": Topic(WrenchCompensated, 1000.0, "measured_cf", "raw less gravity, bias and effects"),
     "wrench/contact": Topic(WrenchCompensated, 1000.0, "contact/measured_cf", "compensated, at the contact point"),
+    "compensation/state": Topic(
+        CompensationState, 1.0, "", "parameters, tare and blend that make the compensated wrench"
+    ),
     "joints/state": Topic(JointsState, 40.0, "measured_js", "joint positions, velocities, efforts and axis states"),
     "pose/reported": Topic(Pose, 40.0, "measured_cp", "tool tip by rigid kinematics"),
     "pose/corrected": Topic(Pose, 1000.0, "corrected/measured_cp", "tool tip with the arm's give taken into account"),

@@ -1,0 +1,111 @@
+"""What the sensor must read with one tool in one pose: the report's equation (11) as one map a sample.
+
+Derivation: `docs/compensation.md`. Everything constant (weights, first moments, the zeroing pose, the sensor's offset)
+is put into M (6 x 4) once; a sample costs s = R^T g and nine products.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from galen_hw.config.tool_file import ToolFile
+from galen_hw.errors import UsageError
+from galen_hw.kinematics import Robot
+from galen_hw.physics.rigid import Body, gravity_map, inertial_wrench
+from galen_hw.services.gravity_direction import GravityDirection
+from galen_hw.services.joint_history import JointSample
+from galen_hw.spatial import Array, rotation_from_quaternion
+
+Six = tuple[float, float, float, float, float, float]
+ZERO: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class CompensationModel:
+    """The prediction for one calibrated tool.
+
+    Args:
+        tool: its file, calibrated.
+        robot: that carries the sensor.
+    """
+
+    def __init__(self, tool: ToolFile, robot: Robot) -> None:
+        assert tool.mass is not None, "only calibrated tools come here"
+        assert tool.com is not None, "mass and com come together"
+        self.tool = tool
+        self.name, self.calibration, self.terms = tool.name, tool.calibration_id, len(tool.terms)
+        self._robot = robot
+        self._bodies = (_body(tool.mass, tool.com, tool.inertia), _bias_body(tool))
+        M = gravity_map(
+            self._bodies[0],
+            bias_body=self._bodies[1],
+            zeroed_rotation=_zeroed_rotation(tool, robot),
+            offset=tool.bias,
+            gravity=tool.gravity,
+        )
+        self.direction = GravityDirection(robot, tool.gravity)
+        self._mass = float(M[0, 0])
+        self._moment = (float(M[5, 1]), float(M[3, 2]), float(M[4, 0]))
+        self._constant: Six = tuple(float(x) for x in M[:, 3])  # type: ignore[assignment]
+        self._inertial: Six = ZERO
+
+    def predict(self, turning: Sequence[float]) -> Six:
+        """Wrench that the sensor should read, N and N m, without further terms.
+
+        Args:
+            turning: positions of the joints `direction.joints`, rad.
+        """
+        x, y, z = self.direction(turning)
+        m, (hx, hy, hz), (a, b, c, d, e, f) = self._mass, self._moment, self._constant
+        i = self._inertial
+        return (
+            m * x + a + i[0],
+            m * y + b + i[1],
+            m * z + c + i[2],
+            hy * z - hz * y + d + i[3],
+            hz * x - hx * z + e + i[4],
+            hx * y - hy * x + f + i[5],
+        )
+
+    def update_inertial(self, states: list[JointSample], order: Sequence[int], window: int) -> None:
+        """Dynamic forces from the last joint states: acceleration is the slope of a line through `window` velocities.
+
+        A finite window (no recursive filter), so that a replay forgets its beginning and repeats every bit.
+
+        Args:
+            states: oldest first; order: where each joint of the robot stands in them.
+            window: states needed.
+        """
+        if len(states) < window:
+            self._inertial = ZERO
+            return
+        t = np.array([(s.t_ns - states[-1].t_ns) * 1e-9 for s in states])
+        dq = np.array([s.dq for s in states])[:, order]
+        t = t - t.mean()
+        ddq = (t @ dq) / (t @ t)
+        motion = self._robot.sensor_motion(np.array(states[-1].q)[order], dq[-1], ddq)
+        wrench = inertial_wrench(motion, *self._bodies)[0]
+        self._inertial = tuple(wrench.tolist()) if np.isfinite(wrench).all() else ZERO
+
+
+def _body(mass: float, com: Sequence[float], inertia: Sequence[Sequence[float]] | None) -> Body:
+    return Body(mass, np.array(com), np.zeros((3, 3)) if inertia is None else np.array(inertia))
+
+
+def _bias_body(tool: ToolFile) -> Body:
+    return Body() if tool.bias_body is None else _body(tool.bias_body.mass, tool.bias_body.com, None)
+
+
+def _zeroed_rotation(tool: ToolFile, robot: Robot) -> Array | None:
+    zeroed = tool.zeroed_at
+    if zeroed is None:
+        return None
+    if isinstance(zeroed, dict):
+        q = np.zeros(len(robot.joint_names))
+        for i, name in enumerate(robot.joint_names):
+            if name in zeroed:
+                q[i] = zeroed[name]
+            elif i in GravityDirection(robot).joints:
+                where = f"tool {tool.name!r}: zeroed_at"
+                raise UsageError(f"joint {name!r} is missing", where=where, todo=f"calibrate {tool.name} again")
+        return np.asarray(robot.sensor_pose(q)[0, :3, :3])
+    return rotation_from_quaternion(zeroed)

@@ -1,0 +1,131 @@
+"""What is taken off each raw wrench, and how a change of it is blended in without a step."""
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import Any
+
+from galen_hw.clock import NS_PER_S
+from galen_hw.config.tool_file import ToolFile, parse_tool
+from galen_hw.kinematics import Robot
+from galen_hw.messages import CompensationState, Vector3
+from galen_hw.services.compensation_model import ZERO, CompensationModel, Six
+from galen_hw.services.gravity_direction import Triple
+
+NO_RESIDUAL = (0.0,) * 9
+
+
+class Correction:
+    """Prediction of the tool in hand, tare, contact point, and the blend from what was before.
+
+    A change (tool, toggle, tare, contact) leaves a residual r: what was taken off before minus what is taken off now,
+    at the sample of the change. Then r (1 - p) is taken off beside the new correction, p going from 0 to 1 along
+    3 x^2 - 2 x^3, so that the output has neither a step nor a kink; a change within a change works the same way.
+
+    Args:
+        robot: that carries the sensor.
+        enabled: whether the prediction is subtracted.
+        blend_s: duration of a change, s.
+    """
+
+    def __init__(self, robot: Robot, *, enabled: bool, blend_s: float) -> None:
+        self._robot = robot
+        self._blend_ns = max(1, round(blend_s * NS_PER_S))
+        self.enabled = enabled
+        self.model: CompensationModel | None = None
+        self.contact: Triple = (0.0, 0.0, 0.0)
+        self.tare: Six = ZERO
+        self.changed = False
+        self._blending = False
+        self._residual: tuple[float, ...] = NO_RESIDUAL
+        self._from_ns = 0
+        self._last: tuple[float, ...] = ()
+        self.last_ns = 0
+        self._tool_text = ""
+
+    @property
+    def active(self) -> bool:
+        """A tool's prediction is being subtracted."""
+        return self.enabled and self.model is not None
+
+    def use(self, tool: ToolFile | None) -> None:
+        """Another tool in hand (None: none); the contact point becomes the tool's.
+
+        Raises:
+            UsageError: its file does not fit this robot; nothing has changed.
+        """
+        self.model = None if tool is None else CompensationModel(tool, self._robot)
+        self._tool_text = "" if tool is None else tool.to_json()
+        self.contact = (0.0, 0.0, 0.0) if tool is None else tool.contact_point
+        self.changed = True
+
+    def set(self, *, enabled: bool | None = None, tare: Six | None = None, contact: Triple | None = None) -> None:
+        """Change what is given; it is blended in from the next sample on."""
+        self.enabled = self.enabled if enabled is None else enabled
+        self.tare = self.tare if tare is None else tare
+        self.contact = self.contact if contact is None else contact
+        self.changed = True
+
+    def predict(self, turning: Sequence[float] | None) -> Six:
+        """Predicted wrench at these joint positions; zero when off or when they are not known."""
+        if self.model is None or not self.enabled or turning is None:
+            return ZERO
+        return self.model.predict(turning)
+
+    def begin(self, t_ns: int, predicted: Six) -> None:
+        """Start the blend of a change, at the first sample after it (its `t_ns` and prediction)."""
+        self.changed = False
+        now = self._total(predicted)
+        residual = tuple([old - new for old, new in zip(self._last, now, strict=False)])
+        self._blending = len(residual) == 9 and isfinite(sum(residual))
+        self._residual = residual if self._blending else NO_RESIDUAL
+        self._from_ns = t_ns
+
+    def apply(self, t_ns: int, predicted: Six) -> tuple[tuple[float, ...], float]:
+        """(what to take off: wrench (6), contact point (3); progress 0 to 1 of the blend) for a sample."""
+        total, progress = self._total(predicted), 1.0
+        if self._blending:
+            progress = min(1.0, max(0.0, (t_ns - self._from_ns) / self._blend_ns))
+            rest = 1.0 - progress * progress * (3.0 - 2.0 * progress)
+            total = tuple([new + rest * r for new, r in zip(total, self._residual, strict=True)])
+            self._blending = progress < 1.0
+        self._last, self.last_ns = total, t_ns
+        return total, progress
+
+    def _total(self, predicted: Six) -> tuple[float, ...]:
+        a, b, c, d, e, f = predicted
+        u, v, w, x, y, z = self.tare
+        return (a + u, b + v, c + w, d + x, e + y, f + z, *self.contact)
+
+    def state(
+        self, header: dict[str, Any], *, serial: str, problem: str, settings: str, samples: int
+    ) -> CompensationState:
+        """All of it as a message; it holds for the samples after the last one (`header` bears its time)."""
+        return CompensationState(
+            **header,
+            valid=True,
+            tool=self.model.name if self.model is not None else "",
+            calibration=self.model.calibration if self.model is not None else "",
+            enabled=self.enabled,
+            sensor_serial=serial,
+            problem=problem,
+            tool_file=self._tool_text,
+            settings=settings,
+            contact=Vector3(*self.contact),
+            tare=list(self.tare),
+            residual=list(self._residual) if self._blending else [],
+            blend_from_ns=self._from_ns,
+            samples=samples,
+        )
+
+    def restore(self, state: CompensationState) -> None:
+        """Take over a recorded state, for a replay.
+
+        Raises:
+            UsageError: its tool's file cannot be read.
+        """
+        if state.tool_file != self._tool_text:
+            self.use(parse_tool(state.tool_file, "compensation/state: tool_file") if state.tool_file else None)
+        self.enabled, self.contact = state.enabled, (state.contact.x, state.contact.y, state.contact.z)
+        self.tare = tuple(state.tare) if state.tare else ZERO  # type: ignore[assignment]
+        self._residual = tuple(state.residual) if state.residual else NO_RESIDUAL
+        self._from_ns, self._blending, self.changed = state.blend_from_ns, bool(state.residual), False
