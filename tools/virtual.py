@@ -1,0 +1,59 @@
+"""`galen-hw virtual`: the virtual robot, the other ends of the wires, as a process of its own."""
+
+import argparse
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from galen_hw.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("--dir", type=Path, help="folder of the links can0, motors, tracker and the socket control")
+    parser.add_argument("--sensor", default="ati_netcanoem", help="ati_netcanoem (default) or robotous_rft")
+    parser.add_argument("--can", default="slcan", help="slcan (default), socketcan, udp_multicast or socketcand")
+    parser.add_argument("--channel", default="", help="of --can: vcan0, a multicast address, a TCP port")
+    parser.add_argument("--tool", help="in the holder at first: pointer or retractor; default none")
+    parser.add_argument("--seed", type=int, default=0, help="of the noise; the same seed, the same noise")
+    parser.add_argument("--settings", default="{}", help="JSON, settings by device: '{\"ati_netcanoem\": {...}}'")
+    parser.add_argument("--parent-pid", type=int, help="end when that process ends")
+    parser.add_argument("--json", action="store_true", help="one line of JSON instead of text when ready")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until stopped."""
+    from galen_hw.drivers.virtual.process import Options, run
+
+    options = Options(
+        folder=(args.dir or default_folder()).absolute(),
+        sensor=args.sensor,
+        can=args.can,
+        channel=args.channel,
+        seed=args.seed,
+        tool=args.tool,
+        settings=_settings(args.settings),
+        parent_pid=args.parent_pid,
+    )
+    return run(options, as_json=args.json)
+
+
+def default_folder() -> Path:
+    """`virtual` in the runtime directory."""
+    return Path(os.environ.get("RUNTIME_DIRECTORY") or _user_runtime()) / "virtual"
+
+
+def _user_runtime() -> Path:
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    return Path(base or f"/tmp/galen-hw-{os.getuid()}") / ("galen-hw" if base else "")
+
+
+def _settings(text: str) -> dict[str, dict[str, Any]]:
+    try:
+        out = json.loads(text)
+    except ValueError as error:
+        raise UsageError(f"not JSON ({error})", where="--settings", todo="check the quotes") from error
+    if not isinstance(out, dict) or not all(isinstance(v, dict) for v in out.values()):
+        raise UsageError("not an object of objects", where="--settings", todo='as in {"ati_netcanoem": {"base_id": 1}}')
+    return out
