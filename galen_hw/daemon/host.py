@@ -1,0 +1,182 @@
+"""Carries messages, requests and replies between the devices and services of one process and the world outside it."""
+
+import itertools
+import logging
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+import msgspec
+
+from galen_hw.bus import command_error
+from galen_hw.clock import NS_PER_S
+from galen_hw.daemon.port import Port
+from galen_hw.errors import GalenError
+from galen_hw.messages import CommandError, Fault, Message, Reply, Request
+from galen_hw.services.service import Service
+
+REPLY_WITHIN_NS: Final = 30 * NS_PER_S
+TICK_NS: Final = NS_PER_S // 20
+log = logging.getLogger("galen-hw")
+
+
+class Link(Protocol):
+    """The world outside the process."""
+
+    def publish(self, topic: str, message: Message) -> None:
+        """Put a message on the bus."""
+        ...
+
+    def request(self, request: Request) -> None:
+        """Send a request to whoever owns its target."""
+        ...
+
+    def reply(self, reply: Reply) -> None:
+        """Answer a request that came from outside."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Pending:
+    """A request that has no reply yet: who asked (None: outside), under which id, until when."""
+
+    service: Service | None
+    id: str
+    until_ns: int
+
+
+class Host:
+    """The devices and services of one process.
+
+    Args:
+        name: of the process; begins the ids of the requests made here.
+        ports: devices by name; services: by name.
+        link: the world outside.
+        clock: monotonic nanoseconds.
+        on_done: called with a service's name when it has carried out a command (its state is worth keeping).
+    """
+
+    def __init__(
+        self,
+        name: str,
+        ports: Mapping[str, Port],
+        services: Mapping[str, Service],
+        link: Link,
+        *,
+        clock: Callable[[], int],
+        on_done: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.ports, self.services = dict(ports), dict(services)
+        self.published: dict[str, int] = {}
+        self.faults: dict[str, Fault] = {}
+        self.moving = False
+        self._name, self._link, self._clock, self._on_done = name, link, clock, on_done
+        self._consumers: dict[str, tuple[Service, ...]] = {}
+        for topic in {t for s in services.values() for t in s.consumes}:
+            self._consumers[topic] = tuple(s for s in services.values() if topic in s.consumes)
+        self._pending: dict[str, _Pending] = {}
+        self._ids = itertools.count(1)
+        self._next_tick_ns = 0
+
+    @property
+    def wakeup_ns(self) -> int:
+        """When the ticks and time-outs want to be looked at next."""
+        return self._next_tick_ns
+
+    @property
+    def consumed(self) -> frozenset[str]:
+        """Topics that a service here takes."""
+        return frozenset(self._consumers)
+
+    def take(self, outputs: Iterable[Any], service: Service | None = None) -> None:
+        """Carry the outputs of a device or (if given) of a service to where they belong."""
+        for output in outputs:
+            if isinstance(output, tuple):
+                self._emit(output[0], output[1])
+            elif isinstance(output, Reply):
+                self._deliver(output)
+            else:
+                self._forward(output, service)
+
+    def from_bus(self, topic: str, message: Message) -> None:
+        """A message from another process."""
+        if message.source in self.ports or message.source in self.services:
+            return
+        now = self._clock()
+        for service in self._consumers.get(topic, ()):
+            self.take(service.handle(topic, message, now), service)
+
+    def from_outside(self, request: Request) -> None:
+        """A request from outside, for a device or service here."""
+        self._pending[request.id] = _Pending(None, request.id, self._clock() + 20 * REPLY_WITHIN_NS)
+        self._carry_out(request)
+
+    def reply_from_outside(self, reply: Reply) -> None:
+        """The answer to a request that a service here has made."""
+        self._deliver(reply)
+
+    def tick(self, now_ns: int) -> None:
+        """Give every service its tick, and end requests that nobody answers."""
+        if now_ns < self._next_tick_ns:
+            return
+        self._next_tick_ns = now_ns + TICK_NS
+        for service in self.services.values():
+            self.take(service.tick(now_ns), service)
+        for id_ in [id_ for id_, pending in self._pending.items() if pending.until_ns < now_ns]:
+            what = f"no answer within {REPLY_WITHIN_NS // NS_PER_S} s"
+            self._deliver(Reply(id=id_, error=CommandError(kind="timeout", what=what)))
+
+    def _emit(self, topic: str, message: Message) -> None:
+        # Services first: the compensated wrench leaves before the raw one has cost its send.
+        consumers = self._consumers.get(topic)
+        if consumers is not None:
+            now = self._clock()
+            for service in consumers:
+                self.take(service.handle(topic, message, now), service)
+        self._link.publish(topic, message)
+        self.published[topic] = self.published.get(topic, 0) + 1
+        if topic == "joints/state":
+            self.moving = any(message.moving.values())  # type: ignore[attr-defined]
+        elif topic == "fault" and isinstance(message, Fault):
+            self.faults[message.source] = message
+
+    def _forward(self, request: Request, service: Service | None) -> None:
+        """A service's request: under an id of our own, to a device or service here or to the world outside."""
+        own = f"{self._name}/{next(self._ids)}"
+        self._pending[own] = _Pending(service, request.id, self._clock() + REPLY_WITHIN_NS)
+        renamed = msgspec.structs.replace(request, id=own)
+        if request.target in self.ports or request.target in self.services:
+            self._carry_out(renamed)
+        else:
+            self._link.request(renamed)
+
+    def _carry_out(self, request: Request) -> None:
+        now = self._clock()
+        port, service = self.ports.get(request.target), self.services.get(request.target)
+        try:
+            if port is not None:
+                self.take(port.request(request, now))
+            elif service is not None:
+                self.take(service.request(request, now), service)
+                self._on_done(request.target)
+            else:
+                error = CommandError(kind="unknown", what=f"no target {request.target!r}", where=self._name)
+                self._deliver(Reply(id=request.id, error=error))
+        except GalenError as error:
+            self._deliver(Reply(id=request.id, error=command_error(error)))
+        except Exception as error:
+            # A command must never take the loop down with it: the asker is told, the log has the traceback.
+            log.exception("%s %s failed", request.target, request.name)
+            where = f"{request.target} {request.name}"
+            self._deliver(Reply(id=request.id, error=CommandError(kind="fault", what=repr(error), where=where)))
+
+    def _deliver(self, reply: Reply) -> None:
+        """A reply to whoever asked; one that nobody waits for any more is dropped."""
+        pending = self._pending.pop(reply.id, None)
+        if pending is None:
+            return
+        if pending.service is None:
+            self._link.reply(reply)
+        else:
+            answer = msgspec.structs.replace(reply, id=pending.id)
+            self.take(pending.service.reply(answer, self._clock()), pending.service)

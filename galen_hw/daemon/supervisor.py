@@ -1,0 +1,292 @@
+"""The supervisor: starts the processes, answers commands, feeds the watchdog, starts again what dies, ends cleanly."""
+
+import fcntl
+import logging
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, Final
+
+import msgspec
+
+from galen_hw.clock import TimeBase
+from galen_hw.config.load import Setup, Tables
+from galen_hw.config.paths import Addresses
+from galen_hw.daemon.broker import Broker
+from galen_hw.daemon.layout import CORE, MOTORS, Share, lay_out
+from galen_hw.daemon.links import Beat, DeviceState
+from galen_hw.daemon.notify import Notifier
+from galen_hw.daemon.orders import Orders
+from galen_hw.daemon.port import Waker
+from galen_hw.errors import EXIT_FOUND, EXIT_HARDWARE, EXIT_OK, UsageError
+from galen_hw.messages import TOPICS
+from galen_hw.version import VERSION
+
+TURN_S: Final = 0.05
+REST_WITHIN_S: Final = 6.0
+SILENT_AFTER_S: Final = 8.0
+DEATHS_ALLOWED: Final = 5
+WITHIN_S: Final = 60.0
+log = logging.getLogger("galen-hw")
+
+
+@dataclass
+class _Process:
+    """One process of the tree and its history."""
+
+    share: Share
+    popen: "subprocess.Popen[bytes] | None" = None
+    started: float = 0.0
+    start_at: float = 0.0
+    deaths: "deque[float]" = field(default_factory=deque)
+
+
+class Supervisor:
+    """Runs a set-up until it is told to stop.
+
+    Args:
+        setup: checked settings; tables: what they may name.
+        addresses: of this daemon, in a runtime directory that exists.
+        state_dir: where services keep what they have learnt.
+        on_ready: called once, when samples flow.
+
+    Raises:
+        UsageError: another daemon runs in this runtime directory.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        tables: Tables,
+        addresses: Addresses,
+        state_dir: Path,
+        on_ready: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._setup, self._tables, self._addresses, self._state_dir = setup, tables, addresses, state_dir
+        self._lock = lock(addresses)
+        self._on_ready = on_ready
+        self._time_base = TimeBase.now()
+        self._processes = {name: _Process(share) for name, share in lay_out(setup).items()}
+        owners = {t: n for n, p in self._processes.items() for t in (*p.share.devices, *p.share.services)}
+        self._broker = Broker(addresses, owners, setup.config.daemon.command_timeout_s, self._info)
+        self._notifier = Notifier()
+        self._waker = Waker()
+        self._stopping = False
+        self._is_ready = False
+        self._begun = time.monotonic()
+
+    def stop(self) -> None:
+        """End soon; from a signal handler."""
+        self._stopping = True
+        self._waker.wake()
+
+    def run(self) -> int:
+        """Start the tree and watch over it; the exit status when it has ended, with nothing left running."""
+        status = EXIT_OK
+        try:
+            for name in self._processes:
+                self._start(name)
+            while not self._stopping and status == EXIT_OK:
+                self._wait()
+                self._broker.step()
+                status = self._look_after() or self._look_at_readiness()
+                self._tell()
+        finally:
+            self._notifier.stopping()
+            self._end()
+        return status
+
+    def _start(self, name: str) -> None:
+        process = self._processes[name]
+        orders = Orders(
+            name=name,
+            devices=process.share.devices,
+            services=process.share.services,
+            document=self._setup.config.model_dump(mode="json", exclude_unset=True),
+            path=str(self._setup.path),
+            drivers=dict(self._tables.drivers),
+            transports=dict(self._tables.transports),
+            services_table=dict(self._tables.services),
+            runtime=str(self._addresses.runtime),
+            state_dir=str(self._state_dir),
+            virtual=self._setup.virtual,
+            wall_minus_monotonic_ns=self._time_base.wall_minus_monotonic_ns,
+        )
+        command = [sys.executable, "-m", "galen_hw.daemon.worker", name]
+        process.popen = subprocess.Popen(command, stdin=subprocess.PIPE)
+        process.started, process.start_at = time.monotonic(), 0.0
+        self._broker.heard_ns[name] = time.monotonic_ns()
+        assert process.popen.stdin is not None
+        _give(process.popen.stdin, msgspec.json.encode(orders) + b"\n")
+
+    def _wait(self) -> None:
+        fds = [self._waker.fd, *(s.FD for s in self._broker.sockets)]
+        pending = any(int(s.EVENTS) & 1 for s in self._broker.sockets)
+        if self._waker.fd in select.select(fds, (), (), 0.0 if pending else TURN_S)[0]:
+            self._waker.clear()
+
+    def _look_after(self) -> int:
+        """Start again what has died or gone silent; an exit status when it is hopeless."""
+        now = time.monotonic()
+        for name, process in self._processes.items():
+            if process.popen is None:
+                if now >= process.start_at:
+                    self._start(name)
+                continue
+            silent_s = now - self._broker.heard_ns[name] / 1e9
+            if process.popen.poll() is None and silent_s > SILENT_AFTER_S and name in self._broker.beats:
+                log.error("%s: silent for %.0f s; it is ended and started again", name, silent_s)
+                process.popen.kill()
+                process.popen.wait()
+            if process.popen.poll() is not None and (status := self._bury(name, process, now)):
+                return status
+        return EXIT_OK
+
+    def _bury(self, name: str, process: _Process, now: float) -> int:
+        assert process.popen is not None
+        code = process.popen.returncode
+        assert process.popen.stdin is not None
+        process.popen.stdin.close()
+        process.popen = None
+        self._broker.lost(name)
+        process.deaths.append(now)
+        while process.deaths and process.deaths[0] < now - WITHIN_S:
+            process.deaths.popleft()
+        if not self._is_ready or len(process.deaths) > DEATHS_ALLOWED:
+            # What dies before the first sample would only die again: its own line has said why.
+            log.error("%s: ended with status %d; giving up", name, code)
+            return code if code > 0 else EXIT_FOUND
+        wait_s = 0.25 * 2 ** (len(process.deaths) - 1)
+        log.error("%s: ended with status %d; started again in %.2g s", name, code, wait_s)
+        process.start_at = now + wait_s
+        if MOTORS not in process.share.devices:
+            self._broker.command(MOTORS, "stop")
+        return EXIT_OK
+
+    def _look_at_readiness(self) -> int:
+        """READY once all that is required answers and samples flow; an exit status when that cannot be."""
+        if self._is_ready:
+            return EXIT_OK
+        states = self._device_states()
+        required = {n: s for n, s in states.items() if not s.optional}
+        awaited = {n for n, d in self._setup.devices.items() if not d.optional}
+        late = time.monotonic() - self._begun > self._setup.config.daemon.start_timeout_s
+        tried = awaited <= required.keys() and all(s.attempts and s.wire != "opening" for s in required.values())
+        if tried and any(s.wire == "failed" for s in required.values()):
+            return self._refuse({n: s for n, s in required.items() if s.wire == "failed"})
+        if awaited <= required.keys() and all(s.ready for s in required.values()) and self._flows():
+            self._is_ready = True
+            self._notifier.ready()
+            self._on_ready(self._summary())
+        elif late:
+            return self._refuse({n: required.get(n, _SILENT) for n in awaited if not required.get(n, _SILENT).ready})
+        return EXIT_OK
+
+    def _flows(self) -> bool:
+        if not self._processes[CORE].share.devices:
+            return CORE in self._broker.beats
+        return self._broker.beats.get(CORE, Beat()).progress > 0
+
+    def _refuse(self, states: Mapping[str, DeviceState]) -> int:
+        for name, state in states.items():
+            what, where, todo = state.problem or ("does not answer", "", "is it switched on, and the right device?")
+            place = where if name in where else f"devices.{name}{f' ({where})' if where else ''}"
+            print(f"galen-hw run: {place}: {what}{f'; {todo}' if todo else ''}", file=sys.stderr)
+        if not states:
+            print("galen-hw run: no samples flow; see galen-hw check", file=sys.stderr)
+        return EXIT_HARDWARE
+
+    def _device_states(self) -> dict[str, DeviceState]:
+        return {n: s for b in list(self._broker.beats.values()) for n, s in b.devices.items()}
+
+    def _tell(self) -> None:
+        self._notifier.progress(self._broker.beats.get(CORE, Beat()).progress)
+        self._notifier.status(self._summary())
+
+    def _summary(self) -> str:
+        states = self._device_states()
+        words = [f"{n} {'ready' if s.ready else s.wire if s.wire != 'open' else 'silent'}" for n, s in states.items()]
+        restarts = sum(len(p.deaths) for p in self._processes.values())
+        return ", ".join([*words, *([f"{restarts} restarts"] if restarts else [])]) or "starting"
+
+    def _info(self) -> dict[str, Any]:
+        return {
+            "version": VERSION,
+            "config": str(self._setup.path),
+            "robot": self._setup.config.robot.name,
+            "virtual": self._setup.virtual,
+            "ready": self._is_ready,
+            "bus": self._addresses.bus,
+            "viewers": self._setup.config.bus.viewers,
+            "state_dir": str(self._state_dir),
+            "processes": {n: p.popen.pid if p.popen else 0 for n, p in self._processes.items()},
+            "devices": {n: msgspec.to_builtins(s) for n, s in self._device_states().items()},
+            "services": list(self._setup.services),
+            "topics": list(TOPICS),
+        }
+
+    def _end(self) -> None:
+        """The motors' process first, so that the robot is at rest; then the others; what does not end is killed."""
+        order = sorted(self._processes, key=lambda n: (MOTORS not in self._processes[n].share.devices, n == CORE))
+        first = [n for n in order if MOTORS in self._processes[n].share.devices]
+        for group in (first, [n for n in order if n not in first]):
+            running = [p for n in group if (p := self._processes[n].popen) is not None]
+            for popen in running:
+                popen.terminate()
+            until = time.monotonic() + REST_WITHIN_S
+            for popen in running:
+                try:
+                    popen.wait(max(0.1, until - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    popen.kill()
+                    popen.wait()
+                if popen.stdin is not None:
+                    popen.stdin.close()
+        self._broker.close()
+        self._waker.close()
+        os.close(self._lock)
+
+
+_SILENT: Final = DeviceState(wire="closed", ready=False, optional=False)
+
+
+def lock(addresses: Addresses) -> int:
+    """The descriptor that holds the runtime directory's lock; the kernel frees it however the daemon ends.
+
+    Raises:
+        UsageError: another daemon holds it.
+    """
+    fd = os.open(addresses.lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        pid = os.read(fd, 32).decode(errors="replace").strip()
+        os.close(fd)
+        todo = "stop it first, or give another runtime directory with --dir"
+        raise UsageError(
+            f"a daemon runs here already (process {pid})", where=str(addresses.runtime), todo=todo
+        ) from None
+    os.truncate(fd, 0)
+    os.write(fd, f"{os.getpid()}\n".encode())
+    return fd
+
+
+def install_signals(supervisor: Supervisor) -> None:
+    """SIGTERM and Ctrl-C end the daemon cleanly."""
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: supervisor.stop())
+
+
+def _give(pipe: IO[bytes], content: bytes) -> None:
+    try:
+        pipe.write(content)
+        pipe.flush()
+    except BrokenPipeError:
+        return  # it died at once; `_bury` will see it

@@ -1,0 +1,243 @@
+"""One process of the daemon: builds its share of devices and services and runs their loop until it is told to stop."""
+
+import logging
+import os
+import resource
+import select
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from galen_hw.bus import decode_reply, receive_all
+from galen_hw.clock import NS_PER_S, TimeBase
+from galen_hw.config.paths import Addresses
+from galen_hw.daemon.host import Host
+from galen_hw.daemon.keep import Keeper
+from galen_hw.daemon.layout import CORE
+from galen_hw.daemon.links import REPLY, REQUEST, STOP, Beat, CoreLink, DeviceState, EdgeLink
+from galen_hw.daemon.orders import Orders, build_port, build_services
+from galen_hw.daemon.port import Port, Waker
+from galen_hw.daemon.realtime import GarbageKeeper, raise_priority, sharpen_timers
+from galen_hw.errors import EXIT_OK, GalenError
+from galen_hw.messages import Request, Status, decode
+
+BEAT_NS: Final = NS_PER_S // 10
+STATUS_NS: Final = NS_PER_S
+REST_WITHIN_S: Final = 2.0
+MAIN_TOPICS: Final = ("wrench/compensated", "wrench/raw")
+log = logging.getLogger("galen-hw")
+_REQUEST_DECODER: Final = msgspec.msgpack.Decoder(Request)
+
+
+class Worker:
+    """The loop of one process.
+
+    Args:
+        orders: what to run and where.
+        lifeline: a descriptor that ends (reads as empty) when the supervisor is gone.
+    """
+
+    def __init__(self, orders: Orders, lifeline: int) -> None:
+        self._orders, self._lifeline = orders, lifeline
+        whole = orders.whole()
+        self._setup = orders.share_of(whole)
+        self._time_base = TimeBase(orders.wall_minus_monotonic_ns)
+        self._waker = Waker()
+        self._stopping = False
+        self._keeper = Keeper(Path(orders.state_dir) / "services")
+        services = build_services(self._setup, whole, self._time_base, Path(orders.state_dir), self._keeper)
+        ports = {n: build_port(d, self._time_base, self._waker) for n, d in self._setup.devices.items()}
+        addresses = Addresses(Path(orders.runtime))
+        topics = {t for s in services.values() for t in s.consumes}
+        bus = self._setup.config.bus
+        self._link: CoreLink | EdgeLink = (
+            CoreLink(orders.name, addresses, bus.viewers, bus.queue_messages)
+            if orders.name == CORE
+            else EdgeLink(orders.name, addresses, topics)
+        )
+        self.host = Host(orders.name, ports, services, self._link, clock=time.monotonic_ns, on_done=self._keep)
+        self._ports = list(ports.values())
+        self._next_beat_ns = self._next_status_ns = 0
+        self._status_seq = self._turns = 0
+        self._used_s, self._used_at_ns = 0.0, time.monotonic_ns()
+
+    def stop(self) -> None:
+        """End the loop soon; from a signal handler."""
+        self._stopping = True
+        self._waker.wake()
+
+    def run(self) -> None:
+        """Run until told to stop; on every way out the devices are brought to rest first."""
+        garbage = GarbageKeeper(self._setup.config.daemon.garbage_interval_s)
+        try:
+            while not self._stopping:
+                self._turn()
+                garbage.collect(time.monotonic_ns())
+        finally:
+            self._finish()
+
+    def _turn(self) -> None:
+        """Wait for a wire, a socket or a time, and do what is due."""
+        self._turns += 1
+        ready = self._wait(min(min((p.wakeup_ns for p in self._ports), default=1 << 62), self._next_due_ns))
+        host = self.host
+        for port in self._ports:
+            outputs = port.step(readable=port.fd in ready)
+            if outputs:
+                host.take(outputs)
+        for topic, payload in self._link.messages():
+            self._hear(topic, payload)
+        self._listen()
+        now = time.monotonic_ns()
+        if now >= self._next_due_ns:
+            host.tick(now)
+            self._report(now)
+        if ready:
+            self._look_at_lifeline(ready)
+
+    @property
+    def _next_due_ns(self) -> int:
+        return min(self.host.wakeup_ns, self._next_beat_ns)
+
+    def _wait(self, until_ns: int) -> list[int]:
+        fds = [self._lifeline, self._waker.fd, *(s.FD for s in self._link.sockets)]
+        fds += [fd for p in self._ports if (fd := p.fd) is not None]
+        # A ZeroMQ descriptor tells of changes only: what is in the queue already must be asked for.
+        pending = any(int(s.EVENTS) & 1 for s in self._link.sockets)
+        timeout = 0.0 if pending else max(0.0, (until_ns - time.monotonic_ns()) / NS_PER_S)
+        return select.select(fds, (), (), min(timeout, 1.0))[0]
+
+    def _hear(self, topic: bytes, payload: bytes) -> None:
+        name = topic.decode(errors="replace")
+        if name not in self.host.consumed:
+            return
+        try:
+            message = decode(name, payload)
+        except (KeyError, msgspec.DecodeError):
+            return
+        self.host.from_bus(name, message)
+
+    def _listen(self) -> None:
+        for frames in receive_all(self._link.control.socket):
+            kind, payload = frames[0], frames[-1]
+            if kind == REQUEST:
+                self.host.from_outside(_REQUEST_DECODER.decode(payload))
+            elif kind == REPLY:
+                self.host.reply_from_outside(decode_reply(payload))
+            elif kind == STOP:
+                self._stopping = True
+
+    def _look_at_lifeline(self, ready: list[int]) -> None:
+        if self._waker.fd in ready:
+            self._waker.clear()
+        if self._lifeline in ready and not os.read(self._lifeline, 4096):
+            self._stopping = True
+
+    def _report(self, now: int) -> None:
+        if now < self._next_beat_ns:
+            return
+        self._next_beat_ns = now + BEAT_NS
+        published = self.host.published
+        main = next(
+            (t for t in MAIN_TOPICS if any(t in s.produces for s in self.host.services.values())), MAIN_TOPICS[-1]
+        )
+        self._link.beat(Beat(published.get(main, 0), {n: self._device_state(n, p) for n, p in self.host.ports.items()}))
+        if now >= self._next_status_ns:
+            self._next_status_ns = now + STATUS_NS
+            self._publish_status(now)
+
+    def _device_state(self, name: str, port: Port) -> DeviceState:
+        problem = None
+        if port.error is not None:
+            problem = (port.error.what, port.error.where, port.error.todo)
+        elif not port.device.ready and (fault := self.host.faults.get(name)) is not None:
+            problem = (fault.what, fault.where, fault.todo)
+        ready = port.state == "open" and port.device.ready
+        return DeviceState(port.state, ready, port.optional, port.attempts, problem)
+
+    def _publish_status(self, now: int) -> None:
+        usage = resource.getrusage(resource.RUSAGE_SELF)
+        used = usage.ru_utime + usage.ru_stime
+        share = (used - self._used_s) / max(1e-9, (now - self._used_at_ns) / NS_PER_S)
+        self._used_s, self._used_at_ns = used, now
+        self._status_seq += 1
+        counters = {"turns": self._turns, "dropped": self._link.dropped, **_wire_counters(self.host.ports)}
+        counters |= {f"published {topic}": n for topic, n in self.host.published.items()}
+        states = [p.state for p in self._ports]
+        self._link.publish(
+            "status",
+            Status(
+                timestamp=self._time_base.timestamp(now),
+                t_ns=now,
+                seq=self._status_seq,
+                valid=True,
+                source=f"daemon.{self._orders.name}",
+                state="ready" if all(s == "open" for s in states) else "degraded",
+                detail="; ".join(str(p.error) for p in self._ports if p.error is not None),
+                counters=counters,
+                gauges={"cpu_share": share},
+            ),
+        )
+
+    def _keep(self, name: str) -> None:
+        self._keeper.keep(name, self.host.services[name].snapshot())
+
+    def _finish(self) -> None:
+        for port in self._ports:
+            port.rest()
+        until = time.monotonic() + REST_WITHIN_S
+        while self.host.moving and time.monotonic() < until:
+            fds = [fd for p in self._ports if (fd := p.fd) is not None]
+            ready = select.select(fds, (), (), 0.02)[0]
+            for port in self._ports:
+                self.host.take(port.step(readable=port.fd in ready))
+        for name in self.host.services:
+            self._keep(name)
+        for port in self._ports:
+            port.close()
+        self._keeper.close()
+        self._link.close()
+
+
+def _wire_counters(ports: dict[str, Port]) -> dict[str, int]:
+    found: dict[str, int] = {}
+    for name, port in ports.items():
+        if port.transport is not None:
+            found |= {f"{name} wire {key}": value for key, value in port.transport.counters.items()}
+    return found
+
+
+def main() -> int:
+    """Entry point: orders on standard input, which then stays open as the lifeline."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the supervisor says when to stop.
+    orders = msgspec.json.decode(_read_line(sys.stdin.fileno()), type=Orders)
+    if orders.name == CORE:
+        raise_priority(int(orders.document.get("daemon", {}).get("realtime_priority", 20)))
+    sharpen_timers()
+    try:
+        worker = Worker(orders, sys.stdin.fileno())
+        signal.signal(signal.SIGTERM, lambda *_: worker.stop())
+        worker.run()
+    except GalenError as error:
+        print(f"galen-hw {orders.name}: {error}", file=sys.stderr)
+        return error.exit_code
+    return EXIT_OK
+
+
+def _read_line(fd: int) -> bytes:
+    """One line, byte for byte as it comes: nothing of the lifeline may stay in a buffer."""
+    line = bytearray()
+    while not line.endswith(b"\n"):
+        if not (chunk := os.read(fd, 65536)):
+            raise SystemExit(EXIT_OK)
+        line += chunk
+    return bytes(line)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
