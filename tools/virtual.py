@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until stopped."""
+    from galen_hw.config.paths import Addresses, runtime_dir
     from galen_hw.drivers.virtual.process import Options, run
 
     options = Options(
-        folder=(args.dir or default_folder()).absolute(),
+        folder=(args.dir or Addresses(runtime_dir()).virtual).absolute(),
         sensor=args.sensor,
         can=args.can,
         channel=args.channel,
@@ -37,16 +37,6 @@ def run(args: argparse.Namespace) -> int:
         parent_pid=args.parent_pid,
     )
     return run(options, as_json=args.json)
-
-
-def default_folder() -> Path:
-    """`virtual` in the runtime directory."""
-    return Path(os.environ.get("RUNTIME_DIRECTORY") or _user_runtime()) / "virtual"
-
-
-def _user_runtime() -> Path:
-    base = os.environ.get("XDG_RUNTIME_DIR")
-    return Path(base or f"/tmp/galen-hw-{os.getuid()}") / ("galen-hw" if base else "")
 
 
 def _settings(text: str) -> dict[str, dict[str, Any]]:

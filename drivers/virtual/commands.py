@@ -73,18 +73,18 @@ class Commands:
 
     def drift(self, **drift: Any) -> None:
         """See `Drift`; nothing switches it off."""
-        numbers = {k: float(v) if k == "warm_up_s" else _numbers(v, 6) for k, v in drift.items()}
+        numbers: dict[str, Any] = {k: float(v) if k == "warm_up_s" else _numbers(v, 6) for k, v in drift.items()}
         self._world.drift = Drift(self._world.now_ns, seed=self._world.seed + 1, **numbers) if drift else None
 
     def thermal(self, **thermal: Any) -> None:
         """See `Thermal`."""
-        numbers = {k: _numbers(v, 6) if k == "gain" else float(v) for k, v in thermal.items()}
+        numbers: dict[str, Any] = {k: _numbers(v, 6) if k == "gain" else float(v) for k, v in thermal.items()}
         self._world.thermal = Thermal(self._world.now_ns, **numbers)
 
     def cable(self, **cable: Any) -> None:
         """See `Cable`; nothing cuts it."""
         points = {"anchor", "attached"}
-        numbers = {k: _numbers(v, 3) if k in points else float(v) for k, v in cable.items()}
+        numbers: dict[str, Any] = {k: _numbers(v, 3) if k in points else float(v) for k, v in cable.items()}
         self._world.cable = Cable(**numbers) if cable else None
 
     def compliance(self, joint: Any = None, structure: Any = None, play: Any = None) -> None:

@@ -87,11 +87,11 @@ class VirtualControl:
         self.call("thermal", **thermal)
 
     def cable(self, **cable: Any) -> None:
-        """anchor [3] (base), attached [3] (sensor frame), stiffness, rest_length, friction, slip; nothing: cut it."""
+        """Anchor [3] (base), attached [3] (sensor frame), stiffness, rest_length, friction, slip; nothing: cut it."""
         self.call("cable", **cable)
 
     def compliance(self, **compliance: Any) -> None:
-        """joint [n] (m/N, rad/(N m)), structure [6], play [n]; nothing at all makes the arm rigid again."""
+        """Joint [n] (m/N, rad/(N m)), structure [6], play [n]; nothing at all makes the arm rigid again."""
         self.call("compliance", **compliance)
 
     def fault(self, name: str, on: bool = True) -> None:

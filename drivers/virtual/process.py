@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import msgspec
 import zmq
@@ -97,7 +97,7 @@ class VirtualProcess:
         self.ports: dict[str, Port] = {}
         self._stack = ExitStack()
 
-    def __enter__(self) -> "VirtualProcess":
+    def __enter__(self) -> Self:
         with ExitStack() as stack:
             self._lock(stack)
             for name in (
@@ -127,7 +127,7 @@ class VirtualProcess:
             endings = _endings(stack, self._options.parent_pid)
             by_descriptor = {port.fileno(): port for port in self.ports.values()}
             ports = list(self.ports.values())
-            control = int(self._control.getsockopt(zmq.FD))
+            control = int(self._control.fileno())
             watched = [*by_descriptor, control, *endings]
             while not self.commands.stopped:
                 wake = min([port.wakeup_ns for port in ports])
@@ -148,7 +148,7 @@ class VirtualProcess:
 
     def _answer_control(self) -> None:
         """ZeroMQ's descriptor tells of changes only: take all there is."""
-        while self._control.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+        while int(self._control.get(zmq.EVENTS)) & zmq.POLLIN:
             try:
                 request = msgspec.msgpack.decode(self._control.recv())
             except msgspec.DecodeError:

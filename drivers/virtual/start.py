@@ -1,0 +1,121 @@
+"""Start the virtual robot from another program: `--virtual` and the end-to-end tests."""
+
+import json
+import os
+import select
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from galen_hw.drivers.virtual.control import VirtualControl
+from galen_hw.errors import HardwareError
+
+
+@dataclass(slots=True)
+class VirtualRobot:
+    """A virtual robot that runs.
+
+    Args:
+        folder: of its wires.
+        addresses: by wire (`can0`, `motors`, `tracker`, `control`): settings of the transport that reaches it.
+        sensor: driver of the sensor on `can0`.
+        control: to change its world.
+    """
+
+    folder: Path
+    addresses: dict[str, dict[str, Any]]
+    sensor: str
+    control: VirtualControl
+    _process: subprocess.Popen[bytes]
+
+    @property
+    def pid(self) -> int:
+        """Of its process."""
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Its process has not ended."""
+        return self._process.poll() is None
+
+    def close(self) -> None:
+        """End it and wait until it has cleaned up."""
+        self.control.close()
+        if self.alive:
+            self._process.terminate()
+            try:
+                self._process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        for stream in (self._process.stdout, self._process.stderr):
+            if stream is not None:
+                stream.close()
+
+
+def start_virtual(
+    folder: Path | str,
+    *,
+    sensor: str = "ati_netcanoem",
+    can: str = "slcan",
+    channel: str = "",
+    seed: int = 0,
+    tool: str | None = None,
+    settings: Mapping[str, Mapping[str, Any]] | None = None,
+    timeout_s: float = 20.0,
+) -> VirtualRobot:
+    """Start the process and wait until it is ready; it ends with this process at the latest. Options: `Options`.
+
+    Raises:
+        HardwareError: it does not start; its own line says why.
+    """
+    words = ["--dir", str(folder), "--sensor", sensor, "--can", can, "--channel", channel, "--seed", str(seed)]
+    words += ["--settings", json.dumps(dict(settings or {})), "--parent-pid", str(os.getpid()), "--json"]
+    words += ["--tool", tool] if tool else []
+    process = subprocess.Popen(
+        [sys.executable, "-m", "galen_hw.cli", "virtual", *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,  # Ctrl-C is for the command; it ends the virtual robot itself, and last.
+    )
+    assert process.stdout is not None
+    line = _first_line(process.stdout, time.monotonic() + timeout_s)
+    if not line.startswith(b'{"ready"'):
+        process.kill()
+        _, errors = process.communicate()
+        lines = errors.decode("utf-8", "replace").strip().splitlines() or ["no answer"]
+        raise HardwareError(lines[-1].removeprefix("galen-hw virtual: "), where="virtual robot")
+    ready = json.loads(line)
+    return VirtualRobot(Path(folder), ready["addresses"], sensor, VirtualControl(folder), process)
+
+
+@contextmanager
+def virtual_robot(folder: Path | str | None = None, **options: Any) -> Iterator[VirtualRobot]:
+    """`start_virtual` for a `with` statement; in a temporary folder if none is given."""
+    with tempfile.TemporaryDirectory(prefix="galen-virtual-") as temporary:
+        robot = start_virtual(folder or temporary, **options)
+        try:
+            yield robot
+        finally:
+            robot.close()
+
+
+def _first_line(stream: IO[bytes], deadline: float) -> bytes:
+    """The first line of the process's output; what has come of it when it ends or time is up."""
+    line = b""
+    while not line.endswith(b"\n"):
+        wait = deadline - time.monotonic()
+        if wait <= 0.0 or not select.select([stream], (), (), wait)[0]:
+            return line
+        chunk = os.read(stream.fileno(), 4096)
+        if not chunk:
+            return line
+        line += chunk
+    return line
