@@ -42,6 +42,17 @@ def build(case: Case, folder: FilePath) -> Case:
     return case
 
 
+def nominal(case: Case, run: int) -> Array:
+    """What the nominal machine would have read in a run (N, c): the baseline that rivals improve on."""
+    scene = _scene(case, run)
+    for number, hidden in enumerate(case.effects):
+        if hidden.key in {"inertial", "hardening", "hysteresis", "creep"}:
+            # These change what the recording's model states (static dynamics, a known compliance), and so its baseline.
+            _hide(case, scene, hidden, number, hidden.amplitude)
+    _, baseline = _parts(case.group)
+    return baseline(scene)
+
+
 def _scene(case: Case, run: int) -> Any:
     """The recording's scene without effects; run 0 and 1 differ in their motion."""
     seed = case.seed * 10 + run

@@ -1,0 +1,131 @@
+"""The blind proof's parts: the generator's physics against closed forms, severities, seal, scores, a small share."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+
+from galen_hw import spatial
+from galen_hw.kinematics import GalenRobot, UrdfRobot
+
+pytest.importorskip("mujoco", reason="the generator needs MuJoCo: pip install mujoco")
+
+from galen_hw.tools.blind_proof import judge, score, seal
+from galen_hw.tools.blind_proof.generator import arm, build, galen, motion
+from galen_hw.tools.blind_proof.generator.case import Case, Injected
+from galen_hw.tools.blind_proof.generator.plan import plan
+
+
+def weight(mass: float, com: tuple[float, ...], Rt: np.ndarray) -> np.ndarray:
+    """Closed form of a hanging weight, by this test."""
+    force = mass * (Rt @ np.array([0.0, 0.0, -9.80665]))
+    return np.concatenate([force, np.cross(com, force)], axis=-1)
+
+
+def test_generated_wrench_is_the_hanging_weight_of_the_recording_format() -> None:
+    """At rest MuJoCo's sensor reads R^T w, c x R^T w of tool and bias body less the zero, as the format says."""
+    t = np.arange(50) / 10.0
+    path = motion.sines(np.random.default_rng(0), t, np.array([0.04, 0.04, 0.04, 0.8, 0.5]))
+    still = motion.Path(path.t, path.q, 0 * path.dq, 0 * path.ddq)
+    reading = galen.wrench_along(still, "retractor", galen.Mechanics())
+    q = np.hstack([galen.carriages(path.q[:, :3]), path.q[:, 3:]])
+    Rt = GalenRobot().sensor_rotation(q).swapaxes(1, 2)
+    bias = galen.BIAS_MASS, galen.BIAS_COM
+    tool = galen.TOOLS["retractor"]
+    expected = weight(tool.mass, tool.com, Rt) + weight(*bias, Rt) - weight(*bias, np.eye(3))
+    assert_allclose(reading, expected, atol=1e-9)
+    assert_allclose(GalenRobot().delta.platform(q[:, :3]), path.q[:, :3], atol=1e-12)
+
+
+def test_generated_efforts_are_those_of_the_urdf() -> None:
+    """The nominal arm of MuJoCo and the URDF in the recording's folder are the same machine."""
+    scene = arm.make_scene(np.random.default_rng(1), Case("x", 1, "effort", "null", duration_s=5.0))
+    expected = UrdfRobot(arm.urdf()).inverse_dynamics(scene.path.q, scene.path.dq, scene.path.ddq)
+    assert_allclose(arm.efforts(scene), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(("group", "key"), [("wrench", "payload"), ("wrench", "hysteresis"), ("effort", "friction")])
+def test_severity_is_what_was_asked_for(group: str, key: str, tmp_path: Path) -> None:
+    """The amplitude search meets the wanted SNR within 5 %, measured on the written files against a null twin."""
+    case = Case("hidden", 3, group, "single", duration_s=30.0, bias_free=False, effects=[Injected(key, key, 0.8)])
+    build.build(case, tmp_path / "hidden")
+    excess = build._excess(case, case.effects[0], 0, case.effects[0].amplitude)
+    assert_allclose(build._severity(excess)[0], 0.8, rtol=0.05)
+    written = pd.read_csv(tmp_path / "hidden/train/recording.csv")[list(build.CHANNELS[group])].to_numpy()
+    residual = (written - build.nominal(case, 0)) / build.SIGMA[group]
+    touched = [c in case.effects[0].channels for c in build.CHANNELS[group]]
+    power = np.mean(residual[:, touched] ** 2, axis=0) - 1.0
+    assert_allclose(np.sqrt(np.mean(power)), 0.8, rtol=0.15)
+
+
+def test_a_plan_keeps_its_promised_shares_and_depends_on_its_seed_alone() -> None:
+    """400 cases: 25 % null, 40 % single, 20 % several, 10 % outside, 5 % premise; every single effect occurs."""
+    cases = plan(11, 400)
+    shares = {s: sum(c.share == s for c in cases) for s in ("null", "single", "several", "outside", "premise")}
+    assert shares == {"null": 100, "single": 160, "several": 80, "outside": 40, "premise": 20}
+    assert [c.as_dict() for c in cases] == [c.as_dict() for c in plan(11, 400)]
+    assert [c.as_dict() for c in cases] != [c.as_dict() for c in plan(12, 400)]
+    assert len({(c.group, c.effects[0].key) for c in cases if c.share == "single"}) >= 40
+
+
+def test_the_seal_holds_until_every_verdict_is_there(tmp_path: Path) -> None:
+    """No truth on disk before; a changed truth does not open."""
+    text = seal.seal(plan(1, 3), tmp_path)
+    verdict = tmp_path / "verdict.json"
+    with pytest.raises(RuntimeError, match="stays sealed"):
+        seal.unseal(text, tmp_path, [verdict])
+    assert not (tmp_path / "truth.json").exists()
+    verdict.write_text("{}")
+    with pytest.raises(RuntimeError, match="not the one"):
+        seal.unseal(text.replace("null", "single"), tmp_path, [verdict])
+    assert len(seal.unseal(text, tmp_path, [verdict])) == 3
+
+
+def verdict(*effects: str, kind: str = "explained") -> dict[str, object]:
+    """An answer of the tool."""
+    findings = [{"effect": e, "channels": [], "parameters": {}, "confounded_with": []} for e in effects]
+    return {"exit": 1, "said": "", "seconds": 1.0, "json": {"verdict": kind, "findings": findings}}
+
+
+def test_scores_know_right_from_wrong() -> None:
+    """Null, single, several and outside cases, each answered rightly and wrongly."""
+    null = Case("n", 1, "wrench", "null").as_dict()
+    single = Case("s", 1, "wrench", "single", effects=[Injected("drift", "linear", 0.8)]).as_dict()
+    pair = Case("p", 1, "wrench", "several", effects=[Injected("drift", "x"), Injected("gain", "y")]).as_dict()
+    outside = Case("o", 1, "wrench", "outside", effects=[Injected("unknown", "air_drag", 1.0)]).as_dict()
+    assert score.score(null, verdict(kind="agrees")).right
+    assert not score.score(null, verdict("drift")).right
+    assert score.score(single, verdict("drift")).right
+    assert not score.score(single, verdict("temperature", "drift")).right
+    assert score.score(pair, verdict("gain", "drift")).right
+    assert score.score(pair, verdict("gain")).jaccard == 0.5
+    assert score.score(outside, verdict("unknown", kind="unexplained")).right
+    assert not score.score(outside, verdict("gain")).right
+    assert not score.score(null, {"exit": 1, "said": "Traceback", "seconds": 1.0, "json": None}).right
+
+
+@pytest.mark.slow
+def test_a_small_share_of_the_proof(tmp_path: Path) -> None:
+    """Through the command line: two nulls agree, one strong effect a group is named first."""
+    cases = [
+        Case("null-white", 21, "wrench", "null"),
+        Case("null-quantised", 22, "wrench", "null", noise="quantised"),
+        Case("payload", 23, "wrench", "single", effects=[Injected("payload", "payload", 1.6)]),
+        Case("friction", 24, "effort", "single", effects=[Injected("friction", "friction", 1.6)]),
+    ]
+    for case in cases:
+        build.build(case, tmp_path / case.name)
+    plans = [{"name": c.name, "second_run": True} for c in cases]
+    paths = judge.verdicts(tmp_path, plans, tmp_path / "verdicts", workers=2)
+    for case, path in zip(cases, paths, strict=True):
+        scored = score.score(case.as_dict(), json.loads(path.read_text()))
+        assert scored.right, scored.why
+
+
+def test_weight_turns_with_the_sensor() -> None:
+    """A check of this file's own closed form: upside down the weight reads the other way."""
+    upright, down = np.eye(3), spatial.rotation_about(0, np.pi)
+    assert_allclose(weight(1.0, (0, 0, 0), upright)[2], -weight(1.0, (0, 0, 0), down.T)[2])

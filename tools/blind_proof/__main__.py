@@ -1,0 +1,97 @@
+"""`make proof`: plan, generate, seal, diagnose, unseal, score, compare with rivals, write docs/proof.md.
+
+    python -m galen_hw.tools.blind_proof [--cases 400] [--seed N] [--keep DIR] [--write docs/proof.md] [--no-rivals]
+
+Without `--seed` the seed comes from the commit's hash.
+"""
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.progress import track
+
+from galen_hw.tools.blind_proof import judge, real, report, score, seal
+from galen_hw.tools.blind_proof.generator.build import CHANNELS, build, nominal
+from galen_hw.tools.blind_proof.generator.case import Case
+from galen_hw.tools.blind_proof.generator.plan import plan
+
+
+def main() -> int:
+    """Run the proof; exit status 1 if a promised figure was missed."""
+    args = _arguments()
+    seed, commit = (args.seed, "given by hand") if args.seed is not None else seal.seed_of_commit()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(args.keep or scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        cases, scored = _judged(seed, args.cases, folder, args.workers)
+        rivals = [] if args.no_rivals else _rivals(cases, scored, folder, args.workers)
+        recordings = real.recordings(folder / "real", args.workers)
+        missed = report.write(Path(args.write), scored, rivals, recordings, seed=seed, commit=commit)
+    for line in missed:
+        print(f"missed: {line}", file=sys.stderr)
+    return 1 if missed else 0
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="blind_proof", description=__doc__)
+    parser.add_argument("--cases", type=int, default=400, help="how many recordings (default 400)")
+    parser.add_argument("--seed", type=int, help="of the set; from the commit's hash if left out")
+    parser.add_argument("--keep", help="folder for data, verdicts and truth; a temporary one if left out")
+    parser.add_argument("--write", default="docs/proof.md", help="where the report goes, figures beside it")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--no-rivals", action="store_true", help="leave the rivals out")
+    return parser.parse_args()
+
+
+def _judged(seed: int, count: int, folder: Path, workers: int) -> tuple[list[Case], list[score.Scored]]:
+    """Generate and seal, ask the tool, unseal, score."""
+    planned = plan(seed, count)
+    with ProcessPoolExecutor(workers) as pool:
+        made = pool.map(build, planned, [folder / c.name for c in planned])
+        cases = list(track(made, total=len(planned), description="generating"))
+    sealed = seal.seal(cases, folder)
+    plans = [{"name": c.name, "second_run": _second_run(c)} for c in cases]
+    verdicts = judge.verdicts(folder, plans, folder / "verdicts", workers)
+    truth = seal.unseal(sealed, folder, verdicts)
+    scored = []
+    for case, planned_, path in zip(truth, plans, verdicts, strict=True):
+        case["second_run"] = planned_["second_run"]
+        scored.append(score.score(case, json.loads(path.read_text())))
+    return cases, scored
+
+
+def _second_run(case: Case) -> bool:
+    """Persistent effects are judged on a second run; those of a moment or of the clock on blocks of the first."""
+    return case.share != "premise" and not ({e.key for e in case.effects} & judge.ONE_RUN)
+
+
+def _rivals(cases: list[Case], scored: list[score.Scored], folder: Path, workers: int) -> list[dict[str, Any]]:
+    """Held-out errors of the tool and its rivals on every case with a second run and something to find."""
+    chosen = [(c, s) for c, s in zip(cases, scored, strict=True) if s.rmse_ratio() is not None and c.effects]
+    with ProcessPoolExecutor(workers) as pool:
+        rows = pool.map(_rival_row, [c for c, _ in chosen], [folder / c.name for c, _ in chosen])
+        found = list(track(rows, total=len(chosen), description="rivals"))
+    return [row | {"tool": s.rmse_ratio(), "name": c.name} for row, (c, s) in zip(found, chosen, strict=True)]
+
+
+def _rival_row(case: Case, folder: Path) -> dict[str, Any]:
+    """Each rival's held-out error over the noise, rms over the touched channels."""
+    from galen_hw.tools.blind_proof import rivals
+
+    names = list(CHANNELS[case.group])
+    errors = rivals.errors(folder, {"train": nominal(case, 0), "test": nominal(case, 1)}, names)
+    touched = {c for e in case.effects for c in e.channels}
+    noise = case.holdout_noise_rms
+    at = [k for k, n in enumerate(names) if n in touched]
+    return {r: float(np.sqrt(np.mean([(e[k] / noise[names[k]]) ** 2 for k in at]))) for r, e in errors.items()}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,44 @@
+"""Hand the recordings to the tool, through its command line like anybody else, and keep what it says."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from rich.progress import Progress
+
+ONE_RUN = {"step", "contact", "glitches", "drift", "temperature", "vibration"}
+"""Effects of a moment or of the clock: a second run does not repeat them; the tool sets blocks of the first aside."""
+
+
+def verdicts(folder: Path, plans: list[dict[str, Any]], out: Path, workers: int) -> list[Path]:
+    """One verdict file a case: {"exit", "said", "seconds", "json"}; at most `workers` at a time."""
+    out.mkdir(parents=True, exist_ok=True)
+    paths = [out / f"{plan['name']}.json" for plan in plans]
+    with Progress() as progress, ThreadPoolExecutor(workers) as pool:
+        task = progress.add_task("diagnosing", total=len(plans))
+
+        def one(plan: dict[str, Any], path: Path) -> None:
+            path.write_text(json.dumps(_ask(folder / plan["name"], second_run=plan["second_run"])))
+            progress.advance(task)
+
+        list(pool.map(one, plans, paths))
+    return paths
+
+
+def _ask(case: Path, *, second_run: bool) -> dict[str, Any]:
+    """What `galen-hw diagnose` says about one case."""
+    answer = case / "answer.json"
+    command = [sys.executable, "-m", "galen_hw.cli", "diagnose", str(case / "train"), "--json", str(answer)]
+    if second_run:
+        command += ["--holdout", str(case / "test")]
+    start = time.monotonic()
+    env = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600, env=env)
+    verdict = json.loads(answer.read_text()) if answer.exists() else None
+    said = (done.stdout + "\n" + done.stderr)[-6000:]
+    return {"exit": done.returncode, "said": said, "seconds": time.monotonic() - start, "json": verdict}

@@ -1,0 +1,114 @@
+"""Real recordings, where they are present: the tool's answers with its defaults, beside what was published."""
+
+import json
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class RealSet:
+    """One set: its runs to learn from, its run to be judged on, and what others found in it."""
+
+    name: str
+    train: tuple[str, ...]
+    test: tuple[str, ...]
+    known: str
+
+
+SETS = (
+    RealSet(
+        "emps",
+        ("train",),
+        ("test",),
+        "friction, unequal by direction; 2.16 N held out, 4.1-6.0 % published",
+    ),
+    RealSet(
+        "kr300-dual-encoder",
+        ("train",),
+        ("test",),
+        "a delay of about 3 ms, and very little else; 52 and 97 urad after it",
+    ),
+    RealSet(
+        "brfd-backlash",
+        ("train",),
+        ("test",),
+        "hysteresis with play; 1480 N held out with a stop operator and its cube, 3870 N before",
+    ),
+    RealSet(
+        "panda-excite",
+        ("train",),
+        ("test",),
+        "joint friction; published law 0.258 0.683 0.240 0.316 0.152 0.105 0.064 N m held out, an open rest in joint 2",
+    ),
+    RealSet(
+        "so101",
+        ("backlash_detection", "friction_gravity", "step_response", "frequency_sweep", "large_amplitude"),
+        ("multisine", "reach_and_return", "random_waypoints"),
+        "delay, play or friction, lag, sag, contact with the table; 4.8 5.1 5.8 3.2 6.9 11.6 mrad without contact",
+    ),
+)
+
+
+def data_folder() -> Path | None:
+    """Where the real recordings are: GALEN_HW_DATA, or shared/data beside the checkout; None when absent."""
+    beside = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+    chosen = Path(os.environ.get("GALEN_HW_DATA", beside))
+    return chosen if chosen.is_dir() else None
+
+
+def recordings(out: Path, workers: int) -> list[str]:
+    """The section of the report, line by line."""
+    data = data_folder()
+    if data is None:
+        return ["## Real recordings\n", "Not present on this machine.\n"]
+    out.mkdir(parents=True, exist_ok=True)
+    jobs = [(s, t) for s in SETS for t in s.test]
+    with ThreadPoolExecutor(workers) as pool:
+        answers = list(pool.map(lambda job: _ask(data, job[0], job[1], out), jobs))
+    lines = ["## Real recordings\n", "All with the tool's defaults; nothing was set for any of them.\n"]
+    lines += [
+        "| set, held out | verdict | findings, first to last | held-out rms before to after | known |",
+        "| --- " * 5 + "|",
+    ]
+    for (real_set, test), answer in zip(jobs, answers, strict=True):
+        lines.append(_row(real_set, test, answer))
+    return [*lines, ""]
+
+
+def _ask(data: Path, real_set: RealSet, test: str, out: Path) -> dict[str, Any] | str:
+    """The tool's answer, or its one line of refusal."""
+    path = out / f"{real_set.name}-{test}.json"
+    folder = data / real_set.name
+    command = [sys.executable, "-m", "galen_hw.cli", "diagnose", *[str(folder / t) for t in real_set.train]]
+    command += ["--holdout", str(folder / test), "--json", str(path)]
+    if len(real_set.train) > 1:
+        command.append("--together")
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if not path.exists():
+        return (done.stderr.strip().splitlines() or ["no answer"])[-1]
+    answer: dict[str, Any] = json.loads(path.read_text())
+    return answer
+
+
+def _row(real_set: RealSet, test: str, answer: dict[str, Any] | str) -> str:
+    title = real_set.name if len(real_set.test) == 1 else f"{real_set.name}, {test}"
+    if isinstance(answer, str):
+        return f"| {title} | refused | {answer} | | {real_set.known} |"
+    found = "; ".join(_finding(f) for f in answer["findings"]) or "none"
+    before, after = answer["fit"]["rmse_before"], answer["fit"]["rmse_after"]
+    pairs = ", ".join(f"{c.split('.')[-2] if '.' in c else c} {before[c]:.3g} to {after[c]:.3g}" for c in before)
+    ratio = np.mean([before[c] / after[c] for c in before])
+    return f"| {title} | {answer['verdict']} | {found} | {pairs} (mean {ratio:.1f} x) | {real_set.known} |"
+
+
+def _finding(finding: dict[str, Any]) -> str:
+    joints = f" ({', '.join(finding['joints'])})" if finding["joints"] else ""
+    rivals = ", ".join(c["effect"] for c in finding["confounded_with"])
+    return f"**{finding['effect']}**{joints}" + (f", or {rivals}" if rivals else "")

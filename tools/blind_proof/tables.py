@@ -1,0 +1,161 @@
+"""The figures that the proof promises, computed from scored cases."""
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from galen_hw.tools.blind_proof.generator.case import SNR_LEVELS
+from galen_hw.tools.blind_proof.score import Scored, wilson
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One promised figure: what, what was promised, what was reached, and whether that is enough."""
+
+    what: str
+    promised: str
+    reached: str
+    good: bool
+
+
+def share(cases: list[Scored], attribute: str) -> tuple[int, int]:
+    """How many of the cases have the attribute, of how many."""
+    return sum(bool(getattr(c, attribute)) for c in cases), len(cases)
+
+
+def of(cases: list[Scored], *shares: str, plain: bool = True) -> list[Scored]:
+    """Cases of the given shares; `plain` leaves masked ones out."""
+    return [c for c in cases if c.truth["share"] in shares and not (plain and c.truth["mask"])]
+
+
+def figures(cases: list[Scored], rivals: list[dict[str, Any]]) -> list[Figure]:
+    """All promised figures."""
+    out = []
+    nulls = of(cases, "null")
+    wrong = sum(not c.right for c in nulls)
+    out.append(_row("false alarms on null cases", "<= 1 %", wrong, len(nulls), good=wrong <= 0.01 * len(nulls)))
+    for level, least in ((0.2, 0.70), (0.4, 0.90), (0.8, 0.97)):
+        some = [c for c in of(cases, "single") if c.truth["effects"][0]["snr"] == level]
+        hits, n = share(some, "first")
+        out.append(_row(f"right effect first, SNR {level}", f">= {least:.2f}", hits, n, good=hits >= least * n))
+    some = [c for c in of(cases, "single") if c.truth["effects"][0]["snr"] == 0.8]
+    hits = sum(c.first or c.in_class for c in some)
+    out.append(_row("first or in the stated class, SNR 0.8", ">= 0.99", hits, len(some), good=hits >= 0.99 * len(some)))
+    several = of(cases, "several")
+    hits, n = share(several, "right")
+    out.append(_row("pairs and triples, exact set", ">= 0.70", hits, n, good=hits >= 0.70 * n))
+    jaccard = float(np.mean([c.jaccard for c in several])) if several else 1.0
+    out.append(Figure("pairs and triples, Jaccard", ">= 0.85", f"{jaccard:.2f}", jaccard >= 0.85))
+    hits, n = share(of(cases, "outside"), "right")
+    out.append(_row("outside the vocabulary, SNR 1: said so", ">= 0.95", hits, n, good=hits >= 0.95 * n))
+    named = of(cases, "single", "several")
+    false_unknown = sum("unknown" in c.found for c in named)
+    good = false_unknown <= 0.02 * len(named)
+    out.append(_row("false `unknown` on others", "<= 2 %", false_unknown, len(named), good=good))
+    out += _fit_figures(cases)
+    out += _parameter_figures(cases)
+    if rivals:
+        wins = np.mean([row["tool"] < min(v for k, v in row.items() if k not in {"tool", "name"}) for row in rivals])
+        out.append(Figure("rivals on held-out runs, beaten", "> 0.95", f"{wins:.2f} of {len(rivals)}", wins > 0.95))
+    hits, n = share(of(cases, "premise"), "right")
+    out.append(_row("wrong premises noticed", "all", hits, n, good=hits == n))
+    return out
+
+
+def _row(what: str, promised: str, hits: int, n: int, *, good: bool) -> Figure:
+    low, high = wilson(hits, n)
+    rate = hits / n if n else float("nan")
+    return Figure(what, promised, f"{rate:.3f} ({hits} of {n}; 95 %: {low:.2f} to {high:.2f})", good)
+
+
+def _fit_figures(cases: list[Scored]) -> list[Figure]:
+    """Held-out error over that of the true formula, on cases that were detected at SNR 0.8 and more."""
+    ratios = [c.rmse_ratio() for c in cases if c.truth["share"] in {"single", "several"}]
+    known = np.array([r for r in ratios if r is not None])
+    if not len(known):
+        return []
+    median, high = float(np.median(known)), float(np.quantile(known, 0.9))
+    return [
+        Figure("held-out error over the true formula's, median", "<= 1.05", f"{median:.3f}", median <= 1.05),
+        Figure("held-out error over the true formula's, 90 %", "<= 1.2", f"{high:.3f}", high <= 1.2),
+    ]
+
+
+def parameter_rows(cases: list[Scored]) -> list[tuple[str, str, float, float, float]]:
+    """(effect, parameter, true value, found value, std) wherever truth and finding speak of the same quantity."""
+    rows = []
+    for case in cases:
+        if case.verdict is None or case.truth["share"] != "single" or case.truth["mask"]:
+            continue
+        for effect in case.truth["effects"]:
+            finding = next((f for f in case.verdict["findings"] if f["effect"] == effect["key"]), None)
+            for name, value in effect["parameters"].items() if finding else ():
+                match = _same(name, finding["parameters"])  # type: ignore[index]
+                if match is not None and value:
+                    rows.append((effect["key"], name, float(value), float(match["value"]), float(match["std"])))
+    return rows
+
+
+def _same(name: str, parameters: dict[str, Any]) -> dict[str, Any] | None:
+    """The finding's parameter of that name, exactly or as the first word of a longer one (mass, mass_change)."""
+    if name in parameters:
+        return dict(parameters[name])
+    hits = [v for k, v in parameters.items() if k.startswith(name + "_") or k.endswith(("_" + name, "." + name))]
+    return dict(hits[0]) if len(hits) == 1 else None
+
+
+def _parameter_figures(cases: list[Scored]) -> list[Figure]:
+    rows = parameter_rows([c for c in cases if any(e["snr"] and e["snr"] >= 0.8 for e in c.truth["effects"])])
+    if not rows:
+        return []
+    true, found, std = (np.array([r[k] for r in rows]) for k in (2, 3, 4))
+    error = float(np.median(np.abs(np.abs(found) - np.abs(true)) / np.abs(true)))
+    held = int(np.sum(np.abs(np.abs(found) - np.abs(true)) <= 1.96 * std))
+    rate = held / len(rows)
+    return [
+        Figure(
+            "parameters at SNR >= 0.8, median error", "<= 5 %", f"{100 * error:.1f} % (n = {len(rows)})", error <= 0.05
+        ),
+        _row("parameters, 95 % intervals that hold", "92-98 %", held, len(rows), good=0.92 <= rate <= 0.98),
+    ]
+
+
+def power(cases: list[Scored]) -> dict[str, dict[float, tuple[int, int, int]]]:
+    """Per effect and severity: detected, right first, of how many."""
+    out: dict[str, dict[float, tuple[int, int, int]]] = defaultdict(dict)
+    for level in SNR_LEVELS:
+        for case in of(cases, "single"):
+            effect = case.truth["effects"][0]
+            if effect["snr"] == level:
+                key = f"{effect['key']} ({case.truth['group']})"
+                d, f, n = out[key].get(level, (0, 0, 0))
+                out[key][level] = (d + case.detected, f + case.first, n + 1)
+    return dict(sorted(out.items()))
+
+
+def confusion(cases: list[Scored]) -> Counter[tuple[str, str]]:
+    """(concealed, called first) over single effects at SNR 0.4 and more."""
+    some = [c for c in of(cases, "single") if c.truth["effects"][0]["snr"] >= 0.4]
+    return Counter((c.wanted[0], c.found[0] if c.found else "nothing") for c in some)
+
+
+def channel_f1(cases: list[Scored]) -> float:
+    """F1 of the channels named by the right findings."""
+    values = []
+    for case in of(cases, "single"):
+        if case.verdict is None or not case.first:
+            continue
+        named, true = set(case.verdict["findings"][0]["channels"]), set(case.truth["effects"][0]["channels"])
+        values.append(2 * len(named & true) / (len(named) + len(true)) if named or true else 1.0)
+    return float(np.mean(values)) if values else float("nan")
+
+
+def onset_errors(cases: list[Scored]) -> list[float]:
+    """Seconds between a step's true and found moment."""
+    out = []
+    for _, name, true, found, _ in parameter_rows(cases):
+        if name == "time":
+            out.append(abs(found - true))
+    return out
