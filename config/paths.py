@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from galen_hw.errors import UsageError
+from galen_hw.errors import HardwareError, UsageError
 
 SERVICE_RUNTIME: Final = Path("/run/galen-hw")
 SITE_CONFIG: Final = Path("/etc/galen-hw/galen.toml")
@@ -57,6 +57,16 @@ class Addresses:
     def lock(self) -> Path:
         """File that one daemon locks."""
         return self.runtime / "lock"
+
+    def require_daemon(self) -> None:
+        """Return if a daemon's command socket is here.
+
+        Raises:
+            HardwareError: it is not: no daemon runs, or it uses another directory.
+        """
+        if not (self.runtime / "command").exists():
+            todo = "start one with galen-hw run (or galen-hw run --virtual), or give its directory"
+            raise HardwareError("no daemon runs here", where=str(self.runtime), todo=todo)
 
 
 def runtime_dir(environ: Mapping[str, str] = os.environ) -> Path:

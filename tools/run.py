@@ -17,18 +17,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM or Ctrl-C."""
-    from galen_hw.daemon.virtual import virtual_setup
-
     from galen_hw.config.paths import make_runtime, runtime_dir, state_dir
     from galen_hw.daemon.supervisor import Supervisor, install_signals
     from galen_hw.daemon.tables import TABLES, read_setup
+    from galen_hw.daemon.virtual import virtual_setup
 
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     setup = read_setup(args.config)
     addresses = make_runtime(args.dir or runtime_dir())
     with ExitStack() as stack:
         if args.virtual:
-            setup = virtual_setup(setup, TABLES, addresses, stack)
+            setup = stack.enter_context(virtual_setup(setup, TABLES, addresses.virtual))
         supervisor = Supervisor(
             setup, TABLES, addresses, state_dir(), on_ready=lambda text: _say_ready(text, addresses.bus)
         )

@@ -1,8 +1,6 @@
 """What services have learnt, kept over restarts: one JSON file a service, replaced whole or not at all."""
 
-import contextlib
 import logging
-import os
 import queue
 import threading
 from pathlib import Path
@@ -10,26 +8,10 @@ from typing import Any
 
 import msgspec
 
+from galen_hw.config.tool_store import write_atomic
+from galen_hw.errors import UsageError
+
 log = logging.getLogger("galen-hw")
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Replace a file by another content; after a crash either the old or the new one is there, whole.
-
-    Raises:
-        OSError: the folder cannot be written.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    new = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with new.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        new.replace(path)
-    except OSError:
-        new.unlink(missing_ok=True)
-        raise
 
 
 class Keeper:
@@ -41,9 +23,9 @@ class Keeper:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._queue: queue.SimpleQueue[tuple[str, bytes] | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[tuple[str, str] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
-        self._last: dict[str, bytes] = {}
+        self._last: dict[str, str] = {}
 
     def read(self, service: str) -> dict[str, Any] | None:
         """The last snapshot; None when there is none or it cannot be read."""
@@ -59,7 +41,7 @@ class Keeper:
 
     def keep(self, service: str, snapshot: dict[str, Any]) -> None:
         """Write a snapshot soon, unless it is what was written last."""
-        content = msgspec.json.format(msgspec.json.encode(snapshot))
+        content = msgspec.json.format(msgspec.json.encode(snapshot)).decode()
         if self._last.get(service) == content:
             return
         self._last[service] = content
@@ -77,8 +59,7 @@ class Keeper:
 
     def _write(self) -> None:
         while (item := self._queue.get()) is not None:
-            with contextlib.suppress(ValueError):
-                try:
-                    write_atomically(self._folder / f"{item[0]}.json", item[1])
-                except OSError as error:
-                    log.warning("%s: state cannot be kept (%s)", self._folder / item[0], error.strerror)
+            try:
+                write_atomic(self._folder / f"{item[0]}.json", item[1])
+            except UsageError as error:
+                log.warning("what %s has learnt is not kept: %s", item[0], error)

@@ -1,0 +1,81 @@
+"""A daemon of one's own for the time of a command: what `--virtual` means for commands that need a running daemon."""
+
+import os
+import select
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from galen_hw.config.paths import Addresses
+from galen_hw.errors import GalenError, HardwareError
+
+READY_WITHIN_S: Final = 60.0
+END_WITHIN_S: Final = 20.0
+
+
+@contextmanager
+def own_daemon(
+    *, config: str | None = None, virtual: bool = True, runtime: Path | None = None, state: Path | None = None
+) -> Iterator[Addresses]:
+    """Start `galen-hw run` in a runtime directory of its own, wait until samples flow, end it with the block.
+
+    Args:
+        config: settings file; virtual: on a virtual robot.
+        runtime: for the sockets; a temporary directory if None.
+        state: for tools and calibrations; the user's own if None.
+
+    Raises:
+        HardwareError: it did not become ready; its own lines on stderr say why.
+    """
+    with tempfile.TemporaryDirectory(prefix="galen-hw-") as folder:
+        where = runtime or Path(folder)
+        words = [
+            "run",
+            "--dir",
+            str(where),
+            *(["--virtual"] if virtual else []),
+            *(["--config", config] if config else []),
+        ]
+        environ = os.environ | ({"GALEN_HW_STATE": str(state)} if state else {})
+        command = [sys.executable, "-m", "galen_hw.cli", *words]
+        # In a session of its own, so that Ctrl-C reaches the command only, which then ends the daemon in order.
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, env=environ, start_new_session=True)
+        try:
+            _wait_ready(process)
+            yield Addresses(where)
+        finally:
+            process.terminate()
+            try:
+                process.wait(timeout=END_WITHIN_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            assert process.stdout is not None
+            process.stdout.close()
+
+
+def _wait_ready(process: "subprocess.Popen[bytes]") -> None:
+    assert process.stdout is not None
+    until = time.monotonic() + READY_WITHIN_S
+    while (left := until - time.monotonic()) > 0:
+        if select.select([process.stdout], (), (), left)[0]:
+            line = process.stdout.readline()
+            if line.startswith(b"ready"):
+                return
+            if not line:
+                process.wait(timeout=END_WITHIN_S)
+                raise DaemonEndedError(process.returncode)
+    raise HardwareError(f"the daemon is not ready within {READY_WITHIN_S:g} s", where="galen-hw run")
+
+
+class DaemonEndedError(GalenError):
+    """The daemon has ended with this status instead of becoming ready; it has said why on stderr."""
+
+    def __init__(self, status: int) -> None:
+        super().__init__("the daemon did not start", where="galen-hw run", todo="see its lines above")
+        self.exit_code = status

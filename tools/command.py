@@ -1,0 +1,79 @@
+"""`galen-hw command`: one request to a device or service of the running daemon."""
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from galen_hw.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("target", metavar="TARGET", help="device or service, e.g. motors, ft, compensation, daemon")
+    parser.add_argument("name", metavar="NAME", help="what to do, e.g. stop, zero, select_tool, info")
+    parser.add_argument("args", metavar="KEY=VALUE", nargs="*", help="SI numbers, words, or JSON; a.b=1 fills a map")
+    parser.add_argument("--json", action="store_true", help="print the reply as JSON")
+    parser.add_argument("--timeout", type=float, default=30.0, metavar="S", help="seconds to wait for the reply")
+    parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory of the daemon")
+    parser.epilog = "examples: galen-hw command motors stop; galen-hw command motors move_jp position.roll=0.3"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Send it and print the result."""
+    from galen_hw.bus import CommandClient
+    from galen_hw.config.paths import Addresses, client_runtime_dir
+
+    arguments = parse_arguments(args.args)
+    if not (math.isfinite(args.timeout) and args.timeout > 0):
+        raise UsageError("must be a number of seconds above 0", where="--timeout", todo="e.g. --timeout 30")
+    addresses = Addresses(args.dir or client_runtime_dir())
+    addresses.require_daemon()
+    with CommandClient(addresses.command) as client:
+        result = client.call(args.target, args.name, arguments, args.timeout)
+    if args.json:
+        print(json.dumps(result))
+    else:
+        print("\n".join(f"{key}: {_text(value)}" for key, value in result.items()) or "done")
+    return 0
+
+
+def parse_arguments(words: list[str]) -> dict[str, Any]:
+    """`["position.roll=0.3", "tool=retractor"]` as `{"position": {"roll": 0.3}, "tool": "retractor"}`.
+
+    Raises:
+        UsageError: a word without `=`, a key twice, or a key that is both a value and a map.
+    """
+    found: dict[str, Any] = {}
+    for word in words:
+        key, equals, text = word.partition("=")
+        path = key.split(".")
+        if not equals or not all(path):
+            raise UsageError("not of the form key=value", where=repr(word), todo="e.g. tool=retractor")
+        inner = found
+        for part in path[:-1]:
+            inner = inner.setdefault(part, {})
+            if not isinstance(inner, dict):
+                raise UsageError(f"{part} is a value and a map", where=repr(word), todo="give one of them")
+        if path[-1] in inner:
+            raise UsageError("given twice", where=repr(word), todo="give it once")
+        inner[path[-1]] = _value(text)
+    return found
+
+
+def _value(text: str) -> Any:
+    """JSON where it is JSON (numbers, true, null, lists, maps), else the word itself."""
+    try:
+        value = json.loads(text, parse_constant=_refuse)
+    except ValueError:
+        return text
+    return value
+
+
+def _refuse(constant: str) -> Any:
+    raise UsageError("not a number that can be commanded", where=constant, todo="give a finite one")
+
+
+def _text(value: Any) -> str:
+    return json.dumps(value) if isinstance(value, dict | list) else str(value)
