@@ -77,7 +77,7 @@ def test_the_printed_and_the_derived_rows_agree_only_at_the_zeroing_pose():
 def test_a_constant_offset_misleads_the_two_steps():
     """Nothing in the equations can take a constant offset, so the mass is wrong by it: the reason for the joint fit."""
     R = sweep()
-    wrench = readings(R, TOOL) + [0.0, 0.0, 0.2, 0.0, 0.0, 0.0]
+    wrench = readings(R, TOOL) + np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
     _, tool = report.two_step(
         R, wrench, zero=np.eye(3), body=report.WeightedPoint(BIAS.mass * np.array([0, 0, -9.80665]), BIAS.com)
     )
