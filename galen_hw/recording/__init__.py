@@ -1,8 +1,10 @@
 """Recordings: what was measured, from MCAP files and from table folders alike, and the way back to either."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from galen_hw.errors import UsageError
+from galen_hw.recording.checks import check_simulation
 from galen_hw.recording.info import BiasBody, Compliance, Model, RecordingInfo, Tool
 from galen_hw.recording.recording import WRENCH, Recording
 from galen_hw.recording.table import read_table, write_table
@@ -20,12 +22,14 @@ __all__ = [
 ]
 
 
-def read_recording(path: Path | str, *, simulation: Path | str | None = None) -> Recording:
+def read_recording(path: Path | str, *, simulation: Path | str | None = None, compensated: bool = False) -> Recording:
     """Read an MCAP file or a table folder (`docs/recording.md`).
 
     Args:
         path: the folder, one of its files, or an MCAP file.
-        simulation: a table someone else simulated; the sub-folder `simulation/` is used without being asked.
+        simulation: a recording that someone else simulated; a table's sub-folder `simulation/` is used without being
+            asked.
+        compensated: of an MCAP file, also give the compensated wrench, as `covariate.compensated.*`.
 
     Raises:
         UsageError: nothing there, or not a recording; the text names the file, column and row.
@@ -33,4 +37,19 @@ def read_recording(path: Path | str, *, simulation: Path | str | None = None) ->
     path = Path(path)
     if not path.exists():
         raise UsageError("there is no such recording", where=str(path), todo="give a folder or an MCAP file")
-    return read_table(path, simulation=None if simulation is None else Path(simulation))
+    if path.is_file() and path.suffix not in (".csv", ".parquet", ".json"):
+        from galen_hw.recording.from_mcap import read_mcap
+
+        recording = read_mcap(path, compensated=compensated)
+    else:
+        recording = read_table(path)
+    if simulation is None:
+        return recording
+    return _beside(recording, Path(simulation))
+
+
+def _beside(recording: Recording, simulation: Path) -> Recording:
+    simulated = read_table(simulation, info_needed=False) if simulation.is_dir() else read_recording(simulation)
+    old = () if recording.simulation is None else tuple(w for w in recording.warnings if w.startswith("simulation: "))
+    kept = tuple(w for w in recording.warnings if w not in old)
+    return replace(recording, simulation=simulated, warnings=(*kept, *check_simulation(recording, simulated)))

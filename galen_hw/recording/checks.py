@@ -24,8 +24,13 @@ def check(recording: Recording) -> list[str]:
     """All warnings of a recording."""
     found = [*_keys(recording), *_clock(recording), *_cells(recording), *_units(recording), *_vectors(recording)]
     if recording.simulation is not None:
-        found += [f"simulation: {line}" for line in _match(recording, recording.simulation)]
+        found += check_simulation(recording, recording.simulation)
     return found
+
+
+def check_simulation(recording: Recording, simulation: Recording) -> list[str]:
+    """Warnings of the simulation beside a recording, and of how the two match."""
+    return [f"simulation: {line}" for line in (*simulation.warnings, *_match(recording, simulation))]
 
 
 def _keys(recording: Recording) -> Iterator[str]:
@@ -127,7 +132,6 @@ def _kind_key(column: str) -> str:
 
 
 def _match(recording: Recording, simulation: Recording) -> Iterator[str]:
-    yield from simulation.warnings
     clocked = recording.time is not None and simulation.time is not None
     if not clocked and len(simulation) != len(recording):
         yield f"{len(simulation)} rows beside {len(recording)} and no common clock to match them by"

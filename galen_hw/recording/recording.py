@@ -52,6 +52,7 @@ class Recording:
         path: folder or file that it was read from.
         simulation: the same columns as someone else simulated them.
         warnings: what is odd about the recording, one line each; not fatal.
+        attachments: texts that an MCAP file bears (the robot's URDF, tools' files, the configuration).
     """
 
     columns: dict[str, Array]
@@ -59,10 +60,19 @@ class Recording:
     path: Path = Path()
     simulation: "Recording | None" = None
     warnings: tuple[str, ...] = ()
+    attachments: dict[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Number of samples (rows)."""
         return len(next(iter(self.columns.values()), ()))
+
+    @property
+    def urdf(self) -> Path | str | None:
+        """The robot that `info.robot` names: a file, or its text from an MCAP file; None for "galen" and no robot."""
+        name = self.info.robot
+        if name is None or name == "galen":
+            return None
+        return self.attachments.get(name, self.path / name)
 
     def has(self, *names: str) -> bool:
         """Whether every named column or group is there."""

@@ -19,12 +19,11 @@ from galen_hw.spatial import Array
 CSV, PARQUET, INFO = "recording.csv", "recording.parquet", "recording.json"
 
 
-def read_table(path: Path, *, simulation: Path | None = None, info_needed: bool = True) -> Recording:
+def read_table(path: Path, *, info_needed: bool = True) -> Recording:
     """Read a table folder (or one of its files).
 
     Args:
         path: the folder, its CSV, Parquet or JSON.
-        simulation: folder of a simulation; default the sub-folder `simulation/` if it is there.
         info_needed: without `recording.json` it is an error; a simulation may do without.
 
     Raises:
@@ -35,9 +34,8 @@ def read_table(path: Path, *, simulation: Path | None = None, info_needed: bool 
     info = read_info(info_file) if info_needed or info_file.exists() else RecordingInfo()
     columns = _read_csv(table) if table.suffix == ".csv" else _read_parquet(table)
     notes += _tidy(columns, table)
-    if simulation is None and (folder / "simulation").is_dir():
-        simulation = folder / "simulation"
-    simulated = None if simulation is None else read_table(simulation, info_needed=False)
+    beside = folder / "simulation"
+    simulated = read_table(beside, info_needed=False) if beside.is_dir() else None
     recording = Recording(columns, info, folder, simulated)
     warnings = (*notes, *check(recording))
     return Recording(columns, info, folder, simulated, warnings)
@@ -224,9 +222,11 @@ def _write_into(recording: Recording, folder: Path, format: str) -> None:
     else:
         _write_parquet(recording, folder / PARQUET)
     (folder / INFO).write_text(recording.info.to_json(), encoding="utf-8")
-    robot = recording.info.robot
-    if robot and (recording.path / robot).is_file():
-        shutil.copy(recording.path / robot, folder / Path(robot).name)
+    urdf = recording.urdf
+    if isinstance(urdf, str):
+        (folder / Path(recording.info.robot or "").name).write_text(urdf, encoding="utf-8")
+    elif urdf is not None and urdf.is_file():
+        shutil.copy(urdf, folder / urdf.name)
     if recording.simulation is not None:
         _write_into(recording.simulation, folder / "simulation", format)
 
