@@ -74,7 +74,7 @@ class CompensationService(Service):
         del topic, now_ns
         if type(message) is WrenchRaw:
             if self._settings.alignment == "extrapolate" or (not self._waiting and self._is_due(message.t_ns)):
-                return self._compensate(message)
+                return self.compensate(message)
             self._waiting.append(message)
             return self._release()
         if type(message) is JointsState and self._history.add(message):
@@ -97,10 +97,11 @@ class CompensationService(Service):
         """Samples that need not wait any longer."""
         outputs: list[Output] = []
         while self._waiting and self._is_due(self._waiting[0].t_ns):
-            outputs += self._compensate(self._waiting.popleft())
+            outputs += self.compensate(self._waiting.popleft())
         return outputs
 
-    def _compensate(self, raw: WrenchRaw) -> list[Output]:
+    def compensate(self, raw: WrenchRaw) -> list[Output]:
+        """Compensate a sample at once, with the joints that are known by now."""
         correction = self._correction
         joints = self._history.at(raw.t_ns)
         if raw.serial_number != self._commands.serial:
@@ -212,6 +213,14 @@ class CompensationService(Service):
             settings=self._settings_text,
             samples=self._seq,
         )
+
+    def take_tool(self, name: str) -> None:
+        """Use a tool's calibration from now on, without remembering it (for a replay).
+
+        Raises:
+            GalenError: no such tool, never calibrated, or not of this robot.
+        """
+        self._commands.use(name)
 
     def adopt(self, state: CompensationState) -> None:
         """Go on from a recorded state, for a replay.

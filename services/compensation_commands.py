@@ -37,7 +37,7 @@ class CompensationCommands:
         try:
             selected = self._store.selected()
             if selected is not None:
-                self._use(selected)
+                self.use(selected)
         except GalenError as error:
             self.problem = str(error)
 
@@ -65,7 +65,13 @@ class CompensationCommands:
             raise CommandRejectedError(f"no command {name!r}", where=self.name, todo=f"one of: {', '.join(COMMANDS)}")
         return [Reply(id=request.id)]
 
-    def _use(self, tool: str) -> None:
+    def use(self, tool: str) -> None:
+        """Take a tool in hand.
+
+        Raises:
+            CommandRejectedError: never calibrated, or on another sensor or robot.
+            UsageError: no such tool.
+        """
         file = self._store.load(tool)
         if not file.calibrated:
             todo = f"galen-hw calibrate --tool {tool}"
@@ -84,7 +90,7 @@ class CompensationCommands:
             self._correction.use(None)
             self.problem = ""
         else:
-            self._use(tool)
+            self.use(tool)
         # A tare belongs to the tool that was in hand.
         self._correction.set(tare=ZERO)
         self._store.select(tool)
@@ -95,7 +101,7 @@ class CompensationCommands:
             raise CommandRejectedError("no tool is selected", where=self.name, todo="select_tool first")
         contact = self._correction.contact
         own = contact != self._correction.model.tool.contact_point
-        self._use(self._correction.model.tool.name)
+        self.use(self._correction.model.tool.name)
         if own:
             self._correction.set(contact=contact)
         return self._identity()

@@ -34,7 +34,7 @@ class Correction:
         self.model: CompensationModel | None = None
         self.contact: Triple = (0.0, 0.0, 0.0)
         self.tare: Six = ZERO
-        self.changed = False
+        self.changed = True
         self._blending = False
         self._residual: tuple[float, ...] = NO_RESIDUAL
         self._from_ns = 0

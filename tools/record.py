@@ -1,0 +1,121 @@
+"""`galen-hw record`: the bus to an MCAP file."""
+
+import argparse
+import signal
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Final
+
+from galen_hw.errors import EXIT_OK, HardwareError, UsageError
+
+if TYPE_CHECKING:
+    from galen_hw.bus import Subscriber
+    from galen_hw.recording.session import Session
+
+SILENCE_S: Final = 5.0
+QUEUE: Final = 50_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("-o", "--output", metavar="FILE", type=Path, help="default: galen-DATE-TIME.mcap here")
+    parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="or beginnings of topics; default all")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after so long; default: until Ctrl-C")
+    parser.add_argument(
+        "--encoding",
+        choices=("json", "msgpack"),
+        default="json",
+        help="json opens in Foxglove, Lichtblick and PlotJuggler; msgpack in PlotJuggler, for less work",
+    )
+    parser.add_argument("--force", action="store_true", help="overwrite the file")
+    parser.add_argument("--config", metavar="FILE", help="settings to attach (default: the daemon's usual place)")
+    parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory of the daemon")
+    parser.add_argument("--virtual", action="store_true", help="start a daemon on a virtual robot and record that")
+    parser.epilog = "example: galen-hw record -o run.mcap --seconds 30"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record until Ctrl-C, SIGTERM, or the time is over."""
+    from datetime import UTC, datetime
+
+    from galen_hw.bus import Subscriber
+    from galen_hw.config.paths import Addresses, client_runtime_dir
+    from galen_hw.daemon.session import own_daemon
+    from galen_hw.services.recorder import chosen_topics, default_name, open_new
+
+    if args.seconds is not None and not 0.0 < args.seconds < 1e7:
+        raise UsageError("must be a number of seconds above 0", where="--seconds", todo="e.g. --seconds 30")
+    topics = chosen_topics(args.topics)
+    path = args.output or Path(default_name(datetime.now(UTC)))
+    if path.exists() and not args.force:
+        raise UsageError("is there already", where=str(path), todo="give another name with -o, or --force")
+    with ExitStack() as stack:
+        if args.virtual:
+            addresses = stack.enter_context(own_daemon(config=args.config, runtime=args.dir))
+        else:
+            addresses = Addresses(args.dir or client_runtime_dir())
+            addresses.require_daemon()
+        subscriber = stack.enter_context(Subscriber(addresses.bus, topics, queue=QUEUE))
+        stream = stack.enter_context(open_new(path, overwrite=args.force))
+        heard = record(subscriber, _session(stream, args), args.seconds)
+    if not heard:
+        path.unlink()
+        raise HardwareError(
+            f"nothing was published within {SILENCE_S:g} s",
+            where=addresses.bus.removeprefix("ipc://"),
+            todo="galen-hw monitor, galen-hw check",
+        )
+    print(f"{path}: {heard} messages")
+    return EXIT_OK
+
+
+def _session(stream: IO[bytes], args: argparse.Namespace) -> "Session":
+    """A session that knows the robot and bears the settings."""
+    from galen_hw.daemon.tables import read_setup
+    from galen_hw.recording.session import Session
+
+    setup = read_setup(args.config)
+    robot = setup.config.robot
+    links = {key: value for key in ("base_link", "sensor_link") if (value := getattr(robot, key))}
+    return Session(
+        stream,
+        robot=robot.name,
+        urdf=robot.urdf.read_text(encoding="utf-8") if robot.urdf is not None else "",
+        links=links,
+        config=Path(setup.path).read_text(encoding="utf-8"),
+        encoding=args.encoding,
+    )
+
+
+def record(subscriber: "Subscriber", session: "Session", seconds: float | None) -> int:
+    """Record until told to stop; the number of messages. The file is complete at the end, whatever ended it."""
+    stopped: list[int] = []
+    before = {s: signal.signal(s, lambda number, _: stopped.append(number)) for s in (signal.SIGINT, signal.SIGTERM)}
+    begin = last = time.monotonic()
+    try:
+        while not stopped and (seconds is None or time.monotonic() - begin < seconds):
+            received = subscriber.receive(0.1)
+            if received is not None:
+                session.add(*received, time.time_ns())
+            elif not session.messages and time.monotonic() - begin > SILENCE_S:
+                break
+            if time.monotonic() - last >= 1.0:
+                last = time.monotonic()
+                session.flush()
+                _progress(session, last - begin)
+    finally:
+        session.finish()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if sys.stderr.isatty():
+            print(file=sys.stderr)
+    return session.messages
+
+
+def _progress(session: "Session", seconds: float) -> None:
+    if sys.stderr.isatty():
+        rates = ", ".join(f"{topic} {count / seconds:.0f}/s" for topic, count in list(session.counts.items())[:3])
+        text = f"\r{seconds:6.0f} s  {session.messages} messages, {session.lost} lost  ({rates})  Ctrl-C ends it"
+        print(text, end="", file=sys.stderr, flush=True)
