@@ -24,6 +24,9 @@ QUEUE_LENGTH: Final = 5000
 _REPLY: Final = msgspec.msgpack.Decoder(Reply)
 _REQUEST: Final = msgspec.msgpack.Decoder(Request)
 TOPIC_BYTES: Final = {name: name.encode() for name in TOPICS}
+_FIRST: Final = int(zmq.SNDMORE) | int(zmq.NOBLOCK)
+_LAST: Final = int(zmq.NOBLOCK)
+_EVENTS, _POLLIN = int(zmq.EVENTS), int(zmq.POLLIN)
 _ids = itertools.count(1)
 
 
@@ -66,8 +69,8 @@ class Publisher(_Socket):
 
     def publish_bytes(self, topic: bytes, payload: bytes) -> None:
         """Send one message that is encoded already."""
-        self.socket.send(topic, zmq.SNDMORE | zmq.NOBLOCK)
-        self.socket.send(payload, zmq.NOBLOCK)
+        self.socket.send(topic, _FIRST)
+        self.socket.send(payload, _LAST)
 
 
 class Subscriber(_Socket):
@@ -253,6 +256,6 @@ def bind(socket: zmq.Socket[Any], address: str) -> None:
 def receive_all(socket: zmq.Socket[Any], limit: int = 64) -> Sequence[list[bytes]]:
     """What has arrived on a socket, up to `limit` messages, without waiting."""
     found: list[list[bytes]] = []
-    while len(found) < limit and int(socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN:
-        found.append(socket.recv_multipart(zmq.NOBLOCK))
+    while len(found) < limit and int(socket.getsockopt(_EVENTS)) & _POLLIN:
+        found.append(socket.recv_multipart(_LAST))
     return found

@@ -1,6 +1,6 @@
 """The ZeroMQ ends of one process: `core` owns the bus, the others push to it and hear it as subscribers do."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import msgspec
@@ -11,6 +11,8 @@ from galen_hw.config.paths import Addresses
 from galen_hw.messages import Message, Reply, Request, encode
 
 INWARD_QUEUE: Final = 2000
+BATCH: Final = 64
+"""Messages taken in one turn of the loop, so that a crowd never keeps it from the wire."""
 BEAT: Final = b"beat"
 REQUEST: Final = b"request"
 REPLY: Final = b"reply"
@@ -41,17 +43,40 @@ class Beat(msgspec.Struct, frozen=True):
     devices: dict[str, DeviceState] = {}
 
 
-class _Control:
+class Inlet:
+    """The receiving side of a socket in a loop that waits on descriptors.
+
+    A ZeroMQ descriptor tells of changes only: it is asked again after a batch that may not have been all, and after a
+    send on the same socket, which may have swallowed the change.
+    """
+
+    def __init__(self, socket: "zmq.Socket[Any]") -> None:
+        self.socket = socket
+        self.fd = int(socket.getsockopt(zmq.FD))
+        self.pending = True
+
+    def take(self, ready: Sequence[int]) -> Sequence[list[bytes]]:
+        """What has arrived, when `ready` has this descriptor or something may be left."""
+        if not self.pending and self.fd not in ready:
+            return ()
+        found = receive_all(self.socket, BATCH)
+        self.pending = len(found) == BATCH
+        return found
+
+
+class _Control(Inlet):
     """The line to the supervisor: beats, requests and replies, each as [kind][payload]."""
 
     def __init__(self, name: str, addresses: Addresses) -> None:
-        self.socket: zmq.Socket[Any] = zmq.Context.instance().socket(zmq.DEALER)
-        self.socket.setsockopt(zmq.IDENTITY, name.encode())
-        self.socket.setsockopt(zmq.LINGER, 200)
-        self.socket.connect(addresses.control)
+        socket: zmq.Socket[Any] = zmq.Context.instance().socket(zmq.DEALER)
+        socket.setsockopt(zmq.IDENTITY, name.encode())
+        socket.setsockopt(zmq.LINGER, 200)
+        socket.connect(addresses.control)
+        super().__init__(socket)
 
     def send(self, kind: bytes, content: msgspec.Struct) -> None:
         """Send, or drop if the supervisor does not take anything."""
+        self.pending = True
         try:
             self.socket.send_multipart([kind, encode(content)], zmq.NOBLOCK)
         except zmq.Again:
@@ -67,18 +92,18 @@ class CoreLink:
 
     def __init__(self, name: str, addresses: Addresses, viewers: str, queue: int) -> None:
         self._publisher = Publisher(addresses.bus, *([viewers] if viewers else []), queue=queue)
-        self._inward: zmq.Socket[Any] = zmq.Context.instance().socket(zmq.PULL)
-        self._inward.setsockopt(zmq.RCVHWM, INWARD_QUEUE)
-        bind(self._inward, addresses.inward)
+        inward: zmq.Socket[Any] = zmq.Context.instance().socket(zmq.PULL)
+        inward.setsockopt(zmq.RCVHWM, INWARD_QUEUE)
+        bind(inward, addresses.inward)
+        self.inlet = Inlet(inward)
         self.control = _Control(name, addresses)
-        self.sockets: list[zmq.Socket[Any]] = [self._inward, self.control.socket]
         self.dropped = 0
         self.publish = self._publisher.publish
 
-    def messages(self) -> list[tuple[bytes, bytes]]:
+    def messages(self, ready: Sequence[int]) -> list[tuple[bytes, bytes]]:
         """What the other processes have published since; passed on to the bus already."""
         found = []
-        for frames in receive_all(self._inward):
+        for frames in self.inlet.take(ready):
             if len(frames) == 2:
                 self._publisher.publish_bytes(frames[0], frames[1])
                 found.append((frames[0], frames[1]))
@@ -99,8 +124,8 @@ class CoreLink:
     def close(self) -> None:
         """Close every socket."""
         self._publisher.close()
-        for socket in self.sockets:
-            socket.close()
+        self.inlet.socket.close()
+        self.control.socket.close()
 
 
 class EdgeLink:
@@ -115,13 +140,13 @@ class EdgeLink:
         self._outward.setsockopt(zmq.LINGER, 100)
         self._outward.setsockopt(zmq.RECONNECT_IVL, 20)
         self._outward.connect(addresses.inward)
-        self._bus: zmq.Socket[Any] = context.socket(zmq.SUB)
-        self._bus.setsockopt(zmq.RECONNECT_IVL, 20)
+        bus: zmq.Socket[Any] = context.socket(zmq.SUB)
+        bus.setsockopt(zmq.RECONNECT_IVL, 20)
         for topic in topics:
-            self._bus.setsockopt(zmq.SUBSCRIBE, topic.encode())
-        self._bus.connect(addresses.bus)
+            bus.setsockopt(zmq.SUBSCRIBE, topic.encode())
+        bus.connect(addresses.bus)
+        self.inlet = Inlet(bus)
         self.control = _Control(name, addresses)
-        self.sockets: list[zmq.Socket[Any]] = [self._bus, self.control.socket]
         self.dropped = 0
 
     def publish(self, topic: str, message: Message) -> None:
@@ -131,9 +156,9 @@ class EdgeLink:
         except zmq.Again:
             self.dropped += 1
 
-    def messages(self) -> list[tuple[bytes, bytes]]:
+    def messages(self, ready: Sequence[int]) -> list[tuple[bytes, bytes]]:
         """What has been published on the topics of our services since."""
-        return [(frames[0], frames[-1]) for frames in receive_all(self._bus)]
+        return [(frames[0], frames[-1]) for frames in self.inlet.take(ready)]
 
     def request(self, request: Request) -> None:
         """Send a request to whoever owns its target."""
@@ -150,5 +175,5 @@ class EdgeLink:
     def close(self) -> None:
         """Close every socket."""
         self._outward.close()
-        for socket in self.sockets:
-            socket.close()
+        self.inlet.socket.close()
+        self.control.socket.close()

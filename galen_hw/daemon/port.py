@@ -41,17 +41,13 @@ class Port:
         self.device, self.optional = device, optional
         self.error: HardwareError | None = None
         self.attempts = 0
+        self.fd: int | None = None  # to wait on; None while closed or where a thread reads
         self.transport: Transport[Any] | None = None
         self._make, self._clock, self._wake = transport, clock, wake
         self._opening: _Opening | None = None
         self._reader: _Reader | None = None
         self._retry_ns = 0
         self._wait_s = FIRST_WAIT_S
-
-    @property
-    def fd(self) -> int | None:
-        """A descriptor to wait on; None while closed or where a thread reads."""
-        return self.transport.fileno() if self.transport is not None and self._reader is None else None
 
     @property
     def state(self) -> str:
@@ -105,6 +101,7 @@ class Port:
 
     def close(self) -> None:
         """Close the wire, whatever state it is in."""
+        self.fd = None
         if self._opening is not None:
             self._opening.abandon()
             self._opening = None
@@ -140,7 +137,8 @@ class Port:
             return
         self.transport, self.error, self._wait_s = opening.transport, None, FIRST_WAIT_S
         assert self.transport is not None
-        if self.transport.fileno() is None:
+        self.fd = self.transport.fileno()
+        if self.fd is None:
             self._reader = _Reader(self.transport, self._wake)
         self.device.start(self._clock())
 

@@ -12,7 +12,7 @@ from typing import Final
 
 import msgspec
 
-from galen_hw.bus import decode_reply, receive_all
+from galen_hw.bus import decode_reply
 from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.config.paths import Addresses
 from galen_hw.daemon.host import Host
@@ -61,8 +61,10 @@ class Worker:
         )
         self.host = Host(orders.name, ports, services, self._link, clock=time.monotonic_ns, on_done=self._keep)
         self._ports = list(ports.values())
-        self._next_beat_ns = self._next_status_ns = 0
+        self._own_fds = [lifeline, self._waker.fd, self._link.inlet.fd, self._link.control.fd]
+        self._next_beat_ns = self._next_status_ns = self._next_due_ns = 0
         self._status_seq = self._turns = 0
+        self._garbage = GarbageKeeper(self._setup.config.daemon.garbage_interval_s)
         self._used_s, self._used_at_ns = 0.0, time.monotonic_ns()
 
     def stop(self) -> None:
@@ -72,44 +74,42 @@ class Worker:
 
     def run(self) -> None:
         """Run until told to stop; on every way out the devices are brought to rest first."""
-        garbage = GarbageKeeper(self._setup.config.daemon.garbage_interval_s)
         try:
             while not self._stopping:
                 self._turn()
-                garbage.collect(time.monotonic_ns())
         finally:
             self._finish()
 
     def _turn(self) -> None:
         """Wait for a wire, a socket or a time, and do what is due."""
         self._turns += 1
-        ready = self._wait(min(min((p.wakeup_ns for p in self._ports), default=1 << 62), self._next_due_ns))
+        due_ns = self._next_due_ns
+        for port in self._ports:
+            due_ns = min(due_ns, port.wakeup_ns)
+        ready = self._wait(due_ns)
         host = self.host
         for port in self._ports:
             outputs = port.step(readable=port.fd in ready)
             if outputs:
                 host.take(outputs)
-        for topic, payload in self._link.messages():
+        for topic, payload in self._link.messages(ready):
             self._hear(topic, payload)
-        self._listen()
+        self._listen(ready)
         now = time.monotonic_ns()
         if now >= self._next_due_ns:
             host.tick(now)
             self._report(now)
-        if ready:
+            self._garbage.collect(now)
+            self._next_due_ns = min(host.wakeup_ns, self._next_beat_ns)
+        if self._lifeline in ready or self._waker.fd in ready:
             self._look_at_lifeline(ready)
 
-    @property
-    def _next_due_ns(self) -> int:
-        return min(self.host.wakeup_ns, self._next_beat_ns)
-
     def _wait(self, until_ns: int) -> list[int]:
-        fds = [self._lifeline, self._waker.fd, *(s.FD for s in self._link.sockets)]
-        fds += [fd for p in self._ports if (fd := p.fd) is not None]
-        # A ZeroMQ descriptor tells of changes only: what is in the queue already must be asked for.
-        pending = any(int(s.EVENTS) & 1 for s in self._link.sockets)
-        timeout = 0.0 if pending else max(0.0, (until_ns - time.monotonic_ns()) / NS_PER_S)
-        return select.select(fds, (), (), min(timeout, 1.0))[0]
+        fds = [*self._own_fds, *[p.fd for p in self._ports if p.fd is not None]]
+        if self._link.inlet.pending or self._link.control.pending:
+            return select.select(fds, (), (), 0.0)[0]
+        timeout = (until_ns - time.monotonic_ns()) / NS_PER_S
+        return select.select(fds, (), (), max(0.0, timeout))[0]
 
     def _hear(self, topic: bytes, payload: bytes) -> None:
         name = topic.decode(errors="replace")
@@ -121,8 +121,8 @@ class Worker:
             return
         self.host.from_bus(name, message)
 
-    def _listen(self) -> None:
-        for frames in receive_all(self._link.control.socket):
+    def _listen(self, ready: list[int]) -> None:
+        for frames in self._link.control.take(ready):
             kind, payload = frames[0], frames[-1]
             if kind == REQUEST:
                 self.host.from_outside(_REQUEST_DECODER.decode(payload))
