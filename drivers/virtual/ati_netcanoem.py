@@ -222,7 +222,7 @@ class VirtualAtiNetcanoem:
                 self._answer(t_ns, 2 + k, row[8 * k : 8 * k + 8])
 
     def _read_serial_number(self, _data: bytes, t_ns: int) -> None:
-        self._answer(t_ns, 0x5, self._settings.serial_number.encode("ascii").ljust(8))
+        self._answer(t_ns, 0x5, self._settings.serial_number.encode("ascii").ljust(8, b"\x00"))
 
     def _set_slot(self, data: bytes, t_ns: int) -> None:
         if data[0] < _SLOTS:

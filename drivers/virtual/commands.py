@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -13,7 +13,14 @@ from galen_hw.drivers.virtual.world import World
 from galen_hw.errors import GalenError, UsageError
 from galen_hw.spatial import Array
 
-_ESTOP = "estop"
+_ESTOP: Final = "elo"
+_MOTOR_FAULTS: Final = {
+    _ESTOP: "the emergency stop is pressed",
+    "abort_input": "the abort input of the motor controller is pulled",
+    "motors.blocked": "the joint of that name does not move",
+    "motors.silent": "the motor controller answers nothing",
+    "motors.late": "the motor controller answers a second late",
+}
 
 
 class Commands:
@@ -103,13 +110,13 @@ class Commands:
 
     def fault(self, name: str, on: bool = True) -> None:
         """Switch a fault by name."""
-        known = self.known_faults()
-        if known and parse_fault(name)[0] not in known:
+        known, stem = self.known_faults(), parse_fault(name)[0]
+        if not any(stem == k or stem.startswith(f"{k}.") for k in known):
             raise UsageError(f"no fault {name!r}", where="control", todo=f"one of: {', '.join(sorted(known))}")
         (self._world.faults.add if on else self._world.faults.discard)(name)
 
     def estop(self, on: bool = True) -> None:
-        """The emergency stop is a fault of that name."""
+        """Press or release: the emergency-stop input (ELO) of the motor controller."""
         (self._world.faults.add if on else self._world.faults.discard)(_ESTOP)
 
     def noise(self, scale: float = 1.0, sigma: Any = None) -> None:
@@ -135,7 +142,7 @@ class Commands:
 
     def known_faults(self) -> dict[str, str]:
         """Name and meaning of every fault of every device."""
-        out = {_ESTOP: "the emergency stop is pressed"}
+        out = dict(_MOTOR_FAULTS)
         for device in self._devices.values():
             out |= dict(getattr(device, "FAULTS", {}))
         return out

@@ -146,10 +146,10 @@ class VirtualRobotousRft:
     def poll(self, now_ns: int) -> list[CanFrame]:
         """Frames whose time has come; a stream that was not asked for long sends at most its last ten samples."""
         if self._next_sample_ns <= now_ns:
-            if self._faults.any and self._broken(now_ns):
-                self._next_sample_ns = min(self._next_sample_ns, now_ns) + self._period
-            else:
+            if not (self._faults.any and self._broken(now_ns)):
                 self._stream(now_ns)
+            elif self._next_sample_ns != NEVER_NS:  # Silent, not restarted: it goes on measuring.
+                self._next_sample_ns = now_ns + self._period
         out: list[CanFrame] = []
         while self._queue and self._queue[0][0] <= now_ns:
             out.append(heappop(self._queue)[2])
