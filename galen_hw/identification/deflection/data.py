@@ -1,0 +1,119 @@
+"""Deflection data: configurations, forces on the tip and how far the tip was from where the rigid robot says."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from galen_hw.errors import UsageError
+from galen_hw.physics.observations import Observations
+from galen_hw.physics.scene_pose import PoseScene
+from galen_hw.spatial import Array
+
+SATURATED_SHARE = 0.02
+LEAST_REVERSALS = 2
+
+
+@dataclass(frozen=True)
+class DeflectionSet:
+    """One recording of pushes.
+
+    Args:
+        name: of the recording; two sets of one configuration share `configuration`.
+        configuration: label of where the arm was.
+        observations: the recording, group "pose".
+        time: (N,) s; q: (N, n) joints; force: (N, 3) on the tip in the base, N; torque: (N, 3) about the tip, N m.
+        give: (N, d) tracked minus rigid tip: position m and, if tracked, rotation vector rad (d = 3 or 6).
+        tool: name of the tool; sets of different tools are not mixed.
+    """
+
+    name: str
+    configuration: str
+    observations: Observations
+    time: Array
+    q: Array
+    force: Array
+    give: Array
+    tool: str = ""
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.time)
+
+    @classmethod
+    def of(cls, name: str, observations: Observations, *, configuration: str = "", tool: str = "") -> "DeflectionSet":
+        """The set of a recording; its constant offset (registration's rest) is taken out over the rows without force.
+
+        Raises:
+            UsageError: no forces, or no rows without force to register on.
+        """
+        scene = PoseScene(observations)
+        force, give = scene.force, scene.residual
+        size = np.linalg.norm(force, axis=1)
+        if not np.any(size > 0.0):
+            raise UsageError("no applied.force column", where=name, todo="record the force on the tip with the pose")
+        free = size < max(0.05 * size.max(), 0.1)
+        if np.count_nonzero(free) < 10:
+            raise UsageError(
+                "the tip is never free of force", where=name, todo="let go of the tool for a few seconds in each set"
+            )
+        label = configuration or _label(scene.q)
+        return cls(name, label, observations, scene.time, scene.q, force, give, tool)
+
+    def rows(self, index: slice | NDArray[np.bool_]) -> "DeflectionSet":
+        """Some of the rows."""
+        return DeflectionSet(
+            self.name,
+            self.configuration,
+            self.observations.taken(index),
+            self.time[index],
+            self.q[index],
+            self.force[index],
+            self.give[index],
+            self.tool,
+        )
+
+
+def _label(q: Array) -> str:
+    """A configuration by its rounded middle: two sets at one place get the same label."""
+    return " ".join(f"{v:+.2f}" for v in np.median(q, axis=0))
+
+
+def check(sets: Sequence[DeflectionSet]) -> list[str]:
+    """What these data cannot show, one line each with what to record next; empty when they are fit to be fitted.
+
+    Raises:
+        UsageError: sets of different tools are mixed.
+    """
+    tools = sorted({s.tool for s in sets if s.tool})
+    if len(tools) > 1:
+        raise UsageError(f"sets of different tools: {', '.join(tools)}", todo="fit each tool by itself")
+    lines = []
+    configurations = {s.configuration for s in sets}
+    if len(configurations) < 3:
+        lines.append(
+            f"{len(configurations)} configuration(s): stiffness that depends on the configuration cannot be told; "
+            "record at three or more"
+        )
+    force = np.concatenate([s.force for s in sets])
+    for axis, name in enumerate("xyz"):
+        low, high = np.quantile(force[:, axis], [0.01, 0.99])
+        strong = max(abs(low), abs(high))
+        if strong < 0.5:
+            lines.append(f"hardly any force along {name} ({strong:.2f} N): push and pull along it")
+        elif min(-low, high) < 0.15 * strong:
+            lines.append(
+                f"pushes along {name} go one way only: pull back through zero as well, or hysteresis stays unseen"
+            )
+    lines += [f"{s.name}: the force sits at its limit in {_saturated(s):.0%} of the rows" for s in sets if _clips(s)]
+    return lines
+
+
+def _saturated(s: DeflectionSet) -> float:
+    """Share of the rows at the very extreme of a component: a sensor at its limit repeats it exactly."""
+    return float(max(np.mean(np.abs(s.force[:, a]) >= np.abs(s.force[:, a]).max() * (1 - 1e-9)) for a in range(3)))
+
+
+def _clips(s: DeflectionSet) -> bool:
+    return _saturated(s) > SATURATED_SHARE

@@ -1,0 +1,157 @@
+"""Registration of the tracker: where the robot's base is for it, from moments without force (report, 13-14)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from galen_hw.errors import UsageError
+from galen_hw.spatial import Array, inverse, quaternion_from_rotation, rotation_from_quaternion, rotation_log, transform
+
+
+@dataclass(frozen=True)
+class Registration:
+    """The reference marker's place on the robot's base.
+
+    Args:
+        T_marker_base: (4, 4) g_fB of the report's equation (13): base in the reference marker's frame.
+        T_tip_tool_marker: (4, 4) tool marker in the tip frame; identity where it sits on the tip.
+        position_std: (3,) m and rotation_std: (3,) rad, one sigma of the mean.
+        scatter: (2,) rms of a single moment, m and rad.
+        used: rows that were taken.
+    """
+
+    T_marker_base: Array
+    T_tip_tool_marker: Array
+    position_std: Array
+    rotation_std: Array
+    scatter: tuple[float, float]
+    used: NDArray[np.bool_]
+
+
+def register(
+    T_tracker_marker: Array,
+    T_tracker_tool: Array,
+    T_base_tip: Array,
+    *,
+    T_tip_tool_marker: Array | None = None,
+) -> Registration:
+    """g_fB = g_Tf^-1 g_Tt g_Bt^-1 over rows without force, the mean taken on the rotations' manifold.
+
+    Args:
+        T_tracker_marker: (N, 4, 4) reference marker; T_tracker_tool: (N, 4, 4) tool marker, in the tracker's frame.
+        T_base_tip: (N, 4, 4) tip as the robot reports it.
+        T_tip_tool_marker: (4, 4) where the tool marker sits; on the tip if None.
+
+    Raises:
+        UsageError: fewer than ten rows in which both markers were seen.
+    """
+    offset = np.eye(4) if T_tip_tool_marker is None else T_tip_tool_marker
+    seen: NDArray[np.bool_] = np.isfinite(T_tracker_marker + T_tracker_tool).all(axis=(1, 2))
+    if np.count_nonzero(seen) < 10:
+        raise UsageError(
+            f"both markers were seen in {np.count_nonzero(seen)} moments only",
+            where="registration",
+            todo="turn the markers to the tracker and keep still for two seconds",
+        )
+    each = inverse(T_tracker_marker[seen]) @ T_tracker_tool[seen] @ inverse(T_base_tip[seen] @ offset)
+    used, mean = _robust_mean(each)
+    keep = seen.copy()
+    keep[seen] = used
+    p, r = _deviations(each[used], mean)
+    n = max(int(np.count_nonzero(used)), 2)
+    return Registration(
+        mean,
+        offset,
+        p.std(axis=0, ddof=1) / np.sqrt(n),
+        r.std(axis=0, ddof=1) / np.sqrt(n),
+        (float(np.sqrt(np.mean(np.sum(p**2, axis=1)))), float(np.sqrt(np.mean(np.sum(r**2, axis=1))))),
+        keep,
+    )
+
+
+def true_tip(registration: Registration, T_tracker_marker: Array, T_tracker_tool: Array) -> Array:
+    """Tip in the base as the tracker sees it, g_Bt = g_fB^-1 g_Tf^-1 g_Tt (14), (N, 4, 4)."""
+    seen = inverse(registration.T_marker_base) @ inverse(T_tracker_marker) @ T_tracker_tool
+    return np.asarray(seen @ inverse(registration.T_tip_tool_marker))
+
+
+def _robust_mean(each: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Mean of poses with those left out that lie beyond four robust sigmas of position."""
+    used = np.ones(len(each), dtype=bool)
+    mean = _mean(each)
+    for _ in range(5):
+        p, _r = _deviations(each, mean)
+        size = np.linalg.norm(p, axis=1)
+        limit = 4.0 * max(1.4826 * float(np.median(size)), 1e-9)
+        now = size <= limit
+        mean = _mean(each[now])
+        if np.array_equal(now, used):
+            break
+        used = now
+    return used, mean
+
+
+def _mean(each: Array) -> Array:
+    """Mean position, and the rotation whose quaternion is the principal axis of all (Markley et al. 2007)."""
+    q = quaternion_from_rotation(each[:, :3, :3])
+    _, vectors = np.linalg.eigh(q.T @ q)
+    return transform(rotation_from_quaternion(vectors[:, -1]), each[:, :3, 3].mean(axis=0))
+
+
+def _deviations(each: Array, mean: Array) -> tuple[Array, Array]:
+    """Positions (N, 3) m and rotation vectors (N, 3) rad from the mean."""
+    return each[:, :3, 3] - mean[:3, 3], rotation_log(mean[:3, :3].T @ each[:, :3, :3])
+
+
+@dataclass
+class MarkerWatch:
+    """Notices while recording what is else found too late: a moved base or marker, swapped handles, lost frames.
+
+    Args:
+        rate_hz: the tracker's frame rate, its frame number is the clock.
+        moved_m, moved_rad: how far the reference marker may wander before it counts as moved.
+    """
+
+    rate_hz: float = 60.0
+    moved_m: float = 5e-4
+    moved_rad: float = 2e-3
+    _first: Array | None = None
+    _frame: int | None = None
+    _time_s: float = 0.0
+
+    def look(self, frame: int, time_s: float, T_tracker_marker: Array, T_tracker_tool: Array) -> list[str]:
+        """One frame of both markers (4, 4), NaN where missing; what is wrong with it, a line each."""
+        lines = []
+        if self._frame is not None:
+            lines += self._clock(frame, time_s)
+        self._frame, self._time_s = frame, time_s
+        if np.isfinite(T_tracker_marker).all():
+            lines += self._reference(T_tracker_marker, T_tracker_tool)
+        return lines
+
+    def _clock(self, frame: int, time_s: float) -> list[str]:
+        assert self._frame is not None
+        step = frame - self._frame
+        if step == 0:
+            return [f"frame {frame} came twice"]
+        if step < 0:
+            return [f"the frame number fell from {self._frame} to {frame}: the tracker was restarted, register again"]
+        lines = [f"{step - 1} frame(s) lost before {frame}"] if step > 1 else []
+        if abs((time_s - self._time_s) - step / self.rate_hz) > 0.1:
+            lines.append(f"the clock jumped by {time_s - self._time_s - step / self.rate_hz:+.2f} s at frame {frame}")
+        return lines
+
+    def _reference(self, T_tracker_marker: Array, T_tracker_tool: Array) -> list[str]:
+        if self._first is None:
+            self._first = T_tracker_marker
+            return []
+        p, r = _deviations(T_tracker_marker[None], self._first)
+        moved, turned = float(np.linalg.norm(p)), float(np.linalg.norm(r))
+        if moved <= self.moved_m and turned <= self.moved_rad:
+            return []
+        if np.isfinite(T_tracker_tool).all():
+            q, _ = _deviations(T_tracker_tool[None], self._first)
+            if float(np.linalg.norm(q)) <= self.moved_m:
+                return ["tool and reference marker have changed places: the handles are swapped"]
+        return [f"the reference marker moved by {1e3 * moved:.2f} mm and {1e3 * turned:.1f} mrad: register again"]
