@@ -1,0 +1,273 @@
+"""The calibration sweep: moves the robot through its poses and writes the raw sweep; the fit is done elsewhere.
+
+Requests: start {tool, kind: "sweep" | "check", ...overrides of the settings}, resume {} (the tool is on), heartbeat {},
+stop {}. A client that has started a sweep must send a heartbeat at least every second; when it falls silent, or when
+anything is wrong, the motors stop and the poses so far are kept.
+"""
+
+import datetime as dt
+import re
+from typing import Any, ClassVar, Final
+
+from pydantic import BaseModel, ValidationError
+
+from galen_hw.clock import NS_PER_S
+from galen_hw.config.tool_file import NAME
+from galen_hw.errors import CommandRejectedError, UsageError
+from galen_hw.messages import Fault, JointsState, Message, Reply, Request, Status, WrenchRaw
+from galen_hw.services.calibration_file import SweepFile
+from galen_hw.services.calibration_hold import Expectation
+from galen_hw.services.calibration_plan import duration_s, make_plan
+from galen_hw.services.calibration_script import Script, Wait, check, sweep
+from galen_hw.services.calibration_settings import CalibrationSettings
+from galen_hw.services.calibration_state import Run, SweepStoppedError
+from galen_hw.services.service import Output, Service, ServiceContext
+
+PROGRESS_NS: Final = NS_PER_S // 5
+
+
+class CalibrationService(Service):
+    """Runs one sweep or check at a time; see `Service` for the arguments."""
+
+    Settings: ClassVar[type[BaseModel]] = CalibrationSettings
+    consumes: ClassVar[tuple[str, ...]] = ("wrench/raw", "joints/state")
+    produces: ClassVar[tuple[str, ...]] = ("calibration/progress", "status", "fault")
+
+    def __init__(self, name: str, settings: CalibrationSettings, context: ServiceContext) -> None:
+        self.name, self._settings, self._context = name, settings, context
+        self._run: Run | None = None
+        self._script: Script | None = None
+        self._wait: Wait | None = None
+        self._deadline_ns = self._heartbeat_ns = self._next_status_ns = self._next_progress_ns = 0
+        self._seq = self._sweeps = 0
+        self._last_raw: WrenchRaw | None = None
+        self._last_joints: JointsState | None = None
+        self._last_stop = ""
+
+    def handle(self, topic: str, message: Message, now_ns: int) -> list[Output]:
+        """Take a raw wrench or a joint state."""
+        del topic
+        if type(message) is WrenchRaw:
+            self._last_raw = message
+        elif type(message) is JointsState:
+            self._last_joints = message
+        run = self._run
+        if run is None:
+            return []
+        run.now_ns = now_ns
+        try:
+            if type(message) is WrenchRaw:
+                run.take_raw(message)
+            elif type(message) is JointsState:
+                run.take_joints(message)
+            self._advance(run)
+        except SweepStoppedError as stop:
+            return self._stop(run, stop)
+        return self._flush(run)
+
+    def request(self, request: Request, now_ns: int) -> list[Output]:
+        """Carry out start, resume, heartbeat or stop.
+
+        Raises:
+            CommandRejectedError: not known, not now, or not so; nothing has changed.
+        """
+        if request.name == "start":
+            return self._start(request, now_ns)
+        run = self._run
+        if request.name == "heartbeat":
+            self._heartbeat_ns = now_ns
+            return [Reply(id=request.id, result={"running": run is not None})]
+        if request.name == "resume" and run is not None and run.state == "waiting":
+            run.now_ns, run.tool_on = now_ns, True
+            return [Reply(id=request.id)]
+        if request.name == "stop":
+            stopped = [] if run is None else self._stop(run, SweepStoppedError("stopped by request"))
+            return [*stopped, Reply(id=request.id, result={"running": run is not None})]
+        todo = "calibration takes start, resume, heartbeat and stop"
+        what = "nothing waits for the tool" if request.name == "resume" else f"no request {request.name!r}"
+        raise CommandRejectedError(what, where=self.name, todo=todo)
+
+    def reply(self, reply: Reply, now_ns: int) -> list[Output]:
+        """Take a device's answer."""
+        run = self._run
+        if run is None or reply.id not in run.waiting_for:
+            return []
+        run.now_ns = now_ns
+        run.waiting_for.discard(reply.id)
+        run.replies[reply.id] = reply
+        try:
+            self._advance(run)
+        except SweepStoppedError as stop:
+            return self._stop(run, stop)
+        return self._flush(run)
+
+    def tick(self, now_ns: int) -> list[Output]:
+        """Time-outs, the watch over client and data, progress and status."""
+        run = self._run
+        outputs: list[Output] = []
+        if run is not None:
+            run.now_ns = now_ns
+            try:
+                self._watch(run, now_ns)
+                self._advance(run)
+            except SweepStoppedError as stop:
+                outputs += self._stop(run, stop)
+            else:
+                if now_ns >= self._next_progress_ns:
+                    self._next_progress_ns = now_ns + PROGRESS_NS
+                    run.publish()
+                outputs += self._flush(run)
+        if now_ns >= self._next_status_ns:
+            self._next_status_ns = now_ns + NS_PER_S
+            outputs.append(("status", self._status(now_ns)))
+        return outputs
+
+    def snapshot(self) -> dict[str, Any]:
+        """Nothing of a sweep outlives the process but its file."""
+        return {"version": 1, "identity": self._context.identity}
+
+    def restore(self, state: dict[str, Any]) -> bool:
+        """Take a snapshot back."""
+        return (state.get("version"), state.get("identity")) == (1, self._context.identity)
+
+    def _start(self, request: Request, now_ns: int) -> list[Output]:
+        """Plan a sweep and set it going.
+
+        Raises:
+            CommandRejectedError: one runs already, or the arguments are not possible.
+        """
+        if self._run is not None:
+            raise CommandRejectedError("a sweep runs already", where=self.name, todo="wait, or stop it")
+        args = dict(request.args)
+        tool, kind = str(args.pop("tool", "")), str(args.pop("kind", "sweep"))
+        if not re.match(NAME, tool) or kind not in ("sweep", "check"):
+            todo = "start takes tool (a name) and kind (sweep or check)"
+            raise CommandRejectedError("not a sweep that can be started", where=self.name, todo=todo)
+        settings = self._overridden(args)
+        self._require_data(now_ns)
+        run = self._make_run(tool, kind, settings, now_ns)
+        self._run, self._script = run, (sweep if kind == "sweep" else check)(run)
+        self._heartbeat_ns, self._next_progress_ns, self._last_stop = now_ns, now_ns, ""
+        try:
+            self._resume_script(run)
+        except SweepStoppedError as stop:
+            return [*self._stop(run, stop), Reply(id=request.id)]
+        folder = str(run.file.folder) if kind == "sweep" else ""
+        seconds = duration_s(settings, (*run.plan.bare, *run.plan.tool))
+        return [
+            Reply(id=request.id, result={"sweep": folder, "poses": run.poses, "seconds": seconds}),
+            *self._flush(run),
+        ]
+
+    def _overridden(self, args: dict[str, Any]) -> CalibrationSettings:
+        try:
+            return CalibrationSettings.model_validate(self._settings.model_dump() | args)
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = ".".join(str(part) for part in first["loc"])
+            raise CommandRejectedError(
+                f"{key}: {first['msg']}", where=self.name, todo="correct the argument"
+            ) from error
+
+    def _require_data(self, now_ns: int) -> None:
+        oldest = now_ns - round(self._settings.stale_s * NS_PER_S)
+        for who, message in ((self._context.sensor, self._last_raw), (self._context.motors, self._last_joints)):
+            if message is None or message.t_ns < oldest:
+                raise CommandRejectedError(f"no samples from {who}", where=self.name, todo="galen-hw check")
+
+    def _make_run(self, tool: str, kind: str, settings: CalibrationSettings, now_ns: int) -> Run:
+        assert self._last_raw is not None
+        plan = make_plan(settings, self._context.robot)
+        date = iso_date(self._context.time_base.timestamp(now_ns))
+        about = {
+            "schema": 1,
+            "tool": tool,
+            "robot": self._context.robot.name,
+            "sensor_serial": self._last_raw.serial_number,
+            "date": date,
+            "virtual": self._context.virtual,
+            "settings": settings.model_dump(),
+        }
+        stamp = re.sub(r"\D", "", date)[:14]
+        self._sweeps += 1
+        folder = self._context.state_dir / "sweeps" / f"{tool}-{stamp[:8]}-{stamp[8:]}"
+        if folder.exists():
+            folder = folder.with_name(f"{folder.name}-{self._sweeps}")
+        run = Run(
+            self.name,
+            kind,
+            settings,
+            self._context,
+            plan,
+            SweepFile(folder, self._context.robot, about),
+            now_ns,
+            now_ns,
+        )
+        run.raw, run.joints = self._last_raw, self._last_joints
+        run.raw_ns, run.joints_ns = now_ns, now_ns
+        run.expectation = Expectation(run.gravity)
+        run.poses = len(plan.bare) + len(plan.tool) if kind == "sweep" else len(plan.check) + 1
+        return run
+
+    def _advance(self, run: Run) -> None:
+        """Let the script go on as far as its conditions hold."""
+        while self._run is run and self._wait is not None and self._wait.until():
+            self._resume_script(run)
+        if self._run is run and self._wait is not None and run.now_ns > self._deadline_ns:
+            raise SweepStoppedError(self._wait.reason(), "see galen-hw monitor")
+
+    def _resume_script(self, run: Run) -> None:
+        assert self._script is not None
+        try:
+            self._wait = next(self._script)
+        except StopIteration:
+            self._wait = None
+        except UsageError as error:
+            raise SweepStoppedError(str(error)) from error
+        else:
+            self._deadline_ns = run.now_ns + round(self._wait.timeout_s * NS_PER_S)
+
+    def _watch(self, run: Run, now_ns: int) -> None:
+        """Raise if the client or the data have gone."""
+        if now_ns - self._heartbeat_ns > run.settings.heartbeat_s * NS_PER_S:
+            raise SweepStoppedError("the client that started the sweep is gone", "start it again", kind="lost")
+        stale = run.settings.stale_s * NS_PER_S
+        for who, t_ns in ((run.context.sensor, run.raw_ns), (run.context.motors, run.joints_ns)):
+            if now_ns - t_ns > stale:
+                raise SweepStoppedError(f"no samples from {who} for {run.settings.stale_s:g} s", "galen-hw check")
+
+    def _stop(self, run: Run, stop: SweepStoppedError) -> list[Output]:
+        """Motors to rest, the poses so far kept, everyone told."""
+        run.send(run.context.motors, "stop", {})
+        if run.kind == "sweep" and len(run.file):
+            run.file.note("stopped", stop.what)
+        kept = f"; {len(run.file)} poses kept in {run.file.folder}" if len(run.file) else ""
+        run.show("stopped", f"{stop.what}{kept}" + (f"; {stop.todo}" if stop.todo else ""))
+        self._last_stop = stop.what
+        outputs = run.outputs
+        fault = Fault(**self._header(run.now_ns), valid=True, what=stop.what, where=self.name, todo=stop.todo)
+        self._run = self._script = self._wait = None
+        return [*outputs, ("fault", fault)]
+
+    def _flush(self, run: Run) -> list[Output]:
+        outputs, run.outputs = run.outputs, []
+        if run.done:
+            self._run = self._script = self._wait = None
+        return outputs
+
+    def _header(self, t_ns: int) -> dict[str, Any]:
+        self._seq += 1
+        timestamp = self._context.time_base.timestamp(t_ns)
+        return {"timestamp": timestamp, "t_ns": t_ns, "seq": self._seq, "source": self.name}
+
+    def _status(self, now_ns: int) -> Status:
+        run = self._run
+        detail = self._last_stop if run is None else f"{run.kind}: {run.state}, pose {run.pose} of {run.poses}"
+        return Status(
+            **self._header(now_ns), valid=True, state="ready", detail=detail, counters={"sweeps": self._sweeps}
+        )
+
+
+def iso_date(timestamp: float) -> str:
+    """Seconds since the epoch as an ISO date, UTC."""
+    return dt.datetime.fromtimestamp(timestamp, dt.UTC).isoformat(timespec="seconds")

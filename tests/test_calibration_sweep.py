@@ -1,0 +1,295 @@
+"""The sweep in simulated time: what it does, and what makes it stop."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from calibration_plant import Plant
+
+from galen_hw.drivers.virtual.truth import BIAS_BODY, TOOLS
+from galen_hw.errors import CommandRejectedError
+from galen_hw.kinematics import GalenRobot
+from galen_hw.messages import JointsState, Request, Vector3, WrenchRaw
+from galen_hw.physics.rigid import gravity_in_sensor
+from galen_hw.recording import read_recording
+from galen_hw.services.calibration_plan import make_plan
+from galen_hw.services.calibration_settings import AxisSettings, CalibrationSettings
+from galen_hw.tools.calibration_poses import poses_of
+from galen_hw.tools.calibration_result import analyse
+
+FEW = CalibrationSettings(
+    axes={"tilt": AxisSettings(low=-0.6, high=0.6, count=3), "roll": AxisSettings(low=-0.9, high=0.9, count=4)},
+    samples=60,
+    zero_samples=100,
+    bare_poses=4,
+    verify_poses=3,
+)
+
+
+@pytest.fixture
+def plant(tmp_path):
+    return Plant(tmp_path, FEW)
+
+
+def folder(plant):
+    (found,) = (plant.state_dir / "sweeps").iterdir()
+    return found
+
+
+def story(plant):
+    return json.loads((folder(plant) / "sweep.json").read_text())
+
+
+@pytest.mark.parametrize("tool", ["pointer", "retractor"])
+def test_a_sweep_finds_the_tool_and_the_bias_body(tmp_path, tool):
+    """56 poses with the tool and 8 without: mass and centre of mass of both bodies within their 99.9 % intervals."""
+    plant = Plant(tmp_path, CalibrationSettings(samples=100, zero_samples=100))
+    assert plant.sweep(tool).state == "done"
+
+    result = analyse(tool, poses_of(read_recording(folder(plant))).poses, "sweep")
+    for body, prefix in ((TOOLS[tool], ""), (BIAS_BODY, "bias_body.")):
+        for name, true in zip(("mass", "com.x", "com.y", "com.z"), (body.mass, *body.com), strict=True):
+            i = result.estimate.names.index(prefix + name)
+            assert abs(result.estimate.values[i] - true) < 4.0 * result.estimate.std[i]
+    assert len(result.poses.held_out) == 8
+    assert np.all(result.verification.rms < 1.8 * result.verification.expected)
+
+
+def test_the_raw_sweep_says_what_it_belongs_to(plant):
+    """The folder is a table recording with the zeroing pose, and beside it serial number, settings and state."""
+    plant.sweep()
+    recording = read_recording(folder(plant))
+
+    assert recording.info.robot == "galen"
+    assert recording.info.zeroed_at == dict.fromkeys(GalenRobot().joint_names, 0.0)
+    assert (story(plant)["sensor_serial"], story(plant)["state"]) == ("FT12345", "done")
+    assert len(recording) == story(plant)["poses"] == plant.progress[-1].poses
+
+
+def test_the_table_is_whole_after_every_pose(plant):
+    """At any moment of the sweep the folder can be read, and nothing half-written lies beside it."""
+    seen = []
+
+    def look(plant):
+        sweeps = list((plant.state_dir / "sweeps").glob("*/recording.csv"))
+        if sweeps and plant.count % 100 == 0:
+            seen.append(len(read_recording(sweeps[0].parent)))
+            assert sorted(p.name for p in sweeps[0].parent.iterdir()) == [
+                "recording.csv",
+                "recording.json",
+                "sweep.json",
+            ]
+
+    plant.hooks.append(look)
+    plant.sweep()
+
+    assert len(set(seen)) > 10
+
+
+def test_progress_counts_poses_and_time_left_falls_to_zero(plant):
+    """The time left starts near what the sweep takes and its error shrinks with the pace that is learnt."""
+    plant.sweep()
+    shown = [m for m in plant.progress if m.state in ("moving", "settling", "averaging") and m.pose > 0]
+    ends = 1e-9 * plant.now
+    half = shown[len(shown) // 2]
+
+    assert half.remaining_s == pytest.approx(ends - 1e-9 * half.t_ns, rel=0.25)
+    assert plant.progress[-1].remaining_s == 0.0
+    assert [m.pose for m in shown] == sorted(m.pose for m in shown)
+
+
+def test_the_order_keeps_gravity_apart_from_time():
+    """Over seeds, gravity in the sensor correlates with time and its square by less than 0.12, home often between."""
+    robot = GalenRobot()
+    for seed in range(5):
+        plan = make_plan(CalibrationSettings(seed=seed), robot)
+        q = np.array([[step.target[name] for name in robot.joint_names] for step in plan.tool if step.kind == "fit"])
+        s = gravity_in_sensor(robot.sensor_pose(q)[:, :3, :3])
+        t = np.arange(len(s), dtype=float)
+        for clock in (t, (t - t.mean()) ** 2):
+            assert np.abs(np.corrcoef(np.column_stack([clock, s]).T)[0, 1:]).max() < 0.12
+        homes = [i for i, step in enumerate(plan.tool) if step.kind == "home"]
+        assert len(q) == 56
+        assert max(np.diff(homes)) <= 9
+
+
+def test_a_pose_beyond_the_limits_is_refused_before_anything_moves(plant):
+    """The refusal names joint and limit."""
+    with pytest.raises(CommandRejectedError, match=r"tilt = 1\.5.* beyond the limits"):
+        plant.begin(axes={"tilt": {"low": -0.5, "high": 1.5, "count": 3}})
+    assert plant.moves == []
+
+
+@pytest.mark.parametrize(
+    ("args", "what"),
+    [
+        ({"samples": 1}, "samples"),
+        ({"smaples": 5}, "smaples"),
+        ({"tool": "../x"}, "not a sweep"),
+        ({"kind": "x"}, "not"),
+    ],
+)
+def test_impossible_arguments_are_refused(plant, args, what):
+    """Wrong keys and values are named, and no sweep begins."""
+    with pytest.raises(CommandRejectedError, match=what):
+        plant.begin(**args)
+    assert plant.progress == []
+
+
+def test_a_loaded_sensor_at_zeroing_is_noticed(plant):
+    """With a tool on from the beginning the second pose shows it, whatever the zero: refused, robot at rest."""
+    plant.world.attach("pointer")
+    plant.begin()
+    message = plant.until("waiting", "stopped")
+
+    assert message.state == "stopped"
+    assert "0.237 kg hang on the sensor" in message.detail
+    assert "take the tool off" in message.detail
+    assert plant.stopped == 1
+    assert message.pose <= 3
+
+
+def test_a_tool_that_was_on_or_is_missing_when_asked_for_is_noticed(plant):
+    """Nothing changes when the tool is said to be on: the sensor was loaded, or there is no tool."""
+    plant.begin()
+    plant.until("waiting")
+    plant.ask("resume")
+    message = plant.until("stopped", "moving")
+
+    assert message.state == "stopped"
+    assert "changed the reading by 0.0" in message.detail
+
+
+def _averaging_with_tool(plant):
+    plant.begin()
+    plant.until("waiting")
+    plant.world.attach("retractor")
+    plant.ask("resume")
+    for _ in range(9):
+        plant.until("moving")
+        plant.until("averaging")
+
+
+DISTURBANCES = {
+    "touch": (lambda p: p.world.push(force=[0.0, 2.5, 0.0], seconds=30.0), "touched"),
+    "overload": (lambda p: p.world.push(force=[60.0, 0.0, 0.0], seconds=30.0), "overload"),
+    "no sensor": (lambda p: p.silent.add("ft"), "no samples from ft"),
+    "no joints": (lambda p: p.silent.add("motors"), "no samples from motors"),
+    "emergency stop": (lambda p: setattr(p, "estop", True), "emergency stop"),
+    "client gone": (lambda p: setattr(p, "heartbeats", False), "client that started the sweep is gone"),
+    "Ctrl-C": (lambda p: p.ask("stop"), "stopped by request"),
+}
+
+
+@pytest.mark.parametrize("case", DISTURBANCES)
+def test_a_disturbance_stops_the_robot_and_keeps_the_poses(plant, case):
+    """Touch, overload, stale data, e-stop, lost client, Ctrl-C: motors stop, the reason is said, the poses are kept."""
+    _averaging_with_tool(plant)
+    begun = plant.now
+    disturb, reason = DISTURBANCES[case]
+    disturb(plant)
+    message = plant.progress[-1]
+    if message.state != "stopped":
+        message = plant.until("stopped", seconds=5.0)
+
+    assert reason in message.detail
+    assert reason in plant.faults[-1].what
+    assert plant.stopped == 1
+    assert plant.now - begun < 4e9
+    kept = read_recording(folder(plant))
+    assert f"{len(kept)} poses kept" in message.detail
+    assert (story(plant)["state"], story(plant)["poses"]) == ("stopped", len(kept))
+    assert len(kept) >= 10
+
+
+def test_a_touch_that_stays_from_pose_to_pose_is_noticed(plant):
+    """A cable that rests on the tool from before a hold is not a jump, but the pose does not fit the others."""
+    _averaging_with_tool(plant)
+    plant.until("moving")
+    plant.world.push(force=[0.0, 0.0, 3.0], seconds=60.0)
+    message = plant.until("stopped", "averaging", seconds=5.0)
+    message = message if message.state == "stopped" else plant.until("stopped", seconds=5.0)
+
+    assert "off what the other poses say" in message.detail
+
+
+def test_a_stopped_sweep_can_begin_again(plant):
+    """After a stop a new sweep runs to its end, in a folder of its own."""
+    _averaging_with_tool(plant)
+    plant.ask("stop")
+    plant.world.attach(None)
+
+    assert plant.sweep().state == "done"
+    assert len(list((plant.state_dir / "sweeps").iterdir())) == 2
+
+
+def test_a_restless_wrench_times_out_with_its_reason(tmp_path):
+    """A wrench that never comes to rest ends the wait, and the channel is named."""
+    plant = Plant(tmp_path, FEW.model_copy(update={"pose_timeout_s": 3.0}))
+    _averaging_with_tool(plant)
+    plant.hooks.append(lambda p: setattr(p, "zero", p.zero + np.array([0, 0, 0.002, 0, 0, 0])))
+    message = plant.until("stopped", seconds=60.0)
+
+    assert "Fz" in message.detail
+
+
+def test_the_check_moves_slowly_and_writes_nothing(plant):
+    """The check of the compensation goes round the rim at its own speed and leaves no sweep."""
+    plant.begin(kind="check")
+    assert plant.until("done", "stopped").state == "done"
+
+    assert max(max(move["velocity"].values()) for move in plant.moves) == pytest.approx(0.15)
+    assert not (plant.state_dir / "sweeps").exists()
+
+
+def test_a_sweep_repeats_bit_for_bit(tmp_path):
+    """The same messages give the same file."""
+    files = []
+    for name in ("a", "b"):
+        plant = Plant(tmp_path / name, FEW)
+        plant.sweep()
+        files.append((folder(plant) / "recording.csv").read_bytes())
+
+    assert files[0] == files[1]
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e300])
+def test_any_number_in_a_message_is_survived(plant, value):
+    """NaN and infinities, and time that goes back, and 1e300 N neither raise nor count as samples."""
+    plant.begin()
+    for state in ("moving", "averaging"):
+        if plant.until(state, "stopped").state == "stopped":
+            break
+        for t_ns in (0, plant.now):
+            wrench = WrenchRaw(timestamp=0, t_ns=t_ns, seq=0, valid=True, force=Vector3(value), torque=Vector3(value))
+            joints = JointsState(timestamp=0, t_ns=0, seq=0, position={}, velocity={"roll": value}, effort={})
+            plant.take(plant.service.handle("wrench/raw", wrench, plant.now))
+            plant.take(plant.service.handle("joints/state", joints, plant.now))
+            plant.take(plant.service.tick(plant.now))
+
+    stopped = plant.progress[-1].state == "stopped"
+    assert stopped is False
+
+
+def test_requests_that_make_no_sense_are_refused(plant):
+    """Resume when nothing waits, a second start, an unknown name: refused, and the sweep goes on."""
+    with pytest.raises(CommandRejectedError, match="nothing waits"):
+        plant.ask("resume")
+    with pytest.raises(CommandRejectedError, match="no samples"):
+        plant.service.request(Request(id="1", target="calibration", name="start", args={"tool": "x"}), plant.now)
+    plant.begin()
+    for name in ("start", "dance"):
+        with pytest.raises(CommandRejectedError):
+            plant.ask(name, tool="retractor")
+    assert plant.until("waiting", "stopped").state == "waiting"
+
+
+def test_no_settings_are_needed(tmp_path):
+    """The defaults are the nominal sweep: 7 tilts by 8 rolls."""
+    assert CalibrationSettings().poses == 56
+    assert Path(tmp_path).exists()
