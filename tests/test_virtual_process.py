@@ -6,6 +6,7 @@ import struct
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import can
 import msgspec
@@ -17,6 +18,7 @@ from galen_hw.drivers.virtual.ati_netcanoem import AtiSettings, VirtualAtiNetcan
 from galen_hw.drivers.virtual.bridges import InProcessCan
 from galen_hw.drivers.virtual.commands import Commands
 from galen_hw.drivers.virtual.control import VirtualControl
+from galen_hw.drivers.virtual.robotous_rft import VirtualRobotousRft
 from galen_hw.drivers.virtual.start import start_virtual, virtual_robot
 from galen_hw.drivers.virtual.world import World
 from galen_hw.errors import HardwareError, UsageError
@@ -293,3 +295,12 @@ def test_bad_control_answers_are_usage_errors(robot):
     """The client raises what the server refused."""
     with pytest.raises(UsageError, match="scalpel"):
         robot.control.attach_tool("scalpel")
+
+
+def test_the_manual_names_every_fault_and_every_word():
+    """docs/virtual.md has a row for each fault of each device and each word of the control socket."""
+    text = (Path(__file__).parents[1] / "docs" / "virtual.md").read_text()
+    known = {*VirtualAtiNetcanoem.FAULTS, *VirtualRobotousRft.FAULTS, *Commands(World(), {}, {}, int).known_faults()}
+    words = {f"| `{word}` |" for word in Commands(World(), {}, {}, int)._words}
+    assert {name for name in known if name not in text} == set()
+    assert {word for word in words if word not in text} == set()

@@ -66,7 +66,7 @@ def test_bias_is_kept_in_the_device_and_answers_nothing():
     assert answer(device, 0x0A) == whole
 
 
-@pytest.mark.parametrize(("code", "rate"), enumerate([200, 10, 20, 50, 100, 200, 333, 500, 1000]))
+@pytest.mark.parametrize(("code", "rate"), list(enumerate([200, 10, 20, 50, 100, 200, 333, 500, 1000])))
 def test_the_stream_has_the_rate_of_its_code(code, rate):
     """One second of output at each code, the first sample at once; then stop, which answers nothing."""
     device, _ = sensor()
