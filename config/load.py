@@ -1,6 +1,7 @@
 """Reads the settings file into a `Setup`, or names everything that is wrong with it at once."""
 
 import importlib
+import json
 import re
 import tomllib
 from collections.abc import Mapping
@@ -110,9 +111,18 @@ def check_document(document: dict[str, Any], path: Path, places: Places, tables:
     Raises:
         ConfigError: with every problem of it.
     """
+    setup, problems = examine(document, path, places, tables)
+    if problems:
+        raise ConfigError(problems)
+    return setup
+
+
+def examine(document: dict[str, Any], path: Path, places: Places, tables: Tables) -> tuple[Setup, list[Problem]]:
+    """What of a document can be used (defaults for the sections that cannot), and every problem of it, by line."""
     config, problems = check(Config, document, (), places)
     devices, services = {}, {}
     for name, section in _tables(document, "devices"):
+        problems += _bare_tty(section.get("transport"), ("devices", name, "transport"), places)
         device = _device(name, section, places, tables, problems)
         if device is not None:
             devices[name] = device
@@ -121,9 +131,8 @@ def check_document(document: dict[str, Any], path: Path, places: Places, tables:
         if service is not None:
             services[name] = service
     problems += _shared_ports(document, places)
-    if problems or not isinstance(config, Config):
-        raise ConfigError(sorted(set(problems), key=_line_of))
-    return Setup(config=config, path=path, devices=devices, services=services)
+    usable = config if isinstance(config, Config) else Config.model_construct()
+    return Setup(usable, path, devices, services), sorted(set(problems), key=_line_of)
 
 
 def with_transports(setup: Setup, transports: Mapping[str, dict[str, Any]], tables: Tables) -> Setup:
@@ -154,7 +163,7 @@ def _device(
     if transport is None:
         return None
     wire, found = check(transport.Settings, section.get("transport", {}), (*at, "transport"), places)
-    problems += found + _bare_tty(section.get("transport", {}), (*at, "transport"), places)
+    problems += found
     if settings is None or wire is None:
         return None
     return DeviceSetup(name, cls, settings, transport, wire, optional=section.get("optional") is True)
@@ -175,7 +184,8 @@ def _load_class(
     name: str, at: tuple[str, ...], table: Mapping[str, str], places: Places, problems: list[Problem]
 ) -> type[Any] | None:
     if name not in table:
-        problems.append(Problem(f"no {at[0][:-1]} is called {name!r}", places.where(at), unknown(name, table)))
+        kind = "driver" if at[-1] == "driver" else "service"
+        problems.append(Problem(f"no {kind} is called {name!r}", places.where(at), unknown(name, table)))
         return None
     module, _, cls = table[name].partition(":")
     try:
@@ -193,15 +203,10 @@ def _bare_tty(transport: Any, at: tuple[str, ...], places: Places) -> list[Probl
     what, todo = "this name changes when cables are plugged", "use the link that `ls -l /dev/serial/by-id` shows for it"
     items = transport.items() if isinstance(transport, dict) else ()
     return [
-        Problem(f"{what} (it is {json_text(value)})", places.where((*at, key)), todo)
+        Problem(f"{what} (it is {json.dumps(value)})", places.where((*at, key)), todo)
         for key, value in items
         if isinstance(value, str) and _BARE_TTY.match(value)
     ]
-
-
-def json_text(value: str) -> str:
-    """A string in quotes, as in the file."""
-    return f'"{value}"'
 
 
 def _shared_ports(document: dict[str, Any], places: Places) -> list[Problem]:
@@ -214,7 +219,7 @@ def _shared_ports(document: dict[str, Any], places: Places) -> list[Problem]:
         if isinstance(url, str) and url in seen:
             where = places.where(("devices", name, "transport", "url"))
             problems.append(
-                Problem(f"devices.{seen[url]} has the same port {json_text(url)}", where, "give each its own")
+                Problem(f"devices.{seen[url]} has the same port {json.dumps(url)}", where, "give each its own")
             )
         elif isinstance(url, str):
             seen[url] = name
