@@ -157,7 +157,10 @@ class Axis:
 
     def define_position(self, t: float, counts: float) -> None:
         """DP: this place is `counts` from now on."""
-        change = counts - self.position(t)
+        self._rename(counts - self.position(t))
+
+    def _rename(self, change: float) -> None:
+        """Add `change` to the counts of every place."""
         self.shift += change
         self.reference.shift(change)
         if self.motor is not None:
@@ -236,7 +239,7 @@ class Axis:
         code = self._pending_code
         self._finish(code)
         if code == Stop.HOME:
-            self.define_position(t, 0.0)
+            self._rename(-self.reference.at(t).p)  # The motor is still on its way there.
 
     def _finish(self, code: int | None) -> None:
         if code is not None:

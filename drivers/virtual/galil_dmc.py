@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
 from galen_hw.clock import NS_PER_S
-from galen_hw.drivers.virtual.galil_parts import Plant
 from galen_hw.drivers.virtual.galil_controller import Controller, Format, Model
 from galen_hw.drivers.virtual.galil_grammar import REVISION_REQUEST, Line, LineReader
 from galen_hw.drivers.virtual.galil_interpreter import Interpreter
+from galen_hw.drivers.virtual.galil_parts import Plant
 from galen_hw.drivers.virtual.paced_line import PacedLine
 from galen_hw.kinematics import GALEN_JOINTS
 from galen_hw.spatial import Array
