@@ -78,12 +78,14 @@ class CompensationService(Service):
             self._waiting.append(message)
             return self._release()
         if type(message) is JointsState and self._history.add(message):
-            model = self._correction.model
-            if self._settings.dynamic and model is not None:
-                window = self._settings.dynamic_window
-                model.update_inertial(self._history.last(window), self._order, window)
+            self._update_inertial()
             return self._release()
         return []
+
+    def _update_inertial(self) -> None:
+        if self._settings.dynamic and self._correction.model is not None:
+            window = self._settings.dynamic_window
+            self._correction.model.update_inertial(self._history.last(window), self._order, window)
 
     def _is_due(self, t_ns: int) -> bool:
         """With interpolation: the joints at this time are known, or the newest sample shows that they never will be."""
@@ -103,6 +105,8 @@ class CompensationService(Service):
     def compensate(self, raw: WrenchRaw) -> list[Output]:
         """Compensate a sample at once, with the joints that are known by now."""
         correction = self._correction
+        if correction.changed:
+            self._update_inertial()
         joints = self._history.at(raw.t_ns)
         if raw.serial_number != self._commands.serial:
             self._commands.check_serial(raw.serial_number)
@@ -229,7 +233,12 @@ class CompensationService(Service):
             UsageError: the recorded tool's file cannot be read.
         """
         self._correction.restore(state)
+        self._update_inertial()
         self._seq, self._commands.serial, self._commands.problem = state.samples, state.sensor_serial, state.problem
+
+    def pass_over(self, samples: int) -> None:
+        """Leave out samples that a replay does not have."""
+        self._seq += samples
 
     def snapshot(self) -> dict[str, Any]:
         """The switch; the tool in hand is remembered by the tools' store, a tare never outlives the process."""

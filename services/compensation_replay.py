@@ -108,6 +108,7 @@ def verify(recorded: Recorded, service: CompensationService) -> Verdict:
         why = "its raw wrench was not recorded" if raw is None else feeder.prepare(message)
         if raw is None or why:
             verdict.skip(why)
+            service.pass_over(1)
             continue
         outputs = service.compensate(raw)
         computed = next(o[1] for o in outputs if isinstance(o, tuple) and o[0] == "wrench/compensated")

@@ -8,11 +8,12 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
-from math import isfinite
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.messages import JointsState
 
+LARGEST = 1e6
+"""No joint position or velocity has this size; beyond it a number is damage."""
 RESET_NS = NS_PER_S
 """A step back in time by more than this is another clock: what was known is forgotten."""
 
@@ -105,9 +106,9 @@ class JointHistory:
 
 
 def _values(by_name: Mapping[str, float], names: tuple[str, ...]) -> tuple[float, ...] | None:
-    """The named values, or None where one is absent or not finite."""
+    """The named values, or None where one is absent, not finite or impossibly large."""
     try:
         found = tuple([by_name[name] for name in names])
     except KeyError:
         return None
-    return found if isfinite(sum(found)) else None
+    return found if all(abs(value) < LARGEST for value in found) else None

@@ -4,11 +4,11 @@ import argparse
 import signal
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from galen_hw.errors import EXIT_OK, HardwareError, UsageError
+from galen_hw.errors import EXIT_OK, GalenError, HardwareError, UsageError
 
 if TYPE_CHECKING:
     from galen_hw.bus import Subscriber
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="json opens in Foxglove, Lichtblick and PlotJuggler; msgpack in PlotJuggler, for less work",
     )
     parser.add_argument("--force", action="store_true", help="overwrite the file")
-    parser.add_argument("--config", metavar="FILE", help="settings to attach (default: the daemon's usual place)")
+    parser.add_argument("--config", metavar="FILE", help="settings to attach (default: those of the daemon)")
     parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory of the daemon")
     parser.add_argument("--virtual", action="store_true", help="start a daemon on a virtual robot and record that")
     parser.epilog = "example: galen-hw record -o run.mcap --seconds 30"
@@ -43,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
     from galen_hw.bus import Subscriber
     from galen_hw.config.paths import Addresses, client_runtime_dir
     from galen_hw.daemon.session import own_daemon
+    from galen_hw.recording.session import Session
     from galen_hw.services.recorder import chosen_topics, default_name, open_new
 
     if args.seconds is not None and not 0.0 < args.seconds < 1e7:
@@ -58,8 +59,9 @@ def run(args: argparse.Namespace) -> int:
             addresses = Addresses(args.dir or client_runtime_dir())
             addresses.require_daemon()
         subscriber = stack.enter_context(Subscriber(addresses.bus, topics, queue=QUEUE))
+        context = _context(_settings_file(args.config, addresses.command))
         stream = stack.enter_context(open_new(path, overwrite=args.force))
-        heard = record(subscriber, _session(stream, args), args.seconds)
+        heard = record(subscriber, Session(stream, encoding=args.encoding, **context), args.seconds)
     if not heard:
         path.unlink()
         raise HardwareError(
@@ -71,22 +73,32 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _session(stream: IO[bytes], args: argparse.Namespace) -> "Session":
-    """A session that knows the robot and bears the settings."""
-    from galen_hw.daemon.tables import read_setup
-    from galen_hw.recording.session import Session
+def _context(path: Path) -> dict[str, Any]:
+    """What a session should know of the robot, from the settings in the file `path`."""
+    import tomllib
 
-    setup = read_setup(args.config)
-    robot = setup.config.robot
+    from galen_hw.config.schema import RobotSection
+
+    try:
+        text = path.read_text(encoding="utf-8")
+        robot = RobotSection.model_validate(tomllib.loads(text).get("robot", {}))
+        urdf = robot.urdf.read_text(encoding="utf-8") if robot.urdf is not None else ""
+    except (OSError, ValueError) as error:
+        first = str(error).splitlines()[0]
+        raise UsageError(f"cannot be attached ({first})", where=str(path), todo="galen-hw check") from error
     links = {key: value for key in ("base_link", "sensor_link") if (value := getattr(robot, key))}
-    return Session(
-        stream,
-        robot=robot.name,
-        urdf=robot.urdf.read_text(encoding="utf-8") if robot.urdf is not None else "",
-        links=links,
-        config=Path(setup.path).read_text(encoding="utf-8"),
-        encoding=args.encoding,
-    )
+    return {"robot": robot.name, "urdf": urdf, "links": links, "config": text}
+
+
+def _settings_file(given: str | None, command: str) -> Path:
+    """The file that the running daemon has read, or the usual one where it does not say."""
+    from galen_hw.bus import CommandClient
+    from galen_hw.config.paths import config_path
+
+    if given is None:
+        with suppress(GalenError), CommandClient(command) as client:
+            return Path(client.call("daemon", "info", timeout_s=2.0)["config"])
+    return config_path(given)
 
 
 def record(subscriber: "Subscriber", session: "Session", seconds: float | None) -> int:

@@ -2,7 +2,6 @@
 
 import json
 import struct
-import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -12,9 +11,8 @@ from typing import Any, Final
 
 import msgspec
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata
+from mcap.records import Attachment, Channel, Chunk, Metadata, Statistics
 from mcap.records import Message as Record
 from mcap.stream_reader import breakup_chunk
 
@@ -23,17 +21,6 @@ from galen_hw.messages import TOPICS, Message
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 _HEAD: Final = struct.Struct("<BQ")
-_DAMAGE: Final = (
-    McapError,
-    ValueError,
-    EOFError,
-    KeyError,
-    struct.error,
-    zlib.error,
-    OSError,
-    RuntimeError,
-    UnicodeError,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,17 +73,21 @@ class McapFile:
         return list(self)
 
     def _records(self) -> Iterator[Record]:
+        seen = 0
         for opcode, body in self._blocks():
             try:
                 inner = self._take(opcode, body)
-            except _DAMAGE as error:
+            except Exception as error:  # noqa: BLE001 - damaged bytes make foreign decoders raise anything
                 self.warnings.append(f"a damaged part of {len(body)} bytes is left out ({error})")
                 continue
             for record in inner:
                 if isinstance(record, Channel):
                     self._add_channel(record)
                 elif isinstance(record, Record):
+                    seen += 1
                     yield record
+                elif isinstance(record, Statistics) and record.message_count != seen:
+                    self.warnings.append(f"{seen} messages are there of {record.message_count} that were recorded")
 
     def _blocks(self) -> Iterator[tuple[int, bytes]]:
         """(opcode, content) of every whole record of the data section."""
@@ -130,6 +121,8 @@ class McapFile:
             return [Channel.read(stream)]
         if opcode == Opcode.MESSAGE:
             return [Record.read(stream, len(body))]
+        if opcode == Opcode.STATISTICS:
+            return [Statistics.read(stream)]
         if opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(stream)
             self.attachments[attachment.name] = attachment.data.decode()

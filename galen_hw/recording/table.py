@@ -2,7 +2,8 @@
 
 import shutil
 import tempfile
-from io import StringIO
+from csv import reader, writer
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,6 +17,8 @@ from galen_hw.spatial import Array
 
 # ruff: noqa: A002 - `format` is the word of the seam
 
+EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "null", "None"]
+"""Cells that mean "not measured"."""
 CSV, PARQUET, INFO = "recording.csv", "recording.parquet", "recording.json"
 
 
@@ -55,26 +58,24 @@ def _locate(path: Path) -> tuple[Path, Path, list[str]]:
 
 
 def _read_csv(file: Path) -> dict[str, Array]:
-    import pandas as pd
+    import pyarrow as pa
+    from pyarrow import csv
 
     text = _text(file)
     first, _, rest = text.partition("\n")
-    names = _names([cell.strip().strip('"') for cell in first.rstrip("\r").split(",")], file)
+    names = _names([cell.strip() for cell in next(reader([first.rstrip("\r")]), [])], file)
     _check_cells(text, len(names), file)
+    if not rest.strip():
+        raise UsageError("there are no rows", where=str(file), todo="record something first")
+    convert = csv.ConvertOptions(column_types=dict.fromkeys(names, pa.float64()), null_values=EMPTY)
     try:
-        frame = pd.read_csv(
-            StringIO(rest),
-            header=None,
-            names=names,
-            dtype=float,
-            float_precision="round_trip",
-            skipinitialspace=True,
-            index_col=False,
-            skip_blank_lines=True,
+        table = csv.read_csv(
+            BytesIO(rest.encode()), read_options=csv.ReadOptions(column_names=names), convert_options=convert
         )
-    except ValueError:
-        raise _bad_cell(rest, names, file) from None
-    return {name: frame[name].to_numpy(dtype=float, copy=True) for name in names}
+    except pa.ArrowException as error:
+        raise _bad_cell(rest, names, file, error) from None
+    # A copy, because arrow's own memory cannot be written to.
+    return {name: np.array(table[name].to_numpy(), dtype=float) for name in names}
 
 
 def _text(file: Path) -> str:
@@ -113,7 +114,7 @@ def _is_number(word: str) -> bool:
 
 
 def _check_cells(text: str, width: int, file: Path) -> None:
-    """Every row has as many cells as the header: pandas would fill a short one in silence."""
+    """Every row has as many cells as the header; a row that was cut off is none."""
     if '"' in text:
         return
     for number, line in enumerate(text.splitlines(), 1):
@@ -124,19 +125,16 @@ def _check_cells(text: str, width: int, file: Path) -> None:
             )
 
 
-def _bad_cell(rest: str, names: list[str], file: Path) -> UsageError:
+def _bad_cell(rest: str, names: list[str], file: Path, error: Exception) -> UsageError:
     """The error for the first cell that is not a number."""
-    import pandas as pd
-
-    frame = pd.read_csv(StringIO(rest), header=None, names=names, dtype=str, skipinitialspace=True, index_col=False)
-    for name in names:
-        numbers = pd.to_numeric(frame[name], errors="coerce")
-        bad = np.flatnonzero((numbers.isna() & frame[name].notna()).to_numpy())
-        if len(bad):
-            cell = str(frame[name].iloc[bad[0]])[:40]
-            where = f"{file}, column {name!r}, row {bad[0] + 1}"
-            return UsageError(f"{cell!r} is not a number", where=where, todo="leave a cell empty for not measured")
-    return UsageError("not a table of numbers", where=str(file), todo="check the file")
+    for number, row in enumerate(reader(rest.splitlines()), 1):
+        for name, cell in zip(names, row, strict=False):
+            if cell.strip() not in EMPTY and not _is_number(cell):
+                where = f"{file}, column {name!r}, row {number}"
+                return UsageError(
+                    f"{cell[:40]!r} is not a number", where=where, todo="leave empty what was not measured"
+                )
+    return UsageError(f"not a table of numbers ({error})", where=str(file), todo="check the file")
 
 
 def _read_parquet(file: Path) -> dict[str, Array]:
@@ -236,9 +234,14 @@ def _ordered(recording: Recording) -> dict[str, Any]:
 
 
 def _write_csv(recording: Recording, file: Path) -> None:
-    import pandas as pd
-
-    pd.DataFrame(_ordered(recording)).to_csv(file, index=False, na_rep="", lineterminator="\n")
+    columns = [values.tolist() for values in _ordered(recording).values()]
+    # An empty line is no row, so that a lone column says it in words.
+    empty = "" if len(columns) > 1 else "NaN"
+    with file.open("w", encoding="utf-8", newline="\n") as out:
+        writer(out, lineterminator="\n").writerow(recording.columns)
+        for row in zip(*columns, strict=True):
+            # repr is the shortest text that gives the same bits back; NaN is not equal to itself.
+            out.write(",".join([repr(x) if x == x else empty for x in row]) + "\n")  # noqa: PLR0124
 
 
 def _write_parquet(recording: Recording, file: Path) -> None:

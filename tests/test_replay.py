@@ -1,0 +1,197 @@
+"""Replay: what the services made of the recorded messages is made again, bit for bit, and what differs is found."""
+
+import random
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from galen_hw.cli import main
+from galen_hw.messages import Message, WrenchCompensated
+from galen_hw.recording import read_recording, write_table
+from galen_hw.recording.mcap_reader import McapFile
+from galen_hw.recording.session import Session
+from galen_hw.recording.to_mcap import write_mcap
+from galen_hw.services.compensation_replay import Recorded, service_for, verify
+from tests.compensation_parts import (
+    BASE,
+    MS,
+    ROBOT,
+    ask,
+    feed,
+    joints,
+    messages,
+    raw,
+    service_at,
+    six,
+    tool_file,
+    true_wrench,
+)
+
+
+def live(folder: Path, seconds: float = 1.2, **settings: Any) -> Iterator[tuple[str, Message]]:
+    """Messages of a live run as a recorder sees them, with commands on the way and messages overtaking each other."""
+    tool = tool_file()
+    service = service_at(folder, tool, tool_file(name="pointer", mass=0.15), tare_samples=20, blend_s=0.1, **settings)
+    rng, chance = np.random.default_rng(5), random.Random(5)
+    requests = {
+        150: ask("tare"),
+        300: ask("set_enabled", enabled=False),
+        330: ask("set_enabled", enabled=True),
+        500: ask("select_tool", tool="pointer"),
+        700: ask("set_contact", x=0.01, y=0.02, z=0.03),
+        800: ask("reload"),
+        900: ask("untare"),
+    }
+    held: list[tuple[str, Message]] = []
+    for t_ms in range(1, round(seconds * 1000)):
+        q, dq = 0.4 * np.sin(t_ms * 2e-3 + np.arange(5)), 0.8 * np.cos(t_ms * 2e-3 + np.arange(5))
+        passing: list[tuple[str, Message]] = []
+        if t_ms % 25 == 1:
+            state = joints((t_ms - 1) * MS + 300_000, q, dq, seq=t_ms // 25)
+            passing += [o for o in feed(service, state) if isinstance(o, tuple)]
+            passing.append(("joints/state", state))
+        if t_ms in requests:
+            service.request(requests[t_ms], t_ms * MS)
+        sample = raw(t_ms * MS + chance.randrange(1000), true_wrench(tool, q) + rng.normal(0, 0.01, 6), seq=t_ms)
+        passing += [o for o in feed(service, sample) if isinstance(o, tuple)]
+        passing += [("wrench/raw", sample)]
+        passing += [o for o in service.tick(t_ms * MS) if isinstance(o, tuple)]
+        held += passing
+        # Different processes publish: joints overtake wrenches and the other way round.
+        chance.shuffle(held)
+        held.sort(key=lambda item: item[1].t_ns + chance.randrange(4 * MS) * (item[0] == "joints/state"))
+        keep = 6
+        yield from held[:-keep]
+        held = held[-keep:]
+    yield from held
+
+
+def record(path: Path, stream: Iterator[tuple[str, Message]], encoding: Any = "json") -> Path:
+    """Write messages as the recorder does."""
+    with path.open("wb") as file:
+        session = Session(file, robot="galen", encoding=encoding)
+        for i, (topic, message) in enumerate(stream):
+            session.add(topic, message, BASE.wall_minus_monotonic_ns + i * MS)
+        session.finish()
+    return path
+
+
+def recorded(path: Path) -> Recorded:
+    """What a replay needs of a file."""
+    return Recorded((item.topic, item.message) for item in McapFile(path))
+
+
+@pytest.mark.parametrize("encoding", ["json", "msgpack"])
+@pytest.mark.parametrize("settings", [{}, {"alignment": "interpolate"}, {"dynamic": True, "dynamic_window": 3}])
+def test_a_replay_repeats_every_bit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], encoding: str, settings: dict[str, Any]
+) -> None:
+    """Tool, toggle, tare, contact and reload change on the way, and messages arrive in another order than they had."""
+    path = record(tmp_path / "run.mcap", live(tmp_path / "state", **settings), encoding)
+    assert main(["replay", str(path), "--verify"]) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    count = len(recorded(path).compensated)
+    assert count > 1100
+    assert line == f"{count} samples are equal, bit for bit"
+
+
+def test_one_bit_is_a_difference(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The last bit of one torque of one sample is found, named, and makes the command fail."""
+    import msgspec
+
+    def tampered() -> Iterator[tuple[str, Message]]:
+        for topic, message in live(tmp_path / "state"):
+            if isinstance(message, WrenchCompensated) and message.seq == 555 and topic == "wrench/compensated":
+                bent = msgspec.structs.replace(message.torque, y=float(np.nextafter(message.torque.y, 1.0)))
+                yield topic, msgspec.structs.replace(message, torque=bent)
+            else:
+                yield topic, message
+
+    path = record(tmp_path / "run.mcap", tampered())
+    assert main(["replay", str(path), "--verify"]) == 1
+    assert "differs after 555 equal samples: sample 555 " in capsys.readouterr().out
+
+
+def test_a_recording_that_begins_in_the_middle_is_compared_where_it_can_be(tmp_path: Path) -> None:
+    """Without the service's beginning the first second may be missing, with its count and reason; the rest is equal."""
+    stream = [item for item in live(tmp_path / "state", seconds=3.0) if item[1].t_ns > 1_000 * MS]
+    everything = recorded(record(tmp_path / "run.mcap", iter(stream)))
+    verdict = verify(everything, service_for(everything, ROBOT, tmp_path / "none"))
+    assert verdict.difference is None
+    assert verdict.compared > 1000
+    assert sum(verdict.skipped.values()) + verdict.compared == len(everything.compensated)
+    assert "the compensation's state was not recorded yet" in verdict.skipped
+
+
+def test_lost_messages_are_named_and_not_taken_for_differences(tmp_path: Path) -> None:
+    """A raw wrench or a joint state that the recorder lost makes some samples incomparable, no more."""
+    stream = [
+        item
+        for item in live(tmp_path / "state")
+        if not (item[0] == "wrench/raw" and item[1].seq in {400, 401})
+        and not (item[0] == "joints/state" and item[1].seq == 20)
+    ]
+    everything = recorded(record(tmp_path / "run.mcap", iter(stream)))
+    verdict = verify(everything, service_for(everything, ROBOT, tmp_path / "none"))
+    assert verdict.difference is None
+    assert verdict.skipped["its raw wrench was not recorded"] == 2
+    assert 20 <= verdict.skipped["its joint state was not recorded"] <= 30
+
+
+def test_another_tool_can_be_tried_on_a_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """--tool compensates an imported table with a stored calibration and prints what is left: here next to nothing."""
+    tool = tool_file()
+    service_at(tmp_path / "state", tool)
+    monkeypatch.setenv("GALEN_HW_STATE", str(tmp_path / "state"))
+    q = np.random.default_rng(0).uniform(-0.8, 0.8, (50, 5))
+    wrench = np.array([true_wrench(tool, row) for row in q])
+    from galen_hw.recording import WRENCH, Recording, RecordingInfo
+
+    columns = {f"joint.{n}.position": q[:, i] for i, n in enumerate(ROBOT.joint_names)}
+    table = Recording(columns | dict(zip(WRENCH, wrench.T, strict=True)), RecordingInfo(robot="galen"))
+    write_table(table, tmp_path / "table")
+    assert main(["import", str(tmp_path / "table"), str(tmp_path / "table.mcap")]) == 0
+    capsys.readouterr()
+    assert main(["replay", str(tmp_path / "table.mcap"), "--tool", "retractor"]) == 0
+    head, _, raw_line, left_line, _ = capsys.readouterr().out.splitlines()
+    assert head.startswith("50 of 50 samples, compensated with retractor/0001-")
+    assert max(float(x) for x in left_line.split()[2:]) < 1e-4 < 1.0 < max(float(x) for x in raw_line.split()[2:])
+    assert main(["replay", str(tmp_path / "table.mcap"), "--verify"]) == 2
+    assert "nothing to verify" in capsys.readouterr().err
+
+
+def test_the_live_compensated_wrench_can_be_exported_beside_the_raw_one(tmp_path: Path) -> None:
+    """--compensated adds it as covariates, sample by sample; without it nothing but measurements is in the table."""
+    path = record(tmp_path / "run.mcap", live(tmp_path / "state", seconds=0.3))
+    assert main(["export", str(path), str(tmp_path / "out"), "--compensated"]) == 0
+    table = read_recording(tmp_path / "out")
+    live_ = {m.t_ns: six(m) for m in recorded(path).compensated}
+    first = next(iter(recorded(path).raw))
+    names = [f"covariate.compensated.{k}.{a}" for k in ("force", "torque") for a in "xyz"]
+    assert table.matrix(*names)[5] == pytest.approx(live_[sorted(live_)[5]], abs=0.0)
+    assert first in live_
+    assert not [n for n in read_recording(path).columns if "compensated" in n]
+
+
+def test_a_replay_survives_going_through_a_table(tmp_path: Path) -> None:
+    """MCAP to table to MCAP: the raw wrenches are the same bits."""
+    path = record(tmp_path / "run.mcap", live(tmp_path / "state", seconds=0.3))
+    first = read_recording(path)
+    write_table(first, tmp_path / "table")
+    second = read_recording(write_mcap(read_recording(tmp_path / "table"), tmp_path / "again.mcap"))
+    assert list(first.columns) == list(second.columns)
+    for name, values in first.columns.items():
+        assert np.array_equal(values, second.columns[name], equal_nan=True), name
+
+
+def test_messages_of_the_service_are_what_the_tests_feed(tmp_path: Path) -> None:
+    """The live run is a real one: it is valid and compensated to the noise."""
+    out = [m for _, m in live(tmp_path, seconds=0.14) if isinstance(m, WrenchCompensated)]
+    assert all(m.valid for m in out[2:])
+    assert np.abs([six(m) for m in out if m.source == "compensation"][4:]).max() < 0.3
+    assert messages([]) == []
