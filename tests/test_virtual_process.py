@@ -129,25 +129,13 @@ def test_the_control_socket_changes_the_world(robot):
 @pytest.mark.parametrize(
     "request_",
     [
-        {"do": "dance"},
-        {"do": "attach_tool", "tool": "scalpel"},
-        {"do": "attach_tool"},
-        {"do": "push", "force": [1, 2]},
-        {"do": "push", "force": ["a", "b", "c"]},
-        {"do": "push", "colour": 1},
-        {"do": "guide", "weight": 3.0},
-        {"do": "drift", "rate": [float("nan")] * 6},
-        {"do": "drift", "speed": [0.0] * 6},
-        {"do": "cable", "stiffness": 1.0},
-        {"do": "compliance", "joint": [0.0]},
-        {"do": "fault", "name": "ft.nonsense"},
-        {"do": "power_cycle", "device": "kettle"},
-        {"do": "noise", "scale": "loud"},
-        17,
-        None,
-        [],
+        {"do": "dance"}, {"do": "attach_tool", "tool": "scalpel"}, {"do": "attach_tool"}, 17, None, [],
+        {"do": "push", "force": [1, 2]}, {"do": "push", "force": ["a", "b", "c"]}, {"do": "push", "colour": 1},
+        {"do": "guide", "weight": 3.0}, {"do": "drift", "rate": [float("nan")] * 6}, {"do": "cable", "stiffness": 1.0},
+        {"do": "drift", "speed": [0.0] * 6}, {"do": "compliance", "joint": [0.0]}, {"do": "noise", "scale": "loud"},
+        {"do": "fault", "name": "ft.nonsense"}, {"do": "power_cycle", "device": "kettle"},
     ],
-)
+)  # fmt: skip
 def test_a_wrong_request_is_one_line_and_changes_nothing(request_):
     """Every refusal names what is wrong; the world is as it was."""
     world = World()

@@ -151,13 +151,13 @@ def test_identifiers_change_at_the_next_power_up_and_stream_and_bias_are_lost():
 
 def test_overload_is_flagged_by_axis_and_counted():
     """Above 1.2 of the rating: bit 5 is Fx, bit 0 Tz; the counters stop at 255 and count each onset once."""
-    device, world = sensor(rating=(10.0, 10.0, 10.0, 5.0, 5.0, 0.5))
+    device, world = sensor(rating=(10.0, 10.0, 10.0, 5.0, 0.5, 5.0))
     assert answer(device, 0x0A)[12] == 0
     world.advance(T0)
-    world.push([20.0, 0, 0], torque=[0, 0, 1.0], seconds=0.01)
-    assert answer(device, 0x0A)[12] == 0b100001
-    assert answer(device, 0x0A)[12] == 0b100001
-    assert list(answer(device, 0x12)[:6]) == [1, 0, 0, 0, 0, 1]
+    world.push([20.0, 0, 0], seconds=0.01)
+    assert answer(device, 0x0A)[12] == 0b100010
+    assert answer(device, 0x0A)[12] == 0b100010
+    assert list(answer(device, 0x12)[:6]) == [1, 0, 0, 0, 1, 0]
     for k in range(300):
         world.faults = {"ft.saturated.2"} if k % 2 else set()
         answer(device, 0x0A, t=T0 + NS_PER_S)
