@@ -72,7 +72,7 @@ class Lstm(DeflectionModel):
         return np.stack([np.interp(np.arange(len(data)), rows, c) for c in out.T], axis=1)
 
     def step(self, row: Array, hidden: Array, cell: Array) -> tuple[Array, Array]:
-        """One step of the cell (Hochreiter and Schmidhuber 1997), gates in torch's order: input, forget, cell, output."""
+        """One step of the cell (Hochreiter, Schmidhuber 1997), gates in torch's order: input, forget, cell, output."""
         w = self.weights
         gates = w["weight_ih_l0"] @ row + w["bias_ih_l0"] + w["weight_hh_l0"] @ hidden + w["bias_hh_l0"]
         i, f, o = (1.0 / (1.0 + np.exp(-gates[k * UNITS : (k + 1) * UNITS])) for k in (0, 1, 3))

@@ -47,7 +47,7 @@ def register(
         UsageError: fewer than ten rows in which both markers were seen.
     """
     offset = np.eye(4) if T_tip_tool_marker is None else T_tip_tool_marker
-    seen: NDArray[np.bool_] = np.isfinite(T_tracker_marker + T_tracker_tool).all(axis=(1, 2))
+    seen = np.asarray(np.isfinite(T_tracker_marker + T_tracker_tool).all(axis=(1, 2)))
     if np.count_nonzero(seen) < 10:
         raise UsageError(
             f"both markers were seen in {np.count_nonzero(seen)} moments only",
