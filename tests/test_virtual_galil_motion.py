@@ -1,5 +1,7 @@
 """The virtual controller moves as a real one: trapezoids, limits, trips, stop codes, in the world's joints."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -247,7 +249,7 @@ def test_every_move_is_smooth_within_its_rates_and_ends_on_target(start, target,
     scale = 1.0 + abs(start) + abs(target) + v0**2 / min(ac, dc)
 
     assert path.at(path.end + 1.0) == State(target, 0.0, 0.0)
-    for before, after in zip(pieces, pieces[1:], strict=False):
+    for before, after in pairwise(pieces):
         left = before.at(after.t)
         assert left.p == pytest.approx(after.p, abs=1e-7 * scale + 0.6)
         assert left.v == pytest.approx(after.v, abs=1e-5 * (1 + abs(v0) + speed) + 1e-9 * (ac + dc))
@@ -265,13 +267,14 @@ def test_jog_and_stop_reach_their_speed(v0, speed, ac, dc):
     ):
         assert pieces[-1].v == wanted
         assert pieces[0].v == (v0 if len(pieces) > 1 else wanted)
-        for before, after in zip(pieces, pieces[1:], strict=False):
+        for before, after in pairwise(pieces):
             assert before.at(after.t).v == pytest.approx(after.v, abs=1e-6 * (1 + abs(v0)))
 
 
 @settings(max_examples=15, deadline=None)
 @given(st.lists(st.sampled_from([
-    "SH", "MO", "BG", "BGA", "ST", "AB 1", "JG 9000,-7000", "JG -9000", "PA 5000,6000", "PR -4000", "SP 20000", "AC 60000",
+    "SH", "MO", "BG", "BGA", "ST",
+    "AB 1", "JG 9000,-7000", "JG -9000", "PA 5000,6000", "PR -4000", "SP 20000", "AC 60000",
     "OE 1,1", "ER 50", "DP 0", "STA", "HMA", "FEB", "FIA", "elo", "abort_input", "motors.blocked.carriage1",
 ]), max_size=25))  # fmt: skip
 def test_no_sequence_of_commands_makes_a_joint_jump(commands):

@@ -85,7 +85,8 @@ def test_limit_polarity_is_that_of_the_unit():
 
 
 @pytest.mark.parametrize(("blocks", "first", "axes", "size"), [
-    ("A", 0x80, 0x01, 40), ("AC", 0x80, 0x05, 76), ("IE", 0x84, 0x10, 92), ("I", 0x84, 0, 56), ("ISTABCDE", 0x87, 0x1F, 262),
+    ("A", 0x80, 0x01, 40), ("AC", 0x80, 0x05, 76), ("IE", 0x84, 0x10, 92), ("I", 0x84, 0, 56),
+    ("ISTABCDE", 0x87, 0x1F, 262),
 ])  # fmt: skip
 def test_selected_blocks(blocks, first, axes, size):
     """QR with a list returns these blocks only, and its header says which."""

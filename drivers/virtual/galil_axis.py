@@ -24,7 +24,8 @@ class Axis:
     def __init__(self, plant: Plant, position: float = 0.0) -> None:
         self.plant, self.registers = plant, Registers()
         self.reference = Path(position + plant.offset)
-        self.motor: Path | None = None
+        self.motor: Path | None = None  # Without power: it runs out by itself.
+        self.gap: Path | None = None  # What is left of a distance from the reference after a hold or an abort.
         self.shift = 0.0
         self.auxiliary_zero = 0.0
         self.motor_on, self.moving, self.stopping = False, False, False
@@ -43,13 +44,29 @@ class Axis:
         """State of the motor in reported counts; exact between ticks too."""
         if self.blocked_at is not None:
             return State(self.blocked_at + self.plant.offset + self.shift, 0.0, 0.0)
-        state = self.motor.at(t) if self.motor is not None else self.reference.at(t - self.plant.lag_s)
+        state = self._free(t)
         zero = self.plant.offset + self.shift
         low = self.plant.reverse_switch - self.plant.margin + zero
         high = self.plant.forward_switch + self.plant.margin + zero
         if low <= state.p <= high:
             return state
         return State(min(max(state.p, low), high), 0.0, 0.0)
+
+    def _free(self, t: float) -> State:
+        """State of the motor if neither a hand nor a hard stop held it."""
+        if self.motor is not None:
+            return self.motor.at(t)
+        follows = self.reference.at(t - self.plant.lag_s)
+        if self.gap is None:
+            return follows
+        gap = self.gap.at(t)
+        return State(follows.p + gap.p, follows.v + gap.v, follows.a + gap.a)
+
+    def settled(self, t: float) -> bool:
+        """Nothing moves, and nothing will by itself."""
+        paths = [path for path in (self.motor, self.gap) if path is not None]
+        rest = max([self.reference.end + self.plant.lag_s, *(path.end for path in paths)])
+        return not self.moving and t > rest
 
     def physical(self, t: float) -> State:
         """State of the motor from the axis' own zero."""
@@ -97,6 +114,7 @@ class Axis:
         if not self.motor_on:
             self.target = float(self.position(t))
             self.reference, self.motor, self.motor_on = Path(self.target), None, True
+            self.gap = None
 
     def off(self, t: float, code: int | None = None) -> None:
         """Take the power away: the motor runs out under friction, the reference is given up."""
@@ -115,7 +133,6 @@ class Axis:
             self.target = now.p + self.step_by
         self.running_mode, self.moving, self.stopping = self.mode, True, False
         self.code, self._pending_code, self.home_phase = Stop.RUNNING, Stop.AT_TARGET, 0
-        self.motor = None
         self._plan(tick)
 
     def direction(self, t: float) -> int:
@@ -149,10 +166,8 @@ class Axis:
             return
         now = self.actual(t)
         stand = float(round(self.reference.at(t).p))
-        self._rest_at(t, stand)
-        self.motor = Path(now.p)
-        chase = move(t, now, stand, Rates(max(abs(now.v), 1.0), self.plant.brake, self.plant.brake))
-        self.motor.replace(chase, keep_after=t)
+        self.reference = Path(stand)
+        self._catch_up(t, State(now.p - stand, now.v, 0.0))
         self._finish(code)
 
     def define_position(self, t: float, counts: float) -> None:
@@ -172,15 +187,18 @@ class Axis:
         if blocked and self.blocked_at is None:
             self.blocked_at = self.physical(t).p
         elif not blocked and self.blocked_at is not None:
-            now, goal = self.actual(t), self.reference.at(t - self.plant.lag_s).p
+            now, goal = self.actual(t), self.reference.at(t - self.plant.lag_s)
             self.blocked_at = None
-            if not self.motor_on:
+            if self.motor_on:
+                self._catch_up(t, State(now.p - goal.p, -goal.v, 0.0))
+            else:
                 self.motor = Path(now.p)
-                self._rest_at(t, now.p)
-            elif not self.moving:
-                self.motor = Path(now.p)
-                chase = move(t, now, goal, Rates(self.registers.SP, self.plant.brake, self.plant.brake))
-                self.motor.replace(chase, keep_after=t)
+
+    def _catch_up(self, t: float, gap: State) -> None:
+        """Let the motor close its distance from the (delayed) reference as fast as it can."""
+        rates = Rates(max(self.registers.SP, abs(gap.v), 1.0), self.plant.brake, self.plant.brake)
+        self.gap = Path(gap.p)
+        self.gap.replace(move(t, gap, 0.0, rates), keep_after=t)
 
     def step(self, t: float, tick: float) -> None:
         """One controller tick at `t`: trip, limits, ends of motion. `tick` is the next one."""

@@ -114,7 +114,7 @@ class Controller:
     @property
     def moving(self) -> bool:
         """Something moves, or still settles."""
-        return any(_active(axis, self.t) for axis in self.axes)
+        return not all(axis.settled(self.t) for axis in self.axes)
 
     @property
     def busy(self) -> bool:
@@ -198,8 +198,3 @@ class Controller:
         friction = math.copysign(0.25, now.v) if now.v else 0.0
         volts = friction + 0.002 * axis.error(self.tick_time) + 1e-6 * now.a
         return max(-axis.registers.TL, min(axis.registers.TL, volts))
-
-
-def _active(axis: Axis, t: float) -> bool:
-    settling = axis.reference.end + axis.plant.lag_s
-    return axis.moving or t <= settling or (axis.motor is not None and t <= axis.motor.end)

@@ -2,6 +2,7 @@
 
 import fcntl
 import importlib
+import importlib.util
 import json
 import os
 import select
@@ -88,12 +89,11 @@ class VirtualProcess:
         self.world = World(seed=options.seed)
         self.world.attach(options.tool)
         rows = {"can0": options.sensor, **_SERIAL}
-        self.devices = {}
-        for name, row in rows.items():
-            try:
-                self.devices[name] = make_device(row, self.world, options.settings.get(row, {}))
-            except ModuleNotFoundError:
-                continue
+        self.devices = {
+            name: make_device(row, self.world, options.settings.get(row, {}))
+            for name, row in rows.items()
+            if row not in VIRTUAL_DEVICES or importlib.util.find_spec(VIRTUAL_DEVICES[row].partition(":")[0])
+        }
         self.ports: dict[str, Port] = {}
         self._stack = ExitStack()
 
