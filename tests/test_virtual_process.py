@@ -1,5 +1,6 @@
 """The virtual robot as a process, end to end: real ptys, real ZeroMQ, python-can's own slcan bus as the client."""
 
+import importlib.util
 import os
 import signal
 import struct
@@ -12,8 +13,10 @@ import can
 import msgspec
 import numpy as np
 import pytest
+import serial
 import zmq
 
+from galen_hw.drivers.table import VIRTUAL_DEVICES
 from galen_hw.drivers.virtual.ati_netcanoem import AtiSettings, VirtualAtiNetcanoem
 from galen_hw.drivers.virtual.bridges import InProcessCan
 from galen_hw.drivers.virtual.commands import Commands
@@ -277,6 +280,16 @@ def test_settings_reach_the_device():
     """A base identifier of 0x7F from the command line's JSON."""
     with virtual_robot(settings={"ati_netcanoem": {"base_id": 0x7F}}) as robot, open_bus(robot) as bus:
         assert ask(bus, 0x7F5) == [(0x7F5, b"FT28417\x00")]
+
+
+def test_it_has_a_wire_for_every_virtual_device_there_is(robot):
+    """Sensor, motors and tracker, each behind its link; the motors answer ^R^V with their model."""
+    built = {row for row, path in VIRTUAL_DEVICES.items() if importlib.util.find_spec(path.partition(":")[0])}
+    wires = {"can0"} | {w for w, row in {"motors": "galil_dmc", "tracker": "ndi_tracker"}.items() if row in built}
+    assert set(robot.addresses) == wires | {"control"}
+    with serial.Serial(robot.addresses["motors"]["url"], 115200, timeout=2.0, exclusive=True) as motors:
+        motors.write(b"\x12\x16")
+        assert b"DMC4153" in motors.read_until(b":")
 
 
 def test_bad_control_answers_are_usage_errors(robot):
