@@ -227,8 +227,7 @@ class AtiNetcanoem(Device[CanFrame]):
         first, second, t_ns = pair
         status, *gauges = FIRST.unpack(first) + SECOND.unpack(second)
         saturated = max(gauges) >= SATURATED_COUNTS or min(gauges) <= -SATURATED_COUNTS
-        if status != self._status.word:
-            self._new_status(status, t_ns)
+        critical = self._status.critical if status == self._status.word else self._new_status(status, t_ns)
         if saturated or self._bias.active or self._restart_id is not None:
             self._beside_sample(tuple(gauges), t_ns, saturated=saturated)
         self._counters["samples"] += 1
@@ -239,7 +238,7 @@ class AtiNetcanoem(Device[CanFrame]):
             timestamp=self._time_base.timestamp(t_ns),
             t_ns=t_ns,
             seq=self._reporter.next_seq("wrench/raw"),
-            valid=not (saturated or self._status.critical),
+            valid=not (saturated or critical),
             source=self.name,
             force=Vector3(fx, fy, fz),
             torque=Vector3(tx, ty, tz),
@@ -249,13 +248,16 @@ class AtiNetcanoem(Device[CanFrame]):
         )
         return [("wrench/raw", message), *self._take_outbox()] if self._outbox else [("wrench/raw", message)]
 
-    def _new_status(self, status: int, t_ns: int) -> None:
+    def _new_status(self, status: int, t_ns: int) -> bool:
+        """Take a status word that differs from the last; whether the sample that brought it is unusable."""
         restarted = self._status.take(status, t_ns)
         for kind, what, todo in self._status.news:
             self._outbox += self._reporter.fault(t_ns, kind, what, todo)
         if restarted:  # the board forgot which calibration was selected
             self._give_up("the board was reset by its watchdog")
             self._begin(t_ns)
+            return True
+        return self._status.critical
 
     def _beside_sample(self, gauges: tuple[int, ...], t_ns: int, *, saturated: bool) -> None:
         """What is rare: saturation, the answer to `restart`, zeroing."""

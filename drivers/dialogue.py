@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 from galen_hw.drivers.device import CanFrame
-from galen_hw.drivers.reporting import FAR_NS
 
 Result = TypeVar("Result")
 
@@ -112,7 +111,7 @@ class Dialogue(Generic[Result]):
     _answer: list[CanFrame] = field(default_factory=list)
 
     def poll(self, now_ns: int) -> list[CanFrame]:
-        """What to send now; sets `due_ns`, and `result` or `failure` when it is over."""
+        """What to send now; sets `due_ns`, and `result` or `failure` when it is over (poll once more after a `feed`)."""
         if self._query is None and self.result is None and self.failure is None:
             self._step(None)
         if self._query is None or now_ns < self.due_ns:
@@ -154,9 +153,9 @@ class Dialogue(Generic[Result]):
         try:
             self._query = next(self.conversation) if data is None else self.conversation.send(data)
         except StopIteration as end:
-            self.result, self.due_ns = end.value, FAR_NS
+            self.result = end.value
         except DialogueError as error:
-            self.failure, self.due_ns = error, FAR_NS
+            self.failure = error
 
     def _expire(self) -> None:
         """After the wait: go on after a request without an answer; repeat one whose answer is missing, or give up."""
@@ -167,7 +166,7 @@ class Dialogue(Generic[Result]):
         self.timeouts += 1
         if self._asked >= self.tries:
             self.failure = DialogueError(f"no answer to {self._query.name}, asked {self.tries} times", "")
-            self._query, self.due_ns = None, FAR_NS
+            self._query = None
         elif self._fencing is None and not self._query.numbered and self.fence is not None:
             self._fencing = self.fence.next()
 

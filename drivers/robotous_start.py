@@ -119,7 +119,7 @@ def identify(settings: RobotousSettings) -> Generator[Query, bytes, RobotousIden
     scaling = _scaling(settings, settings.model or model)
     yield from _set_rate_and_filter(settings)
     overloads = yield query(settings, "the overload counts", Command.READ_OVERLOADS)
-    yield query(settings, "un-bias", Command.SET_BIAS, 0, wait_s=0.0)
+    yield query(settings, "un-bias", Command.SET_BIAS, 0, wait_s=0.001)
     return RobotousIdentity(
         model,
         serial_number,

@@ -41,8 +41,7 @@ class ChunkedSlcanBus(slcanBus):
             self.serialPortOrig.exclusive = True
         self._fd = self.serialPortOrig.fileno()
         os.set_blocking(self._fd, False)
-        self._poll = select.poll()
-        self._poll.register(self._fd, select.POLLIN)
+        self._readers = (self._fd,)
 
     def read_frames(self, timeout_s: float) -> tuple[list[CanFrame], int]:
         """All frames that have arrived, and when they were read (CLOCK_MONOTONIC, ns); none after `timeout_s`.
@@ -50,7 +49,8 @@ class ChunkedSlcanBus(slcanBus):
         Raises:
             can.CanOperationError: the port is gone.
         """
-        if timeout_s > 0.0 and not self._poll.poll(timeout_s * 1e3):
+        # select, for it alone waits for parts of a millisecond; a port without data reads as empty, hence always
+        if not select.select(self._readers, (), (), timeout_s)[0]:
             return [], time.monotonic_ns()
         try:
             chunk = os.read(self._fd, CHUNK)
