@@ -88,7 +88,7 @@ def read_document(path: Path) -> tuple[dict[str, Any], Places]:
         ) from None
     except tomllib.TOMLDecodeError as error:
         line = re.search(r"line (\d+)", str(error))
-        where = f"{path.name}:{line[1]}" if line else path.name
+        where = f"{path.name}:{line[1] if line else len(text.splitlines())}"
         raise UsageError(
             f"not TOML ({error})", where=where, todo="see the comments of the default galen.toml"
         ) from None

@@ -241,7 +241,7 @@ def new_id() -> str:
 
 
 def bind(socket: zmq.Socket[Any], address: str) -> None:
-    """Bind, or say in one line why not.
+    """Bind, or close the socket and say in one line why not.
 
     Raises:
         HardwareError: in use, no permission, not an address.
@@ -249,6 +249,7 @@ def bind(socket: zmq.Socket[Any], address: str) -> None:
     try:
         socket.bind(address)
     except zmq.ZMQError as error:
+        socket.close()
         todo = "is another daemon running? change [bus] in the configuration or stop it"
         raise HardwareError(f"cannot bind ({error.strerror})", where=address, todo=todo) from None
 

@@ -1,0 +1,196 @@
+"""The bus over real ZeroMQ sockets: what is sent arrives as it is, a slow subscriber costs nobody but itself."""
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import zmq
+from hypothesis import given
+from hypothesis import strategies as st
+
+from galen_hw.bus import CommandClient, Publisher, Subscriber, command_error, command_exception, decode_request
+from galen_hw.errors import CommandRejectedError, GalenError, HardwareError, UsageError
+from galen_hw.messages import TOPICS, CommandError, Reply, Request, Vector3, WrenchRaw, encode
+
+
+def wrench(seq: int, source: str = "ft") -> WrenchRaw:
+    force = Vector3(x=1.0, y=2.0, z=float(seq))
+    return WrenchRaw(timestamp=1.5e9, t_ns=seq, seq=seq, valid=True, source=source, force=force, torque=Vector3())
+
+
+@pytest.fixture
+def bus(tmp_path: Path) -> str:
+    return f"ipc://{tmp_path}/bus.pub"
+
+
+def publish_until_heard(publisher: Publisher, subscriber: Subscriber) -> None:
+    """A subscription takes effect some time after it is made."""
+    for _ in range(1000):
+        publisher.publish("wrench/raw", wrench(0, "settling"))
+        if subscriber.receive(0.01) is not None:
+            break
+    while subscriber.receive(0.05) is not None:
+        pass
+
+
+@pytest.fixture
+def pair(bus: str) -> Iterator[tuple[Publisher, Subscriber]]:
+    with Publisher(bus) as publisher, Subscriber(bus, ["wrench/raw"]) as subscriber:
+        publish_until_heard(publisher, subscriber)
+        yield publisher, subscriber
+
+
+def test_message_arrives_as_it_was_sent(pair: tuple[Publisher, Subscriber]) -> None:
+    """Topic and message are equal on both ends."""
+    publisher, subscriber = pair
+    publisher.publish("wrench/raw", wrench(1))
+
+    assert ("wrench/raw", wrench(1)) == subscriber.receive(1.0)
+
+
+def test_gaps_in_seq_are_counted_per_source_and_restarts_are_not(pair: tuple[Publisher, Subscriber]) -> None:
+    """Two sources interleave; one loses three, the other starts again from zero."""
+    publisher, subscriber = pair
+    for message in (wrench(1), wrench(7, "b"), wrench(2), wrench(6), wrench(0, "b"), wrench(1, "b")):
+        publisher.publish("wrench/raw", message)
+    for _ in range(6):
+        assert subscriber.receive(1.0) is not None
+
+    assert subscriber.lost == {"wrench/raw": 3}
+
+
+def test_what_is_no_message_is_counted_and_passed_over(pair: tuple[Publisher, Subscriber]) -> None:
+    """Foreign topics, cut and random payloads never end a subscriber."""
+    publisher, subscriber = pair
+    publisher.publish_bytes(b"wrench/raw2", b"x")
+    publisher.publish_bytes(b"wrench/raw", b"\xc1")
+    publisher.publish_bytes(b"wrench/raw", encode(wrench(1))[:-3])
+    publisher.publish("wrench/raw", wrench(5))
+    received = subscriber.receive(1.0)
+
+    assert received is not None
+    assert received[1] == wrench(5)
+    assert subscriber.unreadable == 3
+
+
+def test_slow_subscriber_slows_nobody(bus: str) -> None:
+    """With one subscriber that never reads, no send takes long, another hears all, and the sleeper sees its loss."""
+    with Publisher(bus, queue=500) as publisher, Subscriber(bus, queue=10) as asleep, Subscriber(bus) as awake:
+        publish_until_heard(publisher, awake)
+        publish_until_heard(publisher, asleep)
+        while awake.receive(0.05) is not None:
+            pass
+        sent, slowest = 20_000, 0.0
+        heard = 0
+        for seq in range(1, sent + 1):
+            begun = time.perf_counter()
+            publisher.publish("wrench/raw", wrench(seq))
+            slowest = max(slowest, time.perf_counter() - begun)
+            if seq % 200 == 0:
+                while heard < seq and awake.receive(1.0) is not None:
+                    heard += 1
+        while asleep.receive(0.05) is not None:
+            pass
+        publisher.publish("wrench/raw", wrench(sent + 1))
+        assert asleep.receive(1.0) is not None
+
+    assert heard == sent
+    assert awake.lost == {}
+    assert asleep.lost["wrench/raw"] > 0
+    assert slowest < 0.5
+
+
+def test_address_in_use_is_one_line(tmp_path: Path) -> None:
+    """A second publisher on a port is refused with what to do."""
+    with Publisher("tcp://127.0.0.1:*") as first:
+        address = first.socket.getsockopt(zmq.LAST_ENDPOINT).decode()
+        with pytest.raises(HardwareError, match=r"cannot bind .*; is another daemon running"):
+            Publisher(address)
+
+
+def answer(address: str, replies: list[Reply]) -> threading.Thread:
+    """A daemon's command socket that gives these answers."""
+
+    def serve() -> None:
+        context: zmq.Context[Any] = zmq.Context()
+        with context, context.socket(zmq.ROUTER) as router:
+            router.bind(address)
+            for reply in replies:
+                *route, payload = router.recv_multipart()
+                request = decode_request(payload)
+                assert isinstance(request, Request)
+                router.send_multipart([*route, encode(msgspec.structs.replace(reply, id=reply.id or request.id))])
+            router.setsockopt(zmq.LINGER, 1000)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    return thread
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("rejected", CommandRejectedError),
+        ("unknown", UsageError),
+        ("invalid", UsageError),
+        ("timeout", HardwareError),
+        ("fault", HardwareError),
+    ],
+)
+def test_typed_errors_become_exceptions(tmp_path: Path, kind: str, expected: type[GalenError]) -> None:
+    """Each kind of error of a reply is its exception, with what, where and todo."""
+    address = f"ipc://{tmp_path}/command"
+    thread = answer(address, [Reply(id="", error=CommandError(kind=kind, what="no", where="motors", todo="wait"))])
+    with CommandClient(address) as client, pytest.raises(expected, match="motors: no; wait"):
+        client.call("motors", "enable", timeout_s=5.0)
+    thread.join()
+
+
+def test_reply_to_an_earlier_request_is_passed_over(tmp_path: Path) -> None:
+    """A late reply is never taken for the present one."""
+    address = f"ipc://{tmp_path}/command"
+    thread = answer(address, [Reply(id="late"), Reply(id="", result={"x": 1})])
+    with CommandClient(address) as client:
+        with pytest.raises(HardwareError, match=r"no answer within 0\.3 s"):
+            client.call("a", "b", timeout_s=0.3)
+        result = client.call("a", "b", timeout_s=5.0)
+    thread.join()
+
+    assert result == {"x": 1}
+
+
+def test_no_daemon_says_how_to_start_one(tmp_path: Path) -> None:
+    """Without anybody at the address the error names the commands."""
+    with CommandClient(f"ipc://{tmp_path}/command") as client, pytest.raises(HardwareError, match="galen-hw run"):
+        client.call("a", "b", timeout_s=0.05)
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_are_a_request_or_a_typed_error(payload: bytes) -> None:
+    """The command socket's decoder never raises."""
+    assert isinstance(decode_request(payload), Request | CommandError)
+
+
+def test_another_protocol_version_is_refused() -> None:
+    """A request of version 2 is told which version this is."""
+    error = decode_request(encode(Request(id="1", target="a", name="b", version=2)))
+
+    assert isinstance(error, CommandError)
+    assert error.kind == "invalid"
+
+
+@pytest.mark.parametrize("kind", ["rejected", "invalid", "fault"])
+def test_error_there_and_back(kind: str) -> None:
+    """An exception that crosses the bus is the same exception on the other side."""
+    there = command_exception(CommandError(kind=kind, what="w", where="h", todo="t"))
+
+    assert command_error(there) == CommandError(kind=kind, what="w", where="h", todo="t")
+
+
+def test_every_topic_has_an_encoder() -> None:
+    """The table has no topic that cannot be published."""
+    assert all(name == name.strip("/").lower() for name in TOPICS)
