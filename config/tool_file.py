@@ -114,6 +114,7 @@ class ToolFile(_Part):
         tip, contact: points on the tool, m; `contact` (where the user pushes) is the tip if None.
         inertia: about the centre of mass, kg m^2, for the dynamic forces; None if not known.
         std: one standard deviation; `covariance` of `parameters` (mass, com.x, ...), in their order.
+        coverage_factor: half-width of a 95 % interval in standard deviations (Student's t).
         bias: constant offset beyond the zeroing; gravity: in the base frame, m/s^2.
         residual, verified: RMS over the fit's and over the held-out poses; noise_floor: sigma of one sample.
         terms: further effects that the live services add to the prediction.
@@ -127,6 +128,7 @@ class ToolFile(_Part):
     mass: Mass | None = None
     com: Com | None = None
     std: BodyStd | None = None
+    coverage_factor: Annotated[FiniteFloat, Field(ge=1.0, le=20.0)] = 1.96
     parameters: tuple[str, ...] = ()
     covariance: tuple[tuple[FiniteFloat, ...], ...] = ()
     bias: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -111,7 +111,7 @@ class ToolStore:
         Raises:
             UsageError: not there, damaged or impossible.
         """
-        path = self._path(name, number)
+        path = self.path(name, number)
         try:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError):
@@ -154,7 +154,7 @@ class ToolStore:
             raise UsageError(f"tool {tool.name!r} holds no calibration to save", todo="calibrate it first")
         number = max(self._numbers(tool.name), default=0) + 1
         tool = tool.model_copy(update={"origin": _identified(tool, tool.origin, number)})
-        write_atomic(self._path(tool.name, number), tool.to_json() + "\n")
+        write_atomic(self.path(tool.name, number), tool.to_json() + "\n")
         if activate:
             self.activate(tool.name, number)
         return tool
@@ -203,7 +203,8 @@ class ToolStore:
     def _root(self) -> Path:
         return Path(self.state_dir) / "tools"
 
-    def _path(self, name: str, number: int) -> Path:
+    def path(self, name: str, number: int) -> Path:
+        """File of a generation, there or not."""
         _check_name(name)
         return self._root / name / f"{number:04d}.json"
 
@@ -213,7 +214,7 @@ class ToolStore:
         return sorted(found)
 
     def _entry(self, name: str, number: int, active: int | None) -> Generation:
-        path = self._path(name, number)
+        path = self.path(name, number)
         try:
             return Generation(number, path, number == active, self.generation(name, number))
         except UsageError as error:

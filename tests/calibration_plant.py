@@ -1,4 +1,4 @@
-"""A robot in simulated time for the sweep: trapezoidal joints, a sensor at 250 Hz, and the world of the virtual robot."""
+"""A robot in simulated time for the sweep: trapezoidal joints, a sensor at 250 Hz, the virtual world."""
 
 from dataclasses import dataclass, field
 

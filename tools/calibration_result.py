@@ -161,6 +161,7 @@ def tool_file(result: Result, nominal: ToolFile, setting: Setting) -> ToolFile:
         "mass": _digits(found.mass),
         "com": _list(found.com),
         "std": BodyStd(mass=_digits(found.std[0]), com=_triple(found.std[1:4])),
+        "coverage_factor": _digits(found.t95),
         "parameters": found.names,
         "covariance": [_list(row) for row in found.covariance],
         "bias": _list(found.bias),

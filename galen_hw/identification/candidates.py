@@ -90,7 +90,7 @@ def compare(poses: Poses) -> Comparison:
     rows = poses.fit
     bare = bool(np.any(~rows.tool))
     base = Unknowns(body=bare)
-    plain = _joint("joint", "joint least squares, 6 biases", rows, base, robust=False)
+    plain = _joint("joint", "joint least squares", rows, base, robust=False)
     robust = _joint("robust", "joint, robust", rows, base)
     found = [_two_step(rows), plain, robust]
     tied = _zeroing(rows)
@@ -133,7 +133,7 @@ def _two_step(rows: Poses) -> Candidate:
         one = rows.select(~others)
         left_out[i] = (one.wrench - _report_prediction(one, *_report(rows.select(others))))[0]
     n = 12 if np.any(~rows.tool) else 6
-    title = "report, equations (1)-(8)" if np.any(~rows.tool) else "report, equations (5)-(8)"
+    title = "report, eq. (1)-(8)" if np.any(~rows.tool) else "report, eq. (5)-(8)"
     return Candidate("report", title, n, None, None, tool.mass, tool.com, residual, left_out)
 
 
@@ -156,7 +156,7 @@ def _zeroing(rows: Poses) -> Candidate | None:
     if rows.zero is None or rows.bias_body is not None or np.any(~rows.tool):
         return None
     unknowns = Unknowns(trust_zero=True, body=True)
-    found = _joint("zeroing", "joint, robust, zeroing trusted", rows, unknowns)
+    found = _joint("zeroing", "joint, zeroing trusted", rows, unknowns)
     assert found.fit is not None
     z = found.fit.theta[[found.fit.model.columns[name] for name in BIAS]] / np.array(PRIOR_ZERO)
     # Three of the six constants cannot come from a weight (two across gravity, a moment along it) and stay biases.
@@ -173,8 +173,8 @@ def _trusts_zeroing(tied: Candidate | None) -> bool:
 
 def _extras(rows: Poses, base: Unknowns) -> list[Candidate]:
     tries = [
-        ("tilt", "+ direction of gravity", replace(base, tilt=True), TILT),
-        ("mount", "+ sensor turned on its link", replace(base, mount=True), MOUNT),
+        ("tilt", "+ tilt of gravity", replace(base, tilt=True), TILT),
+        ("mount", "+ sensor mounting", replace(base, mount=True), MOUNT),
     ]
     if rows.home.sum() >= LEAST_HOMES or rows.time is None or not rows.home.any():
         tries.insert(0, ("drift", "+ linear drift", replace(base, drift=1), drift_names(0)))

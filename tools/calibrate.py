@@ -1,0 +1,295 @@
+"""`galen-hw calibrate`: sweep, fit, verify, ask, and only then change what the live compensation uses."""
+
+import argparse
+import json
+import re
+import sys
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from galen_hw.errors import EXIT_FOUND, EXIT_OK, GalenError, UsageError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from galen_hw.config.paths import Addresses
+    from galen_hw.config.tool_file import ToolFile
+    from galen_hw.recording import Recording
+    from galen_hw.tools.calibration_check import LiveCheck
+    from galen_hw.tools.calibration_result import Result, Setting
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("--tool", metavar="NAME", help="the tool (galen-hw tool list); with --from its own name")
+    parser.add_argument("--virtual", action="store_true", help="start a virtual robot and calibrate on it")
+    parser.add_argument(
+        "--from", dest="recording", metavar="RECORDING", type=Path, help="fit a recording, move nothing"
+    )
+    parser.add_argument("--yes", action="store_true", help="accept without asking (scripts)")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    parser.add_argument("--report", metavar="DIR", type=Path, help="write figures and report.html there")
+    parser.add_argument("--poses", metavar="TILTSxROLLS", help="grid of the sweep, e.g. 7x8")
+    parser.add_argument("--samples", type=int, metavar="N", help="samples averaged per pose")
+    parser.add_argument("--seed", type=int, metavar="N", help="of the order of the poses")
+    parser.add_argument("--no-bare", action="store_true", help="no poses without the tool: trust the zeroing")
+    parser.add_argument(
+        "--no-check", action="store_true", help="no slow motion at the end that checks the compensation"
+    )
+    parser.add_argument("--config", metavar="FILE", help="settings for --virtual")
+    parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory of the daemon")
+    parser.epilog = "examples: galen-hw calibrate --tool retractor --virtual; galen-hw calibrate --from sweep/ --yes"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Calibrate; 0 if it was accepted, 1 if not."""
+    from rich.console import Console
+
+    console = Console(stderr=args.json)
+    if not console.is_terminal:
+        console = Console(stderr=args.json, width=128)
+    if args.recording is not None:
+        return _from_recording(args, console)
+    if args.tool is None:
+        raise UsageError("which tool?", where="--tool", todo="galen-hw tool list names them")
+    with ExitStack() as stack:
+        return _live(args, console, _daemon(args, stack))
+
+
+def _from_recording(args: argparse.Namespace, console: "Console") -> int:
+    """Everything but the robot."""
+    from galen_hw.config.paths import state_dir
+    from galen_hw.config.tool_file import ToolFile
+    from galen_hw.config.tool_store import ToolStore
+    from galen_hw.recording import read_recording
+    from galen_hw.tools.calibration_poses import poses_of
+    from galen_hw.tools.calibration_result import analyse, tool_file
+
+    recording = read_recording(args.recording)
+    store = ToolStore(state_dir())
+    named = recording.info.tool
+    name = args.tool or _slug(named.name if named else "") or _slug(args.recording.stem)
+    if name in store.names():
+        nominal = store.nominal(name)
+    else:
+        nominal = ToolFile(name=name, tip=(named.tip if named and named.tip else None) or (0.0, 0.0, 0.0))
+    found = poses_of(recording)
+    result = analyse(name, found.poses, str(args.recording), found.notes)
+    return _conclude(_Session(args, console, store), result, tool_file(result, nominal, _setting(recording)))
+
+
+def _setting(recording: "Recording") -> "Setting":
+    """On what a recording was made, as far as it says."""
+    from galen_hw.tools.calibration_result import Setting
+
+    about = _about(recording.path)
+    info = recording.info
+    zeroed: Any = info.zeroed_at
+    if isinstance(zeroed, tuple) and len(zeroed) != 4:
+        zeroed = dict(zip(recording.joint_names, zeroed, strict=True))
+    robot = str(about.get("robot") or info.robot or "")
+    serial = str(about.get("sensor_serial") or "")
+    return Setting(robot, serial, str(recording.path.resolve()), zeroed, about.get("date"))
+
+
+def _about(folder: Path) -> dict[str, Any]:
+    """`sweep.json` beside a sweep of our own."""
+    try:
+        found = json.loads((folder / "sweep.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _daemon(args: argparse.Namespace, stack: ExitStack) -> "Addresses":
+    """The running daemon's addresses, or those of one of our own on a virtual robot."""
+    from galen_hw.config.paths import Addresses, client_runtime_dir
+
+    if args.virtual:
+        from galen_hw.daemon.session import own_daemon
+
+        return stack.enter_context(own_daemon(config=args.config, virtual=True, runtime=args.dir))
+    addresses = Addresses(args.dir or client_runtime_dir())
+    try:
+        addresses.require_daemon()
+    except GalenError as error:
+        error.todo = "start one with galen-hw run, or add --virtual to calibrate on a virtual robot"
+        raise
+    return addresses
+
+
+def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") -> int:
+    """Sweep on the robot, then as from a recording, then the check."""
+    from galen_hw.bus import CommandClient
+    from galen_hw.config.tool_store import ToolStore
+    from galen_hw.recording import read_recording
+    from galen_hw.tools.calibration_poses import poses_of
+    from galen_hw.tools.calibration_result import analyse, tool_file
+    from galen_hw.tools.calibration_sweep import by_hand, by_virtual_hand, run_sweep
+
+    with CommandClient(addresses.command) as client:
+        info = client.call("daemon", "info")
+    store = ToolStore(Path(info["state_dir"]))
+    nominal = store.load(args.tool)
+    virtual = bool(info["virtual"])
+    operator = (
+        by_virtual_hand(console, args.tool, addresses.virtual)
+        if virtual
+        else by_hand(console, args.tool, addresses, ask=not args.yes)
+    )
+    console.print(f"[bold]calibrating {args.tool}[/]" + (" on a virtual robot" if virtual else ""))
+    folder, stopped = run_sweep(addresses, args.tool, _overrides(args), operator, console)
+    if stopped:
+        todo = f"what was measured can be fitted: galen-hw calibrate --from {folder} --tool {args.tool}"
+        raise _StoppedError(stopped, where="sweep", todo=todo if (folder / "recording.csv").exists() else "")
+    recording = read_recording(folder)
+    found = poses_of(recording)
+    result = analyse(args.tool, found.poses, str(folder), found.notes)
+    session = _Session(args, console, store, addresses)
+    return _conclude(session, result, tool_file(result, nominal, _setting(recording)))
+
+
+class _StoppedError(GalenError):
+    """The sweep did not come to its end."""
+
+    exit_code = 3
+
+
+def _overrides(args: argparse.Namespace) -> dict[str, Any]:
+    """Arguments of the sweep that differ from its settings."""
+    overrides: dict[str, Any] = {}
+    if args.poses is not None:
+        found = re.fullmatch(r"(\d+)x(\d+)", args.poses)
+        if not found:
+            raise UsageError(f"{args.poses!r} is not TILTSxROLLS", where="--poses", todo="e.g. --poses 7x8")
+        from galen_hw.services.calibration_settings import CalibrationSettings
+
+        axes = CalibrationSettings().model_dump()["axes"]
+        for axis, count in zip(axes.values(), found.groups(), strict=True):
+            axis["count"] = int(count)
+        overrides["axes"] = axes
+    overrides |= {key: getattr(args, key) for key in ("samples", "seed") if getattr(args, key) is not None}
+    return overrides | ({"bare_poses": 0} if args.no_bare else {})
+
+
+@dataclass(frozen=True)
+class _Session:
+    """What the end of a calibration needs beside its result; `addresses` is None without a robot."""
+
+    args: argparse.Namespace
+    console: "Console"
+    store: Any
+    addresses: "Addresses | None" = None
+
+
+def _conclude(session: _Session, result: "Result", tool: "ToolFile") -> int:
+    """Show, ask, save, select, check, report."""
+    from galen_hw.tools.calibration_screen import check_table, show_accepted, show_result
+
+    args, console = session.args, session.console
+    show_result(console, result)
+    check = None
+    accepted = args.yes or (_ask(console, tool.name) if not args.json else False)
+    if accepted:
+        tool = session.store.save(tool)
+        assert tool.origin is not None
+        path = session.store.path(tool.name, tool.origin.generation)
+        console.print(show_accepted(tool, str(path)))
+        if session.addresses is not None:
+            check = _select_and_check(session, tool)
+            if check is not None:
+                console.print(check_table(check.rms, check.rms_raw, check.noise))
+    else:
+        console.print("[yellow]not accepted: nothing has changed[/]" + _how_later(tool))
+    page = _report(session, result, tool, check, accepted=accepted)
+    if args.json:
+        print(json.dumps(_as_json(result, tool, check, page, accepted=accepted)))
+    return EXIT_OK if accepted and (check is None or check.passed) else EXIT_FOUND
+
+
+def _how_later(tool: "ToolFile") -> str:
+    sweep = tool.origin.sweep if tool.origin else ""
+    return f"; the sweep is kept: galen-hw calibrate --tool {tool.name} --from {sweep}" if sweep else ""
+
+
+def _ask(console: "Console", name: str) -> bool:
+    if not sys.stdin.isatty():
+        console.print("[yellow]nobody can be asked, the input is not a terminal: add --yes to accept[/]")
+        return False
+    console.print(f"Use this calibration for {name} from now on? \\[y/N] ", end="")
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def _select_and_check(session: _Session, tool: "ToolFile") -> "LiveCheck | None":
+    """Have the daemon take the tool up, then see every sample compensated."""
+    from galen_hw.bus import CommandClient
+    from galen_hw.tools.calibration_check import live_check
+
+    addresses = session.addresses
+    assert addresses is not None
+    with CommandClient(addresses.command) as client:
+        client.call("compensation", "select_tool", {"tool": tool.name})
+        client.call("compensation", "set_enabled", {"enabled": True})
+    if session.args.no_check:
+        return None
+    session.console.print("checking the live compensation in slow motion")
+    return live_check(addresses, tool.name, tool.calibration_id, session.console)
+
+
+def _report(
+    session: _Session, result: "Result", tool: "ToolFile", check: "LiveCheck | None", *, accepted: bool
+) -> Path:
+    """Figures and page; beside the tool's calibrations unless told where."""
+    from galen_hw.tools.calibration_figures import write_report
+
+    number = tool.origin.generation if tool.origin else 0
+    leaf = f"{tool.name}-{number:04d}" if accepted else f"{tool.name}-not-accepted"
+    folder = session.args.report or session.store.state_dir / "reports" / leaf
+    state = f"accepted as {tool.calibration_id}" if accepted else "not accepted"
+    page = write_report(result, folder, tool, check, state)
+    session.console.print(f"figures and page: {page}")
+    return page
+
+
+def _as_json(
+    result: "Result", tool: "ToolFile", check: "LiveCheck | None", page: Path, *, accepted: bool
+) -> dict[str, Any]:
+    """The result for machines; SI units."""
+    data = tool.model_dump(by_alias=True, exclude_none=True, mode="json")
+    candidates = [
+        {
+            "key": c.key,
+            "title": c.title,
+            "unknowns": c.unknowns,
+            "mass": c.mass,
+            "com": list(map(float, c.com)),
+            "residual": c.rms.tolist(),
+            "left_out": c.left_out_rms.tolist(),
+            "bic": c.bic,
+            "p_value": c.p_value if c.p_value == c.p_value else None,
+        }
+        for c in result.comparison.candidates
+    ]
+    live = None
+    if check is not None:
+        ratio = (check.rms / check.noise).tolist()
+        live = {"rms": check.rms.tolist(), "noise_floor": check.noise.tolist(), "ratio": ratio, "passed": check.passed}
+    return {
+        "accepted": accepted,
+        "tool": data,
+        "recommended": result.comparison.recommended,
+        "reason": result.comparison.reason,
+        "interval95": (result.estimate.t95 * result.estimate.std[:4]).tolist(),
+        "residual": result.best.rms.tolist(),
+        "candidates": candidates,
+        "remarks": list(result.remarks),
+        "check": live,
+        "report": str(page),
+    }
+
+
+def _slug(text: str) -> str:
+    """A tool's name out of any text."""
+    return re.sub(r"[^a-z0-9_-]+", "-", text.lower()).strip("-")[:40]

@@ -1,0 +1,224 @@
+"""The operator's side of a sweep: starts it over the bus, shows how it goes, and stops the robot on the way out."""
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from galen_hw.bus import CommandClient, Subscriber
+from galen_hw.config.paths import Addresses
+from galen_hw.errors import CommandRejectedError, GalenError, HardwareError
+from galen_hw.messages import CalibrationProgress
+
+SILENT_S: Final = 5.0
+HEARTBEAT_S: Final = 0.5
+
+
+class Heartbeat:
+    """Tells the calibration service, from a thread, that its client lives; the robot stops when this ends early."""
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._beat, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._end.set()
+        self._thread.join(timeout=5.0)
+
+    def _beat(self) -> None:
+        with CommandClient(self._address) as client:
+            while not self._end.wait(HEARTBEAT_S):
+                with suppress(GalenError):
+                    client.call("calibration", "heartbeat", timeout_s=2.0)
+
+
+@dataclass(frozen=True)
+class Operator:
+    """Who puts the tool on.
+
+    Args:
+        bare: called before the sweep: no tool may be on; tool: called when the tool is to be put on.
+    """
+
+    bare: Callable[[], None]
+    tool: Callable[[], None]
+
+
+def run_sweep(
+    addresses: Addresses, tool: str, overrides: dict[str, Any], operator: Operator, console: Console
+) -> tuple[Path, str]:
+    """Run a sweep to its end or to what stopped it.
+
+    Returns:
+        Folder of the raw sweep, and why it stopped early (empty if it did not).
+
+    Raises:
+        CommandRejectedError: it cannot be started. HardwareError: the daemon is gone.
+        KeyboardInterrupt: Ctrl-C; the robot has been stopped.
+    """
+    with Subscriber(addresses.bus, ("calibration/progress",)) as subscriber, CommandClient(addresses.command) as client:
+        operator.bare()
+        with Heartbeat(addresses.command), _stopping(client):
+            started = _start(client, {"tool": tool, "kind": "sweep", **overrides})
+            reason = _follow(subscriber, client, operator, console, started)
+    return Path(started["sweep"]), reason
+
+
+def run_check(addresses: Addresses, tool: str, console: Console) -> None:
+    """Run the slow motion that checks the compensation to its end.
+
+    Raises:
+        HardwareError: it was stopped, with the reason.
+    """
+    nobody = Operator(lambda: None, lambda: None)
+    with (
+        Subscriber(addresses.bus, ("calibration/progress",)) as subscriber,
+        CommandClient(addresses.command) as client,
+        Heartbeat(addresses.command),
+        _stopping(client),
+    ):
+        started = _start(client, {"tool": tool, "kind": "check"})
+        reason = _follow(subscriber, client, nobody, console, started)
+    if reason:
+        raise HardwareError(reason, where="check of the compensation")
+
+
+def _start(client: CommandClient, args: dict[str, Any]) -> dict[str, Any]:
+    """Start, waiting for samples that have just begun to flow."""
+    until = time.monotonic() + 5.0
+    while True:
+        try:
+            return client.call("calibration", "start", args)
+        except CommandRejectedError as error:
+            if "no samples" not in error.what or time.monotonic() > until:
+                raise
+            time.sleep(0.2)
+
+
+@contextmanager
+def _stopping(client: CommandClient) -> Iterator[None]:
+    """Stop the robot if the block does not end by itself."""
+    try:
+        yield
+    except BaseException:
+        with suppress(GalenError):
+            client.call("calibration", "stop", timeout_s=5.0)
+        raise
+
+
+def _follow(
+    subscriber: Subscriber, client: CommandClient, operator: Operator, console: Console, started: dict[str, Any]
+) -> str:
+    """Show progress until the end; why it stopped early, or empty."""
+    columns = (
+        SpinnerColumn(),
+        TextColumn("[bold]{task.fields[state]:>10}[/]"),
+        BarColumn(bar_width=36),
+        TextColumn("{task.completed:>3.0f}/{task.total:.0f} poses"),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
+        TextColumn("[dim]{task.fields[detail]}[/]"),
+    )
+    with Progress(*columns, console=console, transient=False) as bar:
+        task = bar.add_task("", total=started["poses"], state="starting", left="", detail="")
+        heard, resumed = time.monotonic(), False
+        while True:
+            received = subscriber.receive(0.5)
+            if received is None or not isinstance(received[1], CalibrationProgress):
+                if time.monotonic() - heard > SILENT_S:
+                    raise HardwareError("the calibration service is silent", where="bus", todo="galen-hw monitor")
+                continue
+            heard, message = time.monotonic(), received[1]
+            ended = message.state in ("done", "stopped")
+            done = message.pose - (0 if ended else 1)
+            left = "" if ended else f"{_clock(message.remaining_s)} left"
+            detail = "" if ended else message.detail
+            bar.update(task, completed=max(done, 0), state=message.state, left=left, detail=detail)
+            if ended:
+                return "" if message.state == "done" else message.detail
+            if message.state == "waiting" and not resumed:
+                resumed = True
+                bar.stop()
+                operator.tool()
+                client.call("calibration", "resume")
+                bar.start()
+                heard = time.monotonic()
+
+
+def _clock(seconds: float) -> str:
+    whole = round(seconds)
+    return f"{whole // 60}:{whole % 60:02d}"
+
+
+def by_hand(console: Console, tool: str, addresses: Addresses, *, ask: bool) -> Operator:
+    """A person at the robot; without `ask` the tool is felt by its weight instead of waiting for Enter."""
+
+    def bare() -> None:
+        if ask:
+            _enter(console, "Take any tool off the sensor, keep hands and cables clear. The robot will move.")
+
+    def put_on() -> None:
+        if ask:
+            _enter(console, f"Put the {tool} on, then keep clear.")
+        else:
+            console.print(f"put the {tool} on; its weight is waited for ...")
+            _feel(addresses)
+
+    return Operator(bare, put_on)
+
+
+def _enter(console: Console, text: str) -> None:
+    console.print(f"[bold yellow]{text}[/] Enter to go on, Ctrl-C to stop.")
+    if not sys.stdin.isatty():
+        raise CommandRejectedError("nobody can be asked: the input is not a terminal", todo="add --yes")
+    sys.stdin.readline()
+
+
+def _feel(addresses: Addresses) -> None:
+    """Return when the force has changed by more than 0.15 N and has been steady for two seconds."""
+    from galen_hw.messages import WrenchRaw
+
+    with Subscriber(addresses.bus, ("wrench/raw",)) as subscriber:
+        first: float | None = None
+        level, since = 0.0, time.monotonic()
+        while True:
+            received = subscriber.receive(1.0)
+            if received is None or not isinstance(received[1], WrenchRaw):
+                continue
+            force = received[1].force
+            size = (force.x**2 + force.y**2 + force.z**2) ** 0.5
+            first = size if first is None else first
+            if abs(size - level) > 0.1:
+                level, since = size, time.monotonic()
+            if abs(level - first) > 0.15 and time.monotonic() - since > 2.0:
+                return
+
+
+def by_virtual_hand(console: Console, tool: str, folder: Path) -> Operator:
+    """The virtual robot's own hand."""
+    from galen_hw.drivers.virtual.control import VirtualControl
+
+    def attach(name: str | None) -> None:
+        with VirtualControl(folder) as control:
+            control.attach_tool(name)
+
+    def put_on() -> None:
+        attach(tool)
+        console.print(f"[dim]virtual hand: the {tool} is on[/]")
+
+    return Operator(lambda: attach(None), put_on)

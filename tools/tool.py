@@ -1,0 +1,268 @@
+"""`galen-hw tool`: the tools, their calibrations and their history."""
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from galen_hw.errors import EXIT_OK, GalenError, UsageError
+
+if TYPE_CHECKING:
+    from galen_hw.config.tool_file import ToolFile
+    from galen_hw.config.tool_store import Generation, ToolStore
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command and of its parts."""
+    parts = parser.add_subparsers(dest="part", metavar="PART", required=True)
+    for name, (_, text) in PARTS.items():
+        part = parts.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        if name not in ("list", "import"):
+            optional = "?" if name == "select" else None
+            part.add_argument("name", metavar="NAME", nargs=optional, help="the tool")
+        if name in ("show", "rollback", "export"):
+            part.add_argument("--generation", type=int, metavar="N", help="of the history; default: see above")
+        if name == "export":
+            part.add_argument("file", metavar="FILE", nargs="?", type=Path, help="to write; default: NAME.json")
+        if name == "import":
+            part.add_argument("file", metavar="FILE", type=Path, help="a tool's file, as export writes it")
+            part.add_argument("--force", action="store_true", help="take the calibration of another sensor or robot")
+        if name == "select":
+            part.add_argument("--none", action="store_true", help="no tool in hand")
+        part.add_argument("--json", action="store_true", help="print JSON")
+        part.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory of the daemon")
+    parser.epilog = "examples: galen-hw tool show retractor --json; galen-hw tool rollback retractor"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Carry out one part."""
+    return PARTS[args.part][0](args, _store(args))
+
+
+def _store(args: argparse.Namespace) -> "ToolStore":
+    """The running daemon's tools, or the user's own."""
+    from galen_hw.config.paths import state_dir
+    from galen_hw.config.tool_store import ToolStore
+
+    folder = _ask_daemon(args, "daemon", "info", {}).get("state_dir")
+    return ToolStore(Path(folder) if folder else state_dir())
+
+
+def _ask_daemon(args: argparse.Namespace, target: str, name: str, arguments: dict[str, Any]) -> dict[str, Any]:
+    """The daemon's answer, empty if none runs.
+
+    Raises:
+        GalenError: it refuses.
+    """
+    from galen_hw.bus import CommandClient
+    from galen_hw.config.paths import Addresses, client_runtime_dir
+    from galen_hw.errors import HardwareError
+
+    addresses = Addresses(args.dir or client_runtime_dir())
+    if not (addresses.runtime / "command").exists():
+        return {}
+    with CommandClient(addresses.command) as client:
+        try:
+            return client.call(target, name, arguments, timeout_s=3.0)
+        except HardwareError as error:
+            if "no answer" in error.what:
+                return {}
+            raise
+
+
+def _list(args: argparse.Namespace, store: "ToolStore") -> int:
+    rows = []
+    for name in store.names():
+        row: dict[str, Any] = {"name": name, "selected": name == store.selected()}
+        try:
+            row |= _summary(store.load(name))
+        except GalenError as error:
+            row["error"] = str(error)
+        rows.append(row)
+    if args.json:
+        print(json.dumps(rows))
+        return EXIT_OK
+    table = _table("", "tool", "mass g", "com mm", "calibration", "date", "sensor")
+    for row in rows:
+        table.add_row(">" if row["selected"] else "", row["name"], *_cells(row))
+    _print(table)
+    return EXIT_OK
+
+
+def _show(args: argparse.Namespace, store: "ToolStore") -> int:
+    tool = store.load(args.name) if args.generation is None else store.generation(args.name, args.generation)
+    if args.json:
+        data = tool.model_dump(by_alias=True, mode="json")
+        data |= {"calibrated": tool.calibrated, "calibration": tool.calibration_id}
+        print(json.dumps(data))
+        return EXIT_OK
+    _print_tool(tool)
+    return EXIT_OK
+
+
+def _select(args: argparse.Namespace, store: "ToolStore") -> int:
+    name = None if args.none else args.name
+    if name is None and not args.none:
+        raise UsageError("which tool?", where="tool select", todo="give its name, or --none")
+    if name is not None and not store.load(name).calibrated:
+        todo = f"galen-hw calibrate --tool {name}"
+        raise UsageError(f"tool {name!r} was never calibrated", where="tool select", todo=todo)
+    live = _ask_daemon(args, "compensation", "select_tool", {"tool": name})
+    store.select(name)
+    where = "the daemon uses it now" if live else "no daemon runs: taken up when it starts"
+    return _done(args, {"selected": name}, f"selected {name or 'no tool'}; {where}")
+
+
+def _history(args: argparse.Namespace, store: "ToolStore") -> int:
+    history = store.history(args.name)
+    if args.json:
+        print(json.dumps([_entry(g) for g in history]))
+        return EXIT_OK
+    if not history:
+        print(f"{args.name} was never calibrated: galen-hw calibrate --tool {args.name}")
+        return EXIT_OK
+    table = _table("", "n", "mass g", "com mm", "calibration", "date", "sensor")
+    for g in history:
+        cells = _cells(_summary(g.tool)) if g.tool else [g.error, "", "", "", ""]
+        table.add_row(">" if g.active else "", str(g.number), *cells)
+    _print(table)
+    return EXIT_OK
+
+
+def _rollback(args: argparse.Namespace, store: "ToolStore") -> int:
+    before = store.active(args.name)
+    tool = store.rollback(args.name, args.generation)
+    live = store.selected() == args.name and bool(_ask_daemon(args, "compensation", "reload", {}))
+    text = f"{args.name}: generation {before} -> {store.active(args.name)}" + (
+        "; the daemon uses it now" if live else ""
+    )
+    return _done(args, {"name": args.name, "calibration": tool.calibration_id}, text)
+
+
+def _export(args: argparse.Namespace, store: "ToolStore") -> int:
+    from galen_hw.config.tool_store import write_atomic
+
+    tool = store.load(args.name) if args.generation is None else store.generation(args.name, args.generation)
+    file = args.file or Path(f"{args.name}.json")
+    write_atomic(file, tool.to_json() + "\n")
+    return _done(args, {"file": str(file)}, f"wrote {file}")
+
+
+def _import(args: argparse.Namespace, store: "ToolStore") -> int:
+    from galen_hw.config.tool_file import parse_tool
+
+    try:
+        text = args.file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"cannot be read ({error})", where=str(args.file), todo="give a tool's file") from None
+    tool = parse_tool(text, str(args.file))
+    problems = [] if args.force else _foreign(args, tool)
+    if problems:
+        raise UsageError(
+            f"tool {tool.name!r} {problems[0]}", where=str(args.file), todo="calibrate it here, or --force"
+        )
+    saved = store.save(tool)
+    text = f"imported {saved.calibration_id}"
+    return _done(args, {"name": saved.name, "calibration": saved.calibration_id}, text)
+
+
+def _foreign(args: argparse.Namespace, tool: "ToolFile") -> list[str]:
+    """Why the file does not belong to the running daemon's hardware, as far as that is known."""
+    from galen_hw.config.tool_store import binding_problems
+
+    info = _ask_daemon(args, "daemon", "info", {})
+    return binding_problems(tool, sensor_serial="", robot=str(info.get("robot", "")))
+
+
+def _summary(tool: "ToolFile") -> dict[str, Any]:
+    origin = tool.origin
+    return {
+        "calibrated": tool.calibrated,
+        "calibration": tool.calibration_id,
+        "mass": tool.mass,
+        "com": tool.com,
+        "std": tool.std.model_dump(mode="json") if tool.std else None,
+        "date": origin.date if origin else None,
+        "sensor_serial": origin.sensor_serial if origin else None,
+        "robot": origin.robot if origin else None,
+    }
+
+
+def _entry(generation: "Generation") -> dict[str, Any]:
+    row: dict[str, Any] = {"generation": generation.number, "active": generation.active, "file": str(generation.path)}
+    return row | (_summary(generation.tool) if generation.tool else {"error": generation.error})
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    if "error" in row:
+        return [str(row["error"]), "", "", "", ""]
+    if not row["calibrated"]:
+        return ["-", "-", "never calibrated", "", ""]
+    com = ", ".join(f"{1e3 * x:.2f}" for x in row["com"])
+    return [f"{1e3 * row['mass']:.2f}", com, row["calibration"], row["date"], row["sensor_serial"] or "?"]
+
+
+def _print_tool(tool: "ToolFile") -> None:
+    from rich.console import Console
+
+    console, mm = Console(highlight=False), "({:.2f}, {:.2f}, {:.2f}) mm"
+    rows = [("tip", mm.format(*(1e3 * x for x in tool.tip)))]
+    if tool.contact:
+        rows.append(("contact", mm.format(*(1e3 * x for x in tool.contact))))
+    if tool.mass is None or tool.com is None or tool.origin is None:
+        rows.append(("calibration", f"never: galen-hw calibrate --tool {tool.name}"))
+    else:
+        std, wide = tool.std, 1e3 * tool.coverage_factor
+        rows.append(("mass", f"{1e3 * tool.mass:.3f} g" + (f" +- {wide * std.mass:.3f} g (95 %)" if std else "")))
+        spread = f" +- ({', '.join(f'{wide * x:.3f}' for x in std.com)}) mm" if std else ""
+        rows.append(("centre of mass", mm.format(*(1e3 * x for x in tool.com)) + spread))
+        if tool.bias_body:
+            body = tool.bias_body
+            rows.append(("bias body", f"{1e3 * body.mass:.3f} g at " + mm.format(*(1e3 * x for x in body.com))))
+        origin = tool.origin
+        sensor = origin.sensor_serial or "not known"
+        rows += [
+            ("calibration", f"{origin.id}, {origin.date}, {origin.software}"),
+            ("made on", f"robot {origin.robot or 'not known'}, sensor {sensor}"),
+            ("by", f"{origin.method}, {origin.fit_poses} poses and {origin.verify_poses} to verify with"),
+            ("raw sweep", origin.sweep or "-"),
+        ]
+        rows += [("effect", f"{term.effect} ({term.source})") for term in tool.terms]
+        rows += [("remark", line) for line in origin.remarks]
+    console.print(f"[bold]{tool.name}[/]")
+    for key, value in rows:
+        console.print(f"  {key:<15} {value}", soft_wrap=True)
+
+
+def _done(args: argparse.Namespace, data: dict[str, Any], text: str) -> int:
+    print(json.dumps(data) if args.json else text)
+    return EXIT_OK
+
+
+def _table(*heads: str) -> Any:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for head in heads:
+        table.add_column(head, no_wrap=True, justify="right" if head in ("n", "mass g", "com mm") else "left")
+    return table
+
+
+def _print(table: Any) -> None:
+    from rich.console import Console
+
+    console = Console()
+    (console if console.is_terminal else Console(width=140)).print(table)
+
+
+PARTS: dict[str, tuple[Callable[[argparse.Namespace, "ToolStore"], int], str]] = {
+    "list": (_list, "all tools and the calibration that each uses"),
+    "show": (_show, "mass, centre of mass, their uncertainty and where they came from"),
+    "select": (_select, "the tool in hand, for the running daemon and after a restart"),
+    "history": (_history, "all calibrations of a tool"),
+    "rollback": (_rollback, "use an earlier calibration again"),
+    "export": (_export, "write a tool's file"),
+    "import": (_import, "add a tool's file as a new generation"),
+}
