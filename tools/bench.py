@@ -192,7 +192,7 @@ def _page(rows: list[Row]) -> str:
     lines = [
         "# Benchmarks",
         "",
-        f"Written by `make bench` on a shared machine with {machine}. Virtual robot, daemon and subscriber share its cores.",
+        f"Written by `make bench` on a shared machine with {machine}; robot, daemon and subscriber share it.",
         "A ROS 1 C++ node with the same job: p50 223-261 us, p99 406-1322 us, 0.3-3.1 % lost on such a machine.",
         "",
         "| what | promised | measured | reached | by |",
