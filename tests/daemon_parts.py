@@ -54,6 +54,8 @@ class PtyTransport(Transport[bytes]):
         except OSError as error:
             raise HardwareError(error.strerror or "?", where=self.address, todo="plug it in") from None
         t_ns = time.monotonic_ns()
+        if not data:
+            raise HardwareError("the far end is gone", where=self.address, todo="plug it in")
         self._counters["bytes_in"] += len(data)
         return [(data, t_ns)]
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import msgspec
 
@@ -83,8 +83,10 @@ class Wire:
 
     def close(self) -> None:
         self.hush()
-        os.close(self.master)
-        os.close(self._slave)
+        if self.master >= 0:
+            os.close(self.master)
+            os.close(self._slave)
+            self.master = -1
 
 
 @dataclass
@@ -95,6 +97,7 @@ class Tree:
     sensor: Wire = field(default_factory=Wire)
     motors: Wire = field(default_factory=Wire)
     process: "subprocess.Popen[str] | None" = None
+    viewers: str = ""
 
     @property
     def addresses(self) -> Addresses:
@@ -130,12 +133,32 @@ realtime_priority = 0
     def command(self, *words: str) -> list[str]:
         return [sys.executable, "-c", RUN, msgspec.json.encode(TABLES).decode(), *words]
 
+    def __post_init__(self) -> None:
+        self._streams: list[IO[str]] = []
+
     def start(self, *words: str, environ: dict[str, str] | None = None) -> "subprocess.Popen[str]":
         command = self.command("run", "--config", str(self.folder / "galen.toml"), *words)
         self.process = subprocess.Popen(
             command, env=self.environ | (environ or {}), text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
         )
+        assert self.process.stdout is not None
+        assert self.process.stderr is not None
+        self._streams += [self.process.stdout, self.process.stderr]
         return self.process
+
+    def close(self) -> None:
+        """End the process and the wires, whatever state they are in."""
+        if self.process is not None and self.process.poll() is None:
+            self.process.terminate()
+            try:
+                self.process.wait(timeout=15)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+        for stream in self._streams:
+            stream.close()
+        self.sensor.close()
+        self.motors.close()
 
     def start_ready(self) -> "subprocess.Popen[str]":
         """Start with both devices talking; back when the daemon says that it is ready."""
@@ -171,18 +194,7 @@ def daemon_tree(folder: Path) -> Iterator[Tree]:
     try:
         yield tree
     finally:
-        if tree.process is not None and tree.process.poll() is None:
-            tree.process.terminate()
-            try:
-                tree.process.wait(timeout=15)
-            except subprocess.TimeoutExpired:
-                tree.process.kill()
-        if tree.process is not None:
-            for stream in (tree.process.stdout, tree.process.stderr):
-                if stream is not None:
-                    stream.close()
-        tree.sensor.close()
-        tree.motors.close()
+        tree.close()
 
 
 def alive(pid: int) -> bool:

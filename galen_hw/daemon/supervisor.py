@@ -1,6 +1,5 @@
 """The supervisor: starts the processes, answers commands, feeds the watchdog, starts again what dies, ends cleanly."""
 
-import fcntl
 import logging
 import os
 import select
@@ -22,14 +21,16 @@ from galen_hw.config.paths import Addresses
 from galen_hw.daemon.broker import Broker
 from galen_hw.daemon.layout import CORE, MOTORS, Share, lay_out
 from galen_hw.daemon.links import Beat, DeviceState
+from galen_hw.daemon.lock import lock
 from galen_hw.daemon.notify import Notifier
 from galen_hw.daemon.orders import Orders
 from galen_hw.daemon.port import Waker
-from galen_hw.errors import EXIT_FOUND, EXIT_HARDWARE, EXIT_OK, UsageError
+from galen_hw.errors import EXIT_FOUND, EXIT_HARDWARE, EXIT_OK
 from galen_hw.messages import TOPICS
 from galen_hw.version import VERSION
 
 TURN_S: Final = 0.05
+INTERPRETERS_WITHIN_S: Final = 30.0
 REST_WITHIN_S: Final = 6.0
 SILENT_AFTER_S: Final = 8.0
 DEATHS_ALLOWED: Final = 5
@@ -80,7 +81,7 @@ class Supervisor:
         self._waker = Waker()
         self._stopping = False
         self._is_ready = False
-        self._begun = time.monotonic()
+        self._begun, self._all_up = time.monotonic(), 0.0
 
     def stop(self) -> None:
         """End soon; from a signal handler."""
@@ -177,7 +178,11 @@ class Supervisor:
         states = self._device_states()
         required = {n: s for n, s in states.items() if not s.optional}
         awaited = {n for n, d in self._setup.devices.items() if not d.optional}
-        late = time.monotonic() - self._begun > self._setup.config.daemon.start_timeout_s
+        if self._processes.keys() <= self._broker.beats.keys():
+            # Devices have their time from here: what the interpreters need to start is no fault of theirs.
+            self._all_up = self._all_up or time.monotonic()
+        since = self._all_up or self._begun + INTERPRETERS_WITHIN_S
+        late = time.monotonic() - since > self._setup.config.daemon.start_timeout_s
         tried = awaited <= required.keys() and all(s.attempts and s.wire != "opening" for s in required.values())
         if tried and any(s.wire == "failed" for s in required.values()):
             return self._refuse({n: s for n, s in required.items() if s.wire == "failed"})
@@ -186,7 +191,13 @@ class Supervisor:
             self._notifier.ready()
             self._on_ready(self._summary())
         elif late:
-            return self._refuse({n: required.get(n, _SILENT) for n in awaited if not required.get(n, _SILENT).ready})
+            return self._refuse(
+                {
+                    n: required.get(n, _SILENT)
+                    for n in self._setup.devices
+                    if n in awaited and not required.get(n, _SILENT).ready
+                }
+            )
         return EXIT_OK
 
     def _flows(self) -> bool:
@@ -204,7 +215,9 @@ class Supervisor:
         return EXIT_HARDWARE
 
     def _device_states(self) -> dict[str, DeviceState]:
-        return {n: s for b in list(self._broker.beats.values()) for n, s in b.devices.items()}
+        """The known ones, in the order of the settings."""
+        known = {n: s for b in self._broker.beats.values() for n, s in b.devices.items()}
+        return {n: known[n] for n in self._setup.devices if n in known}
 
     def _tell(self) -> None:
         self._notifier.progress(self._broker.beats.get(CORE, Beat()).progress)
@@ -255,27 +268,6 @@ class Supervisor:
 
 
 _SILENT: Final = DeviceState(wire="closed", ready=False, optional=False)
-
-
-def lock(addresses: Addresses) -> int:
-    """The descriptor that holds the runtime directory's lock; the kernel frees it however the daemon ends.
-
-    Raises:
-        UsageError: another daemon holds it.
-    """
-    fd = os.open(addresses.lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
-    try:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        pid = os.read(fd, 32).decode(errors="replace").strip()
-        os.close(fd)
-        todo = "stop it first, or give another runtime directory with --dir"
-        raise UsageError(
-            f"a daemon runs here already (process {pid})", where=str(addresses.runtime), todo=todo
-        ) from None
-    os.truncate(fd, 0)
-    os.write(fd, f"{os.getpid()}\n".encode())
-    return fd
 
 
 def install_signals(supervisor: Supervisor) -> None:

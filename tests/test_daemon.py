@@ -1,0 +1,322 @@
+"""The daemon's process tree, end to end: real processes, real ptys, real ZeroMQ."""
+
+import os
+import signal
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from galen_hw.bus import CommandClient, Subscriber
+from galen_hw.errors import CommandRejectedError, HardwareError, UsageError
+from galen_hw.messages import JointsState, WrenchCompensated
+from tests.daemon_tree import Tree, Wire, alive, daemon_tree, within
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tree]:
+    """A daemon that stays up for the tests that only look and ask."""
+    with daemon_tree(tmp_path_factory.mktemp("d")) as tree, socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+        probe.close()
+        tree.write_config("command_timeout_s = 1.0")
+        config = tree.folder / "galen.toml"
+        config.write_text(config.read_text().replace('viewers = ""', f'viewers = "tcp://127.0.0.1:{port}"'))
+        tree.start_ready()
+        tree.viewers = f"tcp://127.0.0.1:{port}"
+        yield tree
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Iterator[Tree]:
+    """A daemon of the test's own, not started yet."""
+    with daemon_tree(tmp_path) as own:
+        own.write_config()
+        yield own
+
+
+def test_compensated_follows_raw_and_joints_without_a_gap(running: Tree) -> None:
+    """Raw and joints come from two processes; every raw sample gives one compensated sample made of both."""
+    with running.subscriber("wrench/") as subscriber:
+        messages = [subscriber.receive(5.0) for _ in range(100)]
+        assert subscriber.lost == {}
+    raw = {m[1].t_ns: m[1] for m in messages if m and m[0] == "wrench/raw"}
+    compensated = [m[1] for m in messages if m and isinstance(m[1], WrenchCompensated)]
+
+    assert len(compensated) > 40
+    for message in compensated:
+        if message.t_ns in raw:
+            assert message.force.z == pytest.approx(raw[message.t_ns].force.z - 0.5)
+
+
+def test_publications_of_other_processes_are_on_the_bus(running: Tree) -> None:
+    """The motors' process publishes through the core, in order."""
+    with running.subscriber("joints/state") as subscriber:
+        states = [m[1] for _ in range(20) if (m := subscriber.receive(5.0))]
+        assert subscriber.lost == {}
+
+    assert [s.position["roll"] for s in states if isinstance(s, JointsState)] == [0.5] * 20
+
+
+def test_viewers_read_a_copy_on_tcp(running: Tree) -> None:
+    """What PlotJuggler connects to carries the same messages."""
+    with Subscriber(running.viewers, ["wrench/compensated"]) as viewer:
+        received = viewer.receive(5.0)
+
+    assert received is not None
+    assert received[0] == "wrench/compensated"
+
+
+def test_each_process_says_how_it_is(running: Tree) -> None:
+    """Statuses of both processes come within two seconds, with the wire's counters."""
+    heard: dict[str, dict[str, int]] = {}
+    with running.subscriber("status") as subscriber:
+        until = time.monotonic() + 5.0
+        while len(heard) < 2 and time.monotonic() < until:
+            if received := subscriber.receive(1.0):
+                heard[received[1].source] = received[1].counters
+
+    assert heard["daemon.core"]["ft wire bytes_in"] > 0
+    assert heard["daemon.motion"]["motors wire bytes_in"] > 0
+
+
+def test_request_goes_to_the_owner_and_through_a_service_to_another_process(running: Tree) -> None:
+    """A client asks a service, which asks the sensor of another process, whose answer finds its way back."""
+    result = running.call("calibration", "zero")
+
+    assert running.sensor.hear(b"ZERO")
+    assert float(result["line"]) > 0
+
+
+def test_service_of_another_process_hears_the_core(running: Tree) -> None:
+    """The calibration takes the raw wrench off the bus."""
+    assert within(5.0, lambda: running.call("calibration", "heard")["heard"] > 10)
+
+
+@pytest.mark.parametrize(
+    ("target", "name", "error", "text"),
+    [
+        ("motorz", "stop", UsageError, "no target 'motorz'; did you mean motors"),
+        ("ft", "fly", CommandRejectedError, "no command 'fly'; one of: say"),
+        ("compensation", "fail", HardwareError, "a bug"),
+        ("ft", "silence", HardwareError, "no answer within 1 s"),
+        ("daemon", "fly", UsageError, "one of: info"),
+    ],
+)
+def test_every_failure_of_a_command_is_typed(
+    running: Tree, target: str, name: str, error: type[Exception], text: str
+) -> None:
+    """Unknown, refused, failed and never answered: each with its own error, and the daemon goes on."""
+    with pytest.raises(error, match=text):
+        running.call(target, name)
+
+    assert running.call("daemon", "info")["ready"]
+
+
+def test_garbage_on_the_command_socket_is_answered(running: Tree) -> None:
+    """Bytes that are no request get a typed error back."""
+    with CommandClient(running.addresses.command) as client:
+        client.socket.send_multipart([b"", b"\xc1garbage"])
+        assert client.socket.poll(5000)
+        assert b"not a request" in client.socket.recv_multipart()[-1]
+        client.socket.send_multipart([b""])
+        client.socket.send_multipart([b"a", b"b", b"c", b"", b"\x80"])
+        assert client.call("daemon", "info")["ready"]
+
+
+def test_second_daemon_in_the_directory_is_refused(running: Tree) -> None:
+    """One line, exit status 2, and the first goes on."""
+    import subprocess
+
+    command = running.command("run", "--config", str(running.folder / "galen.toml"))
+    second = subprocess.run(command, env=running.environ, capture_output=True, text=True, timeout=30, check=False)
+
+    assert second.returncode == 2
+    assert "a daemon runs here already" in second.stderr
+    assert len(second.stderr.splitlines()) == 1
+    assert running.call("daemon", "info")["ready"]
+
+
+def test_sigterm_rests_the_robot_first_and_leaves_nothing(tree: Tree) -> None:
+    """The core lives until the motors have come to rest; then all end, with status 0."""
+    process = tree.start_ready()
+    pids = tree.call("daemon", "info")["processes"]
+    tree.motors.hush()
+    tree.motors.chatter("moving", every_s=0.02)
+    with tree.subscriber("joints/state") as subscriber:
+        assert within(5.0, lambda: bool((m := subscriber.receive(1.0)) and m[1].moving["roll"]))
+    process.send_signal(signal.SIGTERM)
+
+    assert tree.motors.hear(b"REST")
+    assert alive(pids["core"])
+    tree.motors.hush()
+    tree.motors.chatter("0.5", every_s=0.02)
+    assert process.wait(timeout=20) == 0
+    assert tree.sensor.hear(b"REST")
+    assert not any(alive(pid) for pid in pids.values())
+
+
+def test_supervisor_killed_leaves_no_orphans_and_a_robot_at_rest(tree: Tree) -> None:
+    """SIGKILL gives no chance to clean up: the others notice and end by themselves, motors resting."""
+    process = tree.start_ready()
+    pids = tree.call("daemon", "info")["processes"]
+    process.kill()
+
+    assert tree.motors.hear(b"REST")
+    assert within(10.0, lambda: not any(alive(pid) for pid in pids.values()))
+
+
+@pytest.mark.parametrize("victim", ["core", "motion"])
+def test_process_that_dies_is_started_again(tree: Tree, victim: str) -> None:
+    """After SIGKILL of either process the flow comes back; if the core died, the motors are told to stop."""
+    tree.start_ready()
+    with tree.subscriber("wrench/compensated", "joints/state") as subscriber:
+        before = tree.call("daemon", "info")["processes"][victim]
+        os.kill(before, signal.SIGKILL)
+        assert within(15.0, lambda: tree.call("daemon", "info")["processes"][victim] not in (0, before))
+        topic = "wrench/compensated" if victim == "core" else "joints/state"
+        begun = time.monotonic_ns()
+        assert within(10.0, lambda: bool((m := subscriber.receive(1.0)) and m[0] == topic and m[1].t_ns > begun))
+    if victim == "core":
+        assert tree.motors.hear(b"STOP")
+
+
+def test_wire_that_vanishes_is_opened_again(tree: Tree) -> None:
+    """The adapter is unplugged and plugged in again: the same daemon goes on."""
+    link = tree.folder / "ft"
+    link.symlink_to(tree.sensor.path)
+    tree.write_config(ft=str(link))
+    tree.start_ready()
+    tree.sensor.close()
+    link.unlink()
+    with tree.subscriber("status") as subscriber:
+        assert within(
+            5.0,
+            lambda: bool(
+                (m := subscriber.receive(2.0))
+                and m[1].source == "daemon.core"
+                and m[1].state == "degraded"
+                and m[1].detail
+            ),
+        )
+    tree.sensor = Wire()
+    link.symlink_to(tree.sensor.path)
+    tree.sensor.chatter("7")
+    with tree.subscriber("wrench/compensated") as subscriber:
+        assert within(10.0, lambda: bool((m := subscriber.receive(1.0)) and m[1].force.z == pytest.approx(6.5)))
+
+
+def test_ports_that_cannot_be_opened_are_all_named(tree: Tree) -> None:
+    """Both devices in one go, a line each, exit status 3."""
+    tree.write_config(ft="/dev/serial/by-id/none", motors="/nowhere/either")
+    process = tree.start()
+    _, stderr = process.communicate(timeout=30)
+
+    assert process.returncode == 3
+    assert stderr.splitlines() == [
+        "galen-hw run: devices.ft (/dev/serial/by-id/none): No such file or directory; plug it in",
+        "galen-hw run: devices.motors (/nowhere/either): No such file or directory; plug it in",
+    ]
+
+
+def test_device_that_never_answers_is_named(tree: Tree) -> None:
+    """The port opens, but the motors say nothing: one line, exit status 3, and what did start is at rest."""
+    tree.write_config("start_timeout_s = 2.0")
+    tree.sensor.chatter("1")
+    process = tree.start()
+    _, stderr = process.communicate(timeout=30)
+
+    assert process.returncode == 3
+    assert stderr.splitlines() == [
+        "galen-hw run: devices.motors: does not answer; is it switched on, and the right device?"
+    ]
+    assert tree.motors.hear(b"REST")
+
+
+def test_what_a_service_has_learnt_outlives_the_daemon(tree: Tree) -> None:
+    """Kept at once, read at the next start; a damaged file is said and passed over."""
+    tree.start_ready()
+    tree.call("compensation", "offset", value=100.0)
+    kept = tree.folder / "state" / "services" / "compensation.json"
+    assert within(5.0, kept.exists)
+    assert tree.end()[0] == 0
+    tree.sensor.hush()
+    tree.motors.hush()
+    tree.start_ready()
+    with tree.subscriber("wrench/") as subscriber:
+        raw, compensated = 0.0, 0.0
+        while not (raw and compensated):
+            topic, message = subscriber.receive(5.0) or ("", None)
+            raw = message.force.z if topic == "wrench/raw" else raw
+            compensated = message.force.z if topic == "wrench/compensated" else compensated
+    assert compensated < raw - 50.0
+    assert tree.end()[0] == 0
+    kept.write_text("{ half")
+    tree.sensor.hush()
+    tree.motors.hush()
+    tree.start_ready()
+    status, stderr = tree.end()
+
+    assert status == 0
+    assert "cannot be read" in stderr
+
+
+class Systemd:
+    """The socket on which systemd hears a service."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = str(folder / "notify")
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(self.path)
+        self._socket.settimeout(0.1)
+        self.heard: list[str] = []
+
+    def listen(self) -> None:
+        """Take one word, or wait a moment for none."""
+        try:
+            self.heard.append(self._socket.recv(4096).decode())
+        except TimeoutError:
+            return
+
+    def hears(self, word: str, seconds: float = 10.0) -> bool:
+        """Whether a word comes in time."""
+
+        def check() -> bool:
+            self.listen()
+            return word in self.heard
+
+        return within(seconds, check)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def test_systemd_hears_ready_when_samples_flow_and_the_watchdog_only_while_they_do(tree: Tree) -> None:
+    """READY waits for the first compensated sample; WATCHDOG ends with the samples; STOPPING at the end."""
+    systemd = Systemd(tree.folder)
+    try:
+        tree.motors.chatter("0.5", every_s=0.02)
+        tree.start(environ={"NOTIFY_SOCKET": systemd.path, "WATCHDOG_USEC": "2000000"})
+        assert within(10.0, tree.addresses.lock.exists)
+        assert not systemd.hears("READY=1", seconds=1.5)
+        tree.sensor.chatter("1")
+        assert systemd.hears("READY=1")
+        systemd.heard.clear()
+        assert systemd.hears("WATCHDOG=1")
+        tree.sensor.hush()
+
+        def quiet() -> bool:
+            systemd.heard.clear()
+            for _ in range(8):
+                systemd.listen()
+            return "WATCHDOG=1" not in systemd.heard
+
+        assert within(5.0, quiet)
+        status, _ = tree.end()
+        while "STOPPING=1" not in systemd.heard:
+            systemd.listen()
+        assert status == 0
+    finally:
+        systemd.close()
