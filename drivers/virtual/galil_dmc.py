@@ -131,6 +131,14 @@ class VirtualGalilDmc:
             for i in [GALEN_JOINTS.index(axis.joint)]
         ]
 
+    def power_cycle(self, now_ns: int) -> None:
+        """Off and on: everything that was not burned is forgotten, the motors lose power."""
+        self._run(now_ns)
+        self.controller.reset()
+        self._reader.clear()
+        self._rx.clear()
+        self._tx.clear()
+
     def feed(self, data: bytes, t_ns: int) -> None:
         """Bytes that the host began to send at `t_ns`; they take their time on the line."""
         self._rx.put(data, t_ns)
