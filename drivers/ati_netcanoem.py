@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.drivers import ati_codec as codec
-from galen_hw.drivers.ati_codec import COUNTERS, ECHOING, FIRST, REPLY_LENGTHS, SATURATED_COUNTS, SECOND, Op
-from galen_hw.drivers.ati_sampler import Pair, Sampler
-from galen_hw.drivers.ati_start import AtiIdentity, AtiSettings, fence, identify
+from galen_hw.drivers.ati_codec import COUNTERS, ECHOING, FIRST, REPLY_LENGTHS, SATURATED_COUNTS, SECOND
+from galen_hw.drivers.ati_sampler import Pair
+from galen_hw.drivers.ati_start import AtiIdentity, AtiSettings, fence, identify, new_sampler
 from galen_hw.drivers.ati_status import StatusWord
 from galen_hw.drivers.ati_zero import HostBias
 from galen_hw.drivers.device import CanFrame, Device, Output
@@ -50,7 +50,7 @@ class AtiNetcanoem(Device[CanFrame]):
         self._reporter = Reporter(name, where, time_base)
         self._counters = dict.fromkeys(COUNTERS, 0)
         self._fence = fence(settings)
-        self._sampler = self._new_sampler({})
+        self._sampler = new_sampler(settings, self._fence, {}, self._counters)
         self._status = StatusWord(settings.bus_error_s)
         self._outbox: list[Output] = []
         self._phase = Phase.OFF
@@ -141,17 +141,6 @@ class AtiNetcanoem(Device[CanFrame]):
 
     # ------------------------------------------------------------ start
 
-    def _new_sampler(self, answers: dict[int, bytes]) -> Sampler:
-        return Sampler(
-            ask=codec.request(self._settings.base_id, Op.SAMPLE),
-            fence=self._fence,
-            answers=answers,
-            period_ns=round(NS_PER_S / self._settings.rate_hz),
-            timeout_ns=round(self._settings.reply_timeout_s * NS_PER_S),
-            verify_repeats=self._settings.verify_repeats,
-            counters=self._counters,
-        )
-
     def _begin(self, now_ns: int) -> None:
         self._phase, self._flowing = Phase.STARTING, False
         self._counters["restarts"] += self._dialogue is not None
@@ -188,7 +177,7 @@ class AtiNetcanoem(Device[CanFrame]):
         self._identity, self._matrix, self._trouble = identity, identity.matrix[:, codec.WIRE_ORDER], ""
         self._use_bias()
         self._phase = Phase.RUNNING
-        self._sampler = self._new_sampler(identity.answers)
+        self._sampler = new_sampler(self._settings, self._fence, identity.answers, self._counters)
         self._sampler.start(now_ns)
         return self._sampler.poll(now_ns)
 
@@ -210,8 +199,8 @@ class AtiNetcanoem(Device[CanFrame]):
 
     def _feed_beside(self, wire: CanFrame, opcode: int, t_ns: int) -> None:
         """Frames that are no sample: answers of the start, our own requests shown by the wire, and strays."""
-        starting = self._phase is Phase.STARTING and self._dialogue is not None
-        if starting and wire.data and self._dialogue is not None and self._dialogue.feed(wire, t_ns):
+        dialogue = self._dialogue if self._phase is Phase.STARTING else None
+        if dialogue is not None and wire.data and dialogue.feed(wire, t_ns):
             return
         if not wire.data or opcode in ECHOING:
             self._counters["echoes"] += 1
@@ -325,11 +314,8 @@ class AtiNetcanoem(Device[CanFrame]):
         if self._phase is Phase.STARTING or not self._flowing or self._identity is None:
             return "starting", self._trouble
         state, trouble = self._status.state(now_ns)
-        identity = self._identity
-        firmware = ".".join(map(str, identity.firmware))
         zeroed = "not zeroed" if self._bias.counts is None else "zeroed"
-        known = f"sensor {identity.serial_number}, firmware {firmware}, {identity.units}, {zeroed}"
-        return state, f"{trouble}; {known}" if trouble else known
+        return state, "; ".join(filter(None, (trouble, self._identity.described, zeroed)))
 
 
 _TODO_SILENT: Final = "check its power, CAN wiring and termination, base id and bit rate"

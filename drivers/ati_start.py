@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from galen_hw.clock import NS_PER_S
 from galen_hw.drivers import ati_codec as codec
 from galen_hw.drivers.ati_codec import Op
+from galen_hw.drivers.ati_sampler import Sampler
 from galen_hw.drivers.dialogue import DialogueError, Expect, Fence, Query
 from galen_hw.units import FORCE_TO_NEWTON, TORQUE_TO_NEWTON_METRE
 
@@ -36,22 +37,22 @@ class AtiSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    rate_hz: float = Field(1000.0, gt=0.0, le=3278.0)
-    base_id: int = Field(0x20, ge=0, le=0x7F)
-    calibration_slot: int = Field(0, ge=0, le=15)
+    rate_hz: float = Field(default=1000.0, gt=0.0, le=3278.0)
+    base_id: int = Field(default=0x20, ge=0, le=0x7F)
+    calibration_slot: int = Field(default=0, ge=0, le=15)
     serial_number: str | None = None
     reset_at_start: bool = False
-    reset_wait_s: float = Field(0.1, ge=0.0, le=10.0)
-    reply_timeout_s: float = Field(0.02, gt=0.0, le=10.0)
-    start_timeout_s: float = Field(0.1, gt=0.0, le=10.0)
-    tries: int = Field(3, ge=1, le=100)
-    retry_s: float = Field(1.0, gt=0.0, le=60.0)
-    counts_per_force: int | None = Field(None, gt=0)
-    counts_per_torque: int | None = Field(None, gt=0)
+    reset_wait_s: float = Field(default=0.1, ge=0.0, le=10.0)
+    reply_timeout_s: float = Field(default=0.02, gt=0.0, le=10.0)
+    start_timeout_s: float = Field(default=0.1, gt=0.0, le=10.0)
+    tries: int = Field(default=3, ge=1, le=100)
+    retry_s: float = Field(default=1.0, gt=0.0, le=60.0)
+    counts_per_force: int | None = Field(default=None, gt=0)
+    counts_per_torque: int | None = Field(default=None, gt=0)
     force_unit: Literal["lbf", "N", "klbf", "kN", "kgf", "gf"] | None = None
     torque_unit: Literal["lbf-in", "lbf-ft", "N-m", "N-mm", "kgf-cm", "kN-m"] | None = None
-    zero_samples: int = Field(500, ge=1, le=1_000_000)
-    bus_error_s: float = Field(1.0, ge=0.0)
+    zero_samples: int = Field(default=500, ge=1, le=1_000_000)
+    bus_error_s: float = Field(default=1.0, ge=0.0)
     verify_repeats: bool = True
 
 
@@ -74,9 +75,27 @@ class AtiIdentity:
     units: str
 
     @property
+    def described(self) -> str:
+        """For people."""
+        return f"sensor {self.serial_number}, firmware {'.'.join(map(str, self.firmware))}, {self.units}"
+
+    @property
     def answers(self) -> dict[int, bytes]:
         """What this board answers to the questions of a fence, by opcode."""
         return {int(Op.FIRMWARE): self.firmware_bytes, int(Op.SERIAL_NUMBER): self.serial_bytes}
+
+
+def new_sampler(settings: AtiSettings, fence: Fence, answers: dict[int, bytes], counters: dict[str, int]) -> Sampler:
+    """The sampler of a device with these settings."""
+    return Sampler(
+        ask=codec.request(settings.base_id, Op.SAMPLE),
+        fence=fence,
+        answers=answers,
+        period_ns=round(NS_PER_S / settings.rate_hz),
+        timeout_ns=round(settings.reply_timeout_s * NS_PER_S),
+        verify_repeats=settings.verify_repeats,
+        counters=counters,
+    )
 
 
 def query(settings: AtiSettings, name: str, op: Op, *lengths: int, data: bytes = b"") -> Query:

@@ -37,8 +37,8 @@ class CanSettings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     interface: Interface = "socketcan"
-    channel: str = Field("can0", min_length=1)
-    bitrate: int = Field(1_000_000, gt=0, le=2_000_000)
+    channel: str = Field(default="can0", min_length=1)
+    bitrate: int = Field(default=1_000_000, gt=0, le=2_000_000)
     options: dict[str, bool | int | float | str] = {}
 
     @model_validator(mode="after")

@@ -35,22 +35,22 @@ class RobotousSettings(BaseModel):
 
     rate_hz: int = 200
     filter_hz: int | None = None
-    receiver_id: int = Field(0x64, ge=1, le=255)
-    transmitter1_id: int = Field(0x01, ge=1, le=255)
-    transmitter2_id: int = Field(0x02, ge=1, le=255)
+    receiver_id: int = Field(default=0x64, ge=1, le=255)
+    transmitter1_id: int = Field(default=0x01, ge=1, le=255)
+    transmitter2_id: int = Field(default=0x02, ge=1, le=255)
     model: str | None = None
-    counts_per_newton: float | None = Field(None, gt=0.0)
-    counts_per_newton_metre: float | None = Field(None, gt=0.0)
+    counts_per_newton: float | None = Field(default=None, gt=0.0)
+    counts_per_newton_metre: float | None = Field(default=None, gt=0.0)
     serial_number: str | None = None
-    pair_window_s: float = Field(0.005, gt=0.0)
-    stall_s: float = Field(0.02, gt=0.0)
-    sample_timeout_s: float = Field(0.5, gt=0.0)
-    reply_timeout_s: float = Field(0.1, gt=0.0, le=10.0)
-    tries: int = Field(3, ge=1, le=100)
-    retry_s: float = Field(1.0, gt=0.0, le=60.0)
-    zero_samples: int = Field(100, ge=1, le=1_000_000)
-    zero_force_n: float = Field(1.0, gt=0.0)
-    zero_torque_nm: float = Field(0.05, gt=0.0)
+    pair_window_s: float = Field(default=0.005, gt=0.0)
+    stall_s: float = Field(default=0.02, gt=0.0)
+    sample_timeout_s: float = Field(default=0.5, gt=0.0)
+    reply_timeout_s: float = Field(default=0.1, gt=0.0, le=10.0)
+    tries: int = Field(default=3, ge=1, le=100)
+    retry_s: float = Field(default=1.0, gt=0.0, le=60.0)
+    zero_samples: int = Field(default=100, ge=1, le=1_000_000)
+    zero_force_n: float = Field(default=1.0, gt=0.0)
+    zero_torque_nm: float = Field(default=0.05, gt=0.0)
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -64,11 +64,11 @@ class Pairer:
         return self._whole(response, t_ns)
 
     def _whole(self, response: bytes, t_ns: int) -> bytes | None:
-        early = t_ns - self._last_ns < self.period_ns // 2
-        if response == self._last and early and self._began:
+        pace_ns = t_ns - self._last_ns
+        if self._began and response == self._last and pace_ns < self.period_ns * 3 // 4:
             self.counters["doubled"] += 2
             return None
-        if self._behind and early:
+        if self._behind and pace_ns < self.period_ns // 2:
             self.counters["late"] += 2
             self._last, self._last_ns = response, t_ns
             return None
