@@ -55,9 +55,8 @@ class CompensationService(Service):
         self.name, self._settings, self._context = name, settings, context
         self._settings_text = settings.model_dump_json()
         robot, turning = context.robot, GravityDirection(context.robot).joints
-        others = [i for i in range(len(robot.joint_names)) if settings.dynamic and i not in turning]
-        order = [*turning, *others]
-        self._order = [order.index(i) for i in range(len(order))] if settings.dynamic else []
+        order = [*turning, *(i for i in range(len(robot.joint_names)) if i not in turning)]
+        self._order = [order.index(i) for i in range(len(order))]
         self._history = JointHistory(tuple(robot.joint_names[i] for i in order), settings.max_extrapolation_s)
         self._waiting: deque[WrenchRaw] = deque()
         self._correction = Correction(robot, enabled=settings.enabled, blend_s=settings.blend_s)
@@ -110,7 +109,7 @@ class CompensationService(Service):
         joints = self._history.at(raw.t_ns)
         if raw.serial_number != self._commands.serial:
             self._commands.check_serial(raw.serial_number)
-        predicted = ZERO if joints is None else correction.predict(joints[0])
+        predicted = ZERO if joints is None else correction.predict(joints[0], raw)
         outputs: list[Output] = []
         if correction.changed:
             correction.begin(raw.t_ns, predicted)

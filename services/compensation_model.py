@@ -4,13 +4,17 @@ Derivation: `docs/compensation.md`. Everything constant (weights, first moments,
 is put into M (6 x 4) once; a sample costs s = R^T g and nine products.
 """
 
+import importlib
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from galen_hw.config.tool_file import ToolFile
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import Robot
+from galen_hw.messages import WrenchRaw
 from galen_hw.physics.rigid import Body, gravity_map, inertial_wrench
 from galen_hw.services.gravity_direction import GravityDirection
 from galen_hw.services.joint_history import JointSample
@@ -18,6 +22,30 @@ from galen_hw.spatial import Array, rotation_from_quaternion
 
 Six = tuple[float, float, float, float, float, float]
 ZERO: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class TermSample:
+    """What a further effect may look at.
+
+    Args:
+        t_ns: of the raw wrench.
+        q: positions of the joints that turn the sensor, then of the others, rad or m.
+        predicted: (6,) by the rigid bodies; raw: (6,) as measured, N and N m.
+    """
+
+    t_ns: int
+    q: tuple[float, ...]
+    predicted: Six
+    raw: Six
+
+
+class TermStream(Protocol):
+    """One further effect of the prediction, sample by sample."""
+
+    def step(self, sample: TermSample) -> Sequence[float]:
+        """(6,) that it adds to the reading, sensor frame, N and N m."""
+        ...
 
 
 class CompensationModel:
@@ -47,6 +75,7 @@ class CompensationModel:
         self._moment = (float(M[5, 1]), float(M[3, 2]), float(M[4, 0]))
         self._constant: Six = tuple(float(x) for x in M[:, 3])  # type: ignore[assignment]
         self._inertial: Six = ZERO
+        self._streams = _streams(tool, robot, self.direction.joints)
 
     def predict(self, turning: Sequence[float]) -> Six:
         """Wrench that the sensor should read, N and N m, without further terms.
@@ -65,6 +94,14 @@ class CompensationModel:
             hz * x - hx * z + e + i[4],
             hx * y - hy * x + f + i[5],
         )
+
+    def add_terms(self, predicted: Six, q: Sequence[float], raw: WrenchRaw) -> Six:
+        """The prediction with the further effects of the tool's file; once for each sample, for they may remember."""
+        f, t = raw.force, raw.torque
+        sample = TermSample(raw.t_ns, tuple(q), predicted, (f.x, f.y, f.z, t.x, t.y, t.z))
+        for stream in self._streams:
+            predicted = tuple([a + float(b) for a, b in zip(predicted, stream.step(sample), strict=True)])  # type: ignore[assignment]
+        return predicted
 
     def update_inertial(self, states: list[JointSample], order: Sequence[int], window: int) -> None:
         """Dynamic forces from the last joint states: acceleration is the slope of a line through `window` velocities.
@@ -109,3 +146,22 @@ def _zeroed_rotation(tool: ToolFile, robot: Robot) -> Array | None:
                 raise UsageError(f"joint {name!r} is missing", where=where, todo=f"calibrate {tool.name} again")
         return np.asarray(robot.sensor_pose(q)[0, :3, :3])
     return rotation_from_quaternion(zeroed)
+
+
+def _streams(tool: ToolFile, robot: Robot, turning: tuple[int, ...]) -> tuple[TermStream, ...]:
+    """The tool's further effects, ready to step.
+
+    Raises:
+        UsageError: this version cannot apply one of them; a tool is never compensated by half.
+    """
+    if not tool.terms:
+        return ()
+    names = robot.joint_names
+    order = tuple(names[i] for i in turning) + tuple(n for i, n in enumerate(names) if i not in turning)
+    try:
+        build = importlib.import_module("galen_hw.physics.streams").build_streams
+    except ModuleNotFoundError:
+        effects = ", ".join(term.effect for term in tool.terms)
+        where, todo = f"tool {tool.name!r}: terms", f"galen-hw tool rollback {tool.name}"
+        raise UsageError(f"this version cannot apply {effects} live", where=where, todo=todo) from None
+    return tuple(build(tool.terms, joint_names=order, robot=robot))

@@ -7,7 +7,7 @@ from typing import Any
 from galen_hw.clock import NS_PER_S
 from galen_hw.config.tool_file import ToolFile, parse_tool
 from galen_hw.kinematics import Robot
-from galen_hw.messages import CompensationState, Vector3
+from galen_hw.messages import CompensationState, Vector3, WrenchRaw
 from galen_hw.services.compensation_model import ZERO, CompensationModel, Six
 from galen_hw.services.gravity_direction import Triple
 
@@ -65,11 +65,12 @@ class Correction:
         self.contact = self.contact if contact is None else contact
         self.changed = True
 
-    def predict(self, turning: Sequence[float] | None) -> Six:
-        """Predicted wrench at these joint positions; zero when off or when they are not known."""
-        if self.model is None or not self.enabled or turning is None:
+    def predict(self, q: Sequence[float], raw: WrenchRaw) -> Six:
+        """Predicted wrench of a sample at these joint positions (in the model's order); zero when off."""
+        if self.model is None or not self.enabled:
             return ZERO
-        return self.model.predict(turning)
+        predicted = self.model.predict(q)
+        return self.model.add_terms(predicted, q, raw) if self.model.terms else predicted
 
     def begin(self, t_ns: int, predicted: Six) -> None:
         """Start the blend of a change, at the first sample after it (its `t_ns` and prediction)."""

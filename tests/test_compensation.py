@@ -351,6 +351,14 @@ def test_forces_of_inertia_are_predicted_if_wanted(tmp_path: Path) -> None:
     assert (residual[True] < 0.45 * residual[False]).all(), residual
 
 
+def test_a_tool_with_effects_that_this_version_cannot_apply_is_refused(tmp_path: Path) -> None:
+    """Never compensated by half: the command says which effect, and what to do."""
+    odd = tool_file(name="odd", terms=({"effect": "no such effect", "parameters": {}},))
+    service = service_at(tmp_path, tool_file(), odd)
+    with pytest.raises(UsageError, match="no such effect"):
+        service.request(ask("select_tool", tool="odd"), 0)
+
+
 def test_the_same_messages_give_the_same_bytes(tmp_path: Path) -> None:
     """Nothing but messages enters the result."""
     rng = np.random.default_rng(0)
