@@ -89,8 +89,8 @@ class CanTransport(Transport[CanFrame]):
             return ChunkedSlcanBus(channel, bitrate=self._settings.bitrate, **options)
         if interface == "socketcan":
             _check_socketcan(channel)
-        if interface == "socketcand":  # python-can tries for ten seconds without a pause
-            socket.create_connection((options["host"], int(options["port"])), CONNECT_S).close()
+        if interface == "socketcand":
+            _greet(str(options["host"]), int(options["port"]))
         return can.Bus(channel, interface, ignore_config=True, **options)
 
     def send(self, wires: list[CanFrame]) -> None:
@@ -208,6 +208,12 @@ def _check_socketcan(channel: str) -> None:
     socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     if not Path("/sys/class/net", channel).exists():
         raise OSError(19, "no such interface")
+
+
+def _greet(host: str, port: int) -> None:
+    """Fail early where python-can would try for ten seconds without a pause; leave as a polite client does."""
+    with socket.create_connection((host, port), CONNECT_S) as tcp:
+        tcp.recv(64)
 
 
 def _is_closed(tcp: socket.socket) -> bool:
