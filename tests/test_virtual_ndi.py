@@ -113,7 +113,7 @@ def test_errors(sent, answer):
 
 def test_a_handle_goes_its_way_in_order():
     """Asked for, loaded, initialised, enabled: PHSR sorts by it; out of order it is refused."""
-    host = Host()
+    host = Host(needs_definitions=True)
     host.ask("INIT:")
     assert host.ask("PHRQ:*********1****") == "01"
     assert host.ask("PINIT:01") == "ERROR0D"

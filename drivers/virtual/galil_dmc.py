@@ -45,7 +45,7 @@ class MotorWorld(Protocol):
 
 
 class AxisSettings(BaseModel):
-    """One axis; units are those of the joint, m or rad."""
+    """One axis; units are those of the joint, m or rad. A motor mounted the other way round counts negatively."""
 
     model_config = ConfigDict(extra="forbid")
     joint: str
@@ -119,12 +119,12 @@ class VirtualGalilDmc:
         lower, upper = self.world.limits
         return [
             Plant(
-                reverse_switch=float(lower[i]) * axis.counts_per_unit,
-                forward_switch=float(upper[i]) * axis.counts_per_unit,
+                reverse_switch=min(float(lower[i]) * axis.counts_per_unit, float(upper[i]) * axis.counts_per_unit),
+                forward_switch=max(float(lower[i]) * axis.counts_per_unit, float(upper[i]) * axis.counts_per_unit),
                 home_switch=axis.home_switch * axis.counts_per_unit,
-                margin=axis.hard_stop_margin * axis.counts_per_unit,
+                margin=axis.hard_stop_margin * abs(axis.counts_per_unit),
                 lag_s=self.settings.following_lag_s,
-                brake=2.0 * axis.counts_per_unit,
+                brake=2.0 * abs(axis.counts_per_unit),
                 offset=axis.offset_counts,
             )
             for axis in self._axes

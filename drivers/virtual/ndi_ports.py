@@ -53,9 +53,14 @@ class Port:
 
 
 class Ports:
-    """All handles. A passive tool is told by its geometry; here the order of asking says which marker it is."""
+    """All handles. A passive tool is told by its geometry; here the order of asking says which marker it is.
 
-    def __init__(self) -> None:
+    Args:
+        definitions_known: a handle can be initialised without a tool definition from the host.
+    """
+
+    def __init__(self, *, definitions_known: bool = False) -> None:
+        self._definitions_known = definitions_known
         self.by_handle: dict[int, Port] = {}
 
     def clear(self) -> None:
@@ -71,7 +76,7 @@ class Ports:
             raise NdiError(NO_HANDLE_LEFT)
         taken = {port.marker for port in self.by_handle.values()}
         marker = next(m for m in range(_HANDLES) if m not in taken)
-        self.by_handle[free[0]] = Port(free[0], marker)
+        self.by_handle[free[0]] = Port(free[0], marker, loaded=self._definitions_known)
         return f"{free[0]:02X}"
 
     def free(self, parameters: str) -> str:

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.drivers.virtual.faults import parse_fault
+from galen_hw.drivers.virtual.ndi_ports import Ports
 from galen_hw.drivers.virtual.ndi_scene import Scene, SceneSettings, SceneWorld
 from galen_hw.drivers.virtual.ndi_session import Identity, Session
 from galen_hw.drivers.virtual.ndi_wire import CommandReader, LineSettings, NdiError, garble, parse, text_reply
@@ -39,6 +40,7 @@ class VirtualNdiTracker:
         revision: str = "010"
         serial_number: str = "P6-00123"
         paced: bool = True
+        needs_definitions: bool = Field(default=False, description="PINIT wants a .rom first, as a real tracker does")
         announce: bool = Field(default=True, description="say RESET at power-up")
         reply_time_s: float = Field(default=0.001, ge=0.0)
 
@@ -57,7 +59,8 @@ class VirtualNdiTracker:
     def __init__(self, settings: Settings, world: SceneWorld) -> None:
         self.settings, self.world = settings, world
         identity = Identity(settings.model, settings.revision, settings.serial_number)
-        self.session = Session(Scene(settings.scene, world), identity)
+        ports = Ports(definitions_known=not settings.needs_definitions)
+        self.session = Session(Scene(settings.scene, world), identity, ports=ports)
         self.host_baud_rate: int | None = None
         self._reader = CommandReader()
         self._rx, self._tx = PacedLine(0), PacedLine(0)
