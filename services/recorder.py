@@ -85,6 +85,11 @@ class RecorderService(Service):
             return [Reply(id=request.id, result={"file": str(self._path), "messages": messages})]
         raise CommandRejectedError(f"no command {request.name!r}", where=self.name, todo="one of: start, stop")
 
+    def close(self) -> None:
+        """Finish the recording that runs."""
+        if self._session is not None:
+            self._stop()
+
     def _start(self, args: dict[str, Any]) -> None:
         self._topics = chosen_topics(args.get("topics") or [])
         directory = self._settings.directory or self._context.state_dir / "recordings"

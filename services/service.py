@@ -87,3 +87,6 @@ class Service(ABC):
     @abstractmethod
     def restore(self, state: dict[str, Any]) -> bool:
         """Take a snapshot back; False (and a clean start) when version or identity do not match."""
+
+    def close(self) -> None:  # noqa: B027 - most have nothing to finish
+        """Finish what must not stay half done (an open file); the last call."""

@@ -195,8 +195,9 @@ class Worker:
             ready = select.select(fds, (), (), 0.02)[0]
             for port in self._ports:
                 self.host.take(port.step(readable=port.fd in ready))
-        for name in self.host.services:
+        for name, service in self.host.services.items():
             self._keep(name)
+            service.close()
         for port in self._ports:
             port.close()
         self._keeper.close()
