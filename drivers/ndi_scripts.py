@@ -10,8 +10,13 @@ from galen_hw.drivers.ndi_settings import MarkerSettings, Role
 from galen_hw.drivers.serial_line import LineChange
 
 POWER_UP_BAUD: Final = 9600
+_SET_ROM: Final = "set rom_file to the marker body's tool definition"
 _BREAK_NS: Final = 500_000_000
 _SWITCH_NS: Final = 200_000_000
+_ENABLED: Final = 0x20
+_BLANK: Final = bytes(752)
+"""In place of a definition that was not configured: a simulator takes it, a tracker refuses it, which is then told."""
+
 _WIRELESS: Final = "PHRQ:*********1****"
 
 
@@ -85,6 +90,10 @@ def connect(markers: Mapping[Role, MarkerSettings], baud_rate: int | None, init_
     for handle in handles((yield Ask("PHSR:03"))):
         yield Ask(f"PENA:{handle}D")
     found |= yield from _known_bodies(markers, found)
+    states = handles((yield Ask("PHSR:00")))
+    for handle, role in found.items():
+        if not states.get(handle, 0) & _ENABLED:
+            raise NdiSetupError(f"{role}: handle {handle} cannot be enabled", _SET_ROM)
     yield Ask("TSTART:", init_ns)
     return found
 
@@ -128,7 +137,7 @@ def _init(init_ns: int) -> Generator[Step, str, bool]:
 
 
 def _allocate(markers: Mapping[Role, MarkerSettings]) -> Generator[Step, str, dict[str, Role]]:
-    """A handle with its tool definition for each wireless body; one without, where too few bodies are plugged in."""
+    """A handle with its tool definition for each wireless body, and for those that nothing plugged in can be."""
     found: dict[str, Role] = {}
     plugged = len(handles((yield Ask("PHSR:00"))))
     for role, marker in markers.items():
@@ -137,7 +146,7 @@ def _allocate(markers: Mapping[Role, MarkerSettings]) -> Generator[Step, str, di
             plugged = max(0, plugged - 1)
             continue
         handle = yield Ask(_WIRELESS)
-        for write in rom_writes(handle, marker.rom):
+        for write in rom_writes(handle, marker.rom or _BLANK):
             yield Ask(write)
         found[handle] = role
     return found
