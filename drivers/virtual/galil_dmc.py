@@ -114,6 +114,8 @@ class VirtualGalilDmc:
         self._origin_ns: int | None = None
         self._now_ns = 0
         self._deaf_until_ns = 0
+        self._faults: set[str] = set()
+        self._resting = False
 
     def _plants(self) -> list[Plant]:
         lower, upper = self.world.limits
@@ -135,6 +137,7 @@ class VirtualGalilDmc:
         """Off and on: everything that was not burned is forgotten, the motors lose power."""
         self._run(now_ns)
         self.controller.reset()
+        self._faults.clear()
         self._reader.clear()
         self._rx.clear()
         self._tx.clear()
@@ -171,7 +174,9 @@ class VirtualGalilDmc:
         assert self._origin_ns is not None
         self._now_ns = max(self._now_ns, t_ns)
         controller = self.controller
-        controller.take_faults(self.world.faults, self._joints)
+        if self.world.faults != self._faults:
+            self._faults = set(self.world.faults)
+            controller.take_faults(self._faults, self._joints)
         controller.advance((self._now_ns - self._origin_ns) / NS_PER_S)
         for text in controller.unsolicited:
             line = text.encode("latin-1") + b"\r\n"
@@ -194,6 +199,7 @@ class VirtualGalilDmc:
 
     def _reset(self) -> None:
         self.controller.reset()
+        self._faults.clear()
         self._reader.clear()
         self._tx.clear()
         self._deaf_until_ns = self._now_ns + _RESET_NS
@@ -208,6 +214,11 @@ class VirtualGalilDmc:
         self._tx.put(data, self._now_ns + delay)
 
     def _set_joints(self) -> None:
+        """Tell the world; once is enough while everything rests."""
+        rests = not self.controller.busy
+        if rests and self._resting:
+            return
+        self._resting = rests
         t = self.controller.t
         states = [axis.physical(t) for axis in self.controller.axes]
         values = np.zeros((3, len(GALEN_JOINTS)))

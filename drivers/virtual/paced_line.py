@@ -6,7 +6,7 @@ from typing import Final
 from galen_hw.clock import NS_PER_S
 
 _BITS_PER_BYTE: Final = 10  # 8N1: start, eight, stop
-_CHUNK_NS: Final = 1_000_000
+_CHUNK_NS: Final = 2_000_000
 
 
 class PacedLine:
@@ -57,7 +57,7 @@ class PacedLine:
         return self._free_ns
 
     def next_ns(self, now_ns: int) -> int | None:
-        """When it pays to look again: when the queue is through, at most 1 ms from now; None while it is empty."""
+        """When it pays to look again: when the queue is through, at most 2 ms from now; None while it is empty."""
         if not self._queue:
             return None
         return max(self._queue[0][0], min(self._queue[-1][0], now_ns + _CHUNK_NS))
