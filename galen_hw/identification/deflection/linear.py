@@ -8,6 +8,7 @@ import numpy as np
 
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.model import DeflectionModel
+from galen_hw.identification.deflection.stream import GiveStream, LinearStream
 from galen_hw.spatial import Array
 
 
@@ -39,6 +40,10 @@ class IndependentLinear(DeflectionModel):
         """From slopes."""
         return cls(np.array(values["gain_m_per_n"]))
 
+    def stream(self, std: Array | None = None) -> GiveStream:
+        """The slopes on a diagonal."""
+        return LinearStream(np.diag(self.gain), std)
+
 
 @dataclass
 class CoupledLinear(DeflectionModel):
@@ -66,6 +71,10 @@ class CoupledLinear(DeflectionModel):
     def from_json(cls, values: dict[str, Any]) -> Self:
         """From the matrix."""
         return cls(np.array(values["matrix_per_n"]))
+
+    def stream(self, std: Array | None = None) -> GiveStream:
+        """The matrix."""
+        return LinearStream(self.matrix, std)
 
 
 def _centred(sets: Sequence[DeflectionSet]) -> tuple[Array, Array]:

@@ -4,7 +4,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar, Self
 
+from galen_hw.errors import UsageError
 from galen_hw.identification.deflection.data import DeflectionSet
+from galen_hw.identification.deflection.stream import GiveStream
 from galen_hw.spatial import Array
 
 
@@ -36,3 +38,15 @@ class DeflectionModel(ABC):
     @abstractmethod
     def from_json(cls, values: dict[str, Any]) -> Self:
         """The model of a file."""
+
+    def stream(self, std: Array | None = None) -> GiveStream:
+        """The model at work, sample by sample.
+
+        Args:
+            std: (d,) one sigma of its held-out error, for models that do not know their own.
+
+        Raises:
+            UsageError: it is for comparison only.
+        """
+        del std
+        raise UsageError(f"{self.NAME} is for comparison only", todo="galen-hw deflection select another model")
