@@ -206,7 +206,7 @@ class CalibrationService(Service):
         run.raw, run.joints = self._last_raw, self._last_joints
         run.raw_ns, run.joints_ns = now_ns, now_ns
         run.expectation = Expectation(run.gravity)
-        run.poses = len(plan.bare) + len(plan.tool) if kind == "sweep" else len(plan.check) + 1
+        run.poses = len(plan.bare) + len(plan.tool) if kind == "sweep" else len(plan.check)
         return run
 
     def _advance(self, run: Run) -> None:

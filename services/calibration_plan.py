@@ -64,7 +64,7 @@ def make_plan(settings: CalibrationSettings, robot: Robot) -> Plan:
         Step(home, "home", tool=False),
         tuple(_with_homes(_around(settings.axes, settings.bare_poses), home, settings.home_every, tool=False)),
         tuple(_tool_steps(settings, home, grid, rng)),
-        tuple(Step(home | pose, "check", tool=True) for pose in _around(settings.axes, 4)),
+        tuple(Step(home | pose, "check", tool=True) for pose in _diagonal(settings.axes)),
     )
     for step in (plan.home, *plan.bare, *plan.tool):
         _check_limits(step, robot)
@@ -163,6 +163,14 @@ def _around(axes: dict[str, AxisSettings], count: int) -> list[dict[str, float]]
             pose[name] = 0.5 * (axis.low + axis.high) + 0.5 * (axis.high - axis.low) * share
         found.append(pose)
     return found
+
+
+def _diagonal(axes: dict[str, AxisSettings]) -> list[dict[str, float]]:
+    """From one corner of the range to the opposite one, and back in the slow joint alone."""
+    low = {name: axis.low for name, axis in axes.items()}
+    high = {name: axis.high for name, axis in axes.items()}
+    slow = next(iter(axes))
+    return [low, high, high | {slow: axes[slow].low}]
 
 
 def _check_limits(step: Step, robot: Robot) -> None:

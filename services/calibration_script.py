@@ -14,6 +14,8 @@ from galen_hw.services.calibration_hold import Average, Expectation, average, to
 from galen_hw.services.calibration_plan import Step
 from galen_hw.services.calibration_state import Run, SweepStoppedError
 
+SLOW, HOLD = "slow motion", "hold"
+"""Details of the progress of a check while its samples count."""
 ARRIVED = 0.004
 """rad or m from the target that counts as there."""
 
@@ -45,15 +47,19 @@ def sweep(run: Run) -> Script:
 
 
 def check(run: Run) -> Script:
-    """Slow motion round the rim of the swept range, for whoever watches the compensated wrench."""
+    """Slow motion across the swept range, for whoever watches the compensated wrench; swift to its start and home."""
     yield from _prepare(run)
-    for step in (*run.plan.check, run.plan.home):
+    for i, step in enumerate(run.plan.check):
         run.pose += 1
-        yield from _move(run, step, slow=True)
+        if i > 0:
+            run.show("moving", SLOW)
+        yield from _move(run, step, slow=i > 0)
         yield from _settle(run)
-        run.show("averaging", "hold")
+        run.show("averaging", HOLD)
         run.begin_hold()
         yield Wait(lambda: len(run.samples) >= run.settings.samples, 10.0, lambda: "the sensor gives no samples")
+    run.show("moving", "home")
+    yield from _move(run, run.plan.home)
     run.finish()
 
 

@@ -46,14 +46,14 @@ class CalibrationSettings(_Section):
         "roll": AxisSettings(low=-0.9, high=0.9, count=8),
     }
     home: dict[str, float] = {}
-    velocity_rad_per_s: float = Field(default=0.8, gt=0.0, le=2.0)
-    acceleration_rad_per_s2: float = Field(default=3.0, gt=0.0, le=10.0)
+    velocity_rad_per_s: float = Field(default=1.0, gt=0.0, le=2.0)
+    acceleration_rad_per_s2: float = Field(default=4.0, gt=0.0, le=10.0)
     home_velocity_m_per_s: float = Field(default=0.03, gt=0.0, le=0.2)
-    bare_poses: int = Field(default=8, ge=0, le=100)
+    bare_poses: int = Field(default=6, ge=0, le=100)
     verify_poses: int = Field(default=8, ge=0, le=100)
-    home_every: int = Field(default=8, ge=2, le=1000)
+    home_every: int = Field(default=10, ge=2, le=1000)
     seed: Annotated[int, Field(ge=0)] = 1
-    samples: int = Field(default=400, ge=10, le=100_000)
+    samples: int = Field(default=300, ge=10, le=100_000)
     zero_samples: int = Field(default=1000, ge=10, le=100_000)
     still_velocity_rad_per_s: float = Field(default=0.01, gt=0.0, le=0.1)
     settle_s: float = Field(default=0.15, ge=0.0, le=10.0)
@@ -61,12 +61,12 @@ class CalibrationSettings(_Section):
     touch_force_n: float = Field(default=1.0, gt=0.0, le=20.0)
     touch_torque_nm: float = Field(default=0.10, gt=0.0, le=5.0)
     overload_force_n: float = Field(default=40.0, gt=0.0, le=1000.0)
-    stale_s: float = Field(default=0.5, gt=0.0, le=5.0)
+    stale_s: float = Field(default=1.0, gt=0.0, le=5.0)
     heartbeat_s: float = Field(default=3.0, gt=0.0, le=60.0)
     max_bare_mass_kg: float = Field(default=0.15, gt=0.0, le=5.0)
     least_tool_mass_kg: float = Field(default=0.02, gt=0.0, le=1.0)
-    check_velocity_rad_per_s: float = Field(default=0.15, gt=0.0, le=1.0)
-    check_acceleration_rad_per_s2: float = Field(default=0.15, gt=0.0, le=5.0)
+    check_velocity_rad_per_s: float = Field(default=0.11, gt=0.0, le=1.0)
+    check_acceleration_rad_per_s2: float = Field(default=0.035, gt=0.0, le=5.0)
 
     @property
     def poses(self) -> int:

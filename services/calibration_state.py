@@ -79,7 +79,7 @@ class Run:
         if self.done:
             return 0.0
         if self.kind == "check":
-            return max(0.0, 10.0 * (self.poses - self.pose))
+            return max(0.0, 13.0 * (self.poses - self.pose))
         steps = (*self.plan.bare, *self.plan.tool)[max(self.pose - 1, 0) :]
         return self._pace * duration_s(self.settings, steps)
 

@@ -104,7 +104,7 @@ def test_progress_counts_poses_and_time_left_falls_to_zero(plant):
 
 
 def test_the_order_keeps_gravity_apart_from_time():
-    """Over seeds, gravity in the sensor correlates with time and its square by less than 0.12, home often between."""
+    """Gravity in the sensor correlates with time and its square by less than 0.12, with home often between."""
     robot = GalenRobot()
     for seed in range(5):
         plan = make_plan(CalibrationSettings(seed=seed), robot)
@@ -115,7 +115,7 @@ def test_the_order_keeps_gravity_apart_from_time():
             assert np.abs(np.corrcoef(np.column_stack([clock, s]).T)[0, 1:]).max() < 0.12
         homes = [i for i, step in enumerate(plan.tool) if step.kind == "home"]
         assert len(q) == 56
-        assert max(np.diff(homes)) <= 9
+        assert max(np.diff(homes)) <= 11
 
 
 def test_a_pose_beyond_the_limits_is_refused_before_anything_moves(plant):
@@ -239,11 +239,12 @@ def test_a_restless_wrench_times_out_with_its_reason(tmp_path):
 
 
 def test_the_check_moves_slowly_and_writes_nothing(plant):
-    """The check of the compensation goes round the rim at its own speed and leaves no sweep."""
+    """The check of the compensation crosses the range at its own speed and leaves no sweep."""
     plant.begin(kind="check")
     assert plant.until("done", "stopped").state == "done"
 
-    assert max(max(move["velocity"].values()) for move in plant.moves) == pytest.approx(0.15)
+    speeds = [max(move["velocity"].values()) for move in plant.moves]
+    assert speeds == [1.0, 0.11, 0.11, 1.0]
     assert not (plant.state_dir / "sweeps").exists()
 
 

@@ -198,7 +198,7 @@ def _conclude(session: _Session, result: "Result", tool: "ToolFile") -> int:
         path = session.store.path(tool.name, tool.origin.generation)
         console.print(show_accepted(tool, str(path)))
         if session.addresses is not None:
-            check = _select_and_check(session, tool)
+            check = _select_and_check(session, tool, result)
             if check is not None:
                 console.print(check_table(check.rms, check.rms_raw, check.noise))
     else:
@@ -222,7 +222,7 @@ def _ask(console: "Console", name: str) -> bool:
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
-def _select_and_check(session: _Session, tool: "ToolFile") -> "LiveCheck | None":
+def _select_and_check(session: _Session, tool: "ToolFile", result: "Result") -> "LiveCheck | None":
     """Have the daemon take the tool up, then see every sample compensated."""
     from galen_hw.bus import CommandClient
     from galen_hw.tools.calibration_check import live_check
@@ -235,7 +235,7 @@ def _select_and_check(session: _Session, tool: "ToolFile") -> "LiveCheck | None"
     if session.args.no_check:
         return None
     session.console.print("checking the live compensation in slow motion")
-    return live_check(addresses, tool.name, tool.calibration_id, session.console)
+    return live_check(addresses, tool.name, tool.calibration_id, session.console, result.poses.noise)
 
 
 def _report(

@@ -1,18 +1,24 @@
 """The proof at the end: every compensated sample in holds and slow motion, beside the sensor's noise floor."""
 
 import threading
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 
 from galen_hw.bus import Subscriber
 from galen_hw.config.paths import Addresses
 from galen_hw.errors import HardwareError
-from galen_hw.messages import JointsState, Message, Vector3, WrenchCompensated, WrenchRaw
+from galen_hw.messages import CalibrationProgress, JointsState, Message, Vector3, WrenchCompensated, WrenchRaw
 from galen_hw.spatial import Array
 from galen_hw.tools.calibration_sweep import run_check
 
+COUNTED = ("slow motion", "hold")
+"""Details of the progress during which samples count; swift moves to the start and home do not."""
+TOPICS = ("wrench/raw", "wrench/compensated", "joints/state", "calibration/progress")
+TAIL_NS = 60_000_000
+"""A sample counts if the state has not changed soon after it: joint states come at 40 Hz."""
 LEAST_SAMPLES = 2000
 LIMIT = 1.05
 """Compensated over noise floor that counts as compensated."""
@@ -24,7 +30,7 @@ class LiveCheck:
 
     Args:
         time: (n,) s; raw, compensated: (n, 6) N and N m, of the same samples.
-        noise: (6,) sigma of one raw sample while the robot stands still.
+        noise: (6,) sigma of one raw sample while the robot stands still, the noise floor.
         moving: (n,) share of the samples in motion is its mean; invalid, lost: samples.
     """
 
@@ -32,7 +38,7 @@ class LiveCheck:
     raw: Array
     compensated: Array
     noise: Array
-    moving: Array
+    moving: NDArray[np.bool_]
     invalid: int
     lost: int
 
@@ -61,13 +67,14 @@ class _Ear:
     raw: dict[int, tuple[float, ...]] = field(default_factory=dict)
     compensated: dict[int, tuple[float, ...]] = field(default_factory=dict)
     rests: list[tuple[int, bool]] = field(default_factory=list)
+    phases: list[tuple[int, bool]] = field(default_factory=list)
     invalid: int = 0
     lost: int = 0
     end: threading.Event = field(default_factory=threading.Event)
 
     def listen(self) -> None:
         """Until `end` is set."""
-        with Subscriber(self.addresses.bus, ("wrench/raw", "wrench/compensated", "joints/state"), queue=200_000) as bus:
+        with Subscriber(self.addresses.bus, TOPICS, queue=200_000) as bus:
             while not self.end.is_set():
                 received = bus.receive(0.2)
                 if received is not None:
@@ -84,17 +91,22 @@ class _Ear:
                     self.compensated[message.t_ns] = _six(message.force, message.torque)
         elif isinstance(message, JointsState):
             self.rests.append((message.t_ns, not any(message.moving.values())))
+        elif isinstance(message, CalibrationProgress):
+            self.phases.append((message.t_ns, message.detail in COUNTED))
 
 
 def _six(force: Vector3, torque: Vector3) -> tuple[float, ...]:
     return (force.x, force.y, force.z, torque.x, torque.y, torque.z)
 
 
-def live_check(addresses: Addresses, tool: str, calibration: str, console: Console) -> LiveCheck:
-    """Move slowly round the swept range and compare every compensated sample with the noise floor.
+def live_check(
+    addresses: Addresses, tool: str, calibration: str, console: Console, noise: Array | None = None
+) -> LiveCheck:
+    """Move slowly across the swept range and compare every compensated sample with the noise floor.
 
     Args:
         tool: in hand and selected; calibration: identity that the samples must bear.
+        noise: (6,) noise floor, from the many holds of the sweep; from the few of this motion if None.
 
     Raises:
         HardwareError: the motion was stopped, or no sample bears the calibration.
@@ -107,7 +119,8 @@ def live_check(addresses: Addresses, tool: str, calibration: str, console: Conso
     finally:
         ear.end.set()
         thread.join(timeout=5.0)
-    return _result(ear)
+    result = _result(ear)
+    return result if noise is None or not np.isfinite(noise).all() else replace(result, noise=noise)
 
 
 def _result(ear: _Ear) -> LiveCheck:
@@ -115,20 +128,24 @@ def _result(ear: _Ear) -> LiveCheck:
     if len(stamps) < LEAST_SAMPLES:
         what = f"only {len(stamps)} compensated samples bear the calibration {ear.calibration}"
         raise HardwareError(what, where="wrench/compensated", todo="galen-hw monitor")
+    stamps = stamps[_latest(ear.phases, stamps) & _latest(ear.phases, stamps + TAIL_NS)]
     raw = np.array([ear.raw[t] for t in stamps])
     compensated = np.array([ear.compensated[t] for t in stamps])
-    times = np.array([t for t, _ in ear.rests])
-    rest = np.array([still for _, still in ear.rests])
-    after = np.searchsorted(times, stamps).clip(1, len(times) - 1)
-    still = rest[after] & rest[after - 1]
+    still = _latest(ear.rests, stamps) & _latest(ear.rests, stamps + TAIL_NS)
     return LiveCheck(
         1e-9 * (stamps - stamps[0]), raw, compensated, _noise(raw, stamps, still), ~still, ear.invalid, ear.lost
     )
 
 
-def _noise(raw: Array, stamps: Array, still: Array) -> Array:
+def _latest(states: list[tuple[int, bool]], stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """What the last of (time, state) before each stamp says."""
+    times, values = np.array([t for t, _ in states]), np.array([state for _, state in states])
+    return np.asarray(values[(np.searchsorted(times, stamps) - 1).clip(0)])
+
+
+def _noise(raw: Array, stamps: NDArray[np.int64], still: NDArray[np.bool_]) -> Array:
     """Sigma of one sample (6,): scatter about the mean of each rest, its first 0.15 s (the tool swings) left out."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still.astype(bool), [False]]).astype(int)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
     total, freedom = np.zeros(6), 0
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         start = int(np.searchsorted(stamps, stamps[first] + 150_000_000))

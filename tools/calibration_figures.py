@@ -35,6 +35,7 @@ STYLE: Final[Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.color": "#e6eaec",
     "xtick.color": "#5b6970",
     "ytick.color": "#5b6970",
@@ -176,7 +177,7 @@ def candidates_figure(result: Result) -> "Figure":
         ratio = float(np.sqrt(np.mean((left_out_rms(result, c) / reference) ** 2)))
         axes[4].barh(y, ratio, height=0.55, color=GOOD if c.key == result.comparison.recommended else BAND)
         axes[4].text(ratio, y, f" {ratio:.3f}", va="center", fontsize=8.0, color=INK)
-    axes[4].set_title("left-out error / recommended", loc="left")
+    axes[4].set_title("relative left-out error", loc="left")
     axes[4].set_xlim(0.0, 1.35 * max(axes[4].get_xlim()[1] / 1.05, 1.0))
     return figure
 
@@ -184,9 +185,9 @@ def candidates_figure(result: Result) -> "Figure":
 def _forest(ax: "Axes", found: list[Candidate], places: Array, i: int, recommended: str) -> None:
     for c, y in zip(found, places, strict=True):
         assert c.estimate is not None
-        color = GOOD if c.key == recommended else DONE
+        color = GOOD if c.key == recommended else "#8fa3ad"
         half = 1e3 * c.estimate.t95 * c.estimate.std[i]
-        ax.errorbar(1e3 * c.estimate.values[i], y, xerr=half, fmt="o", color=color, markersize=4, capsize=3)
+        ax.errorbar(1e3 * c.estimate.values[i], y, xerr=half, fmt="o", color=color, markersize=5, capsize=3)
     ax.ticklabel_format(axis="x", useOffset=False)
     ax.tick_params(axis="x", labelsize=7.5)
     ax.locator_params(axis="x", nbins=4)

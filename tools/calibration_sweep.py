@@ -125,17 +125,7 @@ def _follow(
     subscriber: Subscriber, client: CommandClient, operator: Operator, console: Console, started: dict[str, Any]
 ) -> str:
     """Show progress until the end; why it stopped early, or empty."""
-    columns = (
-        SpinnerColumn(),
-        TextColumn("[bold]{task.fields[state]:>10}[/]"),
-        BarColumn(bar_width=36),
-        TextColumn("{task.completed:>3.0f}/{task.total:.0f} poses"),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[left]}"),
-        TextColumn("[dim]{task.fields[detail]}[/]"),
-    )
-    with Progress(*columns, console=console, transient=False) as bar:
-        task = bar.add_task("", total=started["poses"], state="starting", left="", detail="")
+    with Display(console, int(started["poses"])) as display:
         heard, resumed = time.monotonic(), False
         while True:
             received = subscriber.receive(0.5)
@@ -144,20 +134,63 @@ def _follow(
                     raise HardwareError("the calibration service is silent", where="bus", todo="galen-hw monitor")
                 continue
             heard, message = time.monotonic(), received[1]
-            ended = message.state in ("done", "stopped")
-            done = message.pose - (0 if ended else 1)
-            left = "" if ended else f"{_clock(message.remaining_s)} left"
-            detail = "" if ended else message.detail
-            bar.update(task, completed=max(done, 0), state=message.state, left=left, detail=detail)
-            if ended:
+            display.update(message)
+            if message.state in ("done", "stopped"):
                 return "" if message.state == "done" else message.detail
             if message.state == "waiting" and not resumed:
                 resumed = True
-                bar.stop()
+                display.pause()
                 operator.tool()
                 client.call("calibration", "resume")
-                bar.start()
+                display.resume()
                 heard = time.monotonic()
+
+
+class Display:
+    """A bar on a terminal, a line every ten poses elsewhere."""
+
+    def __init__(self, console: Console, poses: int) -> None:
+        self._console, self._poses, self._shown = console, poses, -10
+        columns = (
+            SpinnerColumn(),
+            TextColumn("[bold]{task.fields[state]:<9}[/]"),
+            BarColumn(bar_width=32),
+            TextColumn("{task.completed:>3.0f}/{task.total:.0f} poses"),
+            TimeElapsedColumn(),
+            TextColumn("[cyan]{task.fields[left]}[/]"),
+            TextColumn("[dim]{task.fields[detail]}[/]"),
+        )
+        self._bar = Progress(*columns, console=console) if console.is_terminal else None
+        self._task = self._bar.add_task("", total=poses, state="", left="", detail="") if self._bar else None
+
+    def __enter__(self) -> Self:
+        self.resume()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.pause()
+
+    def pause(self) -> None:
+        """Leave the terminal to others."""
+        if self._bar is not None:
+            self._bar.stop()
+
+    def resume(self) -> None:
+        """Show again."""
+        if self._bar is not None:
+            self._bar.start()
+
+    def update(self, message: CalibrationProgress) -> None:
+        """Show where the sweep stands."""
+        ended = message.state in ("done", "stopped")
+        done = message.pose if message.state == "done" else max(message.pose - 1, 0)
+        left = "" if ended else f"{_clock(message.remaining_s)} left"
+        detail = "" if ended else message.detail
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, completed=done, state=message.state, left=left, detail=detail)
+        elif ended or done >= self._shown + 10:
+            self._shown = done
+            self._console.print(f"  {message.state:<9} {done:>3}/{self._poses} poses  {left}", highlight=False)
 
 
 def _clock(seconds: float) -> str:
