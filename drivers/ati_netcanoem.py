@@ -64,8 +64,6 @@ class AtiNetcanoem(Device[CanFrame]):
         self._matrix: npt.NDArray[np.float64] = np.zeros((6, 6))
         self._offset: npt.NDArray[np.float64] = np.zeros(6)
 
-    # ------------------------------------------------------------ the interface of every device
-
     def start(self, now_ns: int) -> None:
         """Identify the board (again); the bias stays if the same sensor answers."""
         self._reporter.start(now_ns)
@@ -104,12 +102,17 @@ class AtiNetcanoem(Device[CanFrame]):
 
     def request(self, request: Request, now_ns: int) -> list[Output]:
         """`zero` {samples}, `unzero`, `restart`; see `Device.request`."""
-        handlers = {"zero": self._request_zero, "unzero": self._request_unzero, "restart": self._request_restart}
-        handler = handlers.get(request.name)
-        if handler is None:
-            todo = f"it knows {', '.join(handlers)}"
-            raise CommandRejectedError(f"unknown request {request.name!r}", where=self.name, todo=todo)
-        return handler(request, now_ns)
+        if request.name == "zero":
+            self._bias.zero(request, now_ns, ready=self.ready)
+            return []
+        if request.name == "unzero":
+            replies = self._bias.unzero(request)
+            self._use_bias()
+            return replies
+        if request.name == "restart":
+            return self._restart(request, now_ns)
+        todo = "it knows zero, unzero, restart"
+        raise CommandRejectedError(f"unknown request {request.name!r}", where=self.name, todo=todo)
 
     def stop(self, now_ns: int) -> list[CanFrame]:  # noqa: ARG002 - a polled board rests when it is not asked
         """Ask for nothing any more; the board is silent when it is not asked."""
@@ -138,8 +141,6 @@ class AtiNetcanoem(Device[CanFrame]):
     def counters(self) -> dict[str, int]:
         """Whole numbers that only grow; see `COUNTERS`."""
         return dict(self._counters)
-
-    # ------------------------------------------------------------ start
 
     def _begin(self, now_ns: int) -> None:
         self._phase, self._flowing = Phase.STARTING, False
@@ -209,8 +210,6 @@ class AtiNetcanoem(Device[CanFrame]):
         else:
             self._counters["late"] += 1
 
-    # ------------------------------------------------------------ samples
-
     def _sample(self, pair: Pair) -> list[Output]:
         """The message of a pair that is known to answer the last request."""
         first, second, t_ns = pair
@@ -267,18 +266,7 @@ class AtiNetcanoem(Device[CanFrame]):
     def _use_bias(self) -> None:
         self._offset = np.zeros(6) if self._bias.counts is None else self._matrix @ self._bias.counts
 
-    # ------------------------------------------------------------ requests
-
-    def _request_zero(self, request: Request, now_ns: int) -> list[Output]:
-        self._bias.zero(request, now_ns, ready=self.ready)
-        return []
-
-    def _request_unzero(self, request: Request, now_ns: int) -> list[Output]:  # noqa: ARG002 - shape of all handlers
-        replies = self._bias.unzero(request)
-        self._use_bias()
-        return replies
-
-    def _request_restart(self, request: Request, now_ns: int) -> list[Output]:
+    def _restart(self, request: Request, now_ns: int) -> list[Output]:
         if self._phase is Phase.OFF or self._restart_id is not None:
             raise CommandRejectedError("it is stopped or being restarted", where=self.name)
         self._give_up("the sensor is being restarted")
@@ -293,8 +281,6 @@ class AtiNetcanoem(Device[CanFrame]):
             error = CommandError(kind="fault", what=what, where=self.name)
             self._outbox.append(Reply(id=self._restart_id, error=error))
             self._restart_id = None
-
-    # ------------------------------------------------------------ status
 
     def _take_outbox(self) -> list[Output]:
         outbox, self._outbox = self._outbox, []
