@@ -105,7 +105,8 @@ class McapFile:
                 place += 9 + length
                 if opcode == Opcode.FOOTER:
                     return
-            self.warnings.append(f"cut off: the last {size - place} bytes are not whole; all before them was read")
+            rest = f"the last {size - place} bytes are not whole" if place < size else "it has no end"
+            self.warnings.append(f"cut off: {rest}; all before that was read")
 
     def _open(self) -> Any:
         try:
