@@ -73,6 +73,7 @@ class SerialPort(Port):
 
     def __init__(self, pty: Pty, device: VirtualDevice[bytes]) -> None:
         self._pty, self._device = pty, device
+        self._hears_baud_rate = hasattr(device, "host_baud_rate")
         self.address = {"url": str(pty.link)}
 
     def fileno(self) -> int:
@@ -88,11 +89,18 @@ class SerialPort(Port):
         """Host to device, then what it answers at once."""
         data = self._pty.read()
         if data:
+            self._note_baud_rate()
             self._device.feed(data, now_ns)
         self.write(now_ns)
 
+    def _note_baud_rate(self) -> None:
+        """A device that changes its rate on command garbles what a host at another rate sends."""
+        if self._hears_baud_rate:
+            self._device.host_baud_rate = self._pty.baud_rate  # type: ignore[attr-defined]
+
     def write(self, now_ns: int) -> None:
         """Device to host."""
+        self._note_baud_rate()
         for chunk in self._device.poll(now_ns):
             self._pty.write(chunk)
 

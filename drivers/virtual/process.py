@@ -2,7 +2,6 @@
 
 import fcntl
 import importlib
-import importlib.util
 import json
 import os
 import select
@@ -89,11 +88,7 @@ class VirtualProcess:
         self.world = World(seed=options.seed)
         self.world.attach(options.tool)
         rows = {"can0": options.sensor, **_SERIAL}
-        self.devices = {
-            name: make_device(row, self.world, options.settings.get(row, {}))
-            for name, row in rows.items()
-            if row not in VIRTUAL_DEVICES or importlib.util.find_spec(VIRTUAL_DEVICES[row].partition(":")[0])
-        }
+        self.devices = {name: make_device(row, self.world, options.settings.get(row, {})) for name, row in rows.items()}
         self.ports: dict[str, Port] = {}
         self._stack = ExitStack()
 
