@@ -111,7 +111,7 @@ class Dialogue(Generic[Result]):
     _answer: list[CanFrame] = field(default_factory=list)
 
     def poll(self, now_ns: int) -> list[CanFrame]:
-        """What to send now; sets `due_ns`, and `result` or `failure` when it is over (which `poll` alone says)."""
+        """What to send now; sets `due_ns`. Once `result` or `failure` is set (by this or `feed`) it is over."""
         if self._query is None and self.result is None and self.failure is None:
             self._step(None)
         if self._query is None or now_ns < self.due_ns:
