@@ -176,7 +176,7 @@ def _extras(rows: Poses, base: Unknowns) -> list[Candidate]:
         ("tilt", "+ tilt of gravity", replace(base, tilt=True), TILT),
         ("mount", "+ sensor mounting", replace(base, mount=True), MOUNT),
     ]
-    if rows.home.sum() >= LEAST_HOMES or rows.time is None or not rows.home.any():
+    if _can_drift(rows):
         tries.insert(0, ("drift", "+ linear drift", replace(base, drift=1), drift_names(0)))
     if rows.home.sum() > LEAST_HOMES:
         tries.insert(1, ("drift2", "+ curved drift", replace(base, drift=2), drift_names(1)))
@@ -221,24 +221,32 @@ def _recommend(found: list[Candidate], base_key: str, rows: Poses) -> Comparison
     if better:
         chosen = max(better, key=lambda c: float(np.sum(c.score)) if c.score is not None else -np.inf)
         reasons.append(f"{chosen.title.removeprefix('+ ')} predicts left-out poses better (p = {chosen.p_value:.1g})")
-        others = [c for c in better if c.key[:5] != chosen.key[:5]]
-        chosen, found = _both(chosen, others, found, rows)
+        chosen, found = _with_another(chosen, found, rows)
+        reasons += ["drift and tilt together still better"] if chosen.key == "both" else []
     else:
         reasons.append("no further unknown predicts left-out poses better")
     return Comparison(tuple(found), chosen.key, "; ".join(reasons))
 
 
-def _both(
-    chosen: Candidate, others: list[Candidate], found: list[Candidate], rows: Poses
-) -> tuple[Candidate, list[Candidate]]:
-    """Two significant unknowns are tried together."""
-    if not others or chosen.fit is None or others[0].fit is None:
+def _with_another(chosen: Candidate, found: list[Candidate], rows: Poses) -> tuple[Candidate, list[Candidate]]:
+    """A drift beside a tilt, or a tilt beside a drift: one can hide the other until it is fitted."""
+    assert chosen.fit is not None
+    unknowns = chosen.fit.model.unknowns
+    added = replace(unknowns, drift=1) if unknowns.tilt else replace(unknowns, tilt=True)
+    if not (_can_drift(rows) or unknowns.drift):
         return chosen, found
-    a, b = chosen.fit.model.unknowns, others[0].fit.model.unknowns
-    unknowns = replace(a, drift=max(a.drift, b.drift), tilt=True)
-    title = f"{chosen.title} {others[0].title}"
-    both = _scored([*found, _joint("both", title, rows, unknowns)], rows)
-    return (both[-1] if _gain(both[-1], chosen) > 0.0 else chosen), both
+    drift = "curved drift" if added.drift > 1 else "linear drift"
+    both = _joint("both", f"+ {drift} and tilt", rows, added)
+    assert both.fit is not None
+    both = replace(both, p_value=_wald(both.fit, drift_names(0) if unknowns.tilt else TILT))
+    scored = _scored([*found, both], rows)
+    wanted = both.p_value < SIGNIFICANT and _gain(scored[-1], chosen) > 0.0
+    return (scored[-1], scored) if wanted else (chosen, found)
+
+
+def _can_drift(rows: Poses) -> bool:
+    """Returns home (or no word of homes at all) let a drift be told from gravity."""
+    return bool(rows.home.sum() >= LEAST_HOMES or rows.time is None or not rows.home.any())
 
 
 def _gain(one: Candidate, other: Candidate) -> float:

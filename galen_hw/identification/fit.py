@@ -86,10 +86,11 @@ def fit(poses: Poses, unknowns: Unknowns, *, robust: bool = True, span: tuple[fl
     state = _start(model)
     stages = ("huber", "tukey") if robust else ("none",)
     for stage in stages:
-        for _ in range(ITERATIONS):
+        for turn in range(ITERATIONS):
             before = state.theta
-            state = _iterate(model, state, stage)
-            if np.all(np.abs(state.theta - before) <= 1e-10 + 1e-9 * np.abs(before)):
+            # What is known beforehand has no say until the scatter is known: it would win against a scatter too large.
+            state = _iterate(model, state, stage, prior=turn > 1 or stage == "tukey")
+            if turn > 2 and np.all(np.abs(state.theta - before) <= 1e-10 + 1e-9 * np.abs(before)):
                 break
     return _finish(model, state, stages[-1])
 
@@ -115,13 +116,15 @@ def _start(model: Model) -> _State:
     return _State(theta, residual, J, np.full(6, np.nan), scale, np.ones(n), empty)
 
 
-def _iterate(model: Model, state: _State, stage: str) -> _State:
+def _iterate(model: Model, state: _State, stage: str, *, prior: bool) -> _State:
     white = (state.J / state.scale[:, :, None]) * np.sqrt(state.weight)[:, None, None]
-    prior, prior_target = model.prior(state.theta)
-    rows = np.vstack([white.reshape(-1, len(state.theta)), prior])
+    known, known_target = model.prior(state.theta)
+    if not prior:
+        known, known_target = known[:0], known_target[:0]
+    rows = np.vstack([white.reshape(-1, len(state.theta)), known])
     size = np.linalg.norm(rows, axis=0)
     size[size == 0.0] = 1.0
-    target = np.append((state.residual / state.scale * np.sqrt(state.weight)[:, None]).reshape(-1), prior_target)
+    target = np.append((state.residual / state.scale * np.sqrt(state.weight)[:, None]).reshape(-1), known_target)
     step, _, _, _ = np.linalg.lstsq(rows / size, target, rcond=1e-10)
     theta = state.theta + step / size
     inverse = _inverse(rows.T @ rows)
