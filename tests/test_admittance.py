@@ -81,6 +81,20 @@ def test_the_tool_goes_where_it_is_pushed_and_as_fast_as_that(direction: tuple[f
     assert after.travel[-1] < 1e-4, "and it stops when the push ends"
 
 
+def test_a_push_means_the_same_direction_when_the_tool_is_turned() -> None:
+    """The wrench is in the sensor's axes, the motion in the base's: turned by 45 degrees, up is still up."""
+    robot = following()
+    robot.world.guide(turn=(0.7, 0.45, 0.0), move_s=1.5, seconds=3.0)
+    robot.run(3.5)
+    assert robot.q[3:] == pytest.approx([0.65, 0.4], abs=0.05)
+    robot.begin_trace()
+    robot.world.push((0.0, 0.0, 3.0), seconds=1.5)
+    robot.run(1.5)
+    moved = robot.trace().tip[-1] - robot.trace().tip[0]
+    assert moved[2] > 0.03
+    assert np.abs(moved[:2]).max() < 0.03 * moved[2]
+
+
 def test_speed_and_acceleration_are_bounded() -> None:
     """However hard the push."""
     robot = following(max_speed=0.05, max_acceleration=0.2)

@@ -170,6 +170,18 @@ def test_damage_costs_the_damaged_part_and_never_more_than_a_message(
         assert len(found) == len(messages) or file.warnings, "nothing is lost in silence"
 
 
+def test_a_chunk_that_is_no_longer_known_as_one_is_missed(tmp_path: Path) -> None:
+    """The index at the end says how many messages there were."""
+    data = bytearray(recorded(stream(60), flush_every=20))
+    place = 8
+    while data[place] != 6:  # the opcode of a chunk
+        place += 9 + int.from_bytes(data[place + 1 : place + 9], "little")
+    data[place] = 7
+    file = read(tmp_path / "a.mcap", bytes(data))
+    assert len(file.read()) == len(stream(60)) - 20
+    assert file.warnings == [f"{len(stream(60)) - 20} messages are there of {len(stream(60))} that were recorded"]
+
+
 def test_a_recording_is_a_table_at_the_times_of_the_wrench(tmp_path: Path) -> None:
     """Joints between their states, carried a little beyond the last one; what was not valid is empty."""
     messages = stream(400)[:-100]

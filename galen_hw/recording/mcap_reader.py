@@ -3,6 +3,7 @@
 import json
 import struct
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
 from math import nan
@@ -21,6 +22,7 @@ from galen_hw.messages import TOPICS, Message
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 _HEAD: Final = struct.Struct("<BQ")
+_FOOTER: Final = struct.Struct("<BQQQI")
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +57,7 @@ class McapFile:
 
     def __iter__(self) -> Iterator[Logged]:
         unreadable = 0
+        self._read_summary()
         for record in self._records():
             found = self._channels.get(record.channel_id)
             if found is None:
@@ -88,6 +91,28 @@ class McapFile:
                     yield record
                 elif isinstance(record, Statistics) and record.message_count != seen:
                     self.warnings.append(f"{seen} messages are there of {record.message_count} that were recorded")
+
+    def _read_summary(self) -> None:
+        """Learn the channels from the index at the end, in case the chunk that first names them is damaged."""
+        with self._open() as file:
+            size = file.seek(0, 2)
+            file.seek(max(0, size - _FOOTER.size - len(MAGIC)))
+            tail = file.read(_FOOTER.size)
+            if len(tail) < _FOOTER.size:
+                return
+            opcode, _, start, _, _ = _FOOTER.unpack(tail)
+            if opcode != Opcode.FOOTER or not 0 < start < size:
+                return
+            file.seek(start)
+            rest = file.read()
+        place = 0
+        while place + _HEAD.size <= len(rest):
+            opcode, length = _HEAD.unpack_from(rest, place)
+            body = rest[place + _HEAD.size : place + _HEAD.size + length]
+            if opcode == Opcode.CHANNEL and len(body) == length:
+                with suppress(Exception):  # damaged: the chunks may still say it
+                    self._add_channel(Channel.read(ReadDataStream(BytesIO(body))))
+            place += _HEAD.size + length
 
     def _blocks(self) -> Iterator[tuple[int, bytes]]:
         """(opcode, content) of every whole record of the data section."""
