@@ -203,7 +203,9 @@ def _conclude(session: _Session, result: "Result", tool: "ToolFile") -> int:
                 console.print(check_table(check.rms, check.rms_raw, check.noise))
     else:
         console.print("[yellow]not accepted: nothing has changed[/]" + _how_later(tool))
-    page = _report(session, result, tool, check, accepted=accepted)
+    # A script that wants figures says where; a person always gets them.
+    wanted = args.report is not None or not args.json
+    page = _report(session, result, tool, check, accepted=accepted) if wanted else None
     if args.json:
         print(json.dumps(_as_json(result, tool, check, page, accepted=accepted)))
     return EXIT_OK if accepted and (check is None or check.passed) else EXIT_FOUND
@@ -254,7 +256,7 @@ def _report(
 
 
 def _as_json(
-    result: "Result", tool: "ToolFile", check: "LiveCheck | None", page: Path, *, accepted: bool
+    result: "Result", tool: "ToolFile", check: "LiveCheck | None", page: Path | None, *, accepted: bool
 ) -> dict[str, Any]:
     """The result for machines; SI units."""
     data = tool.model_dump(by_alias=True, exclude_none=True, mode="json")
@@ -286,7 +288,7 @@ def _as_json(
         "candidates": candidates,
         "remarks": list(result.remarks),
         "check": live,
-        "report": str(page),
+        "report": None if page is None else str(page),
     }
 
 

@@ -130,6 +130,8 @@ def _split(result: "Result") -> Iterator[str]:
             "no poses without the tool: mass and centre of mass are told from the bias body by the zeroing alone, "
             "the centre of mass along gravity at the zeroing pose only within centimetres; their sum is sure"
         )
+    if result.poses.zero is None and result.poses.bias_body is None:
+        yield "it is not said where the sensor was zeroed: the mass is all that hangs on it"
     zeroing = _candidate(result, "zeroing")
     if zeroing is not None and result.best.key != "zeroing":
         yield "the constant offset is not what zeroing a bias body leaves: the mass is all that hangs on the sensor"

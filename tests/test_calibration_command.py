@@ -1,0 +1,246 @@
+"""`galen-hw calibrate --from` and `galen-hw tool`, as an operator meets them."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from calibration_plant import Plant
+from calibration_sim import BIAS, body, sweep
+
+from galen_hw.cli import main
+from galen_hw.identification.report import two_step
+from galen_hw.recording import Recording, RecordingInfo, write_table
+from galen_hw.recording.recording import SENSOR_ORIENTATION, WRENCH
+from galen_hw.recording.session import Session
+from galen_hw.services.calibration_settings import AxisSettings, CalibrationSettings
+from galen_hw.spatial import quaternion_from_rotation
+
+SETTINGS = CalibrationSettings(
+    axes={"tilt": AxisSettings(low=-0.6, high=0.6, count=4), "roll": AxisSettings(low=-0.9, high=0.9, count=5)},
+    samples=100,
+    zero_samples=100,
+)
+
+
+@pytest.fixture(autouse=True)
+def _own_state(tmp_path, monkeypatch):
+    monkeypatch.setenv("GALEN_HW_STATE", str(tmp_path / "state"))
+    monkeypatch.setenv("GALEN_HW_RUNTIME", str(tmp_path / "run"))
+
+
+def table(folder, R, wrench, **info):
+    """A table of static poses with the sensor's orientation."""
+    columns = dict(zip(SENSOR_ORIENTATION, quaternion_from_rotation(R).T, strict=True))
+    columns |= dict(zip(WRENCH, wrench.T, strict=True))
+    return write_table(Recording(columns, RecordingInfo.model_validate({"schema": 1, "robot": None} | info)), folder)
+
+
+def as_json(capsys, *words):
+    """Run a command and read its JSON; (status, object)."""
+    capsys.readouterr()
+    status = main([*map(str, words), "--json"])
+    return status, json.loads(capsys.readouterr().out)
+
+
+def calibrated(capsys, folder, *words):
+    return as_json(capsys, "calibrate", "--from", folder, "--yes", *words)
+
+
+@pytest.fixture
+def poses(tmp_path):
+    """A table of the nominal sweep, tool poses only, whose zeroing is known."""
+    found = sweep(np.random.default_rng(0), bare=0)
+    known = {"mass": BIAS.mass, "com": BIAS.com.tolist()}
+    return table(tmp_path / "poses", found.R, found.wrench, zeroed_at=[0.0, 0.0, 0.0, 1.0], bias_body=known)
+
+
+def test_a_table_with_quaternions_is_fitted_accepted_and_shown(capsys, poses):
+    """Mass and centre of mass of the tool alone (the bias body is given), shown by `tool show` with their origin."""
+    status, found = calibrated(capsys, poses, "--tool", "retractor")
+    _, shown = as_json(capsys, "tool", "show", "retractor")
+
+    assert status == 0
+    assert shown["mass"] == pytest.approx(body().mass, abs=4 * shown["std"]["mass"])
+    assert shown["com"] == pytest.approx(body().com, abs=4 * max(shown["std"]["com"]))
+    assert shown["origin"]["sweep"] == str(poses)
+    assert shown["calibration"] == found["tool"]["origin"]["id"]
+    assert (shown["schema"], shown["calibrated"], shown["tip"]) == (1, True, [0.045, 0.0, -0.14])
+
+
+def test_the_report_holds_everything_in_one_file(capsys, poses, tmp_path):
+    """Figures as PNG, and one page that loads nothing from elsewhere."""
+    calibrated(capsys, poses, "--tool", "retractor", "--report", tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    names = sorted(p.name for p in (tmp_path / "out").iterdir())
+
+    assert names == ["candidates.png", "compensation.png", "poses.png", "report.html", "residuals.png"]
+    assert page.count("data:image/png;base64,") == 4
+    assert not re.search(r"""(src|href)=["'](?!data:)""", page)
+
+
+def test_nothing_is_active_until_it_is_accepted(capsys, poses):
+    """Without --yes and without a terminal to ask at: exit 1, and the tool is as before."""
+    assert main(["calibrate", "--from", str(poses), "--tool", "retractor"]) == 1
+    assert "not accepted: nothing has changed" in capsys.readouterr().out
+    _, shown = as_json(capsys, "tool", "show", "retractor")
+    assert not shown["calibrated"]
+
+
+def test_candidates_are_all_there_with_one_recommendation(capsys, poses):
+    """The report's two steps, the joint fits and the added unknowns, each with residuals and BIC."""
+    _, found = calibrated(capsys, poses, "--tool", "retractor")
+    keys = [c["key"] for c in found["candidates"]]
+
+    assert keys[:3] == ["report", "joint", "robust"]
+    assert {"tilt", "mount"} <= set(keys)
+    assert found["recommended"] in keys
+    assert all(len(c["residual"]) == 6 for c in found["candidates"])
+
+
+def test_an_mcap_recording_of_the_motion_gives_the_same(capsys, tmp_path):
+    """Continuous joints and wrench of a sweep: poses at rest are found in it, and what hangs on the sensor."""
+    plant, wrote = Plant(tmp_path, SETTINGS), tmp_path / "motion.mcap"
+    with wrote.open("wb") as stream:
+        session = Session(stream, robot="galen")
+        heard = plant.service.handle
+
+        def handle(topic, message, now):
+            if plant.world.tool is not None:
+                session.add(topic, message, now)
+            return heard(topic, message, now)
+
+        plant.service.handle = handle
+        plant.sweep("pointer")
+        session.finish()
+    status, found = calibrated(capsys, wrote, "--tool", "pointer")
+
+    total = body("pointer").mass + BIAS.mass
+    assert status == 0
+    assert found["tool"]["mass"] == pytest.approx(total, abs=0.002)
+    assert found["tool"]["origin"]["sensor_serial"] in ("", "FT12345")
+    assert found["tool"]["origin"]["fit_poses"] >= 20
+
+
+def test_a_raw_sweep_can_be_fitted_again(capsys, tmp_path):
+    """The sweep that the service wrote, stopped half-way, is a recording like any other."""
+    plant = Plant(tmp_path, SETTINGS)
+    plant.begin()
+    plant.until("waiting")
+    plant.world.attach("retractor")
+    plant.ask("resume")
+    for _ in range(14):
+        plant.until("averaging")
+    plant.ask("stop")
+    (folder,) = (tmp_path / "sweeps").iterdir()
+    status, found = calibrated(capsys, folder, "--tool", "retractor")
+
+    assert status == 0
+    assert found["tool"]["mass"] == pytest.approx(body().mass, abs=1e-3)
+    assert found["tool"]["bias_body"]["mass"] == pytest.approx(BIAS.mass, abs=1e-3)
+    assert found["tool"]["origin"]["sensor_serial"] == "FT12345"
+    assert found["tool"]["zeroed_at"]["roll"] == 0.0
+
+
+def test_the_reports_equations_are_a_candidate_of_their_own_numbers(capsys, poses):
+    """What the table says of the report's two steps is what equations (1) to (8) give."""
+    _, found = calibrated(capsys, poses, "--tool", "retractor")
+    rows = sweep(np.random.default_rng(0), bare=0)
+    known = type("W", (), {"force": BIAS.mass * rows.gravity, "com": BIAS.com})
+    _, tool = two_step(rows.R, rows.wrench, zero=rows.zero, body=known)
+
+    assert found["candidates"][0]["mass"] == pytest.approx(tool.mass, rel=1e-9)
+
+
+def test_a_table_that_cannot_excite_the_mass_is_refused(capsys, tmp_path):
+    """Exit 2, the parameter by name, nothing saved."""
+    R, wrench = np.broadcast_to(np.eye(3), (20, 3, 3)), np.zeros((20, 6))
+    folder = table(tmp_path / "poses", R, wrench)
+
+    assert main(["calibrate", "--from", str(folder), "--tool", "retractor", "--yes"]) == 2
+    assert "cannot excite mass" in capsys.readouterr().err
+    assert not (tmp_path / "state").exists()
+
+
+def test_without_a_daemon_it_says_so(capsys):
+    """How to start one, or to add --virtual; exit 3."""
+    assert main(["calibrate", "--tool", "retractor"]) == 3
+    error = capsys.readouterr().err
+
+    assert "no daemon runs here" in error
+    assert "galen-hw run" in error
+    assert "--virtual" in error
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["calibrate"], "which tool?"),
+        (["calibrate", "--from", "nowhere", "--yes"], "nowhere"),
+        (["tool", "show", "hammer"], "no tool 'hammer'"),
+        (["tool", "show", "../x"], "cannot be a tool's name"),
+        (["tool", "select", "retractor"], "never calibrated"),
+        (["tool", "select"], "which tool?"),
+        (["tool", "rollback", "retractor"], "no earlier calibration"),
+        (["tool", "import", "nowhere.json"], "cannot be read"),
+    ],
+)
+def test_wrong_use_is_one_line(capsys, words, text):
+    """Exit 2 and one line that says what to do."""
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert text in error
+    assert error.count("\n") == 1
+
+
+def test_the_tools_life(capsys, poses, tmp_path):
+    """Calibrated twice, listed, selected, rolled back, exported, imported elsewhere."""
+    for _ in range(2):
+        calibrated(capsys, poses, "--tool", "retractor")
+    assert [r["generation"] for r in as_json(capsys, "tool", "history", "retractor")[1]] == [1, 2]
+    assert as_json(capsys, "tool", "select", "retractor")[1] == {"selected": "retractor"}
+    listed = {row["name"]: row for row in as_json(capsys, "tool", "list")[1]}
+    assert listed["retractor"]["selected"]
+    assert not listed["pointer"]["calibrated"]
+    as_json(capsys, "tool", "rollback", "retractor")
+    assert [r["active"] for r in as_json(capsys, "tool", "history", "retractor")[1]] == [True, False]
+
+    file = tmp_path / "retractor.json"
+    as_json(capsys, "tool", "export", "retractor", file)
+    assert as_json(capsys, "tool", "import", file)[1]["name"] == "retractor"
+    assert [r["active"] for r in as_json(capsys, "tool", "history", "retractor")[1]] == [False, False, True]
+    for part in (["list"], ["show", "retractor"], ["history", "retractor"]):
+        assert main(["tool", *part]) == 0
+        assert "retractor/0003-" in capsys.readouterr().out
+
+
+def test_an_impossible_file_is_not_imported(capsys, tmp_path):
+    """One line with file and key; the history stays empty."""
+    file = tmp_path / "bad.json"
+    file.write_text('{"schema": 1, "name": "retractor", "tip": [0, 0, 0], "mass": -1, "com": [0, 0, 0]}')
+
+    assert main(["tool", "import", str(file)]) == 2
+    assert "bad.json: mass: a mass of -1 kg is impossible" in capsys.readouterr().err
+    assert as_json(capsys, "tool", "history", "retractor")[1] == []
+
+
+REAL = Path(__file__).parents[2] / "shared" / "data" / "ft-kuka-ati-static"
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="the real poses may not be redistributed")
+def test_real_poses_of_a_real_sensor_give_the_known_numbers(capsys):
+    """24 poses of an ATI Gamma on a KUKA: 0.932 to 0.934 kg at (0, 0, 44) mm, and Fx is said to be above noise."""
+    _, found = calibrated(capsys, REAL)
+    plain = next(c for c in found["candidates"] if c["key"] == "joint")
+
+    assert 0.932 <= found["tool"]["mass"] <= 0.934
+    assert found["tool"]["com"] == pytest.approx([0.0, 0.0, 0.044], abs=5e-4)
+    assert plain["residual"][:3] == pytest.approx([0.131, 0.047, 0.057], abs=2e-3)
+    (remark,) = (line for line in found["remarks"] if line.startswith("Fx"))
+    assert "above noise" in remark
+    assert "no cause in weight, gain, cross-talk or mounting" in remark
