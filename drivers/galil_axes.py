@@ -71,9 +71,13 @@ class Axes:
         ]
 
     def ramps(self, rates: Mapping[str, float]) -> list[str]:
-        """AC and DC for accelerations by joint."""
-        counts = self._steps(rates, _ACCELERATION_STEP)
-        return [*per_axis("AC", counts), *per_axis("DC", counts)]
+        """AC and DC for accelerations by joint.
+
+        DC is what a stop decelerates with, so it is never less than the axis's own acceleration.
+        """
+        brakes = {joint: max(rate, self.by_joint[joint].acceleration) for joint, rate in rates.items()}
+        up, down = self._steps(rates, _ACCELERATION_STEP), self._steps(brakes, _ACCELERATION_STEP)
+        return [*per_axis("AC", up), *per_axis("DC", down)]
 
     def jog(self, velocity: Mapping[str, float]) -> list[str]:
         """JG for velocities by joint.

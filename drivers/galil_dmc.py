@@ -166,9 +166,11 @@ class GalilDmc(Device[bytes]):
         self._servo_ns = FAR_NS
         if not self._requests.jogging and not self._jobs.named("servo_jv"):
             return []
-        self._counts["watchdog_stops"] += 1
         out = self._finish_all(self._jobs.cancel(), now_ns)
         self._stop_soon()
+        if self._requests.at_zero:  # it ended as it should
+            return out
+        self._counts["watchdog_stops"] += 1
         what = f"servo_jv was not refreshed for {self._settings.servo_timeout_s:g} s, stopped"
         return out + self._report.fault(now_ns, "watchdog", what, "send servo_jv more often, or stop when done")
 

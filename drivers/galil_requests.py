@@ -42,11 +42,14 @@ class GalilRequests:
         axes: names, limits and scales.
         state: what the controller last said.
         jobs: where scripts wait.
+
+    `jogging` are the joints under servo_jv; `at_zero` says that the last one asked for no velocity at all.
     """
 
     def __init__(self, axes: Axes, state: GalilState, jobs: GalilJobs) -> None:
         self._axes, self._state, self._jobs = axes, state, jobs
         self.jogging: set[str] = set()
+        self.at_zero = True
         self._make: dict[str, Callable[[dict[str, Any]], Script]] = {
             "enable": self._enable,
             "move_jp": self._move,
@@ -153,6 +156,7 @@ class GalilRequests:
                 raise self._axes.rejected(
                     f"{joint}: velocity {value:g} leads beyond the {side} limit it stands on", "move it the other way"
                 )
+        self.at_zero = not any(velocity.values())
         return jog(self._axes, velocity, self.jogging)
 
     def _no_fault(self) -> None:

@@ -56,10 +56,11 @@ class NdiSettings(BaseModel):
         markers: what to track, by the topic's last word ("tool", "reference").
         reply: BX (binary, finer) or TX (text, for old firmware).
         baud_rate: final rate of the serial line (COMM); 0 on a socket.
-        frame_rate_hz: at which the tracker counts frames; poll_rate_hz: most requests a second.
+        frame_rate_hz: at which the tracker counts frames.
+        poll_rate_hz: most requests a second; no multiple of the frame rate, so that some come just after a new frame.
         latency_s: constant part of the delay from exposure to the first byte, taken off every time.
         reply_timeout_s, init_timeout_s, reset_timeout_s: longest waits for a reply, for INIT, for RESET.
-        reconnect_s: pause between attempts.
+        quiet_s: the line counts as drained after so long a silence; reconnect_s: pause between attempts.
         missing_s: a marker body not seen for so long is a fault.
     """
 
@@ -69,7 +70,7 @@ class NdiSettings(BaseModel):
     reply: Literal["BX", "TX"] = "BX"
     baud_rate: int = 115200
     frame_rate_hz: float = Field(default=60.0, gt=0)
-    poll_rate_hz: float = Field(default=120.0, gt=0, le=1000)
+    poll_rate_hz: float = Field(default=137.0, gt=0, le=1000)
     latency_s: float = Field(default=0.0, ge=0, lt=1)
     reply_timeout_s: float = Field(default=0.5, gt=0)
     init_timeout_s: float = Field(default=2.0, gt=0)

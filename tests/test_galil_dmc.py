@@ -1,7 +1,10 @@
 """The Galil driver against a scripted controller on a simulated clock."""
 
+import contextlib
 import math
+import socket
 import sys
+import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,8 +15,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 from galil_parts import MS, Bench, GalilPeer, ready
 from pydantic import ValidationError
 
+from galen_hw.clock import TimeBase
 from galen_hw.drivers.galil_dmc import GalilDmc
+from galen_hw.drivers.serial_transport import SerialTransport
 from galen_hw.errors import CommandRejectedError
+from galen_hw.messages import Reply, Request
 
 
 def test_connects_with_echo_on_and_reads_joint_states():
@@ -82,7 +88,7 @@ def test_move_begins_only_when_all_is_accepted():
                       acceleration={"roll": 0.01})  # fmt: skip
     assert reply.error is None
     sent = [line for line in bench.peer.lines if not line.startswith(("QR", "MG"))]
-    assert sent == ["PA 50000,,,-20861;SP 50000,,,4172;AC 249856,,,1024;DC 249856,,,1024", "BG AD"]
+    assert sent == ["PA 50000,,,-20861;SP 50000,,,4172;AC 249856,,,1024;DC 249856,,,82944", "BG AD"]
     assert bench.joints.moving["roll"]
     assert not bench.joints.moving["tilt"]
 
@@ -182,6 +188,15 @@ def test_servo_without_refresh_is_stopped():
     assert bench.peer.lines.count("ST ABCDE") == 1
     assert any("servo_jv was not refreshed for 0.2 s" in what for what in bench.faults)
     assert bench.device.counters["watchdog_stops"] == 1
+
+
+def test_servo_that_ended_at_zero_is_stopped_without_a_fault():
+    """A client that asked for rest and fell silent did nothing wrong; the axes leave the jog mode."""
+    bench = ready()
+    bench.ask("servo_jv", 0.1, velocity={"roll": 0.1})
+    bench.ask("servo_jv", 0.5, velocity={"roll": 0.0})
+    assert bench.peer.lines.count("ST ABCDE") == 1
+    assert not bench.faults
 
 
 def test_servo_faster_than_the_line_keeps_the_newest():
@@ -405,6 +420,38 @@ def test_rate_follows_the_setting_and_the_line():
         bench.run(2.0)
         rate = (len(bench.messages("joints/state")) - before) / 2.0
         assert rate == pytest.approx(expected, rel=0.05)
+
+
+def test_the_same_driver_over_a_socket():
+    """Identified, enabled and moved over real TCP through `socket://`."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        transport = SerialTransport(SerialTransport.Settings(url=f"socket://127.0.0.1:{server.getsockname()[1]}"))
+        transport.open()
+        controller, _ = server.accept()
+        controller.setblocking(False)
+        device, peer = GalilDmc("motors", GalilDmc.Settings(quiet_s=0.002), TimeBase.now()), GalilPeer(echo=True)
+        device.start(time.monotonic_ns())
+        outputs, todo = [], [("enable", {}), ("move_jp", {"position": {"tilt": 0.25}})]
+        end = time.monotonic() + 10.0
+        while time.monotonic() < end and len([o for o in outputs if isinstance(o, Reply)]) < 2:
+            wires, more = device.poll(time.monotonic_ns())
+            transport.send(wires)
+            outputs += more
+            with contextlib.suppress(BlockingIOError):
+                for line in controller.recv(4096).split(b"\r")[:-1]:
+                    controller.sendall(peer.answer(line + b"\r"))
+            for data, t_ns in transport.receive(0.001):
+                outputs += device.feed(data, t_ns)
+            if device.ready and todo:
+                with contextlib.suppress(CommandRejectedError):  # motors off until a record says otherwise
+                    name, args = todo[0]
+                    outputs += device.request(Request(id=name, target="m", name=name, args=args), time.monotonic_ns())
+                    todo.pop(0)
+        transport.close()
+        controller.close()
+    assert [o.error for o in outputs if isinstance(o, Reply)] == [None, None]
+    assert "PA ,,,,10430;SP ,,,,20860;AC ,,,,82944;DC ,,,,82944" in peer.lines
+    assert "BG E" in peer.lines
 
 
 def test_stop_of_the_device_sends_one_line_even_while_an_answer_is_pending():
