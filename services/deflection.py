@@ -41,6 +41,7 @@ class DeflectionService(Service):
     """
 
     Settings: ClassVar[type[BaseModel]] = DeflectionSettings
+    patience_s: ClassVar[float] = 0.0  # the corrected pose belongs to its wrench, not to one of five milliseconds ago
     consumes: ClassVar[tuple[str, ...]] = ("wrench/compensated", "joints/state")
     produces: ClassVar[tuple[str, ...]] = ("pose/reported", "pose/corrected", "status", "fault")
 

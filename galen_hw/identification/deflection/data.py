@@ -1,7 +1,7 @@
 """Deflection data: configurations, forces on the tip and how far the tip was from where the rigid robot says."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,7 @@ class DeflectionSet:
         Raises:
             UsageError: no forces, or no rows without force to register on.
         """
+        observations = replace(observations, belief=replace(observations.belief, compliance={}))
         scene = PoseScene(observations)
         force, give = scene.force, scene.residual
         size = np.linalg.norm(force, axis=1)

@@ -20,11 +20,12 @@ class Place:
     """The rigid arm at one joint state, base frame, worked out once and used for all samples until the next.
 
     Args:
-        q: (n,) joints; R: (3, 3) sensor to base; sensor, tip: (3,) m; quaternion of R, x y z w.
+        names: of the joints; q: (n,) joints; R: (3, 3) sensor to base; sensor, tip: (3,) m; quaternion of R, x y z w.
         screws: (6, n) motion [v, w] per joint rate, v at the base's origin.
         velocity: (6,) [v, w] of the tip from the joints' rates, m/s and rad/s.
     """
 
+    names: tuple[str, ...]
     q: Array
     R: Array
     sensor: Array
@@ -43,7 +44,8 @@ class Place:
         screws = np.concatenate([J[:3] - np.cross(turn, p[:, None], axis=0), turn])
         rate = J @ dq
         velocity = np.concatenate([rate[:3] + np.cross(rate[3:], arm), rate[3:]])
-        return cls(q, R, p, p + arm, tuple(quaternion_from_rotation(R).tolist()), screws, tuple(velocity.tolist()))
+        quaternion, rates = tuple(quaternion_from_rotation(R).tolist()), tuple(velocity.tolist())
+        return cls(tuple(robot.joint_names), q, R, p, p + arm, quaternion, screws, rates)
 
 
 class GiveStream(ABC):

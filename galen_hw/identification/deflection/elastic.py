@@ -1,0 +1,144 @@
+"""The arm as springs: joints, structure and tool give through the Jacobian, with friction, creep, hardening and play.
+
+Stiffness depends on the configuration because a load's lever about each joint does. Which effects there are is decided
+on held-out sets (`elastic_fit`); the numbers are least squares with the tracker's frame of each set and its delay free.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from galen_hw.identification.deflection.blocks import Blocks
+from galen_hw.identification.deflection.data import DeflectionSet
+from galen_hw.identification.deflection.elastic_fit import DELAY, Decision, Search
+from galen_hw.identification.deflection.elastic_stream import ElasticStream
+from galen_hw.identification.deflection.elastic_terms import Term, Weight, scenes
+from galen_hw.identification.deflection.model import DeflectionModel
+from galen_hw.identification.deflection.stream import GiveStream
+from galen_hw.physics.joint_memory_effects import Slip
+from galen_hw.spatial import Array
+
+SMOOTH_S = 1.0
+
+
+def _none() -> Array:
+    return np.zeros((0, 0))
+
+
+@dataclass
+class ElasticArm(DeflectionModel):
+    """The fitted arm.
+
+    Args:
+        terms, values: effects and their parameters (k,); covariance: (k, k) of these.
+        lever: port to compliance that bends the levers; slips: port to friction that the other effects lie behind.
+        weight: what hangs beyond the sensor.
+        floor: (d,) one sigma of what the model leaves at configurations that it has not seen, tracker's noise apart.
+        noise: (d,) one sigma of the tracker; delay_s: of the tracker behind the force.
+        decisions: what was kept and dropped, and by how much.
+    """
+
+    NAME: ClassVar[str] = "elastic arm"
+    ABOUT: ClassVar[str] = "springs through the Jacobian; friction, creep, hardening, play where data want them"
+    terms: tuple[Term, ...] = ()
+    values: Array = field(default_factory=lambda: np.zeros(0))
+    covariance: Array = field(default_factory=_none)
+    lever: dict[str, float] = field(default_factory=dict)
+    slips: dict[str, list[Slip]] = field(default_factory=dict)
+    weight: Weight = field(default_factory=Weight)
+    floor: Array = field(default_factory=lambda: np.zeros(3))
+    noise: Array = field(default_factory=lambda: np.zeros(3))
+    delay_s: float = 0.0
+    decisions: tuple[Decision, ...] = ()
+
+    def fit(self, sets: Sequence[DeflectionSet]) -> Self:
+        """Search the effects and solve for them."""
+        search = Search(sets)
+        blocks = search.run()
+        keys = [*search.terms, DELAY]
+        theta, covariance = blocks.solve(keys), blocks.robust_covariance(keys)
+        self.terms, self.values = tuple(search.terms), theta[:-1]
+        self.covariance, self.delay_s = covariance[:-1, :-1], -float(theta[-1])
+        self.lever, self.slips, self.weight, self.noise = search.lever, search.slips, search.weight, search.noise
+        self.decisions = tuple(search.decisions.values())
+        self.floor = _floor(self, sets, blocks)
+        return self
+
+    @property
+    def kept(self) -> tuple[str, ...]:
+        """Kinds of effects beside compliance that the data wanted."""
+        return tuple(dict.fromkeys(t.kind for t in self.terms if t.kind != "compliance"))
+
+    def columns(self, data: DeflectionSet) -> Array:
+        """(N, d, k) give per unit of each parameter."""
+        bare, settled = self._scenes(data)
+        return np.stack([t.column(bare, settled) for t in self.terms], axis=2)
+
+    def _scenes(self, data: DeflectionSet) -> Any:
+        bare = scenes([data], self.weight, self.lever)[0]
+        return bare, scenes([data], self.weight, self.lever, self.slips)[0] if self.slips else bare
+
+    def predict(self, data: DeflectionSet) -> Array:
+        """Give (N, d), from the load of the first row on (its weight's sag is in the tracker's frame)."""
+        return np.asarray(self.columns(data) @ self.values)
+
+    def variance(self, data: DeflectionSet) -> Array:
+        """(N, d) of the corrected tip: parameters and what the model leaves."""
+        X = self.columns(data)
+        return np.asarray(np.einsum("ndi,ij,ndj->nd", X, self.covariance, X) + self.floor**2)
+
+    def to_json(self) -> dict[str, Any]:
+        """Terms, parameters and how sure they are."""
+        return {
+            "terms": [t.to_json(float(v)) for t, v in zip(self.terms, self.values, strict=True)],
+            "covariance": self.covariance.tolist(),
+            "lever": self.lever,
+            "slips": {port: [list(slip) for slip in slips] for port, slips in self.slips.items()},
+            "weight": {"mass": self.weight.mass, "moment": list(self.weight.moment)},
+            "floor": self.floor.tolist(),
+            "noise": self.noise.tolist(),
+            "delay_s": self.delay_s,
+            "decisions": [vars(d) for d in self.decisions],
+        }
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> Self:
+        """From a file."""
+        weight = values["weight"]
+        return cls(
+            tuple(Term.from_json(t) for t in values["terms"]),
+            np.array([float(t["value"]) for t in values["terms"]]),
+            np.array(values["covariance"], dtype=float).reshape(len(values["terms"]), -1),
+            {str(k): float(v) for k, v in values["lever"].items()},
+            {str(k): [(float(r), float(s)) for r, s in v] for k, v in values["slips"].items()},
+            Weight(float(weight["mass"]), tuple(map(float, weight["moment"]))),  # type: ignore[arg-type]
+            np.array(values["floor"], dtype=float),
+            np.array(values["noise"], dtype=float),
+            float(values["delay_s"]),
+            tuple(Decision(**d) for d in values["decisions"]),
+        )
+
+    def stream(self, std: Array | None = None) -> GiveStream:
+        """The same numbers sample by sample."""
+        del std
+        return ElasticStream(self)
+
+
+def _floor(model: ElasticArm, sets: Sequence[DeflectionSet], blocks: Blocks) -> Array:
+    """(d,) what is left at held-out configurations in means over a second, beyond the tracker's noise in them."""
+    by_fold = {int(f): blocks.solve([*model.terms, DELAY], without=int(f))[:-1] for f in np.unique(blocks.fold)}
+    squares, noise2 = [], np.zeros(len(model.noise))
+    for number, s in enumerate(sets):
+        give = model.columns(s) @ by_fold[int(blocks.fold[blocks.owner == number][0])]
+        late = np.stack([np.interp(s.time - model.delay_s, s.time, c) for c in give.T], axis=1)
+        left = s.give - late
+        left = left[np.isfinite(left).all(axis=1)]
+        size = max(1, round(SMOOTH_S / max(float(np.median(np.diff(s.time))), 1e-6)))
+        whole = len(left) // size * size
+        means = left[:whole].reshape(-1, size, left.shape[1]).mean(axis=1)
+        squares.append((means - means.mean(axis=0)) ** 2)
+        noise2 = model.noise**2 / size
+    left2 = np.mean(np.concatenate(squares), axis=0) - noise2
+    return np.asarray(np.sqrt(np.maximum(left2, (0.05 * model.noise) ** 2)))

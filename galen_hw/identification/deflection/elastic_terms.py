@@ -1,0 +1,138 @@
+"""What the elastic arm may consist of: one effect at one port, its candidates and its column for a set."""
+
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from galen_hw.errors import UsageError
+from galen_hw.identification.deflection.data import DeflectionSet
+from galen_hw.physics.effect import Effect
+from galen_hw.physics.elastic_effects import Compliance, Hardening
+from galen_hw.physics.joint_memory_effects import BearingPlay, GivingScene, JointHysteresis, Slip
+from galen_hw.physics.memory_effects import Creep
+from galen_hw.spatial import Array
+
+KINDS: Final[dict[str, type[Effect]]] = {
+    "compliance": Compliance,
+    "hysteresis": JointHysteresis,
+    "creep": Creep,
+    "hardening": Hardening,
+    "play": BearingPlay,
+}
+WIDTHS: Final = tuple(np.geomspace(0.01, 0.4, 10).tolist())
+CONSTANTS_S: Final = (0.7, 1.5, 3.0, 6.0, 12.0, 30.0)
+TRANSITIONS: Final = (0.004, 0.015, 0.05)
+
+
+@dataclass(frozen=True)
+class Weight:
+    """What hangs beyond the sensor: mass kg and moment (3,) kg m in the sensor frame."""
+
+    mass: float = 0.0
+    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def of(cls, data: DeflectionSet) -> "Weight":
+        """Tool and bias body as the recording knows them."""
+        belief = data.observations.belief
+        bodies = [belief.tool] + ([belief.bias_body] if belief.bias_body is not None else [])
+        moment = sum((b.mass * np.asarray(b.com) for b in bodies), np.zeros(3))
+        return cls(float(sum(b.mass for b in bodies)), tuple(np.asarray(moment).tolist()))
+
+
+@dataclass(frozen=True)
+class Term:
+    """One effect at one port."""
+
+    kind: str
+    port: str
+    effect: Effect
+
+    @property
+    def bare(self) -> bool:
+        """Whether it acts on the whole load; the others act on what the friction leaves of it."""
+        return self.kind in ("compliance", "hysteresis")
+
+    def column(self, bare: GivingScene, settled: GivingScene) -> Array:
+        """(N, d) give per unit of the parameter."""
+        scene = bare if self.bare else settled
+        return np.asarray(self.effect.columns(scene).full(len(scene.channels))[:, :, 0])
+
+    def to_json(self, value: float) -> dict[str, Any]:
+        """The form of a term in files."""
+        form = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self.effect).items()}
+        return {"kind": self.kind, "port": self.port, "form": form, "value": value}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> "Term":
+        """The term of a file.
+
+        Raises:
+            UsageError: a kind that is not known.
+        """
+        if values["kind"] not in KINDS:
+            raise UsageError(f"no kind {values['kind']!r}", where="terms", todo="fit the model again")
+        return cls(values["kind"], values["port"], KINDS[values["kind"]].from_form(values["form"]))
+
+
+def scenes(
+    sets: Sequence[DeflectionSet],
+    weight: Weight,
+    lever: Mapping[str, float],
+    slips: Mapping[str, Sequence[Slip]] | None = None,
+) -> list[GivingScene]:
+    """One scene a set."""
+    more = {"mass": weight.mass, "moment": weight.moment, "lever": lever}
+    return [GivingScene(s.observations, slips=slips, **more) for s in sets]  # type: ignore[arg-type]
+
+
+def amplitude(views: Sequence[GivingScene], port: str) -> float:
+    """Half the range of a port's load over all sets, N or N m; 0 where it bears none."""
+    low = min(float(v.bare_load(port).min()) for v in views)
+    high = max(float(v.bare_load(port).max()) for v in views)
+    return 0.5 * (high - low) if high - low > 1e-6 else 0.0
+
+
+def elastic_candidates(views: Sequence[GivingScene]) -> Iterator[Term]:
+    """Compliance of every port that bears load in every set."""
+    for port in views[0].ports:
+        if all(v.load(port) is not None for v in views):
+            yield Term("compliance", port, Compliance("joint", port))
+
+
+def settled_candidates(views: Sequence[GivingScene], ports: Sequence[str]) -> Iterator[Term]:
+    """Creep, hardening and play of some ports."""
+    for port in ports:
+        size = amplitude(views, port)
+        for constant in CONSTANTS_S:
+            yield Term("creep", port, Creep(constant, joint=port))
+        for power in (2, 3):
+            yield Term("hardening", port, Hardening(port, power))
+        for share in TRANSITIONS:
+            yield Term("play", port, BearingPlay(port, share * size))
+
+
+def hysteresis_columns(views: Sequence[GivingScene], port: str, widths: Sequence[float]) -> dict[Term, list[Array]]:
+    """Columns of slip elements of some widths, worked out in one pass a set."""
+    effect = JointHysteresis(port, tuple(widths))
+    full = [effect.columns(v).full(len(v.channels)) for v in views]
+    terms = [Term("hysteresis", port, JointHysteresis(port, (r,))) for r in widths]
+    return {term: [f[:, :, i] for f in full] for i, term in enumerate(terms)}
+
+
+def zoomed(term: Term, factor: float, count: int = 5) -> list[Term]:
+    """The same effect at neighbouring values of what is searched, from 1/factor to factor times."""
+    ratios = [x for x in np.geomspace(1.0 / factor, factor, count).tolist() if abs(x - 1.0) > 1e-9]
+    e = term.effect
+    if isinstance(e, JointHysteresis):
+        return [Term(term.kind, term.port, JointHysteresis(e.joint, (e.widths[0] * x,))) for x in ratios]
+    if isinstance(e, Creep):
+        return [Term(term.kind, term.port, Creep(e.constant * x, joint=e.joint)) for x in ratios]
+    if isinstance(e, BearingPlay):
+        return [Term(term.kind, term.port, BearingPlay(e.joint, e.transition * x)) for x in ratios]
+    return []
+
+
+Columns = dict[Hashable, list[Array]]

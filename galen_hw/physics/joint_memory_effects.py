@@ -1,0 +1,180 @@
+"""An arm that gives: joints, structure and tool as springs with friction, play and memory under their own load.
+
+Each place where the arm gives is a port: a joint's name, or an axis "structure.x" (base) or "tool.x" (sensor frame).
+The effects of joints (compliance, hardening, creep) work on every port: the scene knows each one's load and screw.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from galen_hw.physics.effect import Columns, Effect, Parameter, in_all
+from galen_hw.physics.observations import Observations
+from galen_hw.physics.scene import Scene, once
+from galen_hw.physics.scene_pose import PoseScene
+from galen_hw.physics.screws import joint_screws
+from galen_hw.spatial import Array
+
+Slip = tuple[float, float]
+"""A Maxwell slip element: load at which it slips (N or N m) and its share of the load."""
+FRAMES = ("structure", "tool")
+
+
+class GivingScene(PoseScene):
+    """A pose scene with second-order geometry: loads act on the bent arm, screws at the middle of the way.
+
+    Args:
+        observations: the recording, group "pose".
+        mass: kg that hangs beyond the sensor, and moment: (3,) kg m, mass times its centre in the sensor frame.
+        lever: port to compliance; what the loads' levers are bent by.
+        slips: port to slip elements; `load` is then what is left of the load behind the friction.
+    """
+
+    def __init__(
+        self,
+        observations: Observations,
+        *,
+        mass: float = 0.0,
+        moment: Sequence[float] = (0.0, 0.0, 0.0),
+        lever: Mapping[str, float] | None = None,
+        slips: Mapping[str, Sequence[Slip]] | None = None,
+    ) -> None:
+        super().__init__(observations)
+        self.mass, self.moment = mass, np.asarray(moment, dtype=float)
+        self.lever, self.slips = dict(lever or {}), dict(slips or {})
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """All places where the arm could give."""
+        return (*self.joint_names, *(f"{frame}.{axis}" for frame in FRAMES for axis in "xyz"))
+
+    @once
+    def screw(self, port: str) -> Array:
+        """(N, 6) motion [v, w] of the distal part per unit of give; v at the base's origin."""
+        frame, _, axis = port.partition(".")
+        if frame not in FRAMES:
+            screws = joint_screws(self, port)
+            assert screws is not None, "arm scenes have a robot"
+            return screws
+        along = np.zeros((len(self), 3))
+        along[:] = np.eye(3)["xyz".index(axis)] if frame == "structure" else self.T_sensor[:, :3, "xyz".index(axis)]
+        return np.concatenate([along, np.zeros((len(self), 3))], axis=1)
+
+    @cached_property
+    def _weight(self) -> tuple[Array, Array]:
+        """Weight (3,) and its moment (N, 3) about the base's origin."""
+        weight = self.mass * self.belief.gravity
+        moment = np.cross(self.T_sensor[:, :3, :3] @ self.moment, self.belief.gravity)
+        return weight, moment + np.cross(self.T_sensor[:, :3, 3], weight)
+
+    def _bears(self, port: str, point: Array) -> Array:
+        screw, (weight, moment) = self.screw(port), self._weight
+        return np.asarray(
+            np.sum(screw[:, :3] * (self.force + weight), axis=1)
+            + np.sum(screw[:, 3:] * (np.cross(point, self.force) + moment), axis=1)
+        )
+
+    @cached_property
+    def move(self) -> Array:
+        """(N, 3) the tip's give to first order."""
+        out = np.zeros((len(self), 3))
+        for port, compliance in self.lever.items():
+            screw = self.screw(port)
+            along = screw[:, :3] + np.cross(screw[:, 3:], self.tip)
+            out += compliance * self._bears(port, self.tip)[:, None] * along
+        return out
+
+    @once
+    def bare_load(self, port: str) -> Array:
+        """(N,) load of a port on the bent arm, N or N m."""
+        return self._bears(port, self.tip + self.move)
+
+    @once
+    def load(self, joint: str) -> Array | None:
+        """The load behind the friction; None where it does not change."""
+        x = self.bare_load(joint)
+        out = x.copy()
+        for half_width, share in self.slips.get(joint, ()):
+            out += share * (self.play("slip", x[:, None], half_width)[:, 0] - x)
+        return out if np.ptp(x) > 1e-9 else None
+
+    @once
+    def joint_port(self, joint: str) -> Array | None:
+        """(N, C) of the port's screw, taken at the middle of the tip's way."""
+        screw, width = self.screw(joint), len(self.channels)
+        move = screw[:, :3] + np.cross(screw[:, 3:], self.tip + 0.5 * self.move)
+        return np.concatenate([move, screw[:, 3:]], axis=1)[:, :width]
+
+
+@dataclass(frozen=True)
+class JointHysteresis(Effect):
+    """Friction beside a port's spring: the port gives by a (P_r[tau] - tau), one Maxwell slip element a width.
+
+    P_r is the play operator of half width r (N or N m) on the port's load. Visible at reversals of the load and in
+    what is left after a release; depends on the configuration through the load. Confused with creep (slow loads),
+    with play (small r) and with a tracker's delay (fast loads).
+    """
+
+    KEY = "hysteresis"
+    joint: str
+    widths: tuple[float, ...]
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """A spectrum of widths for each port that bears load."""
+        if isinstance(scene, GivingScene):
+            for port in scene.ports:
+                load = scene.load(port)
+                if load is not None:
+                    yield cls(port, tuple((0.5 * float(np.ptp(load)) * np.geomspace(0.01, 0.5, 10)).tolist()))
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Give per load that the element holds back."""
+        del scene
+        return tuple(Parameter(f"share_{r:.4g}", "rad/(N m) or m/N") for r in self.widths)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Held-back load through the port."""
+        port, load = scene.joint_port(self.joint), scene.load(self.joint)
+        assert port is not None, "proposed only where there is a port"
+        assert load is not None, "proposed only where there is a load"
+        wide = np.repeat(load[:, None], len(self.widths), axis=1)
+        held = scene.play("hysteresis", wide, np.asarray(self.widths)) - wide
+        return in_all([port * h[:, None] for h in held.T], len(scene.channels))
+
+
+@dataclass(frozen=True)
+class BearingPlay(Effect):
+    """A loose bearing lies on the side that its load says: the port stands off by a tanh(tau / transition).
+
+    Visible where the load crosses zero, as a step that does not grow with the load. Confused with hysteresis (whose
+    step depends on the direction of travel) and with softening.
+    """
+
+    KEY = "backlash"
+    joint: str
+    transition: float
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Sharp and soft steps for each port that bears load."""
+        if isinstance(scene, GivingScene):
+            for port in scene.ports:
+                load = scene.load(port)
+                if load is not None:
+                    yield from (cls(port, 0.5 * float(np.ptp(load)) * share) for share in (0.003, 0.01, 0.03))
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Half the play."""
+        del scene
+        return (Parameter("half_width", "rad or m"),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Side of the bearing through the port."""
+        port, load = scene.joint_port(self.joint), scene.load(self.joint)
+        assert port is not None, "proposed only where there is a port"
+        assert load is not None, "proposed only where there is a load"
+        return in_all([port * np.tanh(load / self.transition)[:, None]], len(scene.channels))

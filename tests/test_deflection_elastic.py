@@ -1,0 +1,83 @@
+"""The elastic arm: finds what gives on generated robots, serves the same numbers sample by sample."""
+
+import json
+
+import numpy as np
+import pytest
+
+from galen_hw.identification.deflection.elastic import ElasticArm
+from galen_hw.identification.deflection.stream import Place
+from galen_hw.tools.deflection_robots import NOISE_M, GivingRobot
+
+FULL = {"hysteresis": True, "creep": True, "hardening": True, "play": True}
+
+
+@pytest.fixture(scope="module")
+def robot() -> GivingRobot:
+    """A robot with everything."""
+    seed = next(s for s in range(200) if GivingRobot.drawn(s).present == FULL)
+    return GivingRobot.drawn(seed)
+
+
+@pytest.fixture(scope="module")
+def arm(robot: GivingRobot) -> ElasticArm:
+    """Fitted on four configurations."""
+    return ElasticArm().fit(robot.sets(4, each=1))
+
+
+def test_the_right_effects_are_found_on_a_generated_robot(arm: ElasticArm) -> None:
+    """Friction, creep, hardening and play of the MuJoCo arm are all kept, and the springs sit in the right places."""
+    assert set(arm.kept) == {kind for kind, on in FULL.items() if on}
+    assert {t.port for t in arm.terms if t.kind == "compliance"} == {"roll", "tilt", "structure.z"}
+
+
+def test_the_tip_is_predicted_at_a_configuration_never_seen(robot: GivingRobot, arm: ElasticArm) -> None:
+    """Held-out error within 1.2 of the tracker's noise."""
+    (new,) = robot.sets(1, each=1, first=5)
+    error = new.give - arm.predict(new)
+    error -= error[: int(1.8 * 60)].mean(axis=0)
+    assert np.sqrt(np.mean(error**2)) < 1.2 * NOISE_M
+
+
+def test_the_stream_gives_the_numbers_of_the_batch(robot: GivingRobot, arm: ElasticArm) -> None:
+    """Sample by sample, with friction, creep and play, from a file's text: equal to rounding."""
+    data = robot.sets(1, each=1, first=6)[0].rows(slice(0, 1500))
+    belief = data.observations.belief
+    assert belief.robot is not None
+    stream = ElasticArm.from_json(json.loads(json.dumps(arm.to_json()))).stream()
+    tip = tuple(belief.tip.tolist())
+    place = Place.of(belief.robot, tip, data.q[0], np.zeros(5))
+    stream.place(place)
+    rows = [
+        stream.step(t, tuple(f.tolist()), tuple(np.cross(place.tip, f).tolist()))
+        for t, f in zip(data.time, data.force, strict=True)
+    ]
+    assert np.abs(np.array(rows)[:, :3] - arm.predict(data)).max() < 1e-15
+    variance = np.diag(np.reshape(stream.covariance(), (6, 6)))[:3]
+    assert variance == pytest.approx(arm.variance(data)[-1], rel=1e-2), "the levers' bend alone is left out"
+
+
+def test_a_gap_keeps_the_memory_and_makes_it_unsure_until_the_load_moves(arm: ElasticArm, robot: GivingRobot) -> None:
+    """After a gap the covariance is larger; when the load has crossed the friction's band it is as before."""
+    stream = arm.stream()
+    belief = robot.belief
+    assert belief.robot is not None
+    place = Place.of(belief.robot, tuple(belief.tip.tolist()), np.zeros(5), np.zeros(5))
+    stream.place(place)
+
+    def push(t: float, f: tuple[float, float, float]) -> tuple[float, ...]:
+        return stream.step(t, f, tuple(np.cross(place.tip, f).tolist()))
+
+    for k in range(100):
+        before = push(0.01 * k, (3.0, 2.0, 5.0))
+    sure = np.trace(np.reshape(stream.covariance(), (6, 6)))
+    stream.gap()
+    assert push(1.0, (3.0, 2.0, 5.0)) == pytest.approx(before, abs=1e-6)
+    unsure = np.trace(np.reshape(stream.covariance(), (6, 6)))
+    assert unsure > 1.2 * sure
+    for k in range(400):
+        size = np.sin(2 * np.pi * k / 200) * 14.0
+        push(1.0 + 0.25 * k, (size, size, size))
+    push(101.1, (3.0, 2.0, 5.0))
+    again = np.trace(np.reshape(stream.covariance(), (6, 6)))
+    assert again < 0.5 * (sure + unsure)

@@ -1,0 +1,112 @@
+"""Generated robots that give: deflection sets of the MuJoCo arm, whose parameters the fit does not see."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from galen_hw.identification.deflection.data import DeflectionSet
+from galen_hw.kinematics import GalenRobot
+from galen_hw.physics.observations import Belief, Observations
+from galen_hw.physics.rigid import Body
+from galen_hw.spatial import Array
+from galen_hw.tools.blind_proof.generator import pose, signal
+from galen_hw.tools.blind_proof.generator.case import Case
+from galen_hw.tools.blind_proof.generator.galen import BIAS_COM, BIAS_MASS, JOINTS, TOOLS, carriages
+from galen_hw.tools.blind_proof.generator.motion import Path
+
+RATE_HZ = 60.0
+NOISE_M = 7e-5
+FORCE_NOISE_N = 0.02
+KINDS = ("hysteresis", "creep", "hardening", "play")
+_WAY = ((0.0, 0.0), (0.8, 1.0), (2.8, 1.0), (4.2, -1.0), (6.2, -1.0), (7.0, 0.0), (9.0, 0.0))
+"""One push: s and share of its force; both ways through zero, with dwells and a rest."""
+
+
+@dataclass
+class GivingRobot:
+    """One robot and what is concealed in it."""
+
+    seed: int
+    tool: str
+    give: pose.Give
+    present: dict[str, bool]
+    latency_s: float
+    places: Array = field(default_factory=lambda: np.zeros((0, 5)))
+
+    @classmethod
+    def drawn(cls, seed: int) -> "GivingRobot":
+        """Springs always; friction, creep, hardening and play each with even odds."""
+        rng = np.random.default_rng([seed, 4])
+        present = {kind: bool(rng.random() < 0.5) for kind in KINDS}
+        give = pose.Give()
+        give.compliance = np.array([rng.uniform(1e-5, 6e-5), rng.uniform(1.5e-3, 6e-3), rng.uniform(1.5e-3, 6e-3)])
+        if present["hysteresis"]:
+            give.friction = rng.uniform(0.04, 0.15, 3) * np.array([12.0, 2.0, 2.0])
+        if present["creep"]:
+            give.creep, give.creep_tau_s = rng.uniform(0.06, 0.25, 3) * give.compliance, float(rng.uniform(1.0, 6.0))
+        if present["hardening"]:
+            give.hardening = float(rng.uniform(0.06, 0.25))
+        if present["play"]:
+            give.play[int(rng.integers(1, 3))] = rng.uniform(3e-4, 1e-3)
+        tool = str(rng.choice(["pointer", "retractor"]))
+        return cls(seed, tool, give, present, float(rng.uniform(0.0, 0.02)))
+
+    def sets(self, count: int = 4, *, each: int = 2, day: int = 0, first: int = 0) -> list[DeflectionSet]:
+        """`each` sets at every one of `count` configurations, numbered from `first`; days differ in their noise."""
+        return [
+            self.recorded(
+                self._place(first + k), f"set{first + k}{'abcd'[n]}-day{day}", [self.seed, 5, day, first + k, n]
+            )
+            for k in range(count)
+            for n in range(each)
+        ]
+
+    def _place(self, k: int) -> Array:
+        """Platform, roll and tilt of configuration k: a spread over the workspace, the same on every day."""
+        rng = np.random.default_rng([self.seed, 6, k])
+        roll = (-0.75, 0.7, 0.0, -0.35, 0.4, 0.9, -0.9, 0.2)[k % 8]
+        tilt = (0.45, -0.4, 0.1, -0.5, 0.5, 0.2, -0.2, -0.1)[k % 8]
+        return np.array([*rng.uniform(-0.06, 0.06, 3), roll + rng.uniform(-0.1, 0.1), tilt + rng.uniform(-0.1, 0.1)])
+
+    def recorded(self, place: Array, name: str, seed: list[int]) -> DeflectionSet:
+        """One set: pushes along the axes and askew at one place, tracked with noise and latency."""
+        rng = np.random.default_rng(seed)
+        force = pushes(rng)
+        n = len(force)
+        t = np.arange(n) / RATE_HZ
+        case = Case("deflection", self.seed, "pose", "single", rate_hz=RATE_HZ)
+        path = Path(t, np.tile(place, (n, 1)), np.zeros((n, 5)), np.zeros((n, 5)))
+        tip = pose.simulate(pose.PoseScene(case, path, force, self.tool, self.give))
+        seen = signal.delayed(t, tip, self.latency_s) + rng.normal(0.0, NOISE_M, (n, 3)) + rng.normal(0.0, 1e-4, 3)
+        q = np.hstack([carriages(path.q[:, :3]), path.q[:, 3:]])
+        columns = {"time": t} | {f"joint.{j}.position": q[:, i] for i, j in enumerate(JOINTS)}
+        felt = force + rng.normal(0.0, FORCE_NOISE_N, force.shape)
+        columns |= {f"applied.force.{a}": felt[:, i] for i, a in enumerate("xyz")}
+        columns |= {f"pose.position.{a}": seen[:, i] for i, a in enumerate("xyz")}
+        columns |= {f"covariate.true.{a}": tip[:, i] for i, a in enumerate("xyz")}
+        return DeflectionSet.of(name, Observations("pose", columns, None, self.belief), tool=self.tool)
+
+    @property
+    def belief(self) -> Belief:
+        """The nominal robot with the known tool."""
+        t = TOOLS[self.tool]
+        return Belief(
+            robot=GalenRobot(),
+            tool=Body(t.mass, np.array(t.com), np.diag(t.inertia)),
+            tip=np.array(t.tip),
+            bias_body=Body(BIAS_MASS, np.array(BIAS_COM)),
+        )
+
+
+def pushes(rng: np.random.Generator, largest_n: float = 15.0) -> Array:
+    """(N, 3) forces of one set: two seconds of rest, then six pushes along axes and askew at several levels."""
+    knots_t, knots_f, now = [0.0, 2.0], [np.zeros(3), np.zeros(3)], 2.0
+    directions = [*np.eye(3)[rng.permutation(3)], *(d / np.linalg.norm(d) for d in rng.normal(size=(3, 3)))]
+    for direction in directions:
+        size = largest_n * rng.uniform(0.4, 1.0) * (1.0 if rng.random() < 0.5 else -1.0)
+        for seconds, share in _WAY:
+            knots_t.append(now + seconds + 1e-6)
+            knots_f.append(share * size * direction)
+        now += _WAY[-1][0]
+    times = np.arange(round(now * RATE_HZ)) / RATE_HZ
+    return np.stack([np.interp(times, knots_t, f) for f in np.array(knots_f).T], axis=1)
