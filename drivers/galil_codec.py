@@ -82,7 +82,6 @@ STOP_CODES: Final[Mapping[int, tuple[str, bool]]] = {
 
 DONE: Final = 1
 LIMIT_STOPS: Final = frozenset({2, 3})
-ABORT_INPUT_STOPS: Final = frozenset({6, 11})
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING
 
 from galen_hw.drivers.galil_axes import Axes
 from galen_hw.drivers.galil_codec import (
-    ABORT_INPUT_STOPS,
     ELO_A_D,
     ELO_E_H,
     LIMIT_STOPS,
@@ -25,7 +24,7 @@ class GalilState:
 
     Args:
         axes: the configuration.
-        status_due: an axis was stopped by the abort input, so `take_status` is wanted at once.
+        status_due: an axis was stopped by a fault, so `take_status` is wanted at once.
         limit_active: what a limit switch's bit is while the axis stands on it.
     """
 
@@ -112,8 +111,8 @@ class GalilState:
             text, is_fault = STOP_CODES.get(code, (f"stopped with the unknown code {code}", True))
             if first or code == before or not is_fault:
                 continue
-            self.status_due |= code in ABORT_INPUT_STOPS
             if code not in LIMIT_STOPS:
+                self.status_due = True  # an emergency stop may be behind it
                 self.latched[f"stop code {joint}"] = f"{joint}: {text}"
             todo = "move it the other way" if code in LIMIT_STOPS else "remove the cause, then clear_fault and enable"
             faults.append((f"{joint}: {text}", todo))
