@@ -61,7 +61,12 @@ class Worker:
         )
         self.host = Host(orders.name, ports, services, self._link, clock=time.monotonic_ns, on_done=self._keep)
         self._ports = list(ports.values())
-        self._own_fds = [lifeline, self._waker.fd, self._link.inlet.fd, self._link.control.fd]
+        self._own_fds = [lifeline, self._waker.fd, self._link.control.fd]
+        patience_s = min((s.patience_s for s in services.values() if s.consumes), default=0.0)
+        self._patience_ns = 0 if orders.name == CORE else round(patience_s * NS_PER_S)
+        self._next_inlet_ns = 0
+        if not self._patience_ns:
+            self._own_fds.append(self._link.inlet.fd)
         self._next_beat_ns = self._next_status_ns = self._next_due_ns = 0
         self._status_seq = self._turns = 0
         self._garbage = GarbageKeeper(self._setup.config.daemon.garbage_interval_s)
@@ -83,7 +88,7 @@ class Worker:
     def _turn(self) -> None:
         """Wait for a wire, a socket or a time, and do what is due."""
         self._turns += 1
-        due_ns = self._next_due_ns
+        due_ns = self._next_due_ns if not self._patience_ns else min(self._next_due_ns, self._next_inlet_ns)
         for port in self._ports:
             due_ns = min(due_ns, port.wakeup_ns)
         ready = self._wait(due_ns)
@@ -92,6 +97,9 @@ class Worker:
             outputs = port.step(readable=port.fd in ready)
             if outputs:
                 host.take(outputs)
+        if self._patience_ns and (now := time.monotonic_ns()) >= self._next_inlet_ns:
+            self._next_inlet_ns = now + self._patience_ns
+            ready.append(self._link.inlet.fd)
         for topic, payload in self._link.messages(ready):
             self._hear(topic, payload)
         self._listen(ready)

@@ -1,0 +1,143 @@
+"""`galen-hw run --virtual` as a user starts it: the default settings, the virtual robot, a subscriber."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from galen_hw.bus import CommandClient, Subscriber
+from galen_hw.config.paths import DEFAULT_CONFIG, Addresses
+from galen_hw.messages import JointsState, Message
+from tests.daemon_tree import alive, within
+
+ROBOTOUS = """
+[devices.ft]
+driver = "robotous_rft"
+transport = { interface = "slcan", channel = "CAN0", bitrate = 1000000 }
+[services.compensation]
+[bus]
+viewers = ""
+[daemon]
+start_timeout_s = 4.0
+realtime_priority = 0
+"""
+
+
+def environ(folder: Path) -> dict[str, str]:
+    return os.environ | {"GALEN_HW_STATE": str(folder / "state"), "GALEN_HW_RUNTIME": str(folder / "run")}
+
+
+def galen(folder: Path, *words: str) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-m", "galen_hw.cli", *words]
+    return subprocess.Popen(command, env=environ(folder), text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def virtual_pids(folder: Path) -> list[int]:
+    """Processes of the virtual robot in this folder."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit() and alive(int(entry.name)):
+            words = (entry / "cmdline").read_bytes().split(b"\0") if (entry / "cmdline").exists() else []
+            if b"virtual" in words and str(folder / "run" / "virtual").encode() in words:
+                found.append(int(entry.name))
+    return found
+
+
+def test_run_virtual_end_to_end(tmp_path: Path) -> None:
+    """Ready in one command: wrench, joints and pose flow, a move is carried out and seen, SIGTERM ends all of it."""
+    config = tmp_path / "galen.toml"
+    config.write_text(DEFAULT_CONFIG.read_text().replace('# viewers = "tcp://127.0.0.1:9872"', 'viewers = ""'))
+    process = galen(tmp_path, "run", "--virtual", "--config", str(config))
+    addresses = Addresses(tmp_path / "run")
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        assert line.startswith("ready: ft ready, motors ready"), line
+        assert virtual_pids(tmp_path)
+        seen: dict[str, Message] = {}
+        with Subscriber(addresses.bus) as bus, CommandClient(addresses.command) as client:
+            wanted = {"wrench/raw", "wrench/compensated", "wrench/contact", "joints/state", "pose/reported", "status"}
+
+            def heard() -> bool:
+                for _ in range(2000):
+                    if (received := bus.receive(0.1)) is None:
+                        break
+                    seen[received[0]] = received[1]
+                return wanted <= seen.keys()
+
+            assert within(15.0, heard), wanted - seen.keys()
+            client.call("motors", "enable")
+            client.call("motors", "move_jp", {"position": {"roll": 0.2}})
+            assert within(15.0, lambda: heard() and _roll(seen) == pytest.approx(0.2, abs=1e-3))
+            pids = client.call("daemon", "info")["processes"].values()
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=30) == 0
+        assert not any(alive(pid) for pid in pids)
+        assert within(5.0, lambda: not virtual_pids(tmp_path))
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def _roll(seen: dict[str, Message]) -> float:
+    state = seen["joints/state"]
+    assert isinstance(state, JointsState)
+    return state.position["roll"]
+
+
+def test_wrong_device_and_busy_port_are_one_line_each(tmp_path: Path) -> None:
+    """An ATI board where the settings say Robotous; then the same port while another program holds it."""
+    virtual = galen(tmp_path, "virtual", "--json", "--dir", str(tmp_path / "v"))
+    try:
+        assert virtual.stdout is not None
+        channel = json.loads(virtual.stdout.readline())["addresses"]["can0"]["channel"]
+        config = tmp_path / "galen.toml"
+        config.write_text(ROBOTOUS.replace("CAN0", channel))
+        wrong = galen(tmp_path, "run", "--config", str(config))
+        _, said = wrong.communicate(timeout=60)
+        assert wrong.returncode == 3
+        assert len(said.splitlines()) == 1
+        assert "ft" in said
+
+        config.write_text(ROBOTOUS.replace("CAN0", channel).replace("robotous_rft", "ati_netcanoem"))
+        first = galen(tmp_path, "run", "--config", str(config))
+        try:
+            assert first.stdout is not None
+            assert first.stdout.readline().startswith("ready")
+            second = galen(tmp_path, "run", "--config", str(config), "--dir", str(tmp_path / "other"))
+            _, said = second.communicate(timeout=60)
+            assert second.returncode == 3
+            assert [channel in line for line in said.splitlines() if line.startswith("galen-hw run")] == [True]
+        finally:
+            first.terminate()
+            first.communicate(timeout=30)
+        assert first.returncode == 0
+    finally:
+        virtual.terminate()
+        virtual.communicate(timeout=30)
+
+
+def test_ctrl_c_ends_cleanly(tmp_path: Path) -> None:
+    """SIGINT to the whole group, as a terminal sends it: status 0, no traceback."""
+    config = tmp_path / "galen.toml"
+    config.write_text(ROBOTOUS.replace("robotous_rft", "ati_netcanoem"))
+    command = [sys.executable, "-m", "galen_hw.cli", "run", "--virtual", "--config", str(config)]
+    process = subprocess.Popen(
+        command,
+        env=environ(tmp_path),
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline().startswith("ready")
+    os.killpg(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=30)
+
+    assert process.returncode == 0
+    assert "Traceback" not in said
