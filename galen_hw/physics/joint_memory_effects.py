@@ -7,7 +7,7 @@ The effects of joints (compliance, hardening, creep) work on every port: the sce
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -33,6 +33,8 @@ class GivingScene(PoseScene):
         slips: port to slip elements; `load` is then what is left of the load behind the friction.
     """
 
+    _screw_key: ClassVar[str] = "GivingScene.screw"
+
     def __init__(
         self,
         observations: Observations,
@@ -45,6 +47,35 @@ class GivingScene(PoseScene):
         super().__init__(observations)
         self.mass, self.moment = mass, np.asarray(moment, dtype=float)
         self.lever, self.slips = dict(lever or {}), dict(slips or {})
+
+    def sharing(self, other: "GivingScene") -> Self:
+        """Take over from a scene of the same recording what depends on the joints alone."""
+        for name in ("T_sensor", "tip", "force", "q", "_joint_screws"):
+            if name in other.__dict__:
+                self.__dict__[name] = other.__dict__[name]
+        screws = {k: v for k, v in other.__dict__.get("_once", {}).items() if k[0] == GivingScene._screw_key}
+        self.__dict__.setdefault("_once", {}).update(screws)
+        return self
+
+    def play(self, name: Any, x: Array, half_width: Any) -> Array:
+        """As `operators.play`, a column at a time in plain floats: many times quicker for few columns."""
+        del name
+        out, widths = np.empty_like(x), np.broadcast_to(np.asarray(half_width, dtype=float), x.shape[1:])
+        for part in self.segments:
+            for i, r in enumerate(widths.tolist()):
+                out[part, i] = _played(x[part, i].tolist(), r)
+        return out
+
+    def lag(self, name: Any, x: Array, constant: Any) -> Array:
+        """As `operators.lag`, a column at a time in plain floats."""
+        del name
+        out, constants = np.empty_like(x), np.broadcast_to(np.asarray(constant, dtype=float), x.shape[1:])
+        for part in self.segments:
+            steps = np.diff(self.time[part], prepend=self.time[part][:1])
+            for i, T in enumerate(constants.tolist()):
+                shares = -np.expm1(-np.maximum(steps, 0.0) / T)
+                out[part, i] = _lagged(x[part, i].tolist(), shares.tolist())
+        return out
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -107,6 +138,25 @@ class GivingScene(PoseScene):
         screw, width = self.screw(joint), len(self.channels)
         move = screw[:, :3] + np.cross(screw[:, 3:], self.tip + 0.5 * self.move)
         return np.concatenate([move, screw[:, 3:]], axis=1)[:, :width]
+
+
+def _played(x: list[float], r: float) -> list[float]:
+    p, out = x[0], []
+    for value in x:
+        if value - r > p:
+            p = value - r
+        elif value + r < p:
+            p = value + r
+        out.append(p)
+    return out
+
+
+def _lagged(x: list[float], shares: list[float]) -> list[float]:
+    y, out = x[0], []
+    for value, share in zip(x, shares, strict=True):
+        y += share * (value - y)
+        out.append(y)
+    return out
 
 
 @dataclass(frozen=True)

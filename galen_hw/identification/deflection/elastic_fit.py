@@ -68,12 +68,14 @@ class Search:
     def run(self) -> Blocks:
         """Search; the sums for the terms found."""
         self._elastic()
-        for _ in range(ROUNDS):
-            before = list(self.terms)
+        for round_number in range(ROUNDS):
+            before = {(t.kind, t.port) for t in self.terms}
             self._grow()
+            if {(t.kind, t.port) for t in self.terms} == before and round_number:
+                break
             self._zoom()
             self._prune()
-            if self.terms == before:
+            if {(t.kind, t.port) for t in self.terms} == before:
                 break
         return self._final()
 
@@ -101,7 +103,7 @@ class Search:
             frictions = [t for t in self.terms if t.kind == "hysteresis"]
             self._forward(blocks, [*compliances, *slipping, *others], [DELAY])
             self._set_lever(blocks, self.terms)
-            if [t for t in self.terms if t.kind == "hysteresis"] == frictions:
+            if len([t for t in self.terms if t.kind == "hysteresis"]) == len(frictions):
                 return
 
     def _zoom(self) -> None:
@@ -167,8 +169,10 @@ class Search:
     def _view(self) -> None:
         """Scenes for the present lever and friction."""
         self._columns = {}
-        self._bare = scenes(self.sets, self.weight, self.lever)
-        self._settled = scenes(self.sets, self.weight, self.lever, self.slips) if self.slips else self._bare
+        self._bare = scenes(self.sets, self.weight, self.lever, like=self._bare)
+        self._settled = self._bare
+        if self.slips:
+            self._settled = scenes(self.sets, self.weight, self.lever, self.slips, like=self._bare)
         pairs = zip(self.sets, self._bare, strict=True)
         self._rows = self._rows or [Rows.of(s, b.tip, self.noise) for s, b in pairs]
 

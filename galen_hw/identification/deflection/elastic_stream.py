@@ -1,4 +1,4 @@
-"""The elastic arm sample by sample, in plain floats: what the effects of `galen_hw.physics` give for all rows at once."""
+"""The elastic arm sample by sample, in plain floats: what the effects of `galen_hw.physics` give for all rows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

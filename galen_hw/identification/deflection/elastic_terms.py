@@ -82,10 +82,11 @@ def scenes(
     weight: Weight,
     lever: Mapping[str, float],
     slips: Mapping[str, Sequence[Slip]] | None = None,
+    like: Sequence[GivingScene] = (),
 ) -> list[GivingScene]:
-    """One scene a set."""
-    more = {"mass": weight.mass, "moment": weight.moment, "lever": lever}
-    return [GivingScene(s.observations, slips=slips, **more) for s in sets]  # type: ignore[arg-type]
+    """One scene a set; `like`: scenes of the same sets, whose geometry is taken over."""
+    made = [GivingScene(s.observations, mass=weight.mass, moment=weight.moment, lever=lever, slips=slips) for s in sets]
+    return [scene.sharing(old) for scene, old in zip(made, like, strict=True)] if like else made
 
 
 def amplitude(views: Sequence[GivingScene], port: str) -> float:
