@@ -1,5 +1,7 @@
 """The virtual robot in place of the configured wires."""
 
+import contextlib
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,5 +25,13 @@ def virtual_setup(setup: Setup, tables: Tables, folder: Path) -> Iterator[Setup]
     """
     sensor = setup.config.devices[SENSOR].driver if SENSOR in setup.config.devices else "ati_netcanoem"
     with virtual_robot(folder, sensor=sensor) as robot:
+        _run_like_hardware(robot.pid, setup.config.daemon.realtime_priority)
         wires = {name: dict(robot.addresses[wire]) for name, wire in WIRE_OF.items() if wire in robot.addresses}
         yield with_transports(setup, wires, tables)
+
+
+def _run_like_hardware(pid: int, priority: int) -> None:
+    """Hardware does not wait for the programs of this machine: its stand-in does not either, where permitted."""
+    if priority:
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(pid, os.SCHED_FIFO, os.sched_param(priority))

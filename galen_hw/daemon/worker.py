@@ -15,9 +15,10 @@ import msgspec
 from galen_hw.bus import decode_reply
 from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.config.paths import Addresses
+from galen_hw.config.schema import DaemonSection
 from galen_hw.daemon.host import Host
 from galen_hw.daemon.keep import Keeper
-from galen_hw.daemon.layout import CORE
+from galen_hw.daemon.layout import CORE, PRIORITY_BELOW_CORE
 from galen_hw.daemon.links import REPLY, REQUEST, STOP, Beat, CoreLink, DeviceState, EdgeLink
 from galen_hw.daemon.orders import Orders, build_port, build_services
 from galen_hw.daemon.port import Port, Waker
@@ -225,8 +226,10 @@ def main() -> int:
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the supervisor says when to stop.
     orders = msgspec.json.decode(_read_line(sys.stdin.fileno()), type=Orders)
-    if orders.name == CORE:
-        raise_priority(int(orders.document.get("daemon", {}).get("realtime_priority", 20)))
+    below_core = PRIORITY_BELOW_CORE.get(orders.name)
+    priority = int(orders.document.get("daemon", {}).get("realtime_priority", DaemonSection().realtime_priority))
+    if below_core is not None:
+        raise_priority(max(0, priority - below_core))
     sharpen_timers()
     try:
         worker = Worker(orders, sys.stdin.fileno())
