@@ -1,0 +1,147 @@
+"""What physics left over: does any function of the known inputs and their past still explain the rest, and where?"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.stats import chi2
+
+from galen_hw.diagnosis.bench import Bench, Hypothesis, rich_basis
+from galen_hw.physics.effect import Columns
+from galen_hw.spatial import Array
+
+Z_NEEDED = 4.5
+CHANCE = 2e-4
+
+
+@dataclass(frozen=True)
+class Left:
+    """One kind of structure that is left in one channel.
+
+    Args:
+        channel: place.
+        kind: what the generic functions were of.
+        z: (T - k) / sqrt(2 k) on the training rows.
+        share: of the rest's mean square, on rows set aside (training rows where none are).
+        predicted: (M,) in raw units.
+    """
+
+    channel: int
+    kind: str
+    z: float
+    share: float
+    predicted: Array
+
+
+def dictionaries(bench: Bench) -> Iterator[tuple[str, Array]]:
+    """Generic functions (M, k) of the known inputs, a family at a time."""
+    inputs = _inputs(bench)
+    if not inputs.size:
+        return
+    rng = np.random.default_rng(7)
+    z = (inputs - inputs.mean(axis=0)) / np.maximum(inputs.std(axis=0), 1e-12)
+    for scale, name in ((0.7, "the joint positions"), (2.0, "the joint positions, finely")):
+        w, phase = rng.normal(size=(z.shape[1], 24)) * scale, rng.uniform(0, 2 * np.pi, 24)
+        yield name, np.cos(z @ w + phase)
+    pairs = [z[:, i] * z[:, j] for i in range(z.shape[1]) for j in range(i, z.shape[1])]
+    yield "products of joint positions", np.stack(pairs[:40], axis=-1)
+    for j in range(min(z.shape[1], 8)):
+        reach = max(float(np.ptp(z[:, j])), 1e-9)
+        numbers = np.arange(1, 31) * 2.0 * np.pi / reach / 1.3
+        yield (
+            f"periodic in input {j + 1}",
+            np.concatenate([f(np.outer(z[:, j], numbers)) for f in (np.sin, np.cos)], axis=1),
+        )
+    if bench.scene.clock:
+        rate, second = (np.gradient(x, axis=0) for x in (z, np.gradient(z, axis=0)))
+        rate, second = (x / np.maximum(x.std(axis=0), 1e-12) for x in (rate, second))
+        yield (
+            "speeds and accelerations",
+            np.concatenate([rate, np.abs(rate), np.tanh(4.0 * rate), second, rate * np.abs(rate)], axis=1),
+        )
+        for low in (0.004, 0.012, 0.035, 0.1):
+            yield "a resonance that motion excites", _resonators(second, low)
+        lagged = [
+            np.concatenate([np.repeat(z[:1], k, axis=0), z[:-k]]) - z
+            for k in (2, 5, 12, 30, 80, 200)
+            if k < len(z) // 4
+        ]
+        yield "the past of the inputs", np.concatenate(lagged, axis=1)
+
+
+def _inputs(bench: Bench) -> Array:
+    q = bench.scene.q
+    moving = [j for j, name in enumerate(bench.scene.joint_names) if name in bench.scene.moved]
+    parts = [bench.rows.average(q[:, moving])] if moving else []
+    if not parts:
+        parts = [bench.rows.average(bench.scene.simulated)]
+    force = [c for n, c in bench.scene.observations.columns.items() if n.startswith("applied.force") and np.ptp(c) > 0]
+    parts += [bench.rows.average(np.nan_to_num(np.stack(force, axis=-1)))] if force else []
+    x = np.concatenate(parts, axis=1)
+    return np.asarray(x[:, np.ptp(x, axis=0) > 1e-12])
+
+
+def _resonators(x: Array, frequency: float) -> Array:
+    """Two-pole resonances of (M, n) inputs around a frequency in cycles a row, in and out of phase."""
+    out = []
+    for f in frequency * np.array([1.0, 1.3, 1.7, 2.2]):
+        if f > 0.45:
+            continue
+        r = np.exp(-2.0 * np.pi * f * 0.05)
+        a = [1.0, -2.0 * r * np.cos(2.0 * np.pi * f), r * r]
+        out += [lfilter([1.0], a, x, axis=0), lfilter([1.0, -1.0], a, x, axis=0)]
+    return np.concatenate(out, axis=1) if out else x[:, :0]
+
+
+def leftovers(bench: Bench, model: list[Hypothesis], rest: Array, white: Array) -> list[Left]:
+    """Structure in the rest (M, C) of a model, strongest first; only what also predicts rows set aside.
+
+    Args:
+        model: nuisances and effects, so that generic functions get no credit for what these could do.
+        rest, white: the model's rest, raw and whitened.
+    """
+    train, judged = bench.train, bench.judged
+    out, families = [], list(dictionaries(bench))
+    budget = max(int(train.sum()) // 6, 3)
+    for c in range(bench.width):
+        own = [h.white.values[:, h.white.channels.index(c)] for h in model if c in h.white.channels and h.count]
+        base = np.concatenate(own, axis=1)
+        for kind, X in families:
+            if not X.shape[1]:
+                continue
+            X = rich_basis(np.ones((len(X), 1)), [X], 12 * min(budget, X.shape[1]))
+            made = bench.made(None, Columns((c,), X[:, None, :]))
+            found = _test(made.white.values[:, 0], X, base, white[:, c], rest[:, c], train, judged)
+            if found is not None:
+                z, share, predicted, k = found
+                needed = CHANCE / (len(families) * bench.width)
+                if z > Z_NEEDED and chi2.sf(z * np.sqrt(2.0 * k) + k, k) < needed:
+                    out.append(Left(c, kind, z, share, predicted))
+    return sorted(out, key=lambda left: -left.z)
+
+
+def _test(
+    Xw: Array, X: Array, base: Array, white: Array, rest: Array, train: Array, judged: Array
+) -> tuple[float, float, Array, int] | None:
+    B = base[train]
+    B = B / np.maximum(np.linalg.norm(B, axis=0), 1e-300)
+    Q, R = np.linalg.qr(B)
+    Q = Q[:, np.abs(np.diag(R)) > 1e-8]
+    A = Xw[train] - Q @ (Q.T @ Xw[train])
+    scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+    U, s, Vt = np.linalg.svd(A / scale, full_matrices=False)
+    good = s > 1e-3 * s[0]
+    k = int(good.sum())
+    y = white[train] - Q @ (Q.T @ white[train])
+    noise = max(float(np.mean(y**2)), 1.0) if k < 0.2 * len(y) else 1.0
+    del noise
+    projected = U[:, good].T @ y
+    z = (float(projected @ projected) - k) / np.sqrt(2.0 * k)
+    theta = (Vt[good].T @ (projected / s[good])) / scale
+    where = judged if judged.any() else train
+    predicted_white = Xw @ theta
+    gain = float(np.sum(white[where] ** 2 - (white[where] - predicted_white[where]) ** 2))
+    predicted = X @ theta
+    share = 1.0 - float(np.sum((rest[where] - predicted[where]) ** 2) / max(np.sum(rest[where] ** 2), 1e-300))
+    return (z, share, predicted, k) if gain > 6.0 or not judged.any() else None

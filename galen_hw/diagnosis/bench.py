@@ -1,0 +1,191 @@
+"""The bench: one recording (or several at once) averaged, its noise known, every hypothesis' columns whitened once.
+
+All decisions are then small solves: inner products of columns with each other and with the residual.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from galen_hw.diagnosis.noise import Noise, estimate, quantisation
+from galen_hw.diagnosis.rows import Mask, Rows, blocks, set_aside
+from galen_hw.physics.effect import Columns, Effect
+from galen_hw.physics.scene import Scene
+from galen_hw.spatial import Array
+
+MOST_ROWS = 16000
+SURROGATES = 48
+
+
+@dataclass
+class Hypothesis:
+    """One effect on the bench.
+
+    Args:
+        effect: the piece of physics; None: a nuisance or a generic term.
+        raw: averaged columns, unfiltered.
+        white: the same, whitened channel by channel.
+        looked: at how many places it was looked for.
+        theta: parameters at which `raw` is the slope (nonlinear effects); None: at zero.
+    """
+
+    effect: Effect | None
+    raw: Columns
+    white: Columns
+    looked: int = 1
+    name: str = ""
+    theta: Array | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of linear parameters."""
+        return self.raw.count
+
+
+@dataclass
+class Bench:
+    """See the module.
+
+    Args:
+        scene: what was measured and simulated.
+        held: share of blocks set aside.
+        seed: of the choice of blocks and of surrogates.
+    """
+
+    scene: Scene
+    held: float = 0.3
+    seed: int = 0
+    rows: Rows = field(init=False)
+    block: Array = field(init=False)
+    aside: Mask = field(init=False)
+    dropped: Mask = field(init=False)
+    noise: Noise = field(init=False)
+    timing: list[tuple[Effect, Array]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Averages the residual and marks the rows set aside."""
+        n = len(self.scene)
+        self.rows = Rows(tuple(self.scene.segments), max(1, -(-n // MOST_ROWS)))
+        count = 40 if len(self.rows) >= 400 else max(min(len(self.rows) // 4, 14), 4)
+        self.block = blocks(self.rows.runs, count)
+        self.aside = set_aside(self.block, self.held, self.seed) if self.held > 0 else np.zeros(len(self.rows), bool)
+        self.dropped = np.zeros(len(self.rows), dtype=bool)
+        self.whole = self.rows.average(self.scene.residual)
+        self.y = self.whole
+        self.steps = quantisation(self.scene.measured)
+        self.width = len(self.scene.channels)
+
+    @property
+    def train(self) -> Mask:
+        """Rows to learn from."""
+        return ~self.aside & ~self.dropped
+
+    @property
+    def judged(self) -> Mask:
+        """Rows to judge on."""
+        return self.aside & ~self.dropped
+
+    def averaged(self, columns: Columns, *, timed: bool) -> Columns:
+        """Columns on the bench's rows, as the late or lagging stream delivers them."""
+        values = columns.values
+        if timed and self.timing:
+            flat = values.reshape(len(values), -1)
+            for effect, theta in self.timing:
+                flat = effect.retimed(self.scene, flat, theta)  # type: ignore[attr-defined]
+            values = flat.reshape(values.shape)
+        return Columns(columns.channels, self.rows.average(values))
+
+    def add(self, effect: Effect, looked: int = 1) -> Hypothesis:
+        """A hypothesis with its columns, not yet whitened in place of any other."""
+        raw = self.averaged(effect.columns(self.scene), timed=not effect.EPISODIC and not effect.TIMING)
+        return self.made(effect, raw, looked)
+
+    def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
+        """A hypothesis of given averaged columns."""
+        white = np.empty_like(raw.values)
+        for i, channel in enumerate(raw.channels):
+            white[:, i] = self.noise.whiten(raw.values[:, i], channel)
+        return Hypothesis(effect, raw, Columns(raw.channels, white), looked, name)
+
+    def constants(self) -> list[Columns]:
+        """What is always fitted: offsets of all channels and the baseline's own nuisances."""
+        ones = np.ones((len(self.rows), 1, 1))
+        out = [Columns((c,), ones) for c in range(self.width)]
+        for nuisance in self.scene.nuisances():
+            out.append(Columns(tuple(range(self.width)), self.rows.average(nuisance)[:, :, None]))
+        return out
+
+    def learn_noise(self, hypotheses: Iterable[Columns], extra: Iterable[Columns] = ()) -> None:
+        """Noise from the rest of a rich fit: principal directions of all columns, channel by channel, and `extra` whole."""
+        constants, library, rest, basis = self.constants(), list(hypotheses), [], []
+        M = len(self.rows)
+        for c in range(self.width):
+            whole = [_of(col, c) for col in [*constants, *extra] if c in col.channels]
+            rich = [_of(col, c) for col in library if c in col.channels]
+            Q = rich_basis(np.concatenate(whole, axis=1), rich, M)
+            good = ~self.dropped
+            fit = Q @ np.linalg.lstsq(Q[good], self.y[good, c], rcond=None)[0]
+            left = np.where(good, self.y[:, c] - fit, 0.0)
+            rest.append(left)
+            basis.append(Q)
+        floor = self.steps / np.sqrt(12.0 * np.minimum(np.mean(self.rows.counts), 1.0))
+        self.noise = estimate(np.stack(rest, axis=-1), basis, self.rows, clock=self.scene.clock, steps=self.steps)
+        self.rich_rest = np.stack(rest, axis=-1)
+        del floor
+
+    def whitened(self, y: Array) -> Array:
+        """(M, C) residual whitened; dropped rows are bridged first."""
+        out = np.empty_like(y)
+        good = np.flatnonzero(~self.dropped)
+        for c in range(self.width):
+            filled = np.interp(np.arange(len(y)), good, y[good, c]) if self.dropped.any() else y[:, c]
+            out[:, c] = self.noise.whiten(filled[:, None], c)[:, 0]
+        return out
+
+    def surrogates(self, count: int = SURROGATES) -> Array:
+        """(M, C, count) whitened noise like this recording's, quantised where its channels are."""
+        rng = np.random.default_rng(self.seed + 1)
+        mix = np.linalg.cholesky(self.noise.correlation + 1e-6 * np.eye(self.width))
+        z = rng.normal(size=(len(self.rows), count, self.width)) @ mix.T
+        out = np.moveaxis(z, 1, 2).copy()
+        for c in np.flatnonzero(self.steps > 0):
+            if self.rows.stride > 1:
+                continue
+            step = self.steps[c]
+            own = max(float(self.noise.sigma[c] ** 2 - step**2 / 12.0), 0.0) ** 0.5 / float(self.noise.sigma[c])
+            coloured = self.noise.colour(out[:, c], c) * own
+            simulated = self.rows.average(self.scene.simulated)[:, [c]] + float(np.median(self.y[:, c]))
+            read = np.round((simulated + coloured) / step) * step - simulated
+            out[:, c] = self.noise.whiten(read, c)
+        return out
+
+
+def _of(columns: Columns, channel: int) -> Array:
+    return columns.values[:, columns.channels.index(channel)]
+
+
+def rich_basis(whole: Array, rich: list[Array], rows: int) -> Array:
+    """Orthonormal (M, r): `whole` and the leading directions of the normalised `rich` columns, r at most a twelfth of the rows."""
+    most = int(min(70, max(rows // 12, 4)))
+    Q = np.linalg.qr(_scaled(whole))[0]
+    if not rich:
+        return Q
+    X = _scaled(np.concatenate(rich, axis=1))
+    X = _scaled(X - Q @ (Q.T @ X), keep=1e-4)
+    if not X.size:
+        return Q
+    value, vector = np.linalg.eigh(X.T @ X)
+    order = np.argsort(value)[::-1][:most]
+    order = order[value[order] > 1e-7 * max(value[order[0]], 1e-300)]
+    P = X @ (vector[:, order] / np.sqrt(value[order]))
+    return np.asarray(np.linalg.qr(np.concatenate([Q, P], axis=1))[0])
+
+
+def _scaled(X: Array, keep: float = 0.0) -> Array:
+    size = np.linalg.norm(X, axis=0)
+    good = size > max(keep, 1e-300)
+    return np.asarray(X[:, good] / size[good])
+
+
+Progress = Callable[[str, float], None]

@@ -1,0 +1,154 @@
+"""One recording from residual to verdict."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from galen_hw.diagnosis import adequacy, seek
+from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.confusion import confusions
+from galen_hw.diagnosis.final import Model, settle_model
+from galen_hw.diagnosis.findings import findings_of, unknown_finding
+from galen_hw.diagnosis.guards import Premise, premises
+from galen_hw.diagnosis.judge import Judged, judge
+from galen_hw.diagnosis.locate import channels_of, episodes_of, where_of
+from galen_hw.diagnosis.result import Diagnosis, Finding, Verdict
+from galen_hw.diagnosis.score import Scorer
+from galen_hw.diagnosis.select import Selection, library, select
+from galen_hw.diagnosis.words import next_experiment
+from galen_hw.physics.event_effects import Glitches
+from galen_hw.physics.scene import Scene
+from galen_hw.spatial import Array
+
+
+@dataclass
+class Work:
+    """What the diagnosis went through, for reports and tests."""
+
+    bench: Bench
+    selection: Selection
+    model: Model
+    judged: Judged
+    left: list[adequacy.Left]
+    diagnosis: Diagnosis
+    glitches: list[Finding] = field(default_factory=list)
+
+
+def diagnose(scene: Scene, *, name: str = "", holdout: Scene | None = None, share: float = 0.3, seed: int = 0) -> Work:
+    """Locate, name, model and judge.
+
+    Args:
+        scene: the recording.
+        name: how it is called in the answer.
+        holdout: a second recording to be judged on; else `share` of contiguous blocks is set aside.
+        seed: of the choice of blocks.
+
+    Raises:
+        UsageError: the recording cannot be compared at all.
+    """
+    premise = premises(scene)
+    scene = premise.scene
+    bench = Bench(scene, 0.0 if holdout is not None else share, seed)
+    glitch = _glitches(bench)
+    effects = library(bench)
+    bench.learn_noise([bench.averaged(e.columns(scene), timed=True) for e in effects])
+    scorer = Scorer(bench, [bench.add(e) for e in effects])
+    selection = select(bench, scorer) if not premise.wrong else Selection(scorer)
+    model = settle_model(bench, scorer, selection)
+    judged = judge(model, holdout)
+    left = adequacy.leftovers(bench, model.parts, model.rest(), model.rest(white=True))
+    diagnosis = _said(model, selection, judged, left, premise, glitch, name)
+    diagnosis.holdout = judged.name
+    return Work(bench, selection, model, judged, left, diagnosis)
+
+
+def _glitches(bench: Bench) -> list[Glitches]:
+    """Marks isolated samples and leaves them out of everything."""
+    marked = seek.spikes(bench.scene.residual, tuple(bench.scene.segments))
+    rows = np.flatnonzero(marked.any(axis=1))
+    if len(rows) < 3 and not _far(bench, marked):
+        return []
+    bench.dropped = bench.rows.spread(marked.any(axis=1))
+    bench.whole = np.where(bench.dropped[:, None], np.nan, bench.whole)
+    for c in range(bench.width):
+        good = np.isfinite(bench.whole[:, c])
+        bench.whole[:, c] = np.interp(np.arange(len(good)), np.flatnonzero(good), bench.whole[good, c])
+    bench.y = bench.whole
+    names = tuple(n for n, m in zip(bench.scene.channels, marked.any(axis=0), strict=True) if m)
+    return [Glitches(names, tuple(int(r) for r in rows))]
+
+
+def _far(bench: Bench, marked: Array) -> bool:
+    return bool(marked.any()) and int(marked.any(axis=1).sum()) >= 2
+
+
+def _said(
+    model: Model,
+    selection: Selection,
+    judged: Judged,
+    left: list[adequacy.Left],
+    premise: Premise,
+    glitch: list[Glitches],
+    name: str,
+) -> Diagnosis:
+    bench = model.bench
+    findings = findings_of(model, selection, judged, glitch)
+    for finding in findings:
+        finding.confounded_with = confusions(model, selection, finding)
+    rest = _strong(left, judged, bench)
+    if premise.wrong or rest:
+        findings.append(unknown_finding(bench, rest, premise))
+    verdict = _verdict(findings, judged, rest, premise)
+    unknown = ", ".join(findings[-1].channels[:3]) if findings and findings[-1].effect == "unknown" else ""
+    named = [f.effect for f in findings if f.effect != "unknown"]
+    rivals = [c.effect for f in findings for c in f.confounded_with]
+    advice = next_experiment(named, rivals, unknown)
+    notes = list(premise.notes)
+    if verdict == "agrees":
+        notes.append(_limit(bench))
+    return Diagnosis(
+        recording=name,
+        holdout="",
+        predict=bench.scene.observations.predict,
+        verdict=verdict,
+        channels=channels_of(bench, judged),
+        where=where_of(model) if findings else [],
+        when=episodes_of(model, glitch) if findings else [],
+        findings=findings,
+        fit=judged.fit(bench, left),
+        next_experiment=advice,
+        notes=notes,
+        terms=[
+            h.effect.to_term(bench.scene, model.final[s])
+            for h, s in zip(model.parts, model.slices(), strict=True)
+            if h.effect is not None
+        ],
+    )
+
+
+def _strong(left: list[adequacy.Left], judged: Judged, bench: Bench) -> list[adequacy.Left]:
+    """Leftovers that are worth saying: above chance, and not a trifle beside what was found or the noise."""
+    out = []
+    for one in left:
+        size = float(np.mean(one.predicted**2))
+        before = float(judged.before[one.channel] - bench.noise.sigma[one.channel] ** 2)
+        if size > 0.01 * bench.noise.sigma[one.channel] ** 2 and size > 0.03 * before:
+            out.append(one)
+    return out
+
+
+def _verdict(findings: list[Finding], judged: Judged, rest: list[adequacy.Left], premise: Premise) -> Verdict:
+    named = [f for f in findings if f.effect != "unknown"]
+    if premise.wrong:
+        return "unexplained"
+    if not named:
+        return "unexplained" if rest else "agrees"
+    return "partly_explained" if rest else "explained"
+
+
+def _limit(bench: Bench) -> str:
+    """The smallest effect that would have been seen, in words."""
+    rows = max(int(bench.train.sum()), 1)
+    least = np.sqrt(2.0 * 14.0 / rows) * bench.noise.sigma
+    worst = ", ".join(f"{n} {v:.2g}" for n, v in zip(bench.scene.channels, least, strict=True))
+    return f"an effect of this rms in one channel would have been seen: {worst}"

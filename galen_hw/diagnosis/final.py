@@ -1,0 +1,125 @@
+"""The chosen model, settled: what is held constant, its parameters with honest errors, and how it does on held-out rows."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.score import Scorer, solve_sym
+from galen_hw.diagnosis.select import Selection, fit, predicted
+from galen_hw.physics.effect import Effect
+from galen_hw.physics.geometry_effects import JointOffset
+from galen_hw.physics.sensor_effects import Bias
+from galen_hw.physics.time_effects import joint_of
+from galen_hw.spatial import Array
+
+
+@dataclass
+class Model:
+    """Nuisances and effects with parameters.
+
+    Args:
+        bench: on which it was found.
+        nuisances: what the baseline itself fits; effects: what was found.
+        theta: parameters learnt on the training rows, nuisances first; final: on all rows, covariance: of these.
+    """
+
+    bench: Bench
+    nuisances: list[Hypothesis]
+    effects: list[Hypothesis]
+    white: Array
+    theta: Array = field(init=False)
+    final: Array = field(init=False)
+    covariance: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Fits."""
+        train, everything = np.flatnonzero(self.bench.train), np.flatnonzero(~self.bench.dropped)
+        self.theta = fit(self.parts, self.white, train, self.bench.width)
+        self.final = fit(self.parts, self.white, everything, self.bench.width)
+        self.covariance = self._covariance(everything)
+
+    @property
+    def parts(self) -> list[Hypothesis]:
+        """Nuisances, then effects."""
+        return [*self.nuisances, *self.effects]
+
+    def slices(self) -> list[slice]:
+        """Where each part's parameters stand."""
+        ends = np.cumsum([0, *(h.count for h in self.parts)])
+        return [slice(int(a), int(b)) for a, b in zip(ends, ends[1:], strict=False)]
+
+    def without(self, out: list[Hypothesis]) -> "Model":
+        """The same with some effects left out, fitted again."""
+        return Model(self.bench, self.nuisances, [h for h in self.effects if h not in out], self.white)
+
+    def rest(self, *, white: bool = False) -> Array:
+        """(M, C) what the model learnt on the training rows leaves."""
+        if not white:
+            rows = np.arange(len(self.bench.y))
+            return self.bench.y - predicted(self.parts, self.theta, rows, self.bench.width)
+        out = self.white.copy()
+        for h, s in zip(self.parts, self.slices(), strict=True):
+            out[:, list(h.white.channels)] -= h.white.values @ self.theta[s]
+        return out
+
+    def mse(self, rows: Array) -> Array:
+        """(C,) mean squared error on rows."""
+        return np.asarray(np.mean(self.rest()[rows] ** 2, axis=0))
+
+    def _covariance(self, rows: Array) -> Array:
+        """Sandwich over contiguous blocks: valid when the whitening is not perfect; never below the classical one."""
+        size = len(self.final)
+        G, meat = np.zeros((size, size)), np.zeros((size, size))
+        scores = np.zeros((int(self.bench.block.max()) + 1, size))
+        left = self.white.copy()
+        for h, s in zip(self.parts, self.slices(), strict=True):
+            left[:, list(h.white.channels)] -= h.white.values @ self.final[s]
+        total = 0.0
+        for c in range(self.bench.width):
+            mine = [(h, s) for h, s in zip(self.parts, self.slices(), strict=True) if c in h.white.channels]
+            if not mine:
+                continue
+            at = np.concatenate([np.arange(s.start, s.stop) for _, s in mine])
+            X = np.concatenate([h.white.values[:, h.white.channels.index(c)] for h, _ in mine], axis=1)[rows]
+            e = left[rows, c]
+            total += float(e @ e)
+            G[np.ix_(at, at)] += X.T @ X
+            np.add.at(scores, (self.bench.block[rows][:, None], at[None, :]), X * e[:, None])
+        bread = solve_sym(G, np.eye(size))
+        blocks = max(len(np.unique(self.bench.block[rows])), 2)
+        meat = scores.T @ scores * blocks / max(blocks - 1, 1)
+        variance = max(1.0, total / max(len(rows) * self.bench.width - size, 1))
+        robust, plain = bread @ meat @ bread, bread * variance
+        ratio = np.sqrt(np.maximum(np.diag(robust), 0.0) / np.maximum(np.diag(plain), 1e-300))
+        # Forty blocks give the sandwich an error of a tenth: it speaks only where it differs by more than that.
+        factor = np.where(ratio > 1.35, ratio, 1.0)
+        return np.asarray(plain * np.outer(factor, factor))
+
+
+def settle_model(bench: Bench, scorer: Scorer, selection: Selection) -> Model:
+    """Constants that the baseline may not fit become findings where they are significant, and go where they are not."""
+    chosen = selection.hypotheses
+    allowed = [h for i, h in enumerate(scorer.base) if bench.scene.belief.bias_free or i >= bench.width]
+    questioned = [h for h in scorer.base if h not in allowed]
+    as_effects = [_named(bench, h) for h in questioned]
+    model = Model(bench, allowed, [*as_effects, *chosen], scorer.white)
+    misfit = max(1.0, float(np.mean(model.rest(white=True)[bench.train] ** 2)))
+    z = np.abs(model.final) / np.sqrt(np.maximum(np.diag(model.covariance), 1e-300))
+    keep = []
+    for h, s in zip(model.parts, model.slices(), strict=True):
+        if h not in as_effects:
+            continue
+        c = h.raw.channels[0]
+        matters = float(model.final[s][0] ** 2) > 0.02 * bench.noise.sigma[c] ** 2 * max(misfit, 1.0)
+        if z[s][0] > np.sqrt(2.0 * selection.needed * misfit) and matters:
+            keep.append(h)
+    return Model(bench, allowed, [*keep, *chosen], scorer.white)
+
+
+def _named(bench: Bench, constant: Hypothesis) -> Hypothesis:
+    """The constant of a channel as the effect that it would be."""
+    name = bench.scene.channels[constant.raw.channels[0]]
+    position = bench.scene.observations.predict == "position"
+    effect: Effect = JointOffset(joint_of(name)) if position else Bias(name)
+    return Hypothesis(effect, constant.raw, constant.white)

@@ -1,0 +1,114 @@
+"""The model on data that it did not learn from."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from galen_hw.diagnosis.adequacy import Left
+from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.rows import Rows
+from galen_hw.diagnosis.select import predicted
+from galen_hw.physics.scene import Scene
+from galen_hw.spatial import Array
+
+
+@dataclass
+class Judged:
+    """Mean squared errors on held-out rows, (C,).
+
+    Args:
+        name: of what was held out.
+        before: of the baseline; after: with all effects; without: per effect's key, with that one left out.
+        floor: of the noise.
+    """
+
+    name: str
+    before: Array
+    after: Array
+    without: dict[str, Array]
+    floor: Array
+
+    def gain(self, key: str) -> float:
+        """Share of the held-out excess, channels weighed by their noise, that an effect removes."""
+        excess = float(np.sum(np.maximum(self.before - self.floor, 0.0) / self.floor))
+        lost = float(np.sum((self.without[key] - self.after) / self.floor))
+        return float(np.clip(lost / excess, -1.0, 1.0)) if excess > 0 else 0.0
+
+    def fit(self, bench: Bench, left: list[Left]) -> dict[str, dict[str, float]]:
+        """The `fit` part of the answer."""
+        names = bench.scene.channels
+        better = np.zeros(bench.width)
+        for one in left:
+            better[one.channel] = max(better[one.channel], one.share)
+        ceiling = np.sqrt(
+            np.maximum(self.after * (1.0 - np.clip(better, 0.0, 1.0)), np.minimum(self.floor, self.after))
+        )
+        values = {
+            "rmse_before": np.sqrt(self.before),
+            "rmse_after": np.sqrt(self.after),
+            "noise_floor": np.sqrt(self.floor),
+            "ceiling": ceiling,
+        }
+        return {k: {n: float(x) for n, x in zip(names, v, strict=True)} for k, v in values.items()}
+
+
+def judge(model: Model, holdout: Scene | None) -> Judged:
+    """Errors before and after on the rows set aside, or on another recording."""
+    bench = model.bench
+    keys = list(dict.fromkeys(h.effect.KEY for h in model.effects if h.effect is not None))
+    baseline = Model(bench, model.nuisances, [], bench.whitened(bench.whole))
+    smaller = {
+        key: model.without([h for h in model.effects if h.effect is not None and key == h.effect.KEY]) for key in keys
+    }
+    floor = bench.noise.sigma**2
+    if holdout is None:
+        rows = bench.judged if bench.judged.any() else bench.train
+        whole = bench.whole - predict(baseline)
+        before = np.asarray(np.mean(whole[rows] ** 2, axis=0))
+        without = {key: part.mse(rows) for key, part in smaller.items()}
+        name = "contiguous blocks set aside" if bench.judged.any() else "the recording itself"
+        return Judged(name, before, model.mse(rows), without, floor)
+    after = np.mean(apply(model, holdout) ** 2, axis=0)
+    without = {key: np.mean(apply(part, holdout) ** 2, axis=0) for key, part in smaller.items()}
+    before = np.mean(apply(baseline, holdout) ** 2, axis=0)
+    return Judged("another recording", before, after, without, floor)
+
+
+def predict(model: Model) -> Array:
+    """(M, C) of the model on its own bench."""
+    return predicted(model.parts, model.theta, np.arange(len(model.bench.y)), model.bench.width)
+
+
+def apply(model: Model, scene: Scene) -> Array:
+    """(M, C) rest of another recording after the effects as learnt; what belongs to moments or nuisances is fitted anew."""
+    bench = model.bench
+    rows = Rows(tuple(scene.segments), bench.rows.stride)
+    rest = scene.residual.copy()
+    refit: list[Hypothesis] = []
+    for h, s in zip(model.parts, model.slices(), strict=True):
+        if h.effect is None:
+            refit.append(h)
+        elif not h.effect.EPISODIC:
+            change = h.effect.change(scene, model.final[s])
+            if not h.effect.TIMING:
+                for late, theta in bench.timing:
+                    change = late.retimed(scene, change, theta)  # type: ignore[attr-defined]
+            rest -= change
+    rest = rows.average(rest)
+    if refit:
+        columns = _nuisances(refit, scene, rows, bench)
+        stacked, y = columns.reshape(-1, columns.shape[2]), rest.reshape(-1)
+        rest = (y - stacked @ np.linalg.lstsq(stacked, y, rcond=1e-9)[0]).reshape(rest.shape)
+    return rest
+
+
+def _nuisances(refit: list[Hypothesis], scene: Scene, rows: Rows, bench: Bench) -> Array:
+    constants = [h for h in refit if len(h.raw.channels) == 1]
+    out = []
+    for h in constants:
+        column = np.zeros((len(rows), bench.width))
+        column[:, h.raw.channels[0]] = 1.0
+        out.append(column)
+    out += [rows.average(column) for column in scene.nuisances()] if len(constants) < len(refit) else []
+    return np.stack(out, axis=-1)

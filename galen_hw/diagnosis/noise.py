@@ -1,0 +1,164 @@
+"""The noise of every channel: its spectrum from what a rich fit leaves, whitening by it, and surrogates that look like it.
+
+The spectrum is a level per logarithmic band, corrected for what the rich fit itself took out of each band, and continued as a power
+law below the slowest band that a recording of this length can tell from drift (slopes up to that of flicker noise).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from galen_hw.diagnosis.rows import Rows
+from galen_hw.spatial import Array
+
+BANDS_PER_DECADE = 6
+SHORTEST = 96
+SLOW_CYCLES = 7.0
+"""Below so many cycles in a segment the spectrum is continued, not measured."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of C channels on M rows.
+
+    Args:
+        rows: the averaging that the rows went through.
+        edges: (B + 1,) band limits in cycles a row, empty: white.
+        levels: (B, C) spectral level, the variance of one row where white.
+        sigma: (C,) standard deviation of one averaged row.
+        degrees: degrees of freedom that the estimate rests on.
+        correlation: (C, C) between channels.
+        steps: (C,) quantisation step of the raw readings, 0 where there is none.
+    """
+
+    rows: Rows
+    edges: Array
+    levels: Array
+    sigma: Array
+    degrees: float
+    correlation: Array
+    steps: Array
+
+    def spectrum(self, frequency: Array) -> Array:
+        """(F, C) level at frequencies in cycles a row."""
+        if not len(self.edges):
+            return np.tile(self.sigma**2, (len(frequency), 1))
+        centres = np.log(np.sqrt(self.edges[1:] * self.edges[:-1]))
+        at = np.log(np.maximum(frequency, 0.07 * self.edges[0]))
+        first = np.log(self.levels)
+        return np.exp(np.stack([_line(at, centres, first[:, c]) for c in range(first.shape[1])], axis=-1))
+
+    def whiten(self, x: Array, channel: int) -> Array:
+        """(M, k) columns of one channel, scaled and filtered so that its noise becomes white with unit variance."""
+        out = np.empty_like(x, dtype=float)
+        for run in self.rows.runs:
+            out[run] = self._filtered(x[run], channel, -0.5)
+        return out
+
+    def colour(self, z: Array, channel: int) -> Array:
+        """White noise (M, k) turned into noise like the channel's."""
+        out = np.empty_like(z, dtype=float)
+        for run in self.rows.runs:
+            out[run] = self._filtered(z[run], channel, 0.5)
+        return out
+
+    def _filtered(self, x: Array, channel: int, power: float) -> Array:
+        n = len(x)
+        if not len(self.edges) or n < SHORTEST:
+            return np.asarray(x * self.sigma[channel] ** (2 * power))
+        # The mirror image behind the end keeps the two ends apart that a plain FFT would join.
+        wide = np.concatenate([x, x[::-1]])
+        level = self.spectrum(np.fft.rfftfreq(2 * n))[:, channel] ** power
+        return np.asarray(np.fft.irfft(np.fft.rfft(wide, axis=0) * level[:, None], 2 * n, axis=0)[:n])
+
+    @property
+    def effective(self) -> float:
+        """Number of independent values that a slow regressor meets, over all channels."""
+        slow = self.spectrum(np.array([0.003]))[0]
+        return float(max(np.sum(len(self.rows) * np.minimum(1.0, self.sigma**2 / slow)), 20.0))
+
+
+def _line(at: Array, centres: Array, level: Array) -> Array:
+    """Linear interpolation; below the first centre, on along the slope of the slowest decade (0 to flicker)."""
+    out = np.interp(at, centres, level)
+    reach = centres < centres[0] + 1.5 * np.log(10.0)
+    slope = _slope(centres[reach], level[reach]) if reach.sum() >= 3 else 0.0
+    slope = min(max(slope, -1.25), 0.0)
+    below = at < centres[0]
+    out[below] = level[0] + slope * (at[below] - centres[0])
+    return out
+
+
+def _slope(x: Array, y: Array) -> float:
+    """Slope of a line less its own standard error: in doubt slow noise is stronger."""
+    x = x - x.mean()
+    slope = float(x @ y / (x @ x))
+    rest = y - y.mean() - slope * x
+    return slope - float(np.sqrt(rest @ rest / max(len(x) - 2, 1) / (x @ x)))
+
+
+def estimate(rest: Array, basis: list[Array], rows: Rows, *, clock: bool, steps: Array) -> Noise:
+    """Noise from what is left (M, C) after a fit with an orthonormal basis (M, r) in each channel."""
+    M, C = rest.shape
+    freedom = np.array([max(M - b.shape[1], 2) for b in basis], dtype=float)
+    sigma = np.sqrt(np.sum(rest**2, axis=0) / freedom)
+    sigma = np.maximum(sigma, 1e-12 * (np.max(np.abs(rest)) + 1e-300) + 1e-15)
+    correlation = np.nan_to_num(np.corrcoef((rest / sigma).T)) if C > 1 else np.ones((1, 1))
+    np.fill_diagonal(correlation, 1.0)
+    long = [run for run in rows.runs if run.stop - run.start >= SHORTEST]
+    if not clock or not long:
+        return Noise(rows, np.empty(0), np.empty((0, C)), sigma, float(freedom.sum()), correlation, steps)
+    edges = _bands(max(run.stop - run.start for run in long))
+    levels = np.stack([_levels(rest[:, c], basis[c], long, edges) for c in range(C)], axis=-1)
+    noise = Noise(rows, edges, levels, sigma, float(freedom.sum()), correlation, steps)
+    # What the bands say the variance is, so that one sample's sigma holds the slow part too.
+    f = (np.arange(4096) + 0.5) / 8192
+    total = np.sqrt(np.mean(noise.spectrum(f), axis=0))
+    return Noise(rows, edges, levels, total, float(freedom.sum()), correlation, steps)
+
+
+def _bands(n: int) -> Array:
+    low = SLOW_CYCLES / n
+    count = max(int(np.ceil(BANDS_PER_DECADE * np.log10(0.5 / low))), 2)
+    return np.geomspace(low, 0.5, count + 1)
+
+
+def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array) -> Array:
+    power, share = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
+    for run in runs:
+        n = run.stop - run.start
+        window = np.hanning(n + 2)[1:-1]
+        window /= np.sqrt(np.mean(window**2))
+        f = np.fft.rfftfreq(n)
+        band = np.clip(np.searchsorted(edges, f, side="right") - 1, -1, len(edges) - 2)
+        line = np.abs(np.fft.rfft(rest[run] * window)) ** 2 / n
+        taken = np.zeros(len(f))
+        for start in range(0, basis.shape[1], 32):
+            part = basis[run, start : start + 32] * window[:, None]
+            taken += np.sum(np.abs(np.fft.rfft(part, axis=0)) ** 2, axis=1) / n
+        for b in range(len(edges) - 1):
+            inside = (band == b) & (f > 0)
+            if inside.any():
+                # Between mean and median: a single line (mains, a periodic motion) must not pass for noise.
+                values = line[inside] / np.maximum(1.0 - np.minimum(taken[inside], 0.9), 0.1)
+                robust = np.median(values) / 0.74 if inside.sum() >= 12 else np.mean(values)
+                power[b] += inside.sum() * min(float(np.mean(values)), 1.3 * float(robust))
+                share[b] += inside.sum()
+    filled = share > 0
+    level = np.interp(np.arange(len(power)), np.flatnonzero(filled), power[filled] / share[filled])
+    return np.maximum(level, 1e-7 * level.max() + 1e-30)
+
+
+def quantisation(y: Array) -> Array:
+    """(C,) step of readings (N, C) that stand on a grid, else 0."""
+    out = np.zeros(y.shape[1])
+    for c in range(y.shape[1]):
+        values = np.unique(y[np.isfinite(y[:, c]), c])
+        if len(values) < 3 or len(values) > 0.2 * len(y):
+            continue
+        gaps = np.diff(values)
+        step = float(np.median(gaps[gaps <= np.quantile(gaps, 0.5)]))
+        ratio = gaps / step
+        if step > 0 and np.mean(np.abs(ratio - np.round(ratio)) < 0.05) > 0.9 and np.mean(np.round(ratio) == 1) > 0.3:
+            out[c] = step
+    return out

@@ -1,0 +1,69 @@
+"""The answer as data: what `--json` writes, key by key as `docs/diagnosis.md` has it."""
+
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+Verdict = Literal["agrees", "explained", "partly_explained", "unexplained"]
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter with its standard deviation."""
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Confusion:
+    """Another effect that this recording cannot tell from the one found."""
+
+    effect: str
+    why: str
+
+
+@dataclass
+class Finding:
+    """One effect, in all its channels and joints."""
+
+    effect: str
+    channels: list[str]
+    joints: list[str]
+    says: str
+    parameters: dict[str, Value]
+    evidence: dict[str, float]
+    confounded_with: list[Confusion] = field(default_factory=list)
+
+
+@dataclass
+class Diagnosis:
+    """Everything that is known in the end; `notes` are one-line warnings and are not part of the specified keys."""
+
+    recording: str
+    holdout: str
+    predict: str
+    verdict: Verdict
+    channels: list[dict[str, Any]]
+    where: list[dict[str, Any]]
+    when: list[list[float]]
+    findings: list[Finding]
+    fit: dict[str, dict[str, float]]
+    next_experiment: str
+    notes: list[str] = field(default_factory=list)
+    terms: list[dict[str, Any]] = field(default_factory=list)
+
+    def to_json(self) -> dict[str, Any]:
+        """As specified, with `notes` beside."""
+        return {
+            "schema": 1,
+            "recording": self.recording,
+            "holdout": self.holdout,
+            "predict": self.predict,
+            "verdict": self.verdict,
+            "locate": {"channels": self.channels, "where": self.where, "when": self.when},
+            "findings": [asdict(finding) for finding in self.findings],
+            "fit": self.fit,
+            "next_experiment": self.next_experiment,
+            "notes": self.notes,
+        }

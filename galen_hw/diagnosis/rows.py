@@ -1,0 +1,83 @@
+"""Rows of a recording: averaging over neighbours, contiguous blocks, and which are set aside."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from galen_hw.spatial import Array
+
+Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Groups of `stride` neighbouring rows of one segment, averaged into one.
+
+    Args:
+        segments: runs of continuous rows.
+        stride: rows in a group; 1 keeps all.
+    """
+
+    segments: tuple[slice, ...]
+    stride: int = 1
+
+    @cached_property
+    def starts(self) -> Index:
+        """First row of every group."""
+        return np.concatenate([np.arange(s.start, s.stop, self.stride) for s in self.segments]).astype(np.intp)
+
+    @cached_property
+    def counts(self) -> Array:
+        """Rows in every group."""
+        ends = [np.minimum(np.arange(s.start, s.stop, self.stride) + self.stride, s.stop) for s in self.segments]
+        return np.asarray(np.concatenate(ends) - self.starts, dtype=float)
+
+    @cached_property
+    def runs(self) -> tuple[slice, ...]:
+        """The segments in groups."""
+        edges = np.cumsum([0] + [-(-(s.stop - s.start) // self.stride) for s in self.segments])
+        return tuple(slice(int(a), int(b)) for a, b in zip(edges, edges[1:], strict=False))
+
+    def __len__(self) -> int:
+        """Number of groups."""
+        return len(self.starts)
+
+    def average(self, x: Array) -> Array:
+        """(M, ...) means of (N, ...) over the groups."""
+        if self.stride == 1:
+            return x
+        total = np.add.reduceat(x, self.starts, axis=0)
+        return np.asarray(total / self.counts.reshape(-1, *([1] * (x.ndim - 1))))
+
+    def spread(self, x: Mask) -> Mask:
+        """(M,) mask of the groups that hold any marked row (N,)."""
+        return np.asarray(np.logical_or.reduceat(x, self.starts))
+
+
+def blocks(runs: tuple[slice, ...], count: int) -> Index:
+    """Block number (M,) of every row: about `count` contiguous blocks that do not cross segments."""
+    total = sum(r.stop - r.start for r in runs)
+    out, number = np.empty(total, dtype=np.intp), 0
+    for run in runs:
+        size = run.stop - run.start
+        pieces = min(max(1, round(count * size / total)), size)
+        out[run] = number + np.minimum(np.arange(size) * pieces // size, pieces - 1)
+        number += pieces
+    return out
+
+
+def set_aside(block: Index, share: float, seed: int) -> Mask:
+    """(M,) mask of rows held out: whole blocks, spread over the recording, never neighbours at small shares."""
+    numbers = np.unique(block)
+    count = int(round(share * len(numbers)))
+    if len(numbers) < 4 or count < 1:
+        return np.zeros(len(block), dtype=bool)
+    rng = np.random.default_rng(seed)
+    edges = np.linspace(0, len(numbers), count + 1)
+    chosen = [
+        numbers[int(rng.integers(int(a), max(int(b), int(a) + 1)))] for a, b in zip(edges, edges[1:], strict=False)
+    ]
+    return np.isin(block, chosen)

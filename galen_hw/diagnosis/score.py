@@ -1,0 +1,197 @@
+"""Likelihood ratios of all hypotheses against what is already in the model, from inner products alone."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, f
+
+from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.spatial import Array
+
+WEAK = 1e-5
+"""A direction of which less than this share is left beside the model is taken as already in it."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """How much one hypothesis adds.
+
+    Args:
+        gain: fall of the whitened sum of squares.
+        count: parameters that it really adds.
+        surprise: minus log of the chance of such a gain under noise, places looked at included.
+        rank: gain less the price of its parameters (k log n), in units of the log likelihood ratio.
+    """
+
+    gain: float
+    count: int
+    surprise: float
+    rank: float
+
+
+class Scorer:
+    """Scores hypotheses on the training rows.
+
+    Args:
+        bench: with noise.
+        library: hypotheses in a fixed order; more may be appended.
+    """
+
+    def __init__(self, bench: Bench, library: list[Hypothesis]) -> None:
+        self.bench = bench
+        self.library: list[Hypothesis] = []
+        self.base = [bench.made(None, columns, name="constant") for columns in bench.constants()]
+        self.white = bench.whitened(bench.y)
+        self.fake = bench.surrogates()
+        self._train = bench.train
+        self.G = np.empty((0, 0))
+        self.b = np.empty(0)
+        self.fakes = np.empty((0, self.fake.shape[2]))
+        self.places: list[slice] = []
+        self.append([*self.base, *library])
+
+    def append(self, new: list[Hypothesis]) -> None:
+        """Inner products of more hypotheses with all others."""
+        old = len(self.b)
+        first = old
+        for h in new:
+            self.places.append(slice(first, first + h.count))
+            first += h.count
+        self.library += new
+        G, b, fakes = np.zeros((first, first)), np.zeros(first), np.zeros((first, self.fake.shape[2]))
+        G[:old, :old], b[:old], fakes[:old] = self.G, self.b, self.fakes
+        rows = self._train
+        for c in range(self.bench.width):
+            mine = [i for i, h in enumerate(self.library) if c in h.white.channels and h.count]
+            fresh = [i for i in mine if self.places[i].start >= old]
+            if not fresh:
+                continue
+            at = np.concatenate([np.arange(self.places[i].start, self.places[i].stop) for i in mine])
+            at_new = np.concatenate([np.arange(self.places[i].start, self.places[i].stop) for i in fresh])
+            X, Xn = self._stack(mine, c, rows), self._stack(fresh, c, rows)
+            cross = X.T @ Xn
+            G[np.ix_(at, at_new)] += cross
+            older = at < old
+            G[np.ix_(at_new, at[older])] += cross[older].T
+            b[at_new] += Xn.T @ self.white[rows, c]
+            fakes[at_new] += Xn.T @ self.fake[rows, c]
+        self.G, self.b, self.fakes = G, b, fakes
+
+    def _stack(self, which: list[int], c: int, rows: Array) -> Array:
+        parts = [self.library[i].white.values[:, self.library[i].white.channels.index(c)] for i in which]
+        return np.concatenate(parts, axis=1)[rows]
+
+    def retarget(self, y: Array) -> None:
+        """Another residual (M, C) for the same columns: what nonlinear effects predict beyond their slope is taken off."""
+        self.white = self.bench.whitened(y)
+        self.b = np.zeros_like(self.b)
+        for c in range(self.bench.width):
+            mine = [i for i, h in enumerate(self.library) if c in h.white.channels and h.count]
+            at = np.concatenate([np.arange(self.places[i].start, self.places[i].stop) for i in mine])
+            self.b[at] += self._stack(mine, c, self._train).T @ self.white[self._train, c]
+
+    @property
+    def total(self) -> float:
+        """Whitened sum of squares of the residual itself."""
+        return float(np.sum(self.white[self._train] ** 2))
+
+    def base_with(self, chosen: list[int]) -> Array:
+        """Column numbers of the constants and the chosen hypotheses."""
+        which = [*range(len(self.base)), *chosen]
+        return np.concatenate([np.arange(self.places[i].start, self.places[i].stop) for i in which])
+
+    def solve(self, chosen: list[int]) -> tuple[Array, Array, float]:
+        """Parameters, column numbers and whitened sum of squares of a model."""
+        at = self.base_with(chosen)
+        theta = solve_sym(self.G[np.ix_(at, at)], self.b[at][:, None])[:, 0]
+        return theta, at, self.total - float(theta @ self.b[at])
+
+    def scores(self, chosen: list[int], which: list[int] | None = None) -> tuple[dict[int, Score], Array]:
+        """Scores of hypotheses beside the chosen ones, and the largest surprise of each surrogate."""
+        at = self.base_with(chosen)
+        GS = self.G[np.ix_(at, at)]
+        P = solve_sym(GS, np.concatenate([self.G[at], self.b[at][:, None], self.fakes[at]], axis=1))
+        K = len(self.b)
+        rest_b = self.b - self.G[:, at] @ P[:, K]
+        rest_f = self.fakes - self.G[:, at] @ P[:, K + 1 :]
+        out: dict[int, Score] = {}
+        highest = np.zeros(self.fakes.shape[1])
+        families = self._families()
+        for i in range(len(self.base), len(self.library)) if which is None else which:
+            s = self.places[i]
+            if i in chosen or s.stop == s.start:
+                continue
+            A = self.G[s, s] - self.G[s, at] @ P[:, s]
+            gain, fake, count = quadratic(A, np.diag(self.G)[s], rest_b[s], rest_f[s])
+            if not count:
+                continue
+            looked = np.log(self.library[i].looked * families[i])
+            surprise = self._surprise(gain, count) - looked
+            if self.library[i].looked == 1:
+                # What was sought in the residual has no counterpart in the surrogates: `looked` pays for it instead.
+                highest = np.maximum(highest, self._surprise(fake, count) - looked)
+            price = (count + len(self._searched(i))) * np.log(self.bench.noise.effective)
+            out[i] = Score(gain, count, float(surprise), float(gain - price - 2.0 * np.log(self.library[i].looked)))
+        return out, highest
+
+    def covariance(self, at: Array) -> Array:
+        """Of the parameters of the columns `at`, for noise of unit variance."""
+        return solve_sym(self.G[np.ix_(at, at)], np.eye(len(at)))
+
+    def spread(self, at: Array) -> Array:
+        """Standard deviations of the parameters of the columns `at`."""
+        return np.sqrt(np.maximum(np.diag(self.covariance(at)), 0.0))
+
+    def misfit(self, chosen: list[int]) -> float:
+        """Whitened mean square of a model's rest: 1 when only noise is left, more when physics is missing."""
+        _, at, rest = self.solve(chosen)
+        return max(1.0, rest / max(int(self._train.sum()) * self.bench.width - len(at), 1))
+
+    def _searched(self, i: int) -> dict[str, float]:
+        effect = self.library[i].effect
+        return {} if effect is None else effect.searched()
+
+    def _families(self) -> list[float]:
+        names = [None if h.effect is None else h.effect.family for h in self.library]
+        counts: dict[object, int] = {}
+        for name in names:
+            counts[name] = counts.get(name, 0) + 1
+        return [1.0 if name is None else float(min(counts[name], 8)) for name in names]
+
+    def _surprise(self, gain: Array | float, count: int) -> Array:
+        """Minus log p; by F where the noise rests on few degrees of freedom."""
+        degrees = self.bench.noise.degrees
+        if degrees > 4000:
+            return np.asarray(-chi2.logsf(gain, count))
+        return np.asarray(-f.logsf(np.asarray(gain) / count, count, degrees))
+
+
+def solve_sym(A: Array, B: Array) -> Array:
+    """A^-1 B for a symmetric positive semidefinite A, weak directions left out (scaled to a unit diagonal)."""
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    if not len(size):
+        return np.asarray(B)
+    value, vector = np.linalg.eigh(A / np.outer(size, size))
+    good = value > 1e-9 * max(value[-1], 1e-300)
+    V = vector[:, good] / size[:, None]
+    return np.asarray(V @ ((V.T @ B) / value[good][:, None]))
+
+
+def quadratic(A: Array, before: Array, r: Array, fakes: Array) -> tuple[float, Array, int]:
+    """R' A^-1 r and the same for surrogates (k, B), over the directions of which enough is left beside the model."""
+    size = np.sqrt(np.maximum(before, 1e-300))
+    value, vector = np.linalg.eigh(A / np.outer(size, size))
+    good = value > WEAK
+    if not good.any():
+        return 0.0, np.zeros(fakes.shape[1]), 0
+    V = (vector[:, good] / np.sqrt(value[good])) / size[:, None]
+    return float(np.sum((V.T @ r) ** 2)), np.sum((V.T @ fakes) ** 2, axis=0), int(good.sum())
+
+
+def threshold(highest: Array, chance: float) -> float:
+    """Surprise that noise reaches with `chance`: a Gumbel law of unit scale or wider through the surrogates' maxima."""
+    if not len(highest):
+        return float(-np.log(chance))
+    scale = max(1.0, float(np.std(highest)) * np.sqrt(6.0) / np.pi)
+    place = float(np.mean(highest)) - 0.5772 * scale
+    return float(place - scale * np.log(-np.log1p(-chance)))

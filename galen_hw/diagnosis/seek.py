@@ -1,0 +1,154 @@
+"""Looks into a residual for what belongs to moments: glitches, steps, contacts, lines in the spectrum, ripple."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import median_filter, uniform_filter1d
+
+from galen_hw.diagnosis.rows import Mask
+from galen_hw.physics.effect import Effect
+from galen_hw.physics.event_effects import Contact, Step, Vibration
+from galen_hw.physics.joint_effects import TorqueRipple
+from galen_hw.physics.scene import Scene
+from galen_hw.physics.time_effects import joint_of
+from galen_hw.spatial import Array
+
+
+@dataclass(frozen=True)
+class Sought:
+    """Something found by looking, and at how many places was looked."""
+
+    effect: Effect
+    looked: int
+
+
+def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
+    """(N, C) isolated samples far from their neighbours on both sides (at most three in a row).
+
+    The distance from a running median of seven, against its own robust spread; nine spreads and more.
+    """
+    out = np.zeros(residual.shape, dtype=bool)
+    for part in segments:
+        r = residual[part]
+        if len(r) < 20:
+            continue
+        away = r - median_filter(r, size=(9, 1), mode="nearest")
+        spread = 1.4826 * np.median(np.abs(away), axis=0)
+        level = np.sqrt(np.mean(np.minimum(away**2, (6.0 * np.maximum(spread, 1e-300)) ** 2), axis=0))
+        found = np.abs(away) > 9.0 * np.maximum(level, 1e-12 * np.max(np.abs(r), axis=0))
+        out[part] = found & (level > 0)
+    share = out.mean(axis=0)
+    out[:, share > 0.03] = False
+    return out
+
+
+def steps(scene: Scene, rest: Array, white: Array) -> list[Sought]:
+    """The moment at which a jump takes most out of the whitened rest, channel by channel and over all together."""
+    N, C = white.shape
+    if N < 40:
+        return []
+    z = (rest - rest.mean(axis=0)) / np.maximum(_slow_spread(rest), 1e-300)
+    s = np.cumsum(z, axis=0)[:-1]
+    k = np.arange(1, N)[:, None]
+    gain = s**2 / (k * (N - k) / N)
+    margin = max(N // 60, 3)
+    gain[:margin], gain[-margin:] = 0.0, 0.0
+    names = scene.channels
+    found = [Sought(Step((names[c],), _at(scene, int(np.argmax(gain[:, c])) + 1, N)), N // 4) for c in range(C)]
+    if C > 1:
+        found.append(Sought(Step(tuple(names), _at(scene, int(np.argmax(gain.sum(axis=1))) + 1, N)), N // 4))
+    return found
+
+
+def _slow_spread(x: Array) -> Array:
+    return np.asarray(np.std(np.diff(x, axis=0), axis=0) / np.sqrt(2.0) + 0.05 * np.std(x, axis=0))
+
+
+def _at(scene: Scene, row: int, rows: int) -> float:
+    """Time of a row of the averaged rest."""
+    place = min(int(round(row * len(scene) / rows)), len(scene) - 1)
+    return float(scene.time[place])
+
+
+def lines(scene: Scene, rest: Array, runs: tuple[slice, ...]) -> list[Sought]:
+    """The strongest line of the spectrum over its neighbourhood, over all channels and in each."""
+    long = max(runs, key=lambda r: r.stop - r.start)
+    n = long.stop - long.start
+    if not scene.clock or n < 256:
+        return []
+    span = (
+        scene.time[min(len(scene) - 1, int(long.stop * len(scene) / len(rest)) - 1)]
+        - scene.time[int(long.start * len(scene) / len(rest))]
+    )
+    x = rest[long] - rest[long].mean(axis=0)
+    pad = 4 * n
+    power = np.abs(np.fft.rfft(x * np.hanning(n)[:, None], pad, axis=0)) ** 2
+    ground = median_filter(power, size=(4 * 61, 1), mode="nearest") + 1e-300
+    ratio = power / ground
+    first = 4 * 8
+    ratio[:first] = 0.0
+    out = []
+    joint = ratio.sum(axis=1)
+    dt = span / max(n - 1, 1)
+    for score, names in [
+        (joint, scene.channels),
+        *((ratio[:, c], (scene.channels[c],)) for c in range(ratio.shape[1])),
+    ]:
+        f = int(np.argmax(score)) / (pad * dt)
+        out.append(Sought(Vibration(tuple(names), float(f)), n // 2))
+    return [s for s in out if s.effect.frequency > 0]  # type: ignore[attr-defined]
+
+
+def ripples(scene: Scene, rest: Array) -> list[Sought]:
+    """For every joint effort the wave number at which a sine of the joint's position fits best."""
+    if scene.observations.predict != "effort":
+        return []
+    out = []
+    rows = np.linspace(0, len(scene) - 1, len(rest)).astype(int)
+    for c, name in enumerate(scene.channels):
+        joint = joint_of(name)
+        if joint not in scene.moved:
+            continue
+        q = scene.q[rows, scene.joint_index(joint)]
+        reach = float(np.ptp(q))
+        numbers = np.arange(2.5, 160.0, 0.4) * 2.0 * np.pi / reach / 2.0
+        r = rest[:, c] - rest[:, c].mean()
+        power = np.array([np.abs(np.mean(r * np.exp(-1j * k * q))) ** 2 for k in numbers])
+        out.append(Sought(TorqueRipple(joint, float(numbers[int(np.argmax(power))])), len(numbers)))
+    return out
+
+
+def contacts(scene: Scene, white: Array, rest: Array) -> list[Sought]:
+    """Episodes in which the whitened rest is far above its usual level: at most a third of the time, and rest between them."""
+    N, C = white.shape
+    if not scene.clock or N < 200:
+        return []
+    length = max(int(0.004 * N), 5)
+    level = np.maximum(1.4826 * np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), 1e-300)
+    z = uniform_filter1d((rest - np.median(rest, axis=0)) / level, length, axis=0)
+    usual = 1.4826 * np.median(np.abs(z), axis=0)
+    loud = np.max(np.abs(z) / np.maximum(usual, 1e-300), axis=1) > 6.0
+    episodes = _episodes(loud, length)
+    covered = sum(b - a for a, b in episodes) / N
+    if not episodes or covered > 0.35 or len(episodes) > 12:
+        return []
+    inside = np.zeros(N, dtype=bool)
+    for a, b in episodes:
+        inside[a:b] = True
+    z2 = (rest - np.median(rest, axis=0)) ** 2
+    share = z2[inside].sum(axis=0) / z2.sum(axis=0)
+    names = tuple(n for n, s in zip(scene.channels, share, strict=True) if s > 2.0 * covered + 0.05)
+    times = tuple((_at(scene, a, N), _at(scene, b - 1, N)) for a, b in episodes)
+    return [Sought(Contact(names, times), N // length)] if names else []
+
+
+def _episodes(loud: Mask, length: int) -> list[tuple[int, int]]:
+    """Runs of loud rows, joined over short gaps, shorter ones left out, ends opened a little."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], loud, [False]]).astype(int)))
+    out: list[list[int]] = []
+    for a, b in edges.reshape(-1, 2):
+        if out and a - out[-1][1] < 3 * length:
+            out[-1][1] = int(b)
+        else:
+            out.append([int(a), int(b)])
+    return [(max(a - length // 2, 0), min(b + length // 2, len(loud))) for a, b in out if b - a >= length]

@@ -1,0 +1,383 @@
+"""Which effects: forward by likelihood with a held-out guard, then drop-one and swaps; searched values polished."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from galen_hw.diagnosis import seek
+from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.score import Score, Scorer, solve_sym, threshold
+from galen_hw.physics.effect import Columns, Effect
+from galen_hw.physics.table import EFFECTS, effect_class
+from galen_hw.spatial import Array
+
+CHANCE = 0.002
+MOST = 16
+WORTH = 0.25
+"""An effect must take at least this share of the excess that is left in some channel, on data it did not learn from."""
+
+
+@dataclass
+class Selection:
+    """The chosen model and how it came about.
+
+    Args:
+        chosen: places in the scorer's library.
+        evidence: score of each when all others are in.
+        first: score of every hypothesis before any was chosen, best of its family.
+        needed: surprise that chance reaches.
+        refused: effects that looked significant but did not pass the guard.
+        start: (C,) mean squared error on blocks left out before anything was chosen.
+    """
+
+    scorer: Scorer
+    chosen: list[int] = field(default_factory=list)
+    evidence: dict[int, Score] = field(default_factory=dict)
+    first: dict[int, Score] = field(default_factory=dict)
+    needed: float = 0.0
+    refused: list[tuple[Effect, float]] = field(default_factory=list)
+    start: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def hypotheses(self) -> list[Hypothesis]:
+        """The chosen ones."""
+        return [self.scorer.library[i] for i in self.chosen]
+
+
+MATTERS = 0.03
+"""Where the best model still misses much (real machines), an effect must take this share of the whole excess as well."""
+
+
+LOUD = 400.0
+"""Mean square over noise from which a recording is so loud that a hundredth of it is no matter."""
+
+
+def library(bench: Bench) -> list[Effect]:
+    """Every hypothesis that the scene allows; offsets are always in the model and judged at the end."""
+    constant = {"bias"} | ({"joint_offset"} if bench.scene.observations.predict == "position" else set())
+    return [e for key in EFFECTS if key not in constant for e in effect_class(key).propose(bench.scene)]
+
+
+def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[seek.Sought]:
+    """What the rest of the present model shows by itself."""
+    rest, white = rests(bench, scorer, chosen)
+    found = seek.steps(bench.scene, rest, white) + seek.contacts(bench.scene, white, rest)
+    return found + seek.lines(bench.scene, rest, bench.rows.runs) + seek.ripples(bench.scene, rest)
+
+
+def rests(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, Array]:
+    """(M, C) rest of a model, raw and whitened."""
+    theta = scorer.solve(chosen)[0]
+    rest, white, done = bench.y.copy(), scorer.white.copy(), 0
+    for i in [*range(len(scorer.base)), *chosen]:
+        h = scorer.library[i]
+        t = theta[done : done + h.count]
+        done += h.count
+        rest[:, list(h.raw.channels)] -= h.raw.values @ t
+        white[:, list(h.white.channels)] -= h.white.values @ t
+    return rest, white
+
+
+def select(bench: Bench, scorer: Scorer) -> Selection:
+    """Forward, backward and swap until nothing changes."""
+    out = Selection(scorer)
+    refused: set[int] = set()
+    for turn in range(MOST):
+        scorer.append([bench.add(s.effect, s.looked) for s in sought(bench, scorer, out.chosen)])
+        scores, highest = scorer.scores(out.chosen)
+        out.needed = max(out.needed, threshold(highest, CHANCE))
+        if turn == 0:
+            out.first = scores
+        best = _best(bench, scorer, out, scores, refused)
+        if best is None:
+            break
+        out.chosen.append(best)
+        settle(bench, scorer, out.chosen)
+        _drop(scorer, out)
+        if _swap(scorer, out, refused):
+            settle(bench, scorer, out.chosen)
+        refused.clear()
+    out.evidence = {i: scorer.scores([j for j in out.chosen if j != i], [i])[0][i] for i in out.chosen}
+    return out
+
+
+def _best(bench: Bench, scorer: Scorer, out: Selection, scores: dict[int, Score], refused: set[int]) -> int | None:
+    """The best hypothesis that chance does not explain and that pays on blocks left out; None when there is none."""
+    taken = {place_of(scorer.library[i].effect) for i in out.chosen}
+    able = [i for i, s in scores.items() if s.surprise > out.needed and s.rank > 0.0 and i not in refused]
+    able = [i for i in able if place_of(scorer.library[i].effect) not in taken]
+    able.sort(key=lambda i: -scores[i].rank)
+    if not able:
+        return None
+    misfit = scorer.misfit([*out.chosen, able[0]])
+    able.insert(0, plainest(scorer, scores, able, misfit))
+    for i in list(dict.fromkeys(able))[:8]:
+        if i in refused:
+            continue
+        better, (paid, whole) = i, worth(bench, scorer, out, i)
+        if paid >= 0.5 * WORTH:
+            better = polished(bench, scorer, out.chosen, i)
+            paid, whole = worth(bench, scorer, out, better) if better != i else (paid, whole)
+        enough = paid >= _price(scorer.library[i].effect, misfit) and whole >= _least(bench, out, misfit)
+        if enough and plausible(bench, scorer, out.chosen, better):
+            return better
+        refused.update(_kin(scorer, i))
+        effect = scorer.library[better].effect
+        if effect is not None:
+            out.refused.append((effect, paid))
+    return None
+
+
+SLACK = 0.25
+PLAIN = {"time_delay": 0, "bias": 0, "joint_offset": 0, "gain": 1, "payload": 1, "friction": 1, "backlash": 1, "lag": 2}
+"""Of look-alikes that do nearly as well while the model still misses much, the plainer goes first."""
+
+
+def plainest(scorer: Scorer, scores: dict[int, Score], able: list[int], misfit: float) -> int:
+    """The plainest hypothesis that reaches nearly the gain of the best: the margin grows with what the model misses.
+
+    Where only noise is left (misfit 1) the likelihood decides alone; where physics is missing, small differences of
+    likelihood between look-alikes are that physics, not evidence.
+    """
+    best = able[0]
+    share = SLACK * min(1.0, misfit - 1.0)
+    slack = share * scores[best].gain
+
+    def cost(i: int) -> tuple[int, int, float]:
+        effect = scorer.library[i].effect
+        key = "" if effect is None else effect.KEY
+        return (PLAIN.get(key, 3), scores[i].count, -scores[i].rank)
+
+    close = [i for i in able if scores[i].rank >= scores[best].rank - slack]
+    return min(close, key=cost) if slack > 6.0 else best
+
+
+def place_of(effect: Effect | None) -> tuple[str, ...]:
+    """Where an effect sits: one hypothesis of a kind a place; those of moments may stand side by side."""
+    if effect is None or effect.KEY in ("step", "vibration", "torque_ripple", "contact"):
+        return (str(id(effect)),)
+    names = ("joint", "channel", "driver", "source", "place", "part", "axis")
+    place = [str(getattr(effect, name, "")) for name in names]
+    errors = getattr(effect, "errors", ())
+    form = getattr(effect, "form", "") if effect.KEY in ("compliance", "cable_drag") else ""
+    return (effect.KEY, *place, *map(str, errors), form)
+
+
+def _price(effect: Effect | None, misfit: float) -> float:
+    """The share of the excess that an effect must take; what belongs to moments fits nearly anything and pays more."""
+    episodic = effect is not None and effect.EPISODIC
+    return WORTH * (1.0 + min(1.0, misfit - 1.0) * episodic)
+
+
+def settle(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
+    """Nonlinear effects are linearised anew where they stand; what they do beyond their slope is taken off the residual."""
+    for _ in range(3):
+        theta = scorer.solve(chosen)[0]
+        done = sum(h.count for h in scorer.base)
+        beyond, fresh, moved = np.zeros_like(bench.y), [], False
+        for place, i in enumerate(chosen):
+            h = scorer.library[i]
+            t, done = theta[done : done + h.count], done + h.count
+            if h.effect is None or h.effect.exact(bench.scene, t) is None:
+                continue
+            new, offset = tangent(bench, h, t)
+            beyond += offset
+            moved = moved or h.theta is None or bool(np.max(np.abs(h.theta - t)) > 1e-3 * np.max(np.abs(t)))
+            fresh.append((place, new))
+        if not fresh or not moved:
+            return
+        bench.y = bench.whole - beyond
+        scorer.append([h for _, h in fresh])
+        for k, (place, _) in enumerate(fresh):
+            chosen[place] = len(scorer.library) - len(fresh) + k
+        scorer.retarget(bench.y)
+
+
+def tangent(bench: Bench, h: Hypothesis, theta: Array) -> tuple[Hypothesis, Array]:
+    """The hypothesis linearised at theta, and (M, C) what it predicts there beyond slope times theta."""
+    effect, scene = h.effect, bench.scene
+    assert effect is not None, "nuisances are linear"
+    here = effect.change(scene, theta)
+    slopes = []
+    for k in range(h.count):
+        step = np.zeros(h.count)
+        step[k] = 1e-4 * max(float(np.max(np.abs(theta))), 1e-6)
+        slopes.append((effect.change(scene, theta + step) - effect.change(scene, theta - step)) / (2.0 * step[k]))
+    raw = bench.averaged(Columns(tuple(range(bench.width)), np.stack(slopes, axis=-1)), timed=False)
+    out = bench.made(effect, raw, h.looked)
+    out.theta = theta
+    return out, bench.rows.average(here) - raw.values @ theta
+
+
+def _kin(scorer: Scorer, i: int) -> list[int]:
+    effect = scorer.library[i].effect
+    assert effect is not None, "nuisances are never candidates"
+    return [j for j, h in enumerate(scorer.library) if h.effect is not None and h.effect.family == effect.family]
+
+
+def _drop(scorer: Scorer, out: Selection) -> None:
+    """Backward: what no longer stands beside the others goes."""
+    while len(out.chosen) > 1:
+        alone = {i: scorer.scores([j for j in out.chosen if j != i], [i])[0].get(i) for i in out.chosen}
+        worst = min(out.chosen, key=lambda i: -np.inf if alone[i] is None else alone[i].rank)  # type: ignore[union-attr]
+        score = alone[worst]
+        if score is not None and score.rank > 0.0 and score.surprise > 0.7 * out.needed:
+            return
+        out.chosen.remove(worst)
+
+
+def _swap(scorer: Scorer, out: Selection, refused: set[int]) -> bool:
+    """Each chosen effect against every rival in its place; whether any was exchanged."""
+    before = list(out.chosen)
+    for i in list(out.chosen):
+        others = [j for j in out.chosen if j != i]
+        scores, _ = scorer.scores(others)
+        rivals = {j: s for j, s in scores.items() if j not in refused}
+        if i not in rivals:
+            continue
+        best = max(rivals, key=lambda j: rivals[j].rank)
+        misfit = scorer.misfit(out.chosen)
+        margin = 6.0 + SLACK * min(1.0, misfit - 1.0) * rivals[i].gain
+        if best != i and rivals[best].rank > rivals[i].rank + margin:
+            out.chosen[out.chosen.index(i)] = best
+    return out.chosen != before
+
+
+def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> int:
+    """The same effect with its searched values at the optimum: a new place in the library, or the old one."""
+    hypothesis = scorer.library[i]
+    effect = hypothesis.effect
+    if effect is None or not effect.searched():
+        return i
+    for name, value in effect.searched().items():
+        effect = _along(bench, scorer, chosen, effect, name, value)
+    scorer.append([bench.add(effect, hypothesis.looked)])
+    last = len(scorer.library) - 1
+    pair, _ = scorer.scores(chosen, [i, last])
+    return last if last in pair and (i not in pair or pair[last].gain > pair[i].gain) else i
+
+
+def _along(bench: Bench, scorer: Scorer, chosen: list[int], effect: Effect, name: str, value: float) -> Effect:
+    bound = effect.SEARCHED[name]
+    _, white = rests(bench, scorer, chosen)
+    at = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
+    rows = bench.train
+    wide = 1.02 if name == "frequency" or name == "wave_number" else 2.2
+
+    def cost(log_value: float) -> float:
+        h = bench.add(effect.with_searched({name: float(np.exp(log_value))}))
+        return -_gain(h, at, white, rows)
+
+    low, high = max(np.log(value / wide), np.log(bound.low)), min(np.log(value * wide), np.log(bound.high))
+    if not high > low:
+        return effect
+    tolerance = 1e-5 if wide < 1.1 else 3e-3
+    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": tolerance, "maxiter": 12})
+    return effect.with_searched({name: float(np.exp(found.x))}) if found.fun < cost(np.log(value)) else effect
+
+
+def _gain(h: Hypothesis, base: list[Hypothesis], white: Array, rows: Array) -> float:
+    """Fall of the whitened sum of squares of a rest when one hypothesis joins those that made it."""
+    channels = h.white.channels
+    X = h.white.values[rows].reshape(-1, h.count)
+    r = white[rows][:, list(channels)].reshape(-1)
+    parts = [b for b in base if set(b.white.channels) & set(channels)]
+    B = np.concatenate([_on(b.white, channels)[rows].reshape(len(X), -1) for b in parts], axis=1)
+    B = B / np.maximum(np.linalg.norm(B, axis=0), 1e-300)
+    X = X - B @ np.linalg.lstsq(B, X, rcond=1e-9)[0]
+    theta = np.linalg.lstsq(X, r, rcond=1e-9)[0]
+    return float(2.0 * theta @ (X.T @ r) - np.sum((X @ theta) ** 2))
+
+
+def _on(columns: Columns, channels: tuple[int, ...]) -> Array:
+    """(M, len(channels), k) of columns on some channels, zero where they do not act."""
+    out = np.zeros((len(columns.values), len(channels), columns.count))
+    for i, c in enumerate(channels):
+        if c in columns.channels:
+            out[:, i] = columns.values[:, columns.channels.index(c)]
+    return out
+
+
+def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, float]:
+    """What the hypothesis takes on blocks it did not learn from: share of the excess left, and of that at the start.
+
+    The best channel counts. Five folds of contiguous blocks inside the training rows, errors in raw units, excess over the
+    noise of the rich fit.
+    """
+    before = crossed(bench, scorer, out.chosen)
+    after = crossed(bench, scorer, [*out.chosen, i])
+    floor = bench.noise.sigma**2
+    if not len(out.start):
+        out.start = before
+    weight = _where_it_acts(scorer, out.chosen, i, bench)
+    left = (before - after) / np.maximum(before - floor, 0.02 * floor)
+    whole = (before - after) / np.maximum(out.start - floor, 0.02 * floor)
+    return float(weight @ left), float(weight @ whole)
+
+
+def _where_it_acts(scorer: Scorer, chosen: list[int], i: int, bench: Bench) -> Array:
+    """(C,) shares of the energy, in units of the noise, that the hypothesis predicts in each channel."""
+    h = scorer.library[i]
+    theta = scorer.solve([*chosen, i])[0][-h.count :]
+    energy = np.zeros(bench.width)
+    size = np.mean((h.raw.values @ theta) ** 2, axis=0)
+    energy[list(h.raw.channels)] = size / bench.noise.sigma[list(h.raw.channels)] ** 2
+    return np.asarray(energy / max(float(energy.sum()), 1e-300))
+
+
+def _least(bench: Bench, out: Selection, misfit: float) -> float:
+    """Share of the whole excess that must be taken: nothing where noise is all that is left and the excess was small."""
+    loud = float(np.max(out.start / bench.noise.sigma**2)) > LOUD
+    return MATTERS * max(min(1.0, misfit - 1.0), 0.3 * loud)
+
+
+def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
+    """Whether the parameters can be what the effect is called."""
+    h = scorer.library[i]
+    assert h.effect is not None, "nuisances are never candidates"
+    theta, at, _ = scorer.solve([*chosen, i])
+    spread = scorer.spread(at)[-h.count :] * np.sqrt(scorer.misfit([*chosen, i]))
+    parameters = h.effect.parameters(bench.scene)
+    return all(p.plausible(t, s) for p, t, s in zip(parameters, theta[-h.count :], spread, strict=True))
+
+
+def crossed(bench: Bench, scorer: Scorer, chosen: list[int], folds: int = 5) -> Array:
+    """(C,) mean squared error of a model on training blocks left out in turn."""
+    at = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
+    train = np.flatnonzero(bench.train)
+    fold = np.unique(bench.block[train], return_inverse=True)[1] % folds
+    total = np.zeros(bench.width)
+    for k in range(folds):
+        learn, judge = train[fold != k], train[fold == k]
+        if not len(judge) or not len(learn):
+            continue
+        theta = fit(at, scorer.white, learn, bench.width)
+        error = bench.y[judge] - predicted(at, theta, judge, bench.width)
+        total += np.sum(error**2, axis=0)
+    return total / len(train)
+
+
+def fit(model: list[Hypothesis], white: Array, rows: Array, width: int) -> Array:
+    """Generalised least squares of a model on some rows."""
+    size = sum(h.count for h in model)
+    G, b = np.zeros((size, size)), np.zeros(size)
+    starts = np.cumsum([0, *(h.count for h in model)])
+    for c in range(width):
+        mine = [(h, s) for h, s in zip(model, starts, strict=False) if c in h.white.channels]
+        if not mine:
+            continue
+        at = np.concatenate([np.arange(s, s + h.count) for h, s in mine])
+        X = np.concatenate([h.white.values[:, h.white.channels.index(c)] for h, _ in mine], axis=1)[rows]
+        G[np.ix_(at, at)] += X.T @ X
+        b[at] += X.T @ white[rows, c]
+    return solve_sym(G, b[:, None])[:, 0]
+
+
+def predicted(model: list[Hypothesis], theta: Array, rows: Array, width: int) -> Array:
+    """(len(rows), C) of a model in raw units."""
+    out, done = np.zeros((len(rows), width)), 0
+    for h in model:
+        out[:, list(h.raw.channels)] += h.raw.values[rows] @ theta[done : done + h.count]
+        done += h.count
+    return out

@@ -1,0 +1,125 @@
+"""Effects of bodies and gravity: a different load, a tilted base, forgotten inertia."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from galen_hw.physics.effect import Columns, Effect, Parameter, in_all
+from galen_hw.physics.scene import Scene
+from galen_hw.spatial import Array
+
+MOMENTS = ("moment_x", "moment_y", "moment_z")
+INERTIA = ("inertia_xx", "inertia_xy", "inertia_yy", "inertia_xz", "inertia_yz", "inertia_zz")
+
+
+@dataclass(frozen=True)
+class Payload(Effect):
+    """The carried body differs: mass dm, first moment d(m c) and inertia enter Newton and Euler linearly.
+
+    Source: Atkeson, An, Hollerbach 1986. `part`: "mass" (at the believed centre of mass), "body" (mass and moment), "full"
+    (with inertia about the sensor's origin). Visible when gravity turns in the sensor. Confused with gain and
+    cross_talk, and with bias where it does not turn.
+    """
+
+    KEY = "payload"
+    part: str = "body"
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """The three parts; inertia only where something accelerates."""
+        port = scene.body_port() if scene.observations.predict in ("wrench", "effort") else None
+        if port is None:
+            return
+        yield cls("mass")
+        yield cls("moment")
+        yield cls("body")
+        if np.any(np.abs(port[:, :, 4:]) > 0.0) and scene.clock:
+            yield cls("full")
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Changes of mass, first moment and inertia."""
+        mass, moments = [Parameter("mass", "kg")], [Parameter(name, "kg m") for name in MOMENTS]
+        inertia = [Parameter(name, "kg m^2") for name in INERTIA]
+        chosen = {"mass": mass, "moment": moments, "body": mass + moments, "full": mass + moments + inertia}
+        return tuple(chosen[self.part])
+
+    def columns(self, scene: Scene) -> Columns:
+        """The body's port."""
+        port = scene.body_port()
+        assert port is not None, "proposed only where there is a port"
+        if self.part == "mass":
+            com = scene.belief.tool.com
+            port = port[:, :, :1] + port[:, :, 1:4] @ com[:, None]
+        elif self.part == "moment":
+            port = port[:, :, 1:4]
+        else:
+            port = port[:, :, : 4 if self.part == "body" else 10]
+        return Columns(tuple(range(len(scene.channels))), port)
+
+
+@dataclass(frozen=True)
+class BaseTilt(Effect):
+    """Gravity does not point where the model says: g' = exp([a, b, 0]) g, a and b about the base's x and y.
+
+    Visible when the sensor turns about more than one axis. Confused with the offset of a first, level joint (roll
+    of the Galen about x), and with payload where the poses are few.
+    """
+
+    KEY = "base_tilt"
+    axis: str = "xy"
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Both axes, and each alone."""
+        if scene.gravity_port() is not None:
+            yield from (cls(axis) for axis in ("x", "y", "xy"))
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Angles of gravity about the base's axes."""
+        return tuple(Parameter(f"tilt_{letter}", "rad") for letter in self.axis)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Small turns of gravity through its port."""
+        port = scene.gravity_port()
+        assert port is not None, "proposed only where there is a port"
+        turns = [np.cross(np.eye(3)["xy".index(a)], scene.belief.gravity) for a in self.axis]
+        return Columns(tuple(range(len(scene.channels))), port @ np.stack(turns, axis=-1))
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """The turned gravity itself."""
+        from galen_hw.spatial import rotation_exp
+
+        port, vector = scene.gravity_port(), np.zeros(3)
+        assert port is not None, "proposed only where there is a port"
+        for letter, angle in zip(self.axis, theta, strict=True):
+            vector["xy".index(letter)] = angle
+        return np.asarray(port @ (rotation_exp(vector) @ scene.belief.gravity - scene.belief.gravity))
+
+
+@dataclass(frozen=True)
+class Inertial(Effect):
+    """Forces of acceleration in a static model: r = k (m a_c and Euler's terms) of the known bodies, k = 1.
+
+    Visible in quick motion. Confused with payload (inertia) and with vibration.
+    """
+
+    KEY = "inertial"
+    NEEDS_CLOCK = True
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Where the baseline holds weight alone."""
+        if scene.clock and scene.inertial_port() is not None:
+            yield cls()
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """The share of the rigid prediction, 1 when only inertia was left out."""
+        return (Parameter("share", "1", 0.0, expected=1.0),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """The inertial port."""
+        port = scene.inertial_port()
+        assert port is not None, "proposed only where there is a port"
+        return in_all([port], len(scene.channels))

@@ -1,0 +1,177 @@
+"""What an effect is: a named piece of physics, its linear parameters, and the few nonlinear ones that are searched."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from galen_hw.physics.scene import Scene
+from galen_hw.spatial import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A linear parameter: its null value is 0, where the effect vanishes exactly.
+
+    Args:
+        name: as it stands in findings and files.
+        unit: SI, as text.
+        low, high: physical bounds.
+        expected: what it must be if the physics is what it is called (the share of a plain play is 1).
+    """
+
+    name: str
+    unit: str
+    low: float = -np.inf
+    high: float = np.inf
+    expected: float | None = None
+
+    def plausible(self, value: float, std: float) -> bool:
+        """Within the bounds and, where one value is expected, near it: two fifths or three standard deviations."""
+        inside = self.low - 3.0 * std <= value <= self.high + 3.0 * std
+        return inside and (self.expected is None or abs(value - self.expected) <= max(0.4, min(3.0 * std, 0.9)))
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """A nonlinear parameter (a field of the effect) with its unit and bounds; searched on a logarithmic scale."""
+
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Regressors (N, len(channels), k) that live in some channels only."""
+
+    channels: tuple[int, ...]
+    values: Array
+
+    @property
+    def count(self) -> int:
+        """Number of linear parameters."""
+        return int(self.values.shape[2])
+
+    def full(self, width: int) -> Array:
+        """(N, width, k) with zeros in the other channels."""
+        out = np.zeros((self.values.shape[0], width, self.count))
+        out[:, list(self.channels)] = self.values
+        return out
+
+
+class Effect(ABC):
+    """One hypothesis of one kind: a frozen dataclass whose fields say where it acts and hold what is searched.
+
+    The predicted change of the compared channels is `columns(scene) @ theta`, zero for theta = 0. Where physics is
+    nonlinear in theta, `exact` gives the change itself and `columns` its slope at zero.
+    """
+
+    KEY: ClassVar[str] = ""
+    SEARCHED: ClassVar[Mapping[str, Searched]] = {}
+    NEEDS_CLOCK: ClassVar[bool] = False
+    TIMING: ClassVar[bool] = False
+    """It acts on the whole stream, after everything else."""
+    EPISODIC: ClassVar[bool] = False
+    """Its parameters belong to moments of one recording and do not carry over to another."""
+    NULL: ClassVar[Mapping[str, float]] = {}
+
+    @classmethod
+    @abstractmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Hypotheses that this scene allows, one for every place and every value of the grid."""
+
+    @abstractmethod
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """The linear parameters, in the order of the columns."""
+
+    @abstractmethod
+    def columns(self, scene: Scene) -> Columns:
+        """The slope of the compared channels by the linear parameters at zero."""
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """(N, C) change for parameters theta (k,); None where `columns @ theta` is exact."""
+        return None
+
+    def change(self, scene: Scene, theta: Array) -> Array:
+        """(N, C) change for parameters theta (k,)."""
+        exact = self.exact(scene, np.asarray(theta, dtype=float))
+        if exact is not None:
+            return exact
+        columns = self.columns(scene)
+        out = np.zeros((len(scene), len(scene.channels)))
+        out[:, list(columns.channels)] = columns.values @ np.asarray(theta, dtype=float)
+        return out
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints it sits in."""
+        joint = getattr(self, "joint", "")
+        return (joint,) if joint else ()
+
+    @property
+    def family(self) -> tuple[Any, ...]:
+        """What it is apart from the searched values: the same hypothesis at another point of the grid."""
+        return (self.KEY, *((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in self.SEARCHED))  # type: ignore[arg-type]
+
+    def searched(self) -> dict[str, float]:
+        """Values of the searched parameters that are in use."""
+        return {name: getattr(self, name) for name in self.SEARCHED if getattr(self, name) is not None}
+
+    def with_searched(self, values: Mapping[str, float]) -> Self:
+        """Another point of the search."""
+        return replace(self, **values)  # type: ignore[type-var]
+
+    def to_term(self, scene: Scene, theta: Array) -> dict[str, Any]:
+        """JSON form of the effect with its parameters, for files and live services."""
+        form = {k: v for k, v in asdict(self).items() if v is not None and v != ""}  # type: ignore[call-overload]
+        values = zip(self.parameters(scene), np.asarray(theta, dtype=float), strict=True)
+        return {
+            "effect": self.KEY,
+            "group": scene.observations.predict,
+            "form": form,
+            "parameters": {p.name: {"value": float(v), "unit": p.unit} for p, v in values},
+        }
+
+    @classmethod
+    def from_form(cls, form: Mapping[str, Any]) -> Self:
+        """The effect of a term's form; lists become tuples again."""
+        return cls(**{k: _frozen(v) for k, v in form.items()})
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(_frozen(v) for v in value) if isinstance(value, list) else value
+
+
+def in_channel(channel: int, columns: Iterable[Array]) -> Columns:
+    """Columns (N,) of one channel."""
+    return Columns((channel,), np.stack(list(columns), axis=-1)[:, None, :])
+
+
+def in_all(columns: Iterable[Array], width: int) -> Columns:
+    """Columns (N, C) of all channels."""
+    return Columns(tuple(range(width)), np.stack(list(columns), axis=-1))
+
+
+def unit_of(scene: Scene, channel: str) -> str:
+    """Unit of a channel by name."""
+    return scene.units[scene.channels.index(channel)]
+
+
+def log_grid(low: float, high: float, count: int) -> tuple[float, ...]:
+    """Points of equal ratio; empty where the range is."""
+    return tuple(np.geomspace(low, high, count).tolist()) if high > low > 0.0 else ()
+
+
+def spacing(scene: Scene) -> float:
+    """Median step of the clock, s."""
+    steps = np.diff(scene.time)
+    steps = steps[steps > 0]
+    return float(np.median(steps)) if len(steps) else 1.0
+
+
+def duration(scene: Scene) -> float:
+    """From first to last row, s."""
+    return float(scene.time[-1] - scene.time[0]) if len(scene) else 0.0

@@ -1,0 +1,136 @@
+"""Give under load: compliance, and stiffness that changes with load."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from galen_hw.physics.effect import Columns, Effect, Parameter, in_all
+from galen_hw.physics.scene import Scene
+from galen_hw.physics.scene_joint import PositionScene
+from galen_hw.physics.scene_pose import ArmScene
+from galen_hw.physics.time_effects import joint_of
+from galen_hw.spatial import Array
+
+
+@dataclass(frozen=True)
+class Compliance(Effect):
+    """Elastic give: a joint by c times its load, q' = q + c tau ("joint"); the structure along the base's axes ("structure")
+    or the tool along the sensor's ("tool") by c times the applied force; in positions without a model of the weights, the
+    sag of a chain of links under its own weight, sum of a_l sin + b_l cos of the links' angles ("weight").
+
+    Visible when the load changes otherwise than with motion. Confused with time_delay where load follows speed, with
+    joint_offset for a constant load, with creep, hardening and payload.
+    """
+
+    KEY = "compliance"
+    form: str = "joint"
+    joint: str = ""
+    source: str = "all"
+    first: str = ""
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Every joint that bears load; the structure where a force on the tip is known."""
+        for joint in scene.joint_names:
+            if _load(scene, joint, "all") is not None and scene.joint_port(joint) is not None:
+                yield cls("joint", joint)
+                if isinstance(scene, ArmScene) and scene.belief.tool.mass > 0.0 and np.any(scene.force):
+                    yield cls("joint", joint, "applied")
+                    yield cls("joint", joint, "weight")
+        if isinstance(scene, ArmScene) and np.any(scene.force) and scene.observations.predict == "pose":
+            yield cls("structure")
+            yield cls("tool")
+        if isinstance(scene, PositionScene) and scene.belief.robot is None:
+            yield from cls._sagging(scene)
+
+    @classmethod
+    def _sagging(cls, scene: Scene) -> Iterator[Self]:
+        names = [joint_of(name) for name in scene.channels]
+        for i, joint in enumerate(names):
+            for first in names[max(0, i - 2) : i + 1]:
+                if _load(scene, joint, "all") is None and len(names) >= 3:
+                    yield cls("weight", joint, "all", first)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Give per load."""
+        if self.form == "weight":
+            return tuple(Parameter(f"{f}_{link}", "rad") for link in self._links(scene) for f in ("sin", "cos"))
+        if self.form != "joint":
+            return tuple(Parameter(f"compliance_{letter}", "m/N") for letter in "xyz")
+        return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
+
+    def _links(self, scene: Scene) -> list[str]:
+        names = [joint_of(name) for name in scene.channels]
+        return names[names.index(self.joint) :][:3]
+
+    def columns(self, scene: Scene) -> Columns:
+        """Load through the joint's port, or force along axes."""
+        width = len(scene.channels)
+        if self.form == "weight":
+            return self._sag(scene)
+        if self.form == "joint":
+            port, load = scene.joint_port(self.joint), _load(scene, self.joint, self.source)
+            assert port is not None, "proposed only where there is a port"
+            assert load is not None, "proposed only where there is a load"
+            return in_all([port * load[:, None]], width)
+        assert isinstance(scene, ArmScene), "proposed only for poses"
+        frame = np.tile(np.eye(3), (len(scene), 1, 1)) if self.form == "structure" else scene.T_sensor[:, :3, :3]
+        out = []
+        for axis in range(3):
+            along = frame[:, :, axis]
+            move = along * np.sum(along * scene.force, axis=1, keepdims=True)
+            out.append(np.concatenate([move, np.zeros((len(scene), width - 3))], axis=1))
+        return in_all(out, width)
+
+    def _sag(self, scene: Scene) -> Columns:
+        names = [joint_of(name) for name in scene.channels]
+        start, out = names.index(self.first), []
+        for link in self._links(scene):
+            angle = sum(scene.q[:, scene.joint_index(name)] for name in names[start : names.index(link) + 1])
+            out += [np.sin(angle), np.cos(angle) - 1.0]
+        values = np.stack(out, axis=-1)[:, None, :]
+        return Columns((names.index(self.joint),), values)
+
+
+@dataclass(frozen=True)
+class Hardening(Effect):
+    """Stiffness grows or falls with load: q' = q + c tau |tau| or q + c tau^3; without a model, r = c x^3 of the joint's travel.
+
+    Visible over a wide range of load. Nested with compliance, with which it is confused at small load.
+    """
+
+    KEY = "hardening"
+    joint: str
+    power: int = 3
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Every joint that bears load, or that is imposed on by an unknown device."""
+        for joint in scene.joint_names:
+            free = scene.observations.predict == "effort" and scene.belief.robot is None and joint in scene.moved
+            if free or (_load(scene, joint, "all") is not None and scene.joint_port(joint) is not None):
+                yield from (cls(joint, power) for power in (2, 3))
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Give per power of the load."""
+        return (Parameter("coefficient", f"rad or m/(load)^{self.power}"),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Power of the load through the joint's port."""
+        port, load = scene.joint_port(self.joint), _load(scene, self.joint, "all")
+        if port is None or load is None or (scene.belief.robot is None and scene.observations.predict == "effort"):
+            place = [joint_of(name) for name in scene.channels].index(self.joint)
+            x = scene.q[:, scene.joint_index(self.joint)]
+            values = (x * np.abs(x) ** (self.power - 1))[:, None, None]
+            return Columns((place,), values)
+        return in_all([port * (load * np.abs(load) ** (self.power - 1))[:, None]], len(scene.channels))
+
+
+def _load(scene: Scene, joint: str, source: str) -> Array | None:
+    if isinstance(scene, ArmScene) and source != "all":
+        load = scene.weight_load(joint) if source == "weight" else scene.torque_from(joint, scene.force, scene.tip)
+    else:
+        load = scene.load(joint)
+    return load if load is not None and np.nanstd(load) > 1e-12 else None

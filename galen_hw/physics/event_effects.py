@@ -1,0 +1,146 @@
+"""Effects that belong to moments: steps, contacts, oscillations, glitches. Where they sit is sought in the residual."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, unit_of
+from galen_hw.physics.scene import Scene
+from galen_hw.spatial import Array
+
+
+class _Sought(Effect):
+    """Nothing on a fixed grid: `galen_hw.diagnosis.seek` looks into the residual."""
+
+    EPISODIC = True
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Nothing."""
+        del scene
+        return iter(())
+
+
+@dataclass(frozen=True)
+class Step(_Sought):
+    """The offset jumps at a moment: r = a for t >= t0. A bump, a re-zeroing, a moved marker.
+
+    Visible with rest on both sides. Confused with drift (smooth) and contact (which ends).
+    """
+
+    KEY = "step"
+    channels: tuple[str, ...]
+    moment: float
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """The jump of every channel."""
+        return tuple(Parameter(f"jump_{name}", unit_of(scene, name)) for name in self.channels)
+
+    def columns(self, scene: Scene) -> Columns:
+        """One after the moment."""
+        after = (scene.time >= self.moment).astype(float)
+        return _each(scene, self.channels, [after])
+
+
+@dataclass(frozen=True)
+class Contact(_Sought):
+    """An outside force during episodes (start, end) in s: in each, a level and a bow in every channel named.
+
+    Visible as a residual that comes and goes. Confused with glitches (a few samples), step (which stays) and payload.
+    """
+
+    KEY = "contact"
+    channels: tuple[str, ...]
+    episodes: tuple[tuple[float, float], ...]
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Level and bow per channel and episode."""
+        return tuple(
+            Parameter(f"{what}_{k + 1}_{name}", unit_of(scene, name))
+            for name in self.channels
+            for k in range(len(self.episodes))
+            for what in ("level", "bow")
+        )
+
+    def columns(self, scene: Scene) -> Columns:
+        """Box and half sine of every episode."""
+        out = []
+        for start, end in self.episodes:
+            inside = ((scene.time >= start) & (scene.time <= end)).astype(float)
+            out += [inside, inside * np.sin(np.pi * (scene.time - start) / max(end - start, 1e-9))]
+        return _each(scene, self.channels, out)
+
+
+@dataclass(frozen=True)
+class Vibration(_Sought):
+    """Narrow-band oscillation: r = a sin(2 pi f t) + b cos(2 pi f t). Structure, mains, motor.
+
+    Visible as a line in the spectrum. Confused with torque_ripple at constant speed; an oscillation that motion excites and
+    that dies away is not it.
+    """
+
+    KEY = "vibration"
+    SEARCHED: ClassVar = {"frequency": Searched(1e-2, 1e5, "Hz")}
+    NEEDS_CLOCK = True
+    channels: tuple[str, ...]
+    frequency: float
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Sine and cosine of every channel."""
+        return tuple(
+            Parameter(f"{w}_{name}", unit_of(scene, name)) for name in self.channels for w in ("sine", "cosine")
+        )
+
+    def columns(self, scene: Scene) -> Columns:
+        """Sine and cosine of the clock."""
+        phase = 2.0 * np.pi * self.frequency * scene.time
+        return _each(scene, self.channels, [np.sin(phase), np.cos(phase)])
+
+
+@dataclass(frozen=True)
+class Glitches(_Sought):
+    """Isolated outliers, drop-outs and repeated samples: rows that are left out rather than modelled.
+
+    Visible as single rows far off. Confused with contact (longer).
+    """
+
+    KEY = "glitches"
+    channels: tuple[str, ...]
+    rows: tuple[int, ...] = ()
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """None: the rows are left out."""
+        return ()
+
+    def columns(self, scene: Scene) -> Columns:
+        """None."""
+        places = tuple(scene.channels.index(name) for name in self.channels)
+        return Columns(places, np.zeros((len(scene), len(places), 0)))
+
+
+@dataclass(frozen=True)
+class Unknown(_Sought):
+    """Structure that nothing named explains; it has no model and never predicts anything."""
+
+    KEY = "unknown"
+    channels: tuple[str, ...] = ()
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """None."""
+        return ()
+
+    def columns(self, scene: Scene) -> Columns:
+        """None."""
+        return Columns((0,), np.zeros((len(scene), 1, 0)))
+
+
+def _each(scene: Scene, channels: tuple[str, ...], shapes: list[Array]) -> Columns:
+    """Every shape in every channel with a coefficient of its own; channel by channel."""
+    places = tuple(scene.channels.index(name) for name in channels)
+    count = len(shapes)
+    values = np.zeros((len(scene), len(places), count * len(places)))
+    for i in range(len(places)):
+        values[:, i, i * count : (i + 1) * count] = np.stack(shapes, axis=-1)
+    return Columns(places, values)

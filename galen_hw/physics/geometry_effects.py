@@ -1,0 +1,194 @@
+"""Effects of geometry: joint zeros and scales, links and axes, the sensor's seat."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from galen_hw.physics.effect import Columns, Effect, Parameter, in_all
+from galen_hw.physics.scene import Scene
+from galen_hw.physics.scene_pose import ArmScene
+from galen_hw.physics.screws import axis_screws, joint_screws
+from galen_hw.spatial import Array
+
+
+@dataclass(frozen=True)
+class JointOffset(Effect):
+    """A joint's zero is off: q' = q + d.
+
+    Visible where the channels answer differently in different poses. Confused with bias (position), base_tilt (a first
+    joint with a level axis), sensor_mounting (the last joint).
+    """
+
+    KEY = "joint_offset"
+    joint: str
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Every joint with an answer; in positions the constant of that joint, unless offsets are free."""
+        if scene.observations.predict == "position" and scene.belief.bias_free:
+            return
+        yield from (cls(joint) for joint in scene.joint_names if answers(scene, joint))
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Error of the zero."""
+        return (Parameter("offset", joint_unit(self.joint)),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """The joint's port."""
+        port = scene.joint_port(self.joint)
+        assert port is not None, "proposed only where there is a port"
+        return in_all([port], len(scene.channels))
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """The turned arm itself, where its screws are known."""
+        return _by_screw(scene, self.joint, theta[0] * np.ones(len(scene)))
+
+
+@dataclass(frozen=True)
+class JointScale(Effect):
+    """A joint's scale (gear, encoder) is off: q' = (1 + k) q.
+
+    Visible over a wide range of the joint. Confused with joint_offset over a narrow one, with gain.
+    """
+
+    KEY = "joint_scale"
+    joint: str
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Every joint that moves and shows."""
+        yield from (cls(joint) for joint in scene.moved if answers(scene, joint))
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Relative error of the scale."""
+        return (Parameter("scale_error", "1"),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """The joint's port times its position."""
+        port = scene.joint_port(self.joint)
+        assert port is not None, "proposed only where there is a port"
+        return in_all([port * scene.q[:, [scene.joint_index(self.joint)]]], len(scene.channels))
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """The turned arm itself, where its screws are known."""
+        return _by_screw(scene, self.joint, theta[0] * scene.q[:, scene.joint_index(self.joint)])
+
+
+@dataclass(frozen=True)
+class LinkGeometry(Effect):
+    """A link's length is off, or an axis is not where or how the model says: screws that move all beyond the joint.
+
+    `errors` are the ports' names: `axis_tilt` and `axis_shift` move the axis and leave the zero pose, `frame_tilt` and
+    `frame_shift` move everything beyond it, `rod_length` and `radius` belong to the delta. Visible over a wide range of the
+    joints. A frame_tilt is confused with base_tilt before the first joint and sensor_mounting behind the last one.
+    """
+
+    KEY = "link_geometry"
+    joint: str
+    errors: tuple[str, ...]
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Every single error, and both tilts or shifts of one axis together."""
+        by_joint: dict[str, list[str]] = {}
+        for port in scene.geometry_ports():
+            if np.any(np.abs(port.values) > 1e-12):
+                by_joint.setdefault(port.joint, []).append(port.name)
+        for joint, names in by_joint.items():
+            yield from (cls(joint, (name,)) for name in names)
+            for kind in ("axis_tilt", "frame_tilt", "axis_shift", "frame_shift"):
+                pair = tuple(name for name in names if name.startswith(kind))
+                if len(pair) > 1:
+                    yield cls(joint, pair)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Angles and lengths."""
+        units = {port.name: port.unit for port in scene.geometry_ports() if port.joint == self.joint}
+        return tuple(Parameter(name, units.get(name, "m")) for name in self.errors)
+
+    def columns(self, scene: Scene) -> Columns:
+        """The geometry's ports."""
+        ports = {port.name: port.values for port in scene.geometry_ports() if port.joint == self.joint}
+        return in_all([ports[name] for name in self.errors], len(scene.channels))
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """The product of the exponentials."""
+        found = {name: screws for name, joint, screws in axis_screws(scene) if joint == self.joint}
+        parts = [found[name] for name in self.errors]
+        moves = [sum(t * p[0] for t, p in zip(theta, parts, strict=True))]
+        if len(parts[0]) > 1:
+            moves.append(sum(t * p[1] for t, p in zip(theta, parts, strict=True)))
+        return scene.screw_port(moves)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class SensorMounting(Effect):
+    """The sensor is turned or shifted on its flange: a constant screw behind the last joint, in sensor axes.
+
+    Visible when gravity (wrench) or the arm (pose) turns in the sensor. A turn about the last joint's axis is that
+    joint's offset; for a wrench a shift is a payload's moment, a turn is a skew cross_talk.
+    """
+
+    KEY = "sensor_mounting"
+    part: str = "turn"
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """A turn, and a shift."""
+        if scene.screw_port([np.zeros((len(scene), 6))]) is None:
+            return
+        yield cls("turn")
+        if scene.observations.predict in ("pose", "wrench"):
+            yield cls("shift")
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """About or along the sensor's axes."""
+        unit = "rad" if self.part == "turn" else "m"
+        return tuple(Parameter(f"{self.part}_{letter}", unit) for letter in "xyz")
+
+    def columns(self, scene: Scene) -> Columns:
+        """Slope of `exact`; a shifted wrench is linear."""
+        width = len(scene.channels)
+        if self.part == "shift" and scene.observations.predict == "wrench":
+            force = scene.simulated[:, :3]
+            moved = [np.cross(np.tile(unit, (len(scene), 1)), force) for unit in np.eye(3)]
+            return in_all([np.concatenate([np.zeros_like(m), m], axis=1) for m in moved], width)
+        step = 1e-6
+        ends = [[self._moved(scene, sign * step * unit) for unit in np.eye(3)] for sign in (1.0, -1.0)]
+        return in_all([(up - down) / (2.0 * step) for up, down in zip(*ends, strict=True)], width)
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """The turned or shifted sensor itself."""
+        linear = self.part == "shift" and scene.observations.predict == "wrench"
+        return None if linear else self._moved(scene, theta)
+
+    def _moved(self, scene: Scene, vector: Array) -> Array:
+        T = scene.T_sensor if isinstance(scene, ArmScene) else scene.T  # type: ignore[attr-defined]
+        along = T[:, :3, :3] @ vector
+        if self.part == "shift":
+            screw = np.concatenate([along, np.zeros_like(along)], axis=1)
+        else:
+            screw = np.concatenate([np.cross(T[:, :3, 3], along), along], axis=1)
+        out = scene.screw_port([screw])
+        assert out is not None, "proposed only where there is a port"
+        return out
+
+
+def answers(scene: Scene, joint: str) -> bool:
+    """Whether any channel answers to the joint."""
+    port = scene.joint_port(joint)
+    return port is not None and bool(np.nanmax(np.abs(port), initial=0.0) > 1e-12)
+
+
+def joint_unit(joint: str) -> str:
+    """Metres for the Galen's carriages, radians otherwise."""
+    return "m" if joint.startswith("carriage") else "rad"
+
+
+def _by_screw(scene: Scene, joint: str, amount: Array) -> Array | None:
+    screws = joint_screws(scene, joint)
+    if screws is None:
+        return None
+    return scene.screw_port([screws * amount[:, None]])

@@ -1,0 +1,199 @@
+"""Effects that act in a joint or along the arm: friction, torque ripple, cables."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, in_channel
+from galen_hw.physics.scene import Scene
+from galen_hw.physics.time_effects import joint_of
+
+FORMS = ("coulomb", "viscous", "coulomb_viscous", "asymmetric", "stribeck", "load")
+
+
+@dataclass(frozen=True)
+class Friction(Effect):
+    """Friction in a joint: r = Fc s + Fv v with s = tanh(v / v0), and its kin.
+
+    "asymmetric": own Fc and Fv by direction (with their offset); "stribeck": + Fs s exp(-(v / vs)^2) (Armstrong-Helouvry 1994);
+    "load": + c |load| s. In efforts it adds to the motor's work; a servo without integral action stands off by friction over
+    stiffness (positions, negative). Visible at reversals and at several speeds. Confused with hysteresis and backlash (small
+    widths), time_delay and viscous lag, payload where speed follows gravity.
+    """
+
+    KEY = "friction"
+    SEARCHED: ClassVar = {
+        "transition": Searched(1e-6, 10.0, "rad/s or m/s"),
+        "stribeck": Searched(1e-5, 10.0, "rad/s or m/s"),
+    }
+    NEEDS_CLOCK = True
+    joint: str
+    form: str
+    transition: float
+    stribeck: float | None = None
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Every joint that moves, with sharp and soft transitions."""
+        if scene.observations.predict not in ("effort", "position") or not scene.clock:
+            return
+        compared = {joint_of(name) for name in scene.channels}
+        for joint in scene.moved:
+            speed = float(np.nanstd(scene.rates[0][:, scene.joint_index(joint)]))
+            if joint not in compared or speed <= 0.0:
+                continue
+            for sharp in (0.01, 0.05, 0.2):
+                yield from (cls(joint, form, sharp * speed) for form in FORMS if _fits(scene, form, sharp))
+                if scene.observations.predict == "effort" and sharp == 0.05:
+                    yield from (cls(joint, "stribeck", sharp * speed, vs * speed) for vs in (0.1, 0.3))
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Coulomb in the channel's unit, viscous per speed."""
+        unit = scene.units[_place(scene, self.joint)]
+        low, high = (0.0, np.inf) if scene.observations.predict == "effort" else (-np.inf, 0.0)
+        c = Parameter("coulomb", unit, low, high)
+        v = Parameter("viscous", f"{unit}/(rad/s)" if unit != "N" else "N s/m")
+        if self.form == "asymmetric":
+            return (
+                Parameter("coulomb_forward", unit, low, high),
+                Parameter("viscous_forward", v.unit),
+                Parameter("coulomb_backward", unit, low, high),
+                Parameter("viscous_backward", v.unit),
+            )
+        extra = {"stribeck": Parameter("stiction", unit), "load": Parameter("load_share", "1")}
+        return {"coulomb": (c,), "viscous": (v,), "coulomb_viscous": (c, v)}.get(self.form) or (c, v, extra[self.form])
+
+    def columns(self, scene: Scene) -> Columns:
+        """Functions of the joint's speed in the joint's channel."""
+        v = scene.rates[0][:, scene.joint_index(self.joint)]
+        s = np.tanh(v / self.transition)
+        forward = 0.5 * (1.0 + s)
+        forms = {
+            "coulomb": lambda: [s],
+            "viscous": lambda: [v],
+            "coulomb_viscous": lambda: [s, v],
+            "asymmetric": lambda: [s * forward, v * forward, s * (1.0 - forward), v * (1.0 - forward)],
+            "stribeck": lambda: [s, v, s * np.exp(-((v / (self.stribeck or 1.0)) ** 2))],
+            "load": lambda: [s, v, s * np.abs(scene.load(self.joint))],  # type: ignore[arg-type]
+        }
+        return in_channel(_place(scene, self.joint), forms[self.form]())
+
+
+def _fits(scene: Scene, form: str, sharp: float) -> bool:
+    if form == "stribeck":
+        return False
+    if form in ("coulomb", "coulomb_viscous"):
+        return True
+    only_effort = scene.observations.predict == "effort" or form == "viscous"
+    return only_effort and sharp == 0.05
+
+
+def _place(scene: Scene, joint: str) -> int:
+    return next(i for i, name in enumerate(scene.channels) if joint_of(name) == joint)
+
+
+@dataclass(frozen=True)
+class TorqueRipple(Effect):
+    """A force periodic in joint position: r = a sin(n q) + b cos(n q), n cycles times 2 pi per rad or m.
+
+    Visible over several periods. Confused with vibration at constant speed and, for small n, with cable_drag.
+    """
+
+    KEY = "torque_ripple"
+    SEARCHED: ClassVar = {"wave_number": Searched(0.1, 1e5, "rad/rad or rad/m")}
+    joint: str
+    wave_number: float
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Nothing on a fixed grid: the wave number is sought in the residual."""
+        return iter(())
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Amplitudes of sine and cosine."""
+        unit = scene.units[_place(scene, self.joint)]
+        return Parameter("sine", unit), Parameter("cosine", unit)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Sine and cosine of the joint's position."""
+        phase = self.wave_number * scene.q[:, scene.joint_index(self.joint)]
+        return in_channel(_place(scene, self.joint), [np.sin(phase), np.cos(phase)])
+
+
+@dataclass(frozen=True)
+class CableDrag(Effect):
+    """A cable or hose pulls: "spring": from a point of the sensor's body to a point of the base, f = R^T (F0 - k p), torque
+    c x f for an unknown lever c (linear relaxation: 15 numbers); "joint": one channel along with one joint, r = k q_j, with the
+    cable's own dry friction r = k q_j + c s(dq_j) in "joint_dry".
+
+    Visible when the arm moves far. Confused with drift where poses are ordered, with payload and base_tilt, and
+    with hysteresis when it rubs.
+    """
+
+    KEY = "cable_drag"
+    form: str
+    channel: str = ""
+    joint: str = ""
+    transition: float = 1.0
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """The spring for wrenches; single channels and joints for wrenches and efforts."""
+        group = scene.observations.predict
+        if group == "wrench" and scene.belief.robot is not None:
+            yield cls("spring")
+            yield cls("pull")
+        if group not in ("wrench", "effort"):
+            return
+        for joint in scene.moved:
+            speed = float(np.nanstd(scene.rates[0][:, scene.joint_index(joint)]))
+            for channel in scene.channels:
+                if group == "effort" and joint_of(channel) != joint:
+                    continue
+                yield cls("joint", channel, joint)
+                if scene.clock and speed > 0.0 and group == "wrench":
+                    yield cls("joint_dry", channel, joint, 0.03 * speed)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Where the arm must move for it to show."""
+        return (self.joint,) if self.joint else ()
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Stiffness, pulls and levers."""
+        if self.form.startswith("joint"):
+            unit = scene.units[scene.channels.index(self.channel)]
+            stiffness = Parameter("stiffness", f"{unit}/(rad or m)")
+            return (stiffness,) if self.form == "joint" else (stiffness, Parameter("dry_friction", unit))
+        pulls = [Parameter(f"pull_{a}", "N") for a in "xyz"]
+        if self.form == "pull":
+            return tuple(pulls + [Parameter(f"torque_{i}{j}", "N m") for i in "xyz" for j in "xyz"])
+        levers = [Parameter(f"torque_{i}{j}", "N m") for i in "xyz" for j in "xyz"]
+        return (
+            Parameter("stiffness", "N/m"),
+            *pulls,
+            *(Parameter(f"stiffness_lever_{a}", "N") for a in "xyz"),
+            *levers,
+        )
+
+    def columns(self, scene: Scene) -> Columns:
+        """Positions of the joint, or pulls along the base's axes seen from the sensor."""
+        if self.form.startswith("joint"):
+            place, joint = scene.channels.index(self.channel), scene.joint_index(self.joint)
+            q = scene.q[:, joint]
+            rubs = [] if self.form == "joint" else [np.tanh(scene.rates[0][:, joint] / self.transition)]
+            return in_channel(place, [q, *rubs])
+        Rt = np.swapaxes(scene.T[:, :3, :3], 1, 2)  # type: ignore[attr-defined]
+        p = np.einsum("nij,nj->ni", Rt, scene.T[:, :3, 3])  # type: ignore[attr-defined]
+        unit_pulls = [Rt[:, :, i] for i in range(3)]
+        lever = [np.cross(np.eye(3)[i], f) for i in range(3) for f in unit_pulls]
+        zero = np.zeros((len(scene), 3))
+        force = [np.concatenate([f, zero], axis=1) for f in unit_pulls]
+        torque = [np.concatenate([zero, t], axis=1) for t in lever]
+        if self.form == "pull":
+            return in_all([*force, *torque], 6)
+        spring = [np.concatenate([-p, zero], axis=1)]
+        spring_lever = [np.concatenate([zero, -np.cross(np.eye(3)[i], p)], axis=1) for i in range(3)]
+        return in_all([*spring, *force, *spring_lever, *torque], 6)

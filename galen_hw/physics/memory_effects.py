@@ -1,0 +1,174 @@
+"""Effects with memory of load or motion: creep, hysteresis and play."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, duration, in_all, in_channel, log_grid
+from galen_hw.physics.scene import Scene
+from galen_hw.physics.time_effects import joint_of
+from galen_hw.spatial import Array
+
+
+@dataclass(frozen=True)
+class Creep(Effect):
+    """Slow settling after a change of load: T dz/dt = x - z; r = a z, one Kelvin element in series with what the model has.
+
+    x is a channel's simulated load (sensor), or the load of a joint (pose: the joint gives by a z). Visible in rests
+    of a few T after a change of load. Confused with lag (short T), compliance (T below the rests) and drift.
+    """
+
+    KEY = "creep"
+    SEARCHED: ClassVar = {"constant": Searched(0.02, 1e4, "s")}
+    NEEDS_CLOCK = True
+    constant: float
+    channel: str = ""
+    joint: str = ""
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Time constants from a fiftieth of a second to a third of the recording."""
+        longest = duration(scene) / 3.0
+        if not scene.clock or longest <= 0.6:
+            return
+        for constant in log_grid(0.5, longest, 7):
+            if scene.observations.predict in ("pose", "targets"):
+                yield from (cls(constant, joint=j) for j in scene.joint_names if scene.load(j) is not None)
+            elif scene.observations.predict in ("wrench", "effort"):
+                spread = np.nanstd(scene.simulated, axis=0)
+                yield from (cls(constant, c) for c, s in zip(scene.channels, spread, strict=True) if s > 0.0)
+            else:
+                yield from (cls(constant, joint=joint_of(name)) for name in scene.channels)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Settled share of the load, or give of the joint."""
+        if self.joint and scene.observations.predict != "position":
+            return (Parameter("compliance", "rad/(N m) or m/N"),)
+        return (Parameter("share", "1"),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """The load's slow part through its port."""
+        if self.channel:
+            place = scene.channels.index(self.channel)
+            x = scene.simulated[:, place : place + 1]
+            return in_channel(place, [(scene.lag("creep", x, self.constant) - x)[:, 0]])
+        port = scene.joint_port(self.joint)
+        load = scene.load(self.joint)
+        assert port is not None, "proposed only where there is a port"
+        if load is None or scene.observations.predict == "position":
+            load = scene.q[:, scene.joint_index(self.joint)]
+        slow = scene.lag("creep", load[:, None], self.constant)
+        return in_all([port * (slow - load[:, None])], len(scene.channels))
+
+
+@dataclass(frozen=True)
+class Hysteresis(Effect):
+    """Rate-independent memory: Prandtl-Ishlinskii, r = sum_i a_i (P_{r_i}[x] - x), P_r the play operator of half width r.
+
+    x is the simulated channel (a sensor's load, a joint's position) or a joint's position or load; widths r_i are shares
+    `widths` of the amplitude `scale`. The same sum is a set of Maxwell slip elements. Visible at reversals; confused
+    with backlash (one width), Coulomb friction (very small widths), and creep.
+    """
+
+    KEY = "hysteresis"
+    channel: str
+    driver: str
+    scale: float
+    widths: tuple[float, ...] = (0.04, 0.12, 0.3, 0.6)
+    linear: bool = False
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Of each channel's own simulated signal; of a joint's motion or load for what that joint carries."""
+        for place, name in enumerate(scene.channels):
+            for driver in _drivers(scene, name):
+                scale = 0.5 * float(np.ptp(_signal(scene, driver)))
+                if scale > 0.0:
+                    yield cls(name, driver, scale)
+                    yield cls(name, driver, scale, (0.12,))
+                    if scene.observations.predict == "effort" and scene.belief.robot is None:
+                        yield cls(name, driver, scale, linear=True)
+            del place
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joint that drives it."""
+        own = joint_of(self.channel)
+        return (self.driver.split(":", 1)[1],) if ":" in self.driver else ((own,) if own else ())
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Weights of the operators."""
+        unit = "1" if self.driver == self.channel else f"{scene.units[scene.channels.index(self.channel)]}/unit"
+        names = [f"weight_{r * self.scale:.4g}" for r in self.widths] + (
+            ["stiffness", "damping"] if self.linear else []
+        )
+        return tuple(Parameter(name, unit) for name in names)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Play less input, one column a width."""
+        x = _signal(scene, self.driver)[:, None]
+        r = np.asarray(self.widths) * self.scale
+        wide = np.repeat(x, len(r), axis=1)
+        out = list((scene.play("hysteresis", wide, r) - wide).T)
+        if self.linear:
+            joint = scene.joint_index(self.driver.split(":", 1)[1])
+            out += [x[:, 0], scene.rates[0][:, joint]]
+        return in_channel(scene.channels.index(self.channel), out)
+
+
+def _drivers(scene: Scene, channel: str) -> list[str]:
+    group, place = scene.observations.predict, scene.channels.index(channel)
+    if group == "effort":
+        return [f"joint:{joint_of(channel)}"] if joint_of(channel) in scene.moved else []
+    own = [channel] if np.nanstd(scene.simulated[:, place]) > 0.0 else []
+    if group in ("pose", "targets"):
+        loads = [f"load:{j}" for j in scene.joint_names if scene.load(j) is not None]
+        return [*(f"joint:{j}" for j in scene.moved), *loads]
+    return own + ([f"joint:{j}" for j in scene.moved] if group == "wrench" else [])
+
+
+def _signal(scene: Scene, driver: str) -> Array:
+    kind, _, joint = driver.partition(":")
+    if kind == "joint":
+        return np.asarray(scene.q[:, scene.joint_index(joint)])
+    if kind == "load":
+        load = scene.load(joint)
+        return np.zeros(len(scene)) if load is None else load
+    return np.asarray(scene.simulated[:, scene.channels.index(driver)])
+
+
+@dataclass(frozen=True)
+class Backlash(Effect):
+    """Play: the joint's far side rests until the near side has crossed a dead band, q' = P_r[q].
+
+    Half width r; the parameter is the share of it that is seen (1 for plain play). Visible at reversals as a shift
+    of fixed width that does not depend on amplitude. Confused with hysteresis (of which it is one element), with Coulomb
+    friction of a servo, and with joint_offset where a joint turns only once.
+    """
+
+    KEY = "backlash"
+    SEARCHED: ClassVar = {"half_width": Searched(1e-7, 10.0, "rad or m")}
+    joint: str
+    half_width: float
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Half widths from a two-hundredth of the joint's range to most of it."""
+        for joint in scene.moved:
+            if scene.joint_port(joint) is None:
+                continue
+            half_range = 0.5 * float(np.ptp(scene.q[:, scene.joint_index(joint)]))
+            yield from (cls(joint, r) for r in log_grid(half_range * 0.005, half_range * 0.7, 8))
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """The share of the play."""
+        return (Parameter("share", "1", 0.0, expected=1.0),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """The lost motion through the joint's port."""
+        port = scene.joint_port(self.joint)
+        assert port is not None, "proposed only where there is a port"
+        x = scene.q[:, [scene.joint_index(self.joint)]]
+        return in_all([port * (scene.play("play", x, self.half_width) - x)], len(scene.channels))

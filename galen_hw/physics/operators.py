@@ -1,0 +1,82 @@
+"""Operators with memory: the same code over a batch of rows and over one row after the other.
+
+Each takes the state that the last row left behind (None at a start) and returns its output and the new state, so that
+a batch cut anywhere gives the same numbers.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from galen_hw.spatial import Array
+
+
+def play(x: Array, half_width: Array, state: Array | None) -> tuple[Array, Array]:
+    """Play (backlash) operator: the output rests until the input has crossed the band of +- half_width.
+
+    p_k = min(max(p_{k-1}, x_k - r), x_k + r). Source: Brokate and Sprekels, Hysteresis and Phase Transitions, ch. 2.
+
+    Args:
+        x: (N, m) inputs.
+        half_width: (m,) r >= 0 in the unit of x.
+        state: (m,) last output; None: the output starts at the first input.
+    """
+    low, high = x - half_width, x + half_width
+    p = x[0].copy() if state is None else state
+    out = np.empty_like(x)
+    for k in range(len(x)):
+        p = np.minimum(np.maximum(p, low[k]), high[k])
+        out[k] = p
+    return out, p
+
+
+@dataclass(frozen=True)
+class LagState:
+    """Last time (s) and last output of a first-order lag."""
+
+    time: float
+    output: Array
+
+
+def lag(time: Array, x: Array, constant: Array, state: LagState | None) -> tuple[Array, LagState]:
+    """First-order lag, exact for inputs held over each step: y += (1 - exp(-dt / T)) (x - y).
+
+    Args:
+        time: (N,) s.
+        x: (N, m) inputs.
+        constant: (m,) time constants T, s.
+        state: what the last row left; None: the output starts at the first input.
+    """
+    before = time[0] if state is None else state.time
+    steps = np.diff(np.concatenate([[before], time]))
+    share = -np.expm1(-np.maximum(steps, 0.0)[:, None] / constant)
+    y = x[0].copy() if state is None else state.output
+    out = np.empty_like(x)
+    for k in range(len(x)):
+        y = y + share[k] * (x[k] - y)
+        out[k] = y
+    return out, LagState(float(time[-1]), y)
+
+
+@dataclass(frozen=True)
+class DelayState:
+    """Past times (s) and rows that a pure delay still needs."""
+
+    time: Array
+    rows: Array
+
+
+def delay(time: Array, x: Array, seconds: float, state: DelayState | None) -> tuple[Array, DelayState]:
+    """Pure delay by linear interpolation of the past; before the first row the first row stands.
+
+    Args:
+        time: (N,) s, rising.
+        x: (N, m) inputs.
+        seconds: >= 0 for a stream; a batch may look ahead (negative) inside its rows.
+        state: what the last rows left.
+    """
+    t = time if state is None else np.concatenate([state.time, time])
+    rows = x if state is None else np.concatenate([state.rows, x])
+    out = np.stack([np.interp(time - seconds, t, rows[:, j]) for j in range(x.shape[1])], axis=-1)
+    keep = max(int(np.searchsorted(t, t[-1] - max(seconds, 0.0), side="right")) - 2, 0)
+    return out, DelayState(t[keep:], rows[keep:])

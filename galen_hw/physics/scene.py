@@ -1,0 +1,235 @@
+"""A scene: one recording made ready for the effects: what was measured, what was simulated, and the ports of physics.
+
+A port says how the compared channels answer to a small cause: a joint's position, gravity, a body's mass, a turned frame.
+An effect is then the same few lines whichever group is compared, and does nothing where its port is not there.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, wraps
+from typing import Any, TypeVar
+
+import numpy as np
+
+from galen_hw.physics.observations import Belief, Observations
+from galen_hw.physics.operators import delay, lag, play
+from galen_hw.physics.smoothing import derivatives
+from galen_hw.spatial import Array
+
+Memory = dict[Any, Any]
+"""What operators remember from row to row, by the name of their place in the effect."""
+
+
+@dataclass(frozen=True)
+class Port:
+    """The answer (N, C) of all channels to one small cause, with its name and unit."""
+
+    name: str
+    unit: str
+    values: Array
+    joint: str = ""
+
+
+BANDS = (40.0, 20.0, 10.0, 5.0, 2.5)
+"""Low-passes in Hz that are tried on noisy motion."""
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def once(method: F) -> F:
+    """Computed once an instance and argument: ports are asked for by many effects."""
+
+    @wraps(method)
+    def held(self: Any, *args: Any) -> Any:
+        known = self.__dict__.setdefault("_once", {})
+        key = (method.__qualname__, *args)
+        if key not in known:
+            known[key] = method(self, *args)
+        return known[key]
+
+    return held  # type: ignore[return-value]
+
+
+class Scene:
+    """What is common to all groups; the channels and ports come from its subclasses.
+
+    Args:
+        observations: the recording or one live sample.
+        rates: joint velocities and accelerations (N, n) where they are known better than by differentiating.
+        memory: states of the operators; None for a batch, which starts afresh in every segment.
+    """
+
+    channels: tuple[str, ...] = ()
+    rotational: tuple[bool, ...] = ()
+    units: tuple[str, ...] = ()
+
+    def __init__(
+        self, observations: Observations, rates: tuple[Array, Array] | None = None, memory: Memory | None = None
+    ) -> None:
+        self.observations, self._rates, self.memory = observations, rates, memory
+        self.belief: Belief = observations.belief
+        self.segments = observations.segments
+        self.joint_names = observations.joint_names
+        time = observations.time
+        self.clock = time is not None
+        self.time: Array = np.arange(len(observations), dtype=float) if time is None else np.asarray(time)
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.observations)
+
+    @cached_property
+    def measured(self) -> Array:
+        """(N, C) of the compared group as recorded."""
+        return self.observations.matrix(*self.channels)
+
+    @cached_property
+    def simulated(self) -> Array:
+        """(N, C) of the compared group as the baseline has it."""
+        given = self.observations.simulation
+        if given is not None:
+            missing = np.full(len(self), np.nan)
+            return np.stack([np.asarray(given.get(name, missing)) for name in self.channels], axis=-1)
+        return self._simulate()
+
+    def _simulate(self) -> Array:
+        raise AssertionError("a scene without its own simulation needs a given one")
+
+    @property
+    def residual(self) -> Array:
+        """(N, C) recorded minus simulated."""
+        return self.measured - self.simulated
+
+    @cached_property
+    def q(self) -> Array:
+        """(N, n) joint positions that drive the effects."""
+        return self.observations.joints("position")
+
+    @cached_property
+    def rates(self) -> tuple[Array, Array]:
+        """dq, ddq (N, n); zeros without a clock."""
+        if self._rates is not None:
+            return self._rates
+        if not self.clock or not self.joint_names:
+            return np.zeros_like(self.q), np.zeros_like(self.q)
+        return self._derivatives(self._best_band())
+
+    def _derivatives(self, band: float | None) -> tuple[Array, Array]:
+        velocity = self.observations.joints("velocity") if self.observations.predict != "position" else None
+        return derivatives(self.time, self.q, self.segments, velocity, band)
+
+    def _best_band(self) -> float | None:
+        """Of the low-passes (Hz) of the motion the one whose simulation meets the recording best; None: by the motion alone.
+
+        A low-pass without phase can neither hide nor fake a delay; noise of measured motion that is differentiated
+        would otherwise pass for forces.
+        """
+        if self.observations.simulation is not None or not self._uses_rates():
+            return None
+        step = float(np.median(np.diff(self.time)))
+        bands = [None, *(b for b in BANDS if b < 0.25 / step)]
+        middle = max(self.segments, key=lambda part: part.stop - part.start)
+        rows = slice(middle.start, min(middle.stop, middle.start + 8000))
+        part = type(self)(self.observations.taken(rows))
+        errors = [part.error_with(band) for band in bands]
+        best = int(np.argmin(errors))
+        return bands[best] if errors[best] < errors[0] - 0.05 else None
+
+    def _uses_rates(self) -> bool:
+        """Whether the baseline differentiates the motion."""
+        return False
+
+    def error_with(self, band: float | None) -> float:
+        """Mean log rms of recorded minus simulated and of its changes from row to row, when the motion is low-passed at `band` Hz."""
+        scene = type(self)(self.observations, rates=self._derivatives(band))
+        rest = scene.measured - scene.simulated
+        rest = rest[len(rest) // 20 : -max(len(rest) // 20, 1)]
+        quick = np.diff(rest, axis=0)
+        return float(np.mean(np.log(np.nanstd(rest, axis=0) + 1e-300) + np.log(np.nanstd(quick, axis=0) + 1e-300)))
+
+    @cached_property
+    def simulated_rate(self) -> Array:
+        """(N, C) time derivative of the simulated channels."""
+        return derivatives(self.time, self.simulated, self.segments)[0]
+
+    def joint_index(self, name: str) -> int:
+        """Place of a joint."""
+        return self.joint_names.index(name)
+
+    @cached_property
+    def moved(self) -> tuple[str, ...]:
+        """Joints whose position is known and changes."""
+        spread = np.ptp(self.q, axis=0) if self.q.size else np.zeros(len(self.joint_names))
+        return tuple(name for name, d in zip(self.joint_names, spread, strict=True) if np.isfinite(d) and d > 1e-6)
+
+    # -- ports: None where the physics cannot show in this group or recording ------------------------------------------
+
+    def joint_port(self, joint: str) -> Array | None:
+        """(N, C) answer to an error of a joint's position, per rad or m."""
+        return None
+
+    def gravity_port(self) -> Array | None:
+        """(N, C, 3) answer to gravity in the base, per m/s^2."""
+        return None
+
+    def body_port(self) -> Array | None:
+        """(N, C, 10) answer to a body on the sensor or tip: m, m c (3), inertia xx xy yy xz yz zz about its origin."""
+        return None
+
+    def inertial_port(self) -> Array | None:
+        """(N, C) what the known bodies' inertia adds, where the baseline holds weight alone."""
+        return None
+
+    def load(self, joint: str) -> Array | None:
+        """(N,) force or torque that bends a joint, N or N m."""
+        return None
+
+    def geometry_ports(self) -> list[Port]:
+        """Small errors of links and axes."""
+        return []
+
+    def screw_port(self, screws: list[Array]) -> Array | None:
+        """(N, C) answer to the sensor's frame moved by exp(s_1) exp(s_2) ..., screws [v, w] (N, 6) in the base, exactly."""
+        return None
+
+    def tip_force_port(self) -> Array | None:
+        """(N, C, 3) answer to an outside force on the tip, base frame, per N."""
+        return None
+
+    def nuisances(self) -> list[Array]:
+        """Columns (N, C) that the baseline fits before it is compared (a tracker's frame), constants apart."""
+        return []
+
+    # -- operators ----------------------------------------------------------------------------------------------------
+
+    def _carried(self, name: Any, x: Array, run: Callable[[slice, Any], tuple[Array, Any]]) -> Array:
+        if self.memory is not None:
+            out, self.memory[name] = run(slice(None), self.memory.get(name))
+            return out
+        out = np.empty_like(x)
+        for part in self.segments:
+            out[part] = run(part, None)[0]
+        return out
+
+    def play(self, name: Any, x: Array, half_width: Any) -> Array:
+        """Play of (N, m) inputs, carried along the rows, see `operators.play`."""
+        r = np.broadcast_to(np.asarray(half_width, dtype=float), x.shape[1:])
+        return self._carried(name, x, lambda part, state: play(x[part], r, state))
+
+    def lag(self, name: Any, x: Array, constant: Any) -> Array:
+        """First-order lag of (N, m) inputs over the clock, see `operators.lag`."""
+        c = np.broadcast_to(np.asarray(constant, dtype=float), x.shape[1:])
+        return self._carried(name, x, lambda part, state: lag(self.time[part], x[part], c, state))
+
+    def delay(self, name: Any, x: Array, seconds: float) -> Array:
+        """(N, m) inputs delayed by seconds, see `operators.delay`."""
+        return self._carried(name, x, lambda part, state: delay(self.time[part], x[part], seconds, state))
+
+
+def kind_of(name: str) -> str:
+    """The unit of a channel."""
+    if name.startswith("wrench.force"):
+        return "N"
+    if name.startswith("wrench.torque"):
+        return "N m"
+    return "m" if "position" in name and not name.startswith("joint.") else "rad"

@@ -1,0 +1,196 @@
+"""Efforts and positions of joints."""
+
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from galen_hw.errors import UsageError
+from galen_hw.kinematics import UrdfRobot
+from galen_hw.physics.scene import Scene, once
+from galen_hw.spatial import Array
+
+COARSE = 4000
+"""Ports of a URDF are smooth along the motion: they are evaluated on about so many rows and interpolated."""
+
+
+class JointScene(Scene):
+    """What efforts and positions share: one channel a joint."""
+
+    kind = "effort"
+
+    @cached_property
+    def channels(self) -> tuple[str, ...]:  # type: ignore[override]
+        """joint.NAME.effort or .position of the joints that have it, measured and simulated."""
+        given, columns = self.observations.simulation, self.observations.columns
+        names = (f"joint.{joint}.{self.kind}" for joint in self.joint_names)
+        return tuple(name for name in names if name in columns and (given is None or name in given))
+
+    @property
+    def units(self) -> tuple[str, ...]:  # type: ignore[override]
+        """N m or rad; N or m for a prismatic joint of a URDF."""
+        turn, slide = ("N m", "N") if self.kind == "effort" else ("rad", "m")
+        return tuple(slide if self._prismatic(name) else turn for name in self.channels)
+
+    def _prismatic(self, channel: str) -> bool:
+        robot = self.belief.robot
+        if not isinstance(robot, UrdfRobot):
+            return channel.startswith("joint.carriage")
+        model = robot.model.joints[self.joint_index(channel.split(".", 1)[1].rsplit(".", 1)[0]) + 1]
+        return bool(model.shortname().startswith("JointModelP"))
+
+    def channel_of(self, joint: str) -> int | None:
+        """Place of a joint's channel; None where it is not compared."""
+        name = f"joint.{joint}.{self.kind}"
+        return self.channels.index(name) if name in self.channels else None
+
+    def only(self, joint: str, values: Array) -> Array | None:
+        """(N, C) with values (N,) in the joint's channel."""
+        place = self.channel_of(joint)
+        if place is None:
+            return None
+        out = np.zeros((len(self), len(self.channels)))
+        out[:, place] = values
+        return out
+
+    def _urdf(self) -> UrdfRobot | None:
+        robot = self.belief.robot
+        known = isinstance(robot, UrdfRobot) and np.isfinite(self.q).all()
+        return robot if known and isinstance(robot, UrdfRobot) else None
+
+    def _along(self, values: Array) -> Array:
+        """Columns of compared joints, coarse rows brought to all rows."""
+        order = [self.joint_index(name.split(".", 1)[1].rsplit(".", 1)[0]) for name in self.channels]
+        return np.asarray(values[:, order])
+
+    @once
+    def weight_torque(self) -> Array | None:
+        """(N, n) efforts that hold the robot's weight; None without a URDF."""
+        robot = self._urdf()
+        if robot is None:
+            return None
+        zero = np.zeros_like(self.q)
+        return self._coarse(lambda rows: robot.inverse_dynamics(self.q[rows], zero[rows], zero[rows]))
+
+    def _coarse(self, run) -> Array:  # type: ignore[no-untyped-def]
+        """run(rows) -> (M, ...) on an even choice of rows, cubic in between; exact where there are few."""
+        n = len(self)
+        if n <= COARSE or len(self.segments) > 1:
+            return np.asarray(run(np.arange(n)))
+        rows = np.unique(np.linspace(0, n - 1, COARSE).astype(int))
+        return np.asarray(CubicSpline(rows, run(rows), axis=0)(np.arange(n)))
+
+
+class EffortScene(JointScene):
+    """Compared: joint.NAME.effort against the rigid robot's inverse dynamics, or a given simulation."""
+
+    def _simulate(self) -> Array:
+        robot = self._urdf()
+        if robot is None:
+            raise UsageError(
+                "efforts cannot be simulated without a URDF", where="recording.json: robot", todo="name a URDF"
+            )
+        dq, ddq = self.rates
+        zero = np.zeros_like(dq)
+        return self._along(robot.inverse_dynamics(self.q, *((dq, ddq) if self.belief.dynamic else (zero, zero))))
+
+    def _uses_rates(self) -> bool:
+        return self.belief.dynamic
+
+    @once
+    def joint_port(self, joint: str) -> Array | None:
+        """Change of all efforts with a joint's position (central difference)."""
+        robot = self._urdf()
+        if robot is None:
+            return None
+        step = np.zeros(self.q.shape[1])
+        step[self.joint_index(joint)] = 1e-4
+        dq, ddq = self.rates
+
+        def run(rows: Array) -> Array:
+            up, down = (robot.inverse_dynamics(self.q[rows] + s * step, dq[rows], ddq[rows]) for s in (1.0, -1.0))
+            return np.asarray((up - down) / 2e-4)
+
+        return self._along(self._coarse(run))
+
+    @once
+    def gravity_port(self) -> Array | None:
+        """Efforts per unit of gravity along x, y, z of the base."""
+        robot = self._urdf()
+        if robot is None:
+            return None
+        zero = np.zeros_like(self.q)
+        before = robot.model.gravity.linear.copy()
+        try:
+            parts = []
+            for unit in np.eye(3):
+                robot.model.gravity.linear = unit
+                parts.append(self._coarse(lambda rows: robot.inverse_dynamics(self.q[rows], zero[rows], zero[rows])))
+        finally:
+            robot.model.gravity.linear = before
+        return np.stack([self._along(part) for part in parts], axis=-1)
+
+    @once
+    def body_port(self) -> Array | None:
+        """Efforts per inertial parameter of the last link (pinocchio's order)."""
+        robot = self._urdf()
+        if robot is None:
+            return None
+        dq, ddq = self.rates
+        full = self._coarse(lambda rows: robot.dynamics_regressor(self.q[rows], dq[rows], ddq[rows])[:, :, -10:])
+        return self._along(full)
+
+    @once
+    def inertial_port(self) -> Array | None:
+        """Inverse dynamics less weight, where the baseline holds weight alone."""
+        robot = self._urdf()
+        if robot is None or self.belief.dynamic:
+            return None
+        return self._along(robot.inverse_dynamics(self.q, *self.rates)) - self.simulated
+
+    @once
+    def load(self, joint: str) -> Array | None:
+        """The simulated effort itself."""
+        place = self.channel_of(joint)
+        return None if place is None else self.simulated[:, place]
+
+
+class PositionScene(JointScene):
+    """Compared: joint.NAME.position against a given simulation, or else against the command.
+
+    The effects are driven by what was commanded or simulated: `q` and `rates` are those.
+    """
+
+    kind = "position"
+
+    def _simulate(self) -> Array:
+        commands = [name.removesuffix("position") + "command" for name in self.channels]
+        if not all(name in self.observations.columns for name in commands):
+            raise UsageError(
+                "there is neither a command nor a simulation to compare positions with",
+                where="recording",
+                todo="add joint.*.command or --simulation",
+            )
+        return self.observations.matrix(*commands)
+
+    @cached_property
+    def q(self) -> Array:
+        """(N, n) simulated positions; measured ones for joints that are not compared."""
+        out = self.observations.joints("position")
+        for place, name in enumerate(self.channels):
+            out[:, self.joint_index(name.split(".", 1)[1].rsplit(".", 1)[0])] = self.simulated[:, place]
+        return out
+
+    @once
+    def joint_port(self, joint: str) -> Array | None:
+        """One in the joint's own channel."""
+        return self.only(joint, np.ones(len(self)))
+
+    @once
+    def load(self, joint: str) -> Array | None:
+        """Effort with a sign, as measured; else the torque of the URDF's weight; else None."""
+        effort = self.observations.columns.get(f"joint.{joint}.effort")
+        if effort is not None and np.isfinite(effort).all() and np.min(effort) < 0.0 < np.max(effort):
+            return np.asarray(effort)
+        weight = self.weight_torque()
+        return None if weight is None else weight[:, self.joint_index(joint)]

@@ -1,0 +1,146 @@
+"""The wrench of a force/torque sensor: what hangs on it, in the sensor frame."""
+
+from functools import cached_property
+
+import numpy as np
+
+from galen_hw.kinematics import Motion
+from galen_hw.physics.rigid import gravity_in_sensor, inertial_wrench, predicted_wrench, weight_map
+from galen_hw.physics.scene import Port, Scene, once
+from galen_hw.physics.screws import axis_screws, joint_screws
+from galen_hw.spatial import Array, rotation_exp, rotation_from_quaternion, skew, transform
+
+WRENCH = tuple(f"wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz")
+ORIENTATION = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
+
+
+class WrenchScene(Scene):
+    """Compared: wrench.force and wrench.torque (N, 6)."""
+
+    channels = WRENCH
+    units = ("N",) * 3 + ("N m",) * 3
+
+    @cached_property
+    def T(self) -> Array:
+        """(N, 4, 4) sensor pose in the base; without joints the origin is left at zero."""
+        robot = self.belief.robot
+        if robot is not None and np.isfinite(self.q).all():
+            return robot.sensor_pose(self.q)
+        return transform(rotation_from_quaternion(self.observations.matrix(*ORIENTATION)), np.zeros(3))
+
+    @property
+    def R(self) -> Array:
+        """(N, 3, 3) sensor to base."""
+        return np.asarray(self.T[:, :3, :3])
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Of the sensor; at rest without a clock or joints."""
+        robot, zeros = self.belief.robot, np.zeros((len(self), 3))
+        if robot is None or not self.joint_names or not np.isfinite(self.q).all():
+            return Motion(self.T, zeros, zeros, zeros)
+        return robot.sensor_motion(self.q, *self.rates)
+
+    def _simulate(self) -> Array:
+        b = self.belief
+        static = predicted_wrench(
+            self.R, b.tool, bias_body=b.bias_body, zeroed_rotation=b.zeroed_rotation, gravity=b.gravity
+        )
+        return static + self._inertia if b.dynamic else static
+
+    def _uses_rates(self) -> bool:
+        return self.belief.dynamic and bool(self.belief.tool.mass)
+
+    @property
+    def _bodies(self) -> list:  # type: ignore[type-arg]
+        return [body for body in (self.belief.tool, self.belief.bias_body) if body is not None]
+
+    @cached_property
+    def _inertia(self) -> Array:
+        return inertial_wrench(self.motion, *self._bodies)
+
+    @once
+    def inertial_port(self) -> Array | None:
+        """What acceleration adds."""
+        return None if self.belief.dynamic or not np.any(self._inertia) else self._inertia
+
+    @cached_property
+    def weight(self) -> Array:
+        """(6, 3): reading at rest per gravity in the sensor frame."""
+        return weight_map(*self._bodies)
+
+    @once
+    def gravity_port(self) -> Array | None:
+        """R^T on gravity, less the same at the zeroing pose for the bias body."""
+        port = self.weight @ np.swapaxes(self.R, 1, 2)
+        zeroed, body = self.belief.zeroed_rotation, self.belief.bias_body
+        if zeroed is not None and body is not None:
+            port = port - weight_map(body) @ zeroed.T
+        return np.asarray(port)
+
+    @once
+    def body_port(self) -> Array | None:
+        """Newton and Euler, linear in m, m c and the inertia about the sensor's origin."""
+        Rt = np.swapaxes(self.R, 1, 2)
+        a, w, alpha = (
+            np.einsum("nij,nj->ni", Rt, v) for v in (self.motion.acceleration, self.motion.omega, self.motion.alpha)
+        )
+        s = gravity_in_sensor(self.R, self.belief.gravity) - a
+        out = np.zeros((len(self), 6, 10))
+        out[:, :3, 0] = s
+        out[:, :3, 1:4] = -skew(alpha) - skew(w) @ skew(w)
+        out[:, 3:, 1:4] = -skew(s)
+        out[:, 3:, 4:] = -_inertia_map(alpha) - skew(w) @ _inertia_map(w)
+        return out
+
+    @once
+    def joint_port(self, joint: str) -> Array | None:
+        """The sensor turned about the joint's axis."""
+        screws = joint_screws(self, joint)
+        return None if screws is None else self._turned(screws[:, 3:])
+
+    def _turned(self, phi: Array) -> Array:
+        """Change (N, 6) of the reading for a small rotation phi (N, 3) of the sensor, base coordinates."""
+        turned = np.cross(np.broadcast_to(self.belief.gravity, phi.shape), phi)
+        return np.asarray(np.einsum("nji,nj->ni", self.R, turned) @ self.weight.T)
+
+    def screw_port(self, screws: list[Array]) -> Array | None:
+        """Exactly, gravity alone: s' = R^T Q^T g."""
+        g = np.broadcast_to(self.belief.gravity, (len(self), 3))
+        turned = g
+        for screw in screws:
+            turned = np.einsum("nji,nj->ni", rotation_exp(screw[:, 3:]), turned)
+        return np.asarray(np.einsum("nji,nj->ni", self.R, turned - g) @ self.weight.T)
+
+    @once
+    def geometry_ports(self) -> list[Port]:
+        """Axes that do not point where the model says."""
+        tilts = [found for found in axis_screws(self) if "tilt." in found[0]]
+        return [Port(name, "rad", self._turned(sum(s[:, 3:] for s in screws)), joint) for name, joint, screws in tilts]
+
+    @once
+    def load(self, joint: str) -> Array | None:
+        """Torque of the known weights about the joint."""
+        screws = joint_screws(self, joint)
+        if screws is None:
+            return None
+        at_sensor = self.simulated
+        force = np.einsum("nij,nj->ni", self.R, at_sensor[:, :3])
+        torque = np.einsum("nij,nj->ni", self.R, at_sensor[:, 3:]) + np.cross(self.T[:, :3, 3], force)
+        return np.asarray(np.sum(screws[:, :3] * force + screws[:, 3:] * torque, axis=1))
+
+    @once
+    def tip_force_port(self) -> Array | None:
+        """R^T on the force, tip x R^T on the torque."""
+        Rt = np.swapaxes(self.R, 1, 2)
+        return np.concatenate([Rt, skew(self.belief.tip) @ Rt], axis=1)
+
+
+def _inertia_map(w: Array) -> Array:
+    """L(w) (N, 3, 6) with I w = L [xx xy yy xz yz zz]."""
+    out = np.zeros((len(w), 3, 6))
+    x, y, z = w.T
+    out[:, 0, 0], out[:, 0, 1], out[:, 0, 3] = x, y, z
+    out[:, 1, 1], out[:, 1, 2], out[:, 1, 4] = x, y, z
+    out[:, 2, 3], out[:, 2, 4], out[:, 2, 5] = x, y, z
+    return out

@@ -1,0 +1,235 @@
+"""Effects of a sensor's channels: offset, drift, temperature, scale, leaks and clipping."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, duration, in_channel, log_grid, unit_of
+from galen_hw.physics.scene import Scene
+from galen_hw.spatial import Array
+
+
+@dataclass(frozen=True)
+class Bias(Effect):
+    """A constant offset: r = b.
+
+    Visible where the baseline does not fit offsets anyway. Confused with joint_offset (position), payload and base_tilt
+    where the poses hardly differ.
+    """
+
+    KEY = "bias"
+    channel: str
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """One a channel, unless offsets are free."""
+        if not scene.belief.bias_free:
+            yield from (cls(name) for name in scene.channels)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """The offset."""
+        return (Parameter("offset", unit_of(scene, self.channel)),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Ones."""
+        return in_channel(scene.channels.index(self.channel), [np.ones(len(scene))])
+
+
+@dataclass(frozen=True)
+class Drift(Effect):
+    """The offset moves slowly: straight, r = a t / D; warm-up, r = a (1 - exp(-t / T)); wander, a few half cosines over D.
+
+    D is the length of the recording. Visible in any recording longer than the drift. Confused with temperature where none
+    was measured, with gravity where the poses are ordered, and with the slow end of coloured noise.
+    """
+
+    KEY = "drift"
+    SEARCHED: ClassVar = {"constant": Searched(1e-2, 1e6, "s")}
+    EPISODIC = True
+    channel: str
+    form: str = "linear"
+    constant: float | None = None
+    start: float = 0.0
+    length: float = 1.0
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Straight, warm-up and wander in every channel; over the row number where there is no clock."""
+        start, length = float(scene.time[0]), duration(scene)
+        if length <= 0.0 or len(scene) < 12:
+            return
+        for name in scene.channels:
+            yield cls(name, "linear", None, start, length)
+            for constant in log_grid(length / 30.0, length / 1.5, 5):
+                yield cls(name, "warm_up", constant, start, length)
+            yield cls(name, "wander", None, start, length)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Amplitudes over the whole recording."""
+        unit = unit_of(scene, self.channel)
+        if self.form == "wander":
+            return tuple(Parameter(f"cosine_{k}", unit) for k in range(1, 6))
+        return (Parameter("amplitude" if self.form == "warm_up" else "change", unit),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """By the clock, or by the row number without one."""
+        t = scene.time - self.start
+        channel = scene.channels.index(self.channel)
+        if self.form == "wander":
+            return in_channel(channel, [np.cos(np.pi * k * t / self.length) for k in range(1, 6)])
+        if self.constant is not None:
+            return in_channel(channel, [-np.expm1(-np.maximum(t, 0.0) / self.constant)])
+        return in_channel(channel, [t / self.length])
+
+
+@dataclass(frozen=True)
+class Temperature(Effect):
+    """The offset follows a measured temperature: r = k (T - T0), T0 the first one.
+
+    Visible where the temperature changes and not only with time. Confused with drift.
+    """
+
+    KEY = "temperature"
+    channel: str
+    place: str
+    reference: float = 0.0
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Every channel with every thermometer that moves."""
+        for name, values in scene.observations.columns.items():
+            if name.startswith("temperature.") and np.isfinite(values).all() and np.ptp(values) > 1e-6:
+                yield from (cls(channel, name, float(values[0])) for channel in scene.channels)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Offset per kelvin."""
+        return (Parameter("coefficient", f"{unit_of(scene, self.channel)}/K"),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Measured temperature less the reference."""
+        values = np.asarray(scene.observations.columns[self.place])
+        return in_channel(scene.channels.index(self.channel), [values - self.reference])
+
+
+@dataclass(frozen=True)
+class Gain(Effect):
+    """One channel's scale is off: r = g w, w what is simulated in that channel.
+
+    Visible where the channel's signal varies. Confused with payload (all channels by one factor), joint_scale (position).
+    """
+
+    KEY = "gain"
+    channel: str
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Every channel that varies; joint positions have `joint_scale` for it."""
+        if scene.observations.predict == "position":
+            return
+        spread = np.nanstd(scene.simulated, axis=0)
+        yield from (cls(name) for name, s in zip(scene.channels, spread, strict=True) if s > 0.0)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Relative error of the scale."""
+        return (Parameter("gain_error", "1"),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """The simulated channel."""
+        place = scene.channels.index(self.channel)
+        return in_channel(place, [scene.simulated[:, place]])
+
+
+@dataclass(frozen=True)
+class CrossTalk(Effect):
+    """One channel leaks into another: r_a = k w_b, an off-diagonal term of the calibration matrix.
+
+    Visible where b varies otherwise than a. Confused with sensor_mounting (a skew matrix) and payload.
+    """
+
+    KEY = "cross_talk"
+    channel: str
+    source: str
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Every ordered pair of channels of a wrench or of joint efforts."""
+        if scene.observations.predict not in ("wrench", "effort"):
+            return
+        spread = np.nanstd(scene.simulated, axis=0)
+        for a in scene.channels:
+            for b, s in zip(scene.channels, spread, strict=True):
+                if a != b and s > 0.0:
+                    yield cls(a, b)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """The share that leaks."""
+        a, b = unit_of(scene, self.channel), unit_of(scene, self.source)
+        return (Parameter("leak", "1" if a == b else f"{a}/({b})"),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """The other channel as simulated."""
+        source = scene.simulated[:, scene.channels.index(self.source)]
+        return in_channel(scene.channels.index(self.channel), [source])
+
+
+@dataclass(frozen=True)
+class Saturation(Effect):
+    """Readings clip: y = min(w, L) or max(w, L); the parameter is the share of the clipping that is seen (1 when it clips).
+
+    Visible where the simulated channel goes beyond what was ever read. Confused with gain and hardening.
+    """
+
+    KEY = "saturation"
+    SEARCHED: ClassVar = {}
+    channel: str
+    limit: float
+    upper: bool
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """At the most extreme readings, where rows pile up there."""
+        if scene.observations.predict == "targets":
+            return
+        for place, name in enumerate(scene.channels):
+            y = scene.measured[:, place]
+            y = y[np.isfinite(y)]
+            for upper in (True, False):
+                limit = clipping_level(y if upper else -y)
+                if limit is not None:
+                    yield cls(name, limit if upper else -limit, upper)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """The share of the clipping."""
+        return (Parameter("share", "1", 0.0, expected=1.0),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """How far the simulated channel goes beyond the limit, with the sign that takes it back."""
+        place = scene.channels.index(self.channel)
+        over = scene.simulated[:, place] - self.limit
+        return in_channel(place, [-np.maximum(over, 0.0) if self.upper else -np.minimum(over, 0.0)])
+
+
+def clipping_level(y: Array) -> float | None:
+    """The limit at the upper end of readings (N,) if they pile up there, else None.
+
+    A pile: the topmost narrow bin holds far more rows than the one below it; noise may lie on top of the limit.
+    """
+    if len(y) < 30 or np.ptp(y) == 0.0:
+        return None
+    top, span = float(np.max(y)), float(np.ptp(y))
+    at_top = int(np.sum(y >= top - 1e-9 * span - 1e-12))
+    if at_top >= max(5, 0.002 * len(y)) and np.sum(y >= top - 0.02 * span) < 3 * at_top:
+        return top
+    width = 0.04 * span
+    counts = np.histogram(y, bins=np.arange(top - 6 * width, top + width / 2, width))[0][::-1]
+    peak = int(np.argmax(counts[:3])) if len(counts) >= 5 else 0
+    if (
+        len(counts) < 5
+        or counts[peak] < max(8, 0.02 * len(y))
+        or counts[peak] < 2.5 * max(counts[peak + 1 : peak + 3].max(), 1)
+    ):
+        return None
+    near = y[(y > top - (peak + 1) * width - width / 2)]
+    return float(np.median(near))

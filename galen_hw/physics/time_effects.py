@@ -1,0 +1,105 @@
+"""Effects of the clock: one stream late against the other, and slow filters."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, log_grid, spacing
+from galen_hw.physics.scene import Scene
+from galen_hw.spatial import Array
+
+
+@dataclass(frozen=True)
+class TimeDelay(Effect):
+    """One stream is late: y(t) = w(t - d), one number for all channels; its slope at zero is -dw/dt.
+
+    `joint` restricts it to one joint's reading. Visible where the channels move. Confused with lag (the same to first order),
+    with viscous friction and compliance where load follows speed.
+    """
+
+    KEY = "time_delay"
+    NEEDS_CLOCK = True
+    TIMING = True
+    joint: str = ""
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """One for the stream; for joints' own readings one a joint too."""
+        if not scene.clock or not np.any(scene.simulated_rate):
+            return
+        yield cls()
+        if scene.observations.predict == "position" and len(scene.channels) > 1:
+            yield from (cls(joint_of(name)) for name in scene.channels)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """The delay, positive when the recording is late against the simulation."""
+        return (Parameter("delay", "s"),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Minus the simulated rate."""
+        return in_all([-self._mine(scene, scene.simulated_rate)], len(scene.channels))
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """The simulated channels shifted, less themselves."""
+        return self._mine(scene, self.retimed(scene, scene.simulated, theta) - scene.simulated)
+
+    def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
+        """(N, m) signals as this stream delivers them."""
+        return scene.delay("delay", x, float(theta[0]))
+
+    def _mine(self, scene: Scene, values: Array) -> Array:
+        return values if not self.joint else values * _mask(scene, self.joint)
+
+
+@dataclass(frozen=True)
+class Lag(Effect):
+    """A first-order response: T dy/dt = w - y; y - w is `share` times that (1 for a plain first order).
+
+    `joint` restricts it to one joint. Visible where the channels move quickly; nested with time_delay, to which it is the
+    same for slow motion.
+    """
+
+    KEY = "lag"
+    SEARCHED: ClassVar = {"constant": Searched(1e-4, 1e3, "s")}
+    NEEDS_CLOCK = True
+    TIMING = True
+    constant: float
+    joint: str = ""
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """From half a sample to seconds."""
+        if not scene.clock or not np.any(scene.simulated_rate):
+            return
+        dt = spacing(scene)
+        for constant in log_grid(max(dt / 2.0, 1e-4), max(1.0, 4.0 * dt), 8):
+            yield cls(constant)
+            if scene.observations.predict == "position" and len(scene.channels) > 1:
+                yield from (cls(constant, joint_of(name)) for name in scene.channels)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """How much of the stream goes through the lag."""
+        return (Parameter("share", "1", 0.0, expected=1.0),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Lagged less simulated."""
+        change = self._lagged(scene, scene.simulated) - scene.simulated
+        return in_all([change if not self.joint else change * _mask(scene, self.joint)], len(scene.channels))
+
+    def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
+        """(N, m) signals as this stream delivers them."""
+        return x + float(theta[0]) * (self._lagged(scene, x) - x)
+
+    def _lagged(self, scene: Scene, x: Array) -> Array:
+        return scene.lag("lag", x, self.constant)
+
+
+def joint_of(channel: str) -> str:
+    """NAME of joint.NAME.kind."""
+    return channel.split(".", 1)[1].rsplit(".", 1)[0] if channel.startswith("joint.") else ""
+
+
+def _mask(scene: Scene, joint: str) -> Array:
+    return np.array([joint_of(name) == joint for name in scene.channels], dtype=float)
