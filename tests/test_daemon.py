@@ -139,6 +139,17 @@ def test_second_daemon_in_the_directory_is_refused(running: Tree) -> None:
     assert running.call("daemon", "info")["ready"]
 
 
+def test_second_daemon_elsewhere_runs_without_the_viewers_copy(running: Tree, tree: Tree) -> None:
+    """Another robot's viewers hold the port: that is said in a line, and the robot runs all the same."""
+    config = tree.folder / "galen.toml"
+    config.write_text(config.read_text().replace('viewers = ""', f'viewers = "{running.viewers}"'))
+    tree.start_ready()
+    status, stderr = tree.end()
+
+    assert status == 0
+    assert f"no copy of the bus for viewers at {running.viewers}" in stderr
+
+
 def test_sigterm_rests_the_robot_first_and_leaves_nothing(tree: Tree) -> None:
     """The core lives until the motors have come to rest; then all end, with status 0."""
     process = tree.start_ready()

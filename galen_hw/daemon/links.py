@@ -1,5 +1,6 @@
 """The ZeroMQ ends of one process: `core` owns the bus, the others push to it and hear it as subscribers do."""
 
+import logging
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
@@ -17,6 +18,7 @@ BEAT: Final = b"beat"
 REQUEST: Final = b"request"
 REPLY: Final = b"reply"
 STOP: Final = b"stop"
+log = logging.getLogger("galen-hw")
 
 _BEATS: Final = msgspec.msgpack.Encoder()
 
@@ -91,7 +93,8 @@ class CoreLink:
     """
 
     def __init__(self, name: str, addresses: Addresses, viewers: str, queue: int) -> None:
-        self._publisher = Publisher(addresses.bus, *([viewers] if viewers else []), queue=queue)
+        self._publisher = Publisher(addresses.bus, queue=queue)
+        self.viewers = viewers if viewers and self._offer_viewers(viewers) else ""
         inward: zmq.Socket[Any] = zmq.Context.instance().socket(zmq.PULL)
         inward.setsockopt(zmq.RCVHWM, INWARD_QUEUE)
         bind(inward, addresses.inward)
@@ -99,6 +102,15 @@ class CoreLink:
         self.control = _Control(name, addresses)
         self.dropped = 0
         self.publish = self._publisher.publish
+
+    def _offer_viewers(self, address: str) -> bool:
+        """Bind the viewers' copy as well; without it (another daemon has the port) the robot runs all the same."""
+        try:
+            self._publisher.socket.bind(address)
+        except zmq.ZMQError as error:
+            log.warning("no copy of the bus for viewers at %s: %s", address, error.strerror)
+            return False
+        return True
 
     def messages(self, ready: Sequence[int]) -> list[tuple[bytes, bytes]]:
         """What the other processes have published since; passed on to the bus already."""

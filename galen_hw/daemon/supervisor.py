@@ -25,7 +25,7 @@ from galen_hw.daemon.lock import lock
 from galen_hw.daemon.notify import Notifier
 from galen_hw.daemon.orders import Orders
 from galen_hw.daemon.port import Waker
-from galen_hw.errors import EXIT_FOUND, EXIT_HARDWARE, EXIT_OK
+from galen_hw.errors import EXIT_FOUND, EXIT_HARDWARE, EXIT_OK, EXIT_USAGE
 from galen_hw.messages import TOPICS
 from galen_hw.version import VERSION
 
@@ -161,8 +161,9 @@ class Supervisor:
         while process.deaths and process.deaths[0] < now - WITHIN_S:
             process.deaths.popleft()
         if not self._is_ready or len(process.deaths) > DEATHS_ALLOWED:
-            # What dies before the first sample would only die again: its own line has said why.
-            log.error("%s: ended with status %d; giving up", name, code)
+            # What dies before the first sample would only die again; a status of our own means that it has said why.
+            if code not in (EXIT_USAGE, EXIT_HARDWARE):
+                log.error("%s: ended with status %d; giving up", name, code)
             return code if code > 0 else EXIT_FOUND
         wait_s = 0.25 * 2 ** (len(process.deaths) - 1)
         log.error("%s: ended with status %d; started again in %.2g s", name, code, wait_s)
