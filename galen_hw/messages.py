@@ -199,7 +199,8 @@ class CalibrationProgress(Message, frozen=True, kw_only=True):
     """`calibration/progress`: where a sweep stands.
 
     Args:
-        state: "checking", "waiting" (for the operator), "moving", "settling", "averaging", "done", "stopped".
+        state: "checking", "waiting" (for the operator), "moving", "settling", "averaging",
+            "paused" (a device is silent), "done", "stopped".
         pose, poses: which one of how many; remaining_s: estimated time left.
     """
 

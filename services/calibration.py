@@ -7,6 +7,7 @@ anything is wrong, the motors stop and the poses so far are kept.
 
 import datetime as dt
 import re
+from collections.abc import Callable
 from typing import Any, ClassVar, Final
 
 from pydantic import BaseModel, ValidationError
@@ -20,7 +21,7 @@ from galen_hw.services.calibration_hold import Expectation
 from galen_hw.services.calibration_plan import duration_s, make_plan
 from galen_hw.services.calibration_script import Script, Wait, check, sweep
 from galen_hw.services.calibration_settings import CalibrationSettings
-from galen_hw.services.calibration_state import Run, SweepStoppedError
+from galen_hw.services.calibration_state import Run, StaleError, SweepStoppedError
 from galen_hw.services.service import Output, Service, ServiceContext
 
 PROGRESS_NS: Final = NS_PER_S // 5
@@ -204,7 +205,7 @@ class CalibrationService(Service):
             now_ns,
         )
         run.raw, run.joints = self._last_raw, self._last_joints
-        run.raw_ns, run.joints_ns = now_ns, now_ns
+        run.raw_ns = run.joints_ns = run.joints_heard_ns = now_ns
         run.expectation = Expectation(run.gravity)
         run.poses = len(plan.bare) + len(plan.tool) if kind == "sweep" else len(plan.check)
         return run
@@ -217,11 +218,17 @@ class CalibrationService(Service):
             raise SweepStoppedError(self._wait.reason(), "see galen-hw monitor")
 
     def _resume_script(self, run: Run) -> None:
+        self._wait_for(run, next)
+
+    def _wait_for(self, run: Run, go_on: Callable[[Script], Wait]) -> None:
+        """Let the script go on to its next wait; it may end, or end the sweep."""
         assert self._script is not None
         try:
-            self._wait = next(self._script)
+            self._wait = go_on(self._script)
         except StopIteration:
             self._wait = None
+        except StaleError:
+            raise SweepStoppedError("a device fell silent", "galen-hw check") from None
         except UsageError as error:
             raise SweepStoppedError(str(error)) from error
         else:
@@ -231,10 +238,13 @@ class CalibrationService(Service):
         """Raise if the client or the data have gone."""
         if now_ns - self._heartbeat_ns > run.settings.heartbeat_s * NS_PER_S:
             raise SweepStoppedError("the client that started the sweep is gone", "start it again", kind="lost")
-        stale = run.settings.stale_s * NS_PER_S
-        for who, t_ns in ((run.context.sensor, run.raw_ns), (run.context.motors, run.joints_ns)):
-            if now_ns - t_ns > stale:
-                raise SweepStoppedError(f"no samples from {who} for {run.settings.stale_s:g} s", "galen-hw check")
+        if run.paused or not (who := run.silent()):
+            return
+        if self._script is None or run.state not in ("moving", "settling", "averaging") or run.kind == "check":
+            raise SweepStoppedError(f"no samples from {who} for {run.settings.stale_s:g} s", "galen-hw check")
+        run.paused = True
+        run.send(run.context.motors, "stop", {})
+        self._wait_for(run, lambda script: script.throw(StaleError()))
 
     def _stop(self, run: Run, stop: SweepStoppedError) -> list[Output]:
         """Motors to rest, the poses so far kept, everyone told."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from galen_hw.services.calibration_hold import Average, Expectation, average, touched, unsteady
 from galen_hw.services.calibration_plan import Step
-from galen_hw.services.calibration_state import Run, SweepStoppedError
+from galen_hw.services.calibration_state import Run, StaleError, SweepStoppedError
 
 SLOW, HOLD = "slow motion", "hold"
 """Details of the progress of a check while its samples count."""
@@ -114,9 +114,30 @@ def _put_tool_on(run: Run) -> Script:
 
 
 def _pose(run: Run, step: Step) -> Script:
-    """One pose: move, wait until still, average, judge, write."""
+    """One pose; it begins anew if a device falls silent and comes back."""
     began = run.now_ns
     run.pose += 1
+    while True:
+        try:
+            yield from _attempt(run, step)
+        except StaleError:
+            yield from _recover(run)
+        else:
+            run.learn_pace(began)
+            return
+
+
+def _recover(run: Run) -> Script:
+    """The robot stands; wait until sensor and motors are heard again."""
+    who = run.silent()
+    run.show("paused", f"no samples from {who}")
+    reason = f"no samples from {who} for {run.settings.stale_s + run.settings.recover_s:g} s"
+    yield Wait(lambda: not run.silent() and run.resting(), run.settings.recover_s, lambda: reason)
+    run.paused = False
+
+
+def _attempt(run: Run, step: Step) -> Script:
+    """Move, wait until still, average, judge, write."""
     run.show("moving", "home" if step.kind == "home" else "")
     yield from _move(run, step)
     run.show("settling")
@@ -132,7 +153,6 @@ def _pose(run: Run, step: Step) -> Script:
             raise SweepStoppedError("the wrench will not come to rest", "look for what shakes the robot or the tool")
         yield from _settle(run)
     _record(run, step, reading)
-    run.learn_pace(began)
 
 
 def _full(run: Run) -> bool:

@@ -35,7 +35,8 @@ class CalibrationSettings(_Section):
         samples: averaged per pose; zero_samples: for zeroing.
         still_velocity_rad_per_s: below which a joint rests; settle_s: it must rest so long; pose_timeout_s: longest.
         touch_force_n, touch_torque_nm: a change within a hold, or a pose off from what the others say.
-        overload_force_n: stops at once; stale_s: oldest sample; heartbeat_s: longest silence of the client.
+        overload_force_n: stops at once; heartbeat_s: longest silence of the client.
+        stale_s: silence of a device that stops the robot; recover_s: time to come back, the pose then begins anew.
         max_bare_mass_kg: more than this without a tool means that a tool is on.
         least_tool_mass_kg: less than this means that no tool is on.
         check_velocity_rad_per_s, check_acceleration_rad_per_s2: of the slow motion that checks the compensation.
@@ -62,6 +63,7 @@ class CalibrationSettings(_Section):
     touch_torque_nm: float = Field(default=0.10, gt=0.0, le=5.0)
     overload_force_n: float = Field(default=40.0, gt=0.0, le=1000.0)
     stale_s: float = Field(default=1.0, gt=0.0, le=5.0)
+    recover_s: float = Field(default=6.0, ge=0.0, le=60.0)
     heartbeat_s: float = Field(default=3.0, gt=0.0, le=60.0)
     max_bare_mass_kg: float = Field(default=0.15, gt=0.0, le=5.0)
     least_tool_mass_kg: float = Field(default=0.02, gt=0.0, le=1.0)

@@ -27,6 +27,10 @@ class SweepStoppedError(Exception):
         self.what, self.todo, self.kind = what, todo, kind
 
 
+class StaleError(Exception):
+    """A device has fallen silent; the motors have been stopped."""
+
+
 @dataclass(slots=True)
 class Run:
     """One sweep or check under way.
@@ -50,10 +54,12 @@ class Run:
     detail: str = ""
     done: bool = False
     tool_on: bool = False
+    paused: bool = False
     raw: WrenchRaw | None = None
     joints: JointsState | None = None
     raw_ns: int = 0
     joints_ns: int = 0
+    joints_heard_ns: int = 0
     samples: list[Sample] = field(default_factory=list)
     bad_samples: int = 0
     noise: Array | None = None
@@ -65,6 +71,8 @@ class Run:
     seq: int = 0
     requests: int = 0
     _rest_since_ns: int = 0
+    _hold_from_ns: int = 0
+    _raw_t_ns: int = 0
     _pace: float = 1.0
     _moved_ns: int = 0
 
@@ -85,9 +93,12 @@ class Run:
 
     def take_raw(self, message: WrenchRaw) -> None:
         """A raw sample: into the hold if it is good and newer than the last."""
-        if message.t_ns < self.raw_ns:
+        if message.t_ns < self._raw_t_ns:
             return
-        self.raw, self.raw_ns = message, message.t_ns
+        self.raw, self.raw_ns, self._raw_t_ns = message, self.now_ns, message.t_ns
+        # On a busy machine samples wait in the queue: one from before the hold shows another pose.
+        if message.t_ns < self._hold_from_ns:
+            return
         f, t = message.force, message.torque
         sample = (f.x, f.y, f.z, t.x, t.y, t.z)
         if not message.valid or message.saturated or not abs(sum(sample)) < 1e6:
@@ -106,15 +117,16 @@ class Run:
         """A joint state."""
         if message.t_ns < self.joints_ns:
             return
-        self.joints, self.joints_ns = message, message.t_ns
+        self.joints, self.joints_ns, self.joints_heard_ns = message, message.t_ns, self.now_ns
         if not self.resting():
             self._rest_since_ns = message.t_ns
         if message.estop:
             raise SweepStoppedError("emergency stop", "release it, then calibrate again")
 
     def begin_hold(self) -> None:
-        """Forget the samples so far."""
+        """Forget the samples so far, and those that are still under way."""
         self.samples = []
+        self._hold_from_ns = self.now_ns
         self.bad_samples = 0
 
     def positions(self) -> Array:
@@ -153,6 +165,12 @@ class Run:
         stops = {} if joints is None else {n: c for n, c in joints.stop_code.items() if c not in (0, 1)}
         why = "".join(f", {name} stopped with code {code}" for name, code in stops.items())
         return f"the robot does not reach its pose{why}"
+
+    def silent(self) -> str:
+        """Name of a device that has not been heard of for `stale_s`, empty if there is none."""
+        oldest = self.now_ns - self.settings.stale_s * NS_PER_S
+        names = ((self.context.sensor, self.raw_ns), (self.context.motors, self.joints_heard_ns))
+        return next((name for name, heard_ns in names if heard_ns < oldest), "")
 
     def absent(self) -> str:
         """Which of sensor and joints is silent."""
