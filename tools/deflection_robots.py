@@ -39,7 +39,7 @@ class GivingRobot:
         rng = np.random.default_rng([seed, 4])
         present = {kind: bool(rng.random() < 0.5) for kind in KINDS}
         give = pose.Give()
-        give.compliance = np.array([rng.uniform(1e-5, 6e-5), rng.uniform(1.5e-3, 6e-3), rng.uniform(1.5e-3, 6e-3)])
+        give.compliance = np.array([rng.uniform(1e-5, 6e-5), rng.uniform(2e-3, 8e-3), rng.uniform(2e-3, 8e-3)])
         if present["hysteresis"]:
             give.friction = rng.uniform(0.04, 0.15, 3) * np.array([12.0, 2.0, 2.0])
         if present["creep"]:

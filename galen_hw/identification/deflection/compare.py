@@ -18,18 +18,20 @@ class Score:
         model: its name.
         rmse: held-out kind ("same configuration", "new configuration", "other day") to rms of the tip's error, m.
         released: rms of the error while the force is back at zero after a push, m; what hysteresis and creep leave.
+        residual: rms of residual give after a release that was not predicted, over the rms of what there was.
         predicted: per held-out set, (N, d) give.
     """
 
     model: str
     rmse: dict[str, float]
     released: float
+    residual: float
     predicted: dict[str, Array]
 
 
 def judge(model: DeflectionModel, held_out: Mapping[str, Sequence[DeflectionSet]]) -> Score:
     """Errors of a fitted model; what is left of the registration, a set's constant, goes by its first rest."""
-    rmse, released, predicted = {}, [], {}
+    rmse, released, predicted, residuals = {}, [], {}, []
     for kind, sets in held_out.items():
         errors = []
         for s in sets:
@@ -39,10 +41,37 @@ def judge(model: DeflectionModel, held_out: Mapping[str, Sequence[DeflectionSet]
             error = error - error[first_rest(s)].mean(axis=0)
             errors.append(error)
             released.append(error[after_push(s)])
+            residuals.append(residual_give(s, give))
         if errors:
             rmse[kind] = _rms(np.concatenate(errors))
     late = np.concatenate(released) if released else np.zeros((0, 3))
-    return Score(model.NAME, rmse, _rms(late) if len(late) else float("nan"), predicted)
+    pairs = np.concatenate(residuals) if residuals else np.zeros((0, 2, 3))
+    share = _rms(pairs[:, 0] - pairs[:, 1]) / max(_rms(pairs[:, 0]), 1e-12) if len(pairs) else float("nan")
+    return Score(model.NAME, rmse, _rms(late) if len(late) else float("nan"), share, predicted)
+
+
+def residual_give(data: DeflectionSet, give: Array, settle_s: float = 0.3) -> Array:
+    """(K, 2, 3) what is left of the give after each of K releases, measured and predicted, from the first rest on."""
+    start, free = first_rest(data), after_push(data)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], free.astype(int), [0]])))
+    out = []
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        rows = np.flatnonzero(data.time[a:b] > data.time[a] + settle_s) + a
+        if len(rows) >= 20:  # Shorter rests are crossings of zero, and their means are noise.
+            both = [(g[rows, :3].mean(axis=0) - g[start, :3].mean(axis=0)) for g in (data.give, give)]
+            out.append(np.stack(both))
+    return np.array(out).reshape(-1, 2, 3)
+
+
+def wall_shares(data: DeflectionSet, give: Array, walls: int = 9) -> tuple[float, float]:
+    """Mean of `wrong_side` over walls across the way that the tip gives, for the reported and the corrected tip."""
+    true = data.give[:, :3] - data.give[first_rest(data), :3].mean(axis=0)
+    corrected = give[:, :3] - give[first_rest(data), :3].mean(axis=0)
+    _, vectors = np.linalg.eigh(true.T @ true)
+    normal = vectors[:, -1]
+    places = np.quantile(true @ normal, np.linspace(0.1, 0.9, walls))
+    shares = [wrong_side(np.zeros_like(true), corrected, true, normal, float(p)) for p in places]
+    return float(np.mean([s[0] for s in shares])), float(np.mean([s[1] for s in shares]))
 
 
 def first_rest(data: DeflectionSet) -> Array:

@@ -13,6 +13,7 @@ from galen_hw.errors import UsageError
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.features import now
 from galen_hw.identification.deflection.model import DeflectionModel
+from galen_hw.identification.deflection.stream import NONE, GiveStream, LinearStream, Place, Six, Triple
 from galen_hw.spatial import Array
 
 UNITS: Final = 18
@@ -32,6 +33,8 @@ class Lstm(DeflectionModel):
     centre: Array = field(default_factory=lambda: np.zeros(0))
     scale: Array = field(default_factory=lambda: np.ones(0))
     spread: Array = field(default_factory=lambda: np.ones(0))
+    losses: list[float] = field(default_factory=list)
+    """Mean square of the scaled error at every iteration of the training."""
 
     def fit(self, sets: Sequence[DeflectionSet]) -> Self:
         """Train on whole sets as sequences.
@@ -49,12 +52,16 @@ class Lstm(DeflectionModel):
         layer, drop = torch.nn.LSTM(all_x.shape[1], UNITS, batch_first=True), torch.nn.Dropout(DROPOUT)
         head = torch.nn.Linear(UNITS, all_y.shape[1])
         optimizer = torch.optim.Adam([*layer.parameters(), *head.parameters()], lr=0.01)
+        self.losses = []
         for _ in range(ITERATIONS):
             optimizer.zero_grad()
+            self.losses.append(0.0)
             for a, b in zip(x, y, strict=True):
                 inputs = torch.tensor((a - self.centre) / self.scale, dtype=torch.float32)[None]
                 wanted = torch.tensor(b / self.spread, dtype=torch.float32)[None]
-                torch.nn.functional.mse_loss(head(drop(layer(inputs)[0])), wanted).backward()
+                loss = torch.nn.functional.mse_loss(head(drop(layer(inputs)[0])), wanted)
+                loss.backward()
+                self.losses[-1] += float(loss.detach()) / len(x)
             optimizer.step()
         state = {**layer.state_dict(), **{f"head.{k}": v for k, v in head.state_dict().items()}}
         self.weights = {name: value.numpy().astype(float) for name, value in state.items()}
@@ -89,7 +96,48 @@ class Lstm(DeflectionModel):
     def from_json(cls, values: dict[str, Any]) -> Self:
         """From weights and scales."""
         scales = {k: np.array(values[k]) for k in ("centre", "scale", "spread")}
-        return cls({name: np.array(v) for name, v in values["weights"].items()}, **scales)
+        weights = {name: np.array(v) for name, v in values["weights"].items()}
+        return cls(weights, scales["centre"], scales["scale"], scales["spread"])
+
+    def stream(self, std: Array | None = None) -> GiveStream:
+        """The net at its own pace; between its steps the last output stands."""
+        return LstmStream(self, std)
+
+
+class LstmStream(GiveStream):
+    """The trained net sample by sample, in numpy."""
+
+    def __init__(self, net: Lstm, std: Array | None = None) -> None:
+        self._net, self._flat = net, LinearStream(np.zeros((0, 3)), std)
+        self._q = np.zeros(len(net.centre) - 3)
+        self._hidden, self._cell = np.zeros(UNITS), np.zeros(UNITS)
+        self._next_s: float | None = None
+        self._give: Six = NONE
+
+    def place(self, place: Place) -> None:
+        """The joints are inputs."""
+        self._q = place.q
+
+    def step(self, t_s: float, force: Triple, moment: Triple) -> Six:
+        """One step of the net when its time has come."""
+        del moment
+        if self._next_s is None or t_s >= self._next_s:
+            self._next_s = t_s + 1.0 / RATE_HZ
+            net = self._net
+            row = (np.array([*force, *self._q]) - net.centre) / net.scale
+            self._hidden, self._cell = net.step(row, self._hidden, self._cell)
+            out = (net.weights["head.weight"] @ self._hidden + net.weights["head.bias"]) * net.spread
+            self._give = (*out.tolist(), *(0.0,) * (6 - len(out)))
+        return self._give
+
+    def covariance(self) -> list[float]:
+        """The held-out error, the same everywhere."""
+        return self._flat.covariance()
+
+    def reset(self) -> None:
+        """As at the start of a recording."""
+        self._hidden, self._cell = np.zeros(UNITS), np.zeros(UNITS)
+        self._next_s, self._give = None, NONE
 
 
 def _torch() -> Any:

@@ -1,0 +1,122 @@
+"""`galen-hw deflection`: fit and compare deflection models, and choose the one that serves."""
+
+import argparse
+import json
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
+
+if TYPE_CHECKING:
+    from galen_hw.services.deflection_store import DeflectionStore
+    from galen_hw.tools.deflection_fit import Comparison
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("--state", metavar="DIR", type=Path, help="state directory (default: the daemon's)")
+    sub = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    fit = sub.add_parser("fit", help="fit all models, judge them on held-out sets, recommend one and save it")
+    fit.add_argument("data", nargs="+", type=Path, metavar="DATA", help="recordings, or folders of recordings")
+    fit.add_argument("--report", metavar="OUT.html", type=Path, help="write figures and tables as one page")
+    fit.add_argument("--json", action="store_true", help="print the result as JSON")
+    fit.add_argument("--save", metavar="NAME", help="save under this name (default: the tool's)")
+    fit.add_argument("--no-save", action="store_true", help="save nothing")
+    fit.add_argument("--holdout", nargs="+", default=[], metavar="SET", help="sets to judge on (default: chosen)")
+    fit.add_argument("--models", nargs="+", metavar="MODEL", help="only these, by a part of their names")
+    sub.add_parser("list", help="saved models")
+    for name, text in (("show", "one saved model"), ("select", "serve this model ('none': none)")):
+        sub.add_parser(name, help=text).add_argument("name")
+    back = sub.add_parser("rollback", help="go back to an earlier generation")
+    back.add_argument("name")
+    back.add_argument("generation", nargs="?", type=int)
+    parser.epilog = "example: galen-hw deflection fit session/ --report out.html"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Carry out one action."""
+    from galen_hw.config.paths import state_dir
+    from galen_hw.services.deflection_store import DeflectionStore
+
+    store = DeflectionStore(args.state or state_dir())
+    if args.action == "fit":
+        return _fit(args, store)
+    if args.action == "list":
+        selected = store.selected()
+        for name in store.names():
+            file = store.load(name)
+            mark = "*" if name == selected else " "
+            print(f"{mark} {file.id:24s} {file.model:18s} tool {file.tool or '-':10s} {file.date}  {file.reason}")
+        if not store.names():
+            print(f"no deflection models in {store.folder}; fit one: galen-hw deflection fit DATA...")
+    elif args.action == "show":
+        file = store.load(args.name)
+        print(json.dumps(file.model_dump(mode="json", by_alias=True), indent=1))
+    elif args.action == "select":
+        store.select(None if args.name == "none" else args.name)
+        print("the service takes it up with: galen-hw command deflection reload")
+    else:
+        print(f"{store.rollback(args.name, args.generation).id} is in use again")
+    return EXIT_OK
+
+
+def _fit(args: argparse.Namespace, store: "DeflectionStore") -> int:
+    from galen_hw.identification.deflection.data import check
+    from galen_hw.identification.deflection.table import MODELS
+    from galen_hw.tools.deflection_data import read_sets, split
+    from galen_hw.tools.deflection_fit import compare, file_of, summary
+
+    sets, days = read_sets(args.data)
+    remarks = check(sets)
+    for line in remarks:
+        print(f"galen-hw deflection: {line}", file=sys.stderr)
+    if remarks and not _fit_to_be_fitted(remarks):
+        return EXIT_FOUND
+    learn, held = split(sets, days, args.holdout)
+    names = [n for n in MODELS if not args.models or any(part.lower() in n.lower() for part in args.models)]
+    if not names:
+        raise UsageError("no such model", where="--models", todo=f"parts of: {', '.join(MODELS)}")
+    out = compare(learn, held, names, lambda name: print(f"fitting {name}", file=sys.stderr))
+    out.notes += remarks
+    if args.json:
+        print(json.dumps(summary(out), indent=1))
+    else:
+        _show(out)
+    if args.report is not None:
+        from galen_hw.tools.deflection_figures import write_report
+
+        print(f"report: {write_report(out, args.report)}", file=sys.stderr)
+    if not args.no_save:
+        robot = sets[0].observations.belief.robot
+        name = args.save or re.sub(r"[^a-z0-9_-]", "-", (sets[0].tool or "arm").lower())
+        saved = store.save(file_of(out, name, "" if robot is None else robot.name))
+        print(f"saved as {saved.id}; the service takes it up with: galen-hw command deflection reload", file=sys.stderr)
+    return EXIT_OK
+
+
+def _fit_to_be_fitted(remarks: list[str]) -> bool:
+    """Too few configurations and forces at their limit spoil every model; the rest only leaves things unseen."""
+    return not any("configuration(s)" in line or "limit" in line or "hardly any force" in line for line in remarks)
+
+
+def _show(out: "Comparison") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"held-out error, mm rms (tracker noise {1e3 * out.noise_m:.3f} mm)", title_justify="left")
+    for head in ("model", *out.held, "at rest after", "residual missed", "wrong side of wall", "fit s"):
+        table.add_column(head, justify="left" if head == "model" else "right")
+    for name, score in out.scores.items():
+        errors = [f"{1e3 * score.rmse[kind]:.3f}" for kind in out.held]
+        reported, corrected = out.walls[name]
+        wall = f"{reported:.1%} -> {corrected:.1%}"
+        late, seconds = f"{1e3 * score.released:.3f}", f"{out.seconds[name]:.1f}"
+        style = "bold" if name == out.best else ""
+        table.add_row(name, *errors, late, f"{score.residual:.0%}", wall, seconds, style=style)
+    console = Console(width=None if sys.stdout.isatty() else 130)
+    console.print(table)
+    for note in out.notes:
+        console.print(f"note: {note}", markup=False)
+    console.print(f"recommended: {out.best}: {out.reason}", markup=False)

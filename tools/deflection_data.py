@@ -1,0 +1,114 @@
+"""Deflection recordings for the fit: read, checked one by one, told apart by configuration and day, split."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from galen_hw.errors import UsageError
+from galen_hw.identification.deflection.data import DeflectionSet, check
+from galen_hw.recording import Recording, read_recording
+from galen_hw.tools.diagnose import observations_of
+
+SAME_M, SAME_RAD = 0.02, 0.05
+LEAST_SEEN = 60
+MOVED = 0.1
+KINDS = ("same configuration", "new configuration", "other day")
+
+
+def read_sets(paths: Sequence[Path]) -> tuple[list[DeflectionSet], dict[str, str]]:
+    """The sets of recordings with pushes, and the day of each by name; calibration sets without force are left out.
+
+    Raises:
+        UsageError: not a deflection recording, or sets of different tools; one line with what to record next.
+    """
+    sets, days = [], {}
+    for path in _folders(paths):
+        recording = read_recording(path)
+        extra = recording.info.model_extra or {}
+        _need_tracker(recording, path)
+        if extra.get("purpose") == "calibration":
+            continue
+        tool = "" if recording.info.tool is None else recording.info.tool.name
+        name = path.name if path.is_dir() else path.stem
+        made = DeflectionSet.of(
+            name, observations_of(recording), configuration=str(extra.get("configuration", "")), tool=tool
+        )
+        days[name] = str(extra.get("session", ""))
+        sets.append(made)
+    if not sets:
+        raise UsageError("no set with pushes", todo="record one: galen-hw collect deflection")
+    check(sets)
+    return _labelled(sets), days
+
+
+def _folders(paths: Sequence[Path]) -> list[Path]:
+    """Recordings among the paths; a folder of recordings stands for all in it."""
+    out: list[Path] = []
+    for path in paths:
+        inside = sorted(p.parent for p in path.glob("*/recording.json")) if path.is_dir() else []
+        out += inside if inside and not (path / "recording.json").exists() else [path]
+    return out
+
+
+def _need_tracker(recording: Recording, path: Path) -> None:
+    columns = recording.columns
+    if not recording.has("pose"):
+        tracked = any(name.startswith("target.") for name in columns)
+        what = "tracked points that are not registered" if tracked else "no tracked pose of the tip"
+        raise UsageError(what, where=str(path), todo="record with the tracker: galen-hw collect deflection")
+    seen = np.isfinite(columns.get("pose.position.x", np.full(len(recording), np.nan)))
+    if np.count_nonzero(seen) < LEAST_SEEN:
+        what = f"the tool is seen in {np.count_nonzero(seen)} rows only"
+        raise UsageError(what, where=str(path), todo="turn the markers to the tracker, then record the set again")
+
+
+def _labelled(sets: Sequence[DeflectionSet]) -> list[DeflectionSet]:
+    """Sets at one place share a label; a set that visits several places is a configuration of its own."""
+    places: list[tuple[Any, str]] = []
+    out = []
+    for s in sets:
+        middle, spread = np.median(s.q, axis=0), np.ptp(s.q, axis=0).max()
+        label = s.name if spread > MOVED else ""
+        near = np.array([SAME_M] * 3 + [SAME_RAD] * (s.q.shape[1] - 3)) if s.q.shape[1] > 3 else SAME_RAD
+        for at, known in places:
+            label = label or (known if np.all(np.abs(at - middle) < near) else "")
+        label = label or s.configuration
+        places.append((middle, label))
+        out.append(replace(s, configuration=label))
+    return out
+
+
+def split(
+    sets: Sequence[DeflectionSet], days: dict[str, str], named: Sequence[str] = ()
+) -> tuple[list[DeflectionSet], dict[str, list[DeflectionSet]]]:
+    """Sets to learn from, and those held out by kind.
+
+    Named sets are held out; otherwise all of another day than the first, the configuration in the middle of the list
+    and one set of a configuration that has two, as long as three configurations are left to learn from.
+    """
+    unknown = set(named) - {s.name for s in sets}
+    if unknown:
+        known = ", ".join(s.name for s in sets)
+        raise UsageError(f"no set {min(unknown)!r}", where="--holdout", todo=f"one of: {known}")
+    first = days.get(sets[0].name, "")
+    out = {s.name for s in sets if s.name in named or (not named and days.get(s.name, "") != first)}
+    left = [s for s in sets if s.name not in out]
+    labels = list(dict.fromkeys(s.configuration for s in left))
+    if not named and len(labels) >= 4:
+        new = labels[len(labels) // 2]
+        twice = next((c for c in labels if c != new and sum(s.configuration == c for s in left) > 1), None)
+        out |= {s.name for s in left if s.configuration == new}
+        out |= {s.name for s in [s for s in left if s.configuration == twice][1:2]}
+    elif not named and len(left) > 2:
+        out.add(left[-1].name)
+    learn = [s for s in sets if s.name not in out]
+    known_places = {s.configuration for s in learn}
+    held: dict[str, list[DeflectionSet]] = {kind: [] for kind in KINDS}
+    for s in sets:
+        if s.name in out:
+            other = days.get(s.name, "") != first
+            held["other day" if other else KINDS[s.configuration not in known_places]].append(s)
+    return learn, {kind: found for kind, found in held.items() if found}
