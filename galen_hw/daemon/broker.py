@@ -13,7 +13,7 @@ from galen_hw.bus import bind, decode_reply, decode_request, receive_all
 from galen_hw.clock import NS_PER_S
 from galen_hw.config.paths import Addresses
 from galen_hw.config.problems import unknown
-from galen_hw.daemon.links import BEAT, REPLY, REQUEST, STOP, Beat
+from galen_hw.daemon.links import BEAT, REPLY, REQUEST, Beat
 from galen_hw.messages import CommandError, Reply, Request, encode
 
 SELF: Final = "daemon"
@@ -75,10 +75,6 @@ class Broker:
             asker = self._waiting[id_]
             what = f"no answer within {self._timeout_ns / NS_PER_S:g} s"
             self._answer(Reply(id=id_, error=CommandError(kind="timeout", what=what, where=asker.what)))
-
-    def stop(self, process: str) -> None:
-        """Tell a process to bring its devices to rest and end."""
-        self._send(self._processes, [process.encode(), STOP, b""])
 
     def command(self, target: str, name: str) -> None:
         """Send a request of the daemon's own, whose reply nobody waits for."""

@@ -17,7 +17,6 @@ BATCH: Final = 64
 BEAT: Final = b"beat"
 REQUEST: Final = b"request"
 REPLY: Final = b"reply"
-STOP: Final = b"stop"
 log = logging.getLogger("galen-hw")
 
 _BEATS: Final = msgspec.msgpack.Encoder()

@@ -229,11 +229,6 @@ class Waker:
         os.set_blocking(self.fd, False)
         os.set_blocking(self._in, False)
 
-    @property
-    def signal_fd(self) -> int:
-        """For `signal.set_wakeup_fd`."""
-        return self._in
-
     def wake(self) -> None:
         """End the wait."""
         with contextlib.suppress(BlockingIOError, OSError):

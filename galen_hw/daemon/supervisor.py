@@ -1,5 +1,6 @@
 """The supervisor: starts the processes, answers commands, feeds the watchdog, starts again what dies, ends cleanly."""
 
+import contextlib
 import logging
 import os
 import select
@@ -153,8 +154,7 @@ class Supervisor:
     def _bury(self, name: str, process: _Process, now: float) -> int:
         assert process.popen is not None
         code = process.popen.returncode
-        assert process.popen.stdin is not None
-        process.popen.stdin.close()
+        _end_lifeline(process.popen)
         process.popen = None
         self._broker.lost(name)
         process.deaths.append(now)
@@ -253,7 +253,7 @@ class Supervisor:
         for group in (first, [n for n in order if n not in first]):
             running = [p for n in group if (p := self._processes[n].popen) is not None]
             for popen in running:
-                popen.terminate()
+                _end_lifeline(popen)
             until = time.monotonic() + REST_WITHIN_S
             for popen in running:
                 try:
@@ -261,8 +261,6 @@ class Supervisor:
                 except subprocess.TimeoutExpired:
                     popen.kill()
                     popen.wait()
-                if popen.stdin is not None:
-                    popen.stdin.close()
         self._broker.close()
         self._waker.close()
         os.close(self._lock)
@@ -283,3 +281,10 @@ def _give(pipe: IO[bytes], content: bytes) -> None:
         pipe.flush()
     except BrokenPipeError:
         return  # it died at once; `_bury` will see it
+
+
+def _end_lifeline(popen: "subprocess.Popen[bytes]") -> None:
+    """The process notices, brings its devices to rest and ends; so it does when we are gone ourselves."""
+    if popen.stdin is not None:
+        with contextlib.suppress(BrokenPipeError):
+            popen.stdin.close()

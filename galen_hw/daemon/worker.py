@@ -19,7 +19,7 @@ from galen_hw.config.schema import DaemonSection
 from galen_hw.daemon.host import Host
 from galen_hw.daemon.keep import Keeper
 from galen_hw.daemon.layout import CORE, PRIORITY_BELOW_CORE
-from galen_hw.daemon.links import REPLY, REQUEST, STOP, Beat, CoreLink, DeviceState, EdgeLink
+from galen_hw.daemon.links import REPLY, REQUEST, Beat, CoreLink, DeviceState, EdgeLink
 from galen_hw.daemon.orders import Orders, build_port, build_services
 from galen_hw.daemon.port import Port, Waker
 from galen_hw.daemon.realtime import GarbageKeeper, raise_priority, sharpen_timers
@@ -73,13 +73,8 @@ class Worker:
         self._garbage = GarbageKeeper(self._setup.config.daemon.garbage_interval_s)
         self._used_s, self._used_at_ns = 0.0, time.monotonic_ns()
 
-    def stop(self) -> None:
-        """End the loop soon; from a signal handler."""
-        self._stopping = True
-        self._waker.wake()
-
     def run(self) -> None:
-        """Run until told to stop; on every way out the devices are brought to rest first."""
+        """Run until the lifeline ends; on every way out the devices are brought to rest first."""
         try:
             while not self._stopping:
                 self._turn()
@@ -137,8 +132,6 @@ class Worker:
                 self.host.from_outside(_REQUEST_DECODER.decode(payload))
             elif kind == REPLY:
                 self.host.reply_from_outside(decode_reply(payload))
-            elif kind == STOP:
-                self._stopping = True
 
     def _look_at_lifeline(self, ready: list[int]) -> None:
         if self._waker.fd in ready:
@@ -224,7 +217,9 @@ def _wire_counters(ports: dict[str, Port]) -> dict[str, int]:
 def main() -> int:
     """Entry point: orders on standard input, which then stays open as the lifeline."""
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the supervisor says when to stop.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # Both may reach the whole group; the supervisor alone says who ends when, by ending the lifeline.
+        signal.signal(number, signal.SIG_IGN)
     orders = msgspec.json.decode(_read_line(sys.stdin.fileno()), type=Orders)
     below_core = PRIORITY_BELOW_CORE.get(orders.name)
     priority = int(orders.document.get("daemon", {}).get("realtime_priority", DaemonSection().realtime_priority))
@@ -233,7 +228,6 @@ def main() -> int:
     sharpen_timers()
     try:
         worker = Worker(orders, sys.stdin.fileno())
-        signal.signal(signal.SIGTERM, lambda *_: worker.stop())
         worker.run()
     except GalenError as error:
         print(f"galen-hw {orders.name}: {error}", file=sys.stderr)
