@@ -68,7 +68,7 @@ class AdmittanceService(Service):
         self.name, self._settings, self._context = name, settings, context
         self._rates = JointRates(context.robot, max_speed=settings.max_joint_speed, margin=settings.limit_margin)
         self._enabled = False
-        self._moving = False
+        self._moving = self._settling = False
         self._reason = "switched off"
         self._contact: Array | None = None
         self._mean, self._sum = np.zeros(6), np.zeros(6)
@@ -104,6 +104,7 @@ class AdmittanceService(Service):
         previous, self._joints = self._joints, message
         if self._samples:
             self._mean, self._sum, self._samples = self._sum / self._samples, np.zeros(6), 0
+        self._settling = self._settling and any(message.moving.values())
         if not self._enabled:
             return []
         if message.estop or not all(message.enabled.get(name, True) for name in self._context.robot.joint_names):
@@ -151,8 +152,10 @@ class AdmittanceService(Service):
         return self._twist
 
     def _go(self, rates: Array) -> list[Output]:
-        if self._pending is not None:
-            return []  # The line is busy with the last one: a newer velocity follows with the next joint state.
+        if self._pending is not None or self._settling:
+            # The line is busy with the last one, or the axes still slow down after a stop and would refuse it: a newer
+            # velocity follows with the next joint state.
+            return []
         self._moving = True
         named = dict(zip(self._context.robot.joint_names, rates.tolist(), strict=True))
         return [self._ask("servo_jv", {"velocity": named})]
@@ -162,7 +165,7 @@ class AdmittanceService(Service):
         self._twist = np.zeros(6)
         if not self._moving:
             return []
-        self._moving = False
+        self._moving, self._settling = False, True
         return [self._ask("stop", {})]
 
     def _give_up(self, why: str, now_ns: int) -> list[Output]:

@@ -81,6 +81,25 @@ def test_the_tool_goes_where_it_is_pushed_and_as_fast_as_that(direction: tuple[f
     assert after.travel[-1] < 1e-4, "and it stops when the push ends"
 
 
+def test_after_a_stop_no_velocity_is_sent_before_the_axes_stand() -> None:
+    """The sensor drops out for a moment in full motion: an axis that still slows down would refuse a velocity."""
+    import msgspec
+
+    robot = following(force_gain=0.05)
+    robot.acceleration *= 0.3
+    robot.world.push((3.0, 0.0, 0.0), seconds=100.0)
+    sound = robot.spoil
+    for _ in range(4):
+        robot.run(0.6)
+        assert np.abs(robot.dq).max() > 0.03
+        robot.spoil = lambda message: msgspec.structs.replace(message, saturated=True)
+        robot.run(0.1)
+        assert np.abs(robot.dq).max() > 0.005, "it is slowing down still"
+        robot.spoil = sound
+    assert sum(r.name == "stop" for r in robot.requests) == 4
+    assert not [m for topic, m in robot.log if topic == "fault"]
+
+
 def test_a_push_means_the_same_direction_when_the_tool_is_turned() -> None:
     """The wrench is in the sensor's axes, the motion in the base's: turned by 45 degrees, up is still up."""
     robot = following()

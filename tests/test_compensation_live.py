@@ -13,6 +13,7 @@ from galen_hw.config.tool_store import ToolStore
 from galen_hw.daemon.session import own_daemon
 from galen_hw.drivers.virtual.control import VirtualControl
 from galen_hw.recording import read_recording
+from galen_hw.recording.mcap_reader import McapFile
 from tests.test_admittance import calibrated
 
 CONFIG = """
@@ -79,8 +80,9 @@ def test_led_by_hand_recorded_and_repeated(tmp_path: Path, capsys: pytest.Captur
         finally:
             recorder.kill()
             recorder.wait()
+    faults = [item.message for item in McapFile(file, frozenset({"fault"}))]
     assert moved[True] < 5e-4
-    assert moved[False] > 0.03
+    assert moved[False] > 0.03, faults
     assert main(["replay", str(file), "--verify"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1].endswith("samples are equal, bit for bit")

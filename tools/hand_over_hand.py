@@ -88,13 +88,14 @@ class HandOverHand:
             self.control = AdmittanceService("admittance", self.admittance, context)
         self.now, self.seq = NS_PER_S, 0
         self.q, self.dq, self.target = np.zeros(5), np.zeros(5), np.zeros(5)
+        self.acceleration = ACCELERATION.copy()
         self.replies: dict[str, Reply] = {}
         self.log: list[tuple[str, Message]] = []
         self.requests: list[Request] = []
         self.silent: set[str] = set()
         self.spoil: Callable[[WrenchRaw], WrenchRaw] = lambda message: message
         self.refuse = ""
-        self.estop = False
+        self.estop = self._jogging = False
         self._later: deque[tuple[int, JointsState]] = deque()
         self._rows: list[tuple[Any, ...]] = []
         self._began_ns = self.now
@@ -148,12 +149,16 @@ class HandOverHand:
 
     def _move(self, dt: float) -> None:
         """Axes that follow their commanded velocity with a limited acceleration, inside their limits."""
-        step = np.clip(self.target - self.dq, -ACCELERATION * dt, ACCELERATION * dt)
+        step = np.clip(self.target - self.dq, -self.acceleration * dt, self.acceleration * dt)
         self.dq = self.dq + step
         q = self.q + dt * self.dq
         self.q = np.clip(q, self.robot.lower, self.robot.upper)
         self.dq[q != self.q] = 0.0
         self.world.set_joints(self.q, self.dq, step / dt, self.now)
+
+    @property
+    def _moving(self) -> dict[str, bool]:
+        return {n: bool(abs(v) > 1e-6) for n, v in zip(self.robot.joint_names, self.dq, strict=True)}
 
     def _joints_state(self) -> JointsState:
         names = self.robot.joint_names
@@ -166,6 +171,7 @@ class HandOverHand:
             position=dict(zip(names, self.q.tolist(), strict=True)),
             velocity=dict(zip(names, self.dq.tolist(), strict=True)),
             effort={},
+            moving=self._moving,
             enabled=dict.fromkeys(names, not self.estop),
             estop=self.estop,
         )
@@ -211,7 +217,11 @@ class HandOverHand:
     def _carry_out(self, request: Request) -> None:
         """The motor controller's answer."""
         velocity = request.args.get("velocity", {})
-        error = CommandError(kind="rejected", what=self.refuse) if self.refuse and velocity else None
+        # As a Galil does: an axis that slows down after a stop takes no velocity before it stands.
+        busy = "is moving to a position" if not self._jogging and any(self._moving.values()) else ""
+        refused = (self.refuse or busy) if velocity else ""
+        error = CommandError(kind="rejected", what=refused) if refused else None
         if error is None:
+            self._jogging = bool(velocity)
             self.target = np.array([velocity.get(name, 0.0) for name in self.robot.joint_names])
         self._take(self.control.reply(Reply(id=request.id, error=error), self.now))
