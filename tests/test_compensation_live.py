@@ -86,7 +86,7 @@ def test_led_by_hand_recorded_and_repeated(tmp_path: Path, capsys: pytest.Captur
     assert main(["replay", str(file), "--verify"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1].endswith("samples are equal, bit for bit")
-    assert int(lines[-1].split()[0]) > 5000
+    assert int(lines[-1].split()[0]) > 1000
     recording = read_recording(file)
     assert recording.info.tool is not None
     assert recording.info.tool.name == "retractor"
