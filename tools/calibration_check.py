@@ -19,6 +19,8 @@ COUNTED = ("slow motion", "hold")
 TOPICS = ("wrench/raw", "wrench/compensated", "joints/state", "calibration/progress")
 TAIL_NS = 60_000_000
 """A sample counts if the state has not changed soon after it: joint states come at 40 Hz."""
+HARD = 0.3
+"""rad/s^2 beyond which a motion is not slow."""
 LEAST_SAMPLES = 2000
 LIMIT = 1.05
 """Compensated over noise floor that counts as compensated."""
@@ -32,6 +34,7 @@ class LiveCheck:
         time: (n,) s; raw, compensated: (n, 6) N and N m, of the same samples.
         noise: (6,) sigma of one raw sample while the robot stands still, the noise floor.
         moving: (n,) share of the samples in motion is its mean; invalid, lost: samples.
+        braked: share of samples left out because a joint braked hard: the weight alone is compensated.
     """
 
     time: Array
@@ -39,6 +42,7 @@ class LiveCheck:
     compensated: Array
     noise: Array
     moving: NDArray[np.bool_]
+    braked: float
     invalid: int
     lost: int
 
@@ -68,6 +72,7 @@ class _Ear:
     compensated: dict[int, tuple[float, ...]] = field(default_factory=dict)
     rests: list[tuple[int, bool]] = field(default_factory=list)
     phases: list[tuple[int, bool]] = field(default_factory=list)
+    speeds: list[tuple[int, tuple[float, ...]]] = field(default_factory=list)
     invalid: int = 0
     lost: int = 0
     end: threading.Event = field(default_factory=threading.Event)
@@ -91,6 +96,7 @@ class _Ear:
                     self.compensated[message.t_ns] = _six(message.force, message.torque)
         elif isinstance(message, JointsState):
             self.rests.append((message.t_ns, not any(message.moving.values())))
+            self.speeds.append((message.t_ns, tuple(message.velocity.values())))
         elif isinstance(message, CalibrationProgress):
             self.phases.append((message.t_ns, message.detail in COUNTED))
 
@@ -129,11 +135,20 @@ def _result(ear: _Ear) -> LiveCheck:
         what = f"only {len(stamps)} compensated samples bear the calibration {ear.calibration}"
         raise HardwareError(what, where="wrench/compensated", todo="galen-hw monitor")
     stamps = stamps[_latest(ear.phases, stamps) & _latest(ear.phases, stamps + TAIL_NS)]
+    braked = _braked(ear.speeds, stamps)
+    stamps = stamps[~braked]
     raw = np.array([ear.raw[t] for t in stamps])
     compensated = np.array([ear.compensated[t] for t in stamps])
     still = _latest(ear.rests, stamps) & _latest(ear.rests, stamps + TAIL_NS)
     return LiveCheck(
-        1e-9 * (stamps - stamps[0]), raw, compensated, _noise(raw, stamps, still), ~still, ear.invalid, ear.lost
+        1e-9 * (stamps - stamps[0]),
+        raw,
+        compensated,
+        _noise(raw, stamps, still),
+        ~still,
+        float(braked.mean()),
+        ear.invalid,
+        ear.lost,
     )
 
 
@@ -141,6 +156,18 @@ def _latest(states: list[tuple[int, bool]], stamps: NDArray[np.int64]) -> NDArra
     """What the last of (time, state) before each stamp says."""
     times, values = np.array([t for t, _ in states]), np.array([state for _, state in states])
     return np.asarray(values[(np.searchsorted(times, stamps) - 1).clip(0)])
+
+
+def _braked(speeds: list[tuple[int, tuple[float, ...]]], stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Samples near a joint acceleration that is not slow motion: the controller brakes at its own firm rate."""
+    times = np.array([t for t, _ in speeds])
+    velocity = np.array([v for _, v in speeds])
+    steps = np.maximum(np.diff(times) * 1e-9, 1e-3)
+    hard = np.flatnonzero(np.nanmax(np.abs(np.diff(velocity, axis=0)), axis=1) / steps > HARD)
+    near = np.zeros(len(stamps), dtype=bool)
+    for k in hard:
+        near |= (stamps > times[k] - TAIL_NS) & (stamps < times[k + 1] + TAIL_NS)
+    return near
 
 
 def _noise(raw: Array, stamps: NDArray[np.int64], still: NDArray[np.bool_]) -> Array:

@@ -38,7 +38,8 @@ def _left_aside(result: "Result") -> Iterator[str]:
     rows = result.fit.outliers
     if len(rows):
         numbers = ", ".join(str(i + 1) for i in rows[:8]) + (" ..." if len(rows) > 8 else "")
-        yield f"{len(rows)} of {len(result.fit.weight)} poses do not fit the rest and are left aside: {numbers}"
+        verb = "does not fit the rest and is" if len(rows) == 1 else "do not fit the rest and are"
+        yield f"{len(rows)} of {len(result.fit.weight)} poses {verb} left aside: {numbers}"
 
 
 def _excess(result: "Result") -> Iterator[str]:
