@@ -85,12 +85,12 @@ def _errors(out: Comparison, figure: "Figure") -> "Figure":
         axes.bar_label(bars, fmt="%.2f", fontsize=7)
     axes.axhline(1e3 * out.noise_m, color=INK, lw=1, ls=":")
     axes.annotate(
-        "tracker noise", (1.0, 1e3 * out.noise_m), xycoords=("axes fraction", "data"), ha="right", va="bottom"
+        "tracker noise", (0.42, 1e3 * out.noise_m), xycoords=("axes fraction", "data"), ha="right", va="bottom"
     )
     axes.set_xticks(np.arange(len(kinds)) + 0.4 - 0.5 * width, kinds)
     axes.set_ylabel("rms error of the tip, mm")
     axes.grid(visible=False, axis="x")
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
@@ -115,7 +115,7 @@ def _centred(data: DeflectionSet, give: Array) -> Array:
 def _over_force(axes: Any, data: DeflectionSet, give: Array, title: str) -> None:
     measured, predicted = _centred(data, data.give), _centred(data, give)
     for i, (ax, letter) in enumerate(zip(axes, "xyz", strict=True)):
-        ax.plot(data.force[:, i], measured[:, i], ".", ms=1.0, color=BAND, rasterized=True)
+        ax.plot(data.force[:, i], measured[:, i], ".", ms=1.0, color=RAW, alpha=0.4, rasterized=True)
         ax.plot(data.force[:, i], predicted[:, i], ".", ms=1.0, color=DONE, rasterized=True)
         ax.set(xlabel=f"force {letter}, N", ylabel=f"give {letter}, mm")
     axes[0].set_title(title, loc="left")

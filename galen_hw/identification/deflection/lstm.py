@@ -49,6 +49,8 @@ class Lstm(DeflectionModel):
         self.centre, self.scale = all_x.mean(axis=0), all_x.std(axis=0) + 1e-9
         self.spread = all_y.std(axis=0) + 1e-12
         torch.manual_seed(0)
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)  # The cell is small: more threads only wait for each other.
         layer, drop = torch.nn.LSTM(all_x.shape[1], UNITS, batch_first=True), torch.nn.Dropout(DROPOUT)
         head = torch.nn.Linear(UNITS, all_y.shape[1])
         optimizer = torch.optim.Adam([*layer.parameters(), *head.parameters()], lr=0.01)
@@ -63,6 +65,7 @@ class Lstm(DeflectionModel):
                 loss.backward()
                 self.losses[-1] += float(loss.detach()) / len(x)
             optimizer.step()
+        torch.set_num_threads(threads)
         state = {**layer.state_dict(), **{f"head.{k}": v for k, v in head.state_dict().items()}}
         self.weights = {name: value.numpy().astype(float) for name, value in state.items()}
         return self

@@ -155,3 +155,39 @@ class MarkerWatch:
             if float(np.linalg.norm(q)) <= self.moved_m:
                 return ["tool and reference marker have changed places: the handles are swapped"]
         return [f"the reference marker moved by {1e3 * moved:.2f} mm and {1e3 * turned:.1f} mrad: register again"]
+
+
+def register_both(T_marker_tool: Array, T_base_tip: Array) -> tuple[Array, Array]:
+    """Base in the reference marker's frame and tool marker in the tip's, neither known beforehand: M_i = X B_i Z.
+
+    Rotations from the turns between poses, the places by least squares (robot-world and hand-eye; Shah 2013 states the
+    problem).
+
+    Args:
+        T_marker_tool: (N, 4, 4) tool marker as the reference marker sees it, one a configuration without force.
+        T_base_tip: (N, 4, 4) tip as the robot reports it.
+
+    Returns:
+        T_marker_base, T_tip_tool: (4, 4) each.
+
+    Raises:
+        UsageError: fewer than four configurations, or all turned about one axis.
+    """
+    M, B = np.asarray(T_marker_tool), np.asarray(T_base_tip)
+    i, j = np.triu_indices(len(M), 1)
+    a = rotation_log(M[i, :3, :3] @ np.swapaxes(M[j, :3, :3], 1, 2))
+    b = rotation_log(B[i, :3, :3] @ np.swapaxes(B[j, :3, :3], 1, 2))
+    spread = np.linalg.svd(b, compute_uv=False)
+    if len(M) < 4 or spread[1] < 0.1 * spread[0]:
+        raise UsageError(
+            f"{len(M)} configurations do not tell where the markers sit",
+            where="registration",
+            todo="hold the tool still at four or more places, turned about two axes",
+        )
+    U, _, Vt = np.linalg.svd(a.T @ b)
+    R_x = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    R_z = _mean(transform(np.swapaxes(R_x @ B[:, :3, :3], 1, 2) @ M[:, :3, :3], np.zeros((len(M), 3))))[:3, :3]
+    A = np.concatenate([R_x @ B[:, :3, :3], np.tile(np.eye(3), (len(M), 1, 1))], axis=2).reshape(-1, 6)
+    y = (M[:, :3, 3] - B[:, :3, 3] @ R_x.T).reshape(-1)
+    t = np.linalg.lstsq(A, y, rcond=None)[0]
+    return transform(R_x, t[3:]), transform(R_z, t[:3])
