@@ -1,0 +1,116 @@
+"""`galen-hw deflection fit`: what it says of bad data, how it splits, and that a whole fit ends in a served model."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from galen_hw.cli import main
+from galen_hw.identification.deflection.registration import register_both
+from galen_hw.recording import Recording, RecordingInfo, write_table
+from galen_hw.services.deflection_store import DeflectionStore
+from galen_hw.spatial import Array, rotation_exp, transform
+from galen_hw.tools.blind_proof.generator.galen import TOOLS
+from galen_hw.tools.deflection_robots import GivingRobot
+
+ROBOT = GivingRobot.drawn(1)
+
+
+@pytest.fixture(scope="module")
+def recorded() -> dict[str, dict[str, Array]]:
+    """Columns of sets at four configurations, and of a second one at the first."""
+    sets = [*ROBOT.sets(4, each=1), ROBOT.sets(1, each=1, day=1)[0]]
+    return {s.name: dict(s.observations.columns) for s in sets}
+
+
+def write(folder: Path, name: str, columns: dict[str, Array], **info: object) -> Path:
+    """One set as a table folder."""
+    t = TOOLS[ROBOT.tool]
+    tool = {"name": ROBOT.tool, "mass": t.mass, "com": t.com, "tip": t.tip}
+    about = RecordingInfo.model_validate({"schema": 1, "robot": "galen", "predict": "pose", "tool": tool} | info)
+    return write_table(Recording(columns, about), folder / name)
+
+
+def fit(folder: Path, state: Path, *options: str) -> int:
+    """The command, the quick models alone."""
+    return main(["deflection", "--state", str(state), "fit", str(folder), "--models", "linear", *options])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        ("no tracker", "with the tracker"),
+        ("not seen", "turn the markers to the tracker"),
+        ("one place", "record at three or more"),
+        ("one way", "pull back through zero"),
+        ("saturated", "at its limit"),
+        ("two tools", "fit each tool by itself"),
+        ("no force", "force"),
+    ],
+)
+def test_bad_data_are_named_in_one_line_with_what_to_record_next(
+    tmp_path: Path,
+    recorded: dict[str, dict[str, Array]],
+    capsys: pytest.CaptureFixture[str],
+    spoil: str,
+    words: str,
+) -> None:
+    """Each line of the issue's list: said, and nothing is saved where nothing can be learned."""
+    for number, (name, original) in enumerate(recorded.items()):
+        columns, info = dict(original), {}
+        pose = [c for c in columns if c.startswith("pose.")]
+        if spoil == "one place" and number > 0:
+            break
+        if spoil == "no tracker":
+            columns = {k: v for k, v in columns.items() if k not in pose}
+        elif spoil == "not seen":
+            columns |= {k: np.where(np.arange(len(columns[k])) < 30, columns[k], np.nan) for k in pose}
+        elif spoil == "one way":
+            columns["applied.force.x"] = np.abs(columns["applied.force.x"])
+        elif spoil == "saturated":
+            columns |= {f"applied.force.{a}": np.clip(columns[f"applied.force.{a}"], -3.0, 3.0) for a in "xyz"}
+        elif spoil == "no force":
+            columns |= {f"applied.force.{a}": 0.0 * columns[f"applied.force.{a}"] for a in "xyz"}
+        elif spoil == "two tools" and number == 0:
+            info = {"tool": {"name": "another", "tip": [0.0, 0.0, -0.1]}}
+        write(tmp_path / "data", name, columns, **info)
+    status = fit(tmp_path / "data", tmp_path / "state")
+    lines = [line for line in capsys.readouterr().err.splitlines() if words in line]
+    assert lines, "said"
+    if spoil != "one way":
+        assert status != 0
+        assert DeflectionStore(tmp_path / "state").names() == []
+
+
+def test_a_fit_ends_in_a_saved_model_and_a_page(
+    tmp_path: Path, recorded: dict[str, dict[str, Array]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All kinds of held-out sets are found by themselves; the page bears its figures; list and show know the model."""
+    for number, (name, columns) in enumerate(recorded.items()):
+        write(tmp_path / "data", name, columns, session="second" if number == 4 else "first")
+    page, state = tmp_path / "out.html", tmp_path / "state"
+    assert fit(tmp_path / "data", state, "--json", "--report", str(page), "--save", "mine") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert set(result["held_out"]) == {"new configuration", "other day"}
+    assert result["recommended"] in result["models"]
+    assert page.read_text().count("data:image/png") >= 4
+    assert DeflectionStore(state).selected() == "mine"
+    assert main(["deflection", "--state", str(state), "list"]) == 0
+    assert "* mine/0001" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["deflection"])
+    assert main(["deflection", "--state", str(state), "rollback", "mine"]) == 2
+
+
+def test_markers_whose_places_nobody_knows_are_found_from_poses_without_force() -> None:
+    """Robot-world and hand-eye at once, exact on exact data, close on noisy data; one axis is refused."""
+    rng = np.random.default_rng(0)
+    X, Z = (transform(rotation_exp(rng.normal(size=3)), rng.normal(size=3)) for _ in range(2))
+    B = transform(rotation_exp(rng.normal(size=(8, 3))), rng.normal(size=(8, 3)))
+    found = register_both(X @ B @ Z, B)
+    assert np.abs(found[0] - X).max() < 1e-9
+    assert np.abs(found[1] - Z).max() < 1e-9
+    flat = transform(rotation_exp(np.outer(rng.normal(size=8), [0.0, 0.0, 1.0])), rng.normal(size=(8, 3)))
+    with pytest.raises(Exception, match="do not tell"):
+        register_both(X @ flat @ Z, flat)
