@@ -8,8 +8,8 @@ from conformance.peer import Run
 
 from galen_hw.clock import TimeBase
 from galen_hw.drivers.device import CanFrame
-from galen_hw.drivers.robotous_codec import OUTPUT_RATES_HZ, encode_data
 from galen_hw.drivers.robotous_rft import RobotousRft
+from galen_hw.drivers.robotous_rft.codec import OUTPUT_RATES_HZ, encode_data
 from galen_hw.messages import Request
 
 MS = 1_000_000

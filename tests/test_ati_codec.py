@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import galen_hw.drivers
-from galen_hw.drivers import ati_codec as codec
-from galen_hw.drivers.ati_codec import Op
+from galen_hw.drivers.ati_netcanoem import codec
+from galen_hw.drivers.ati_netcanoem.codec import Op
 from galen_hw.drivers.device import CanFrame
 
 VECTORS = json.loads((Path(__file__).parent / "vectors/ati_netcanoem.json").read_text())["frames"]
-DBC = cantools.database.load_file(Path(galen_hw.drivers.__file__).parent / "ati_netcanoem.dbc")
+DBC = cantools.database.load_file(Path(galen_hw.drivers.__file__).parent / "ati_netcanoem/ati_netcanoem.dbc")
 counts = st.integers(-32768, 32767)
 
 

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from galil_parts import record
 
-from galen_hw.drivers.galil_codec import (
+from galen_hw.drivers.galil_dmc.codec import (
     LINE_LENGTH,
     axes_of_model,
     lines,
@@ -22,7 +22,7 @@ from galen_hw.drivers.galil_codec import (
     per_axis,
     record_size,
 )
-from galen_hw.drivers.galil_link import Exchange, GalilLink
+from galen_hw.drivers.galil_dmc.link import Exchange, GalilLink
 
 VECTORS = json.loads((Path(__file__).parent / "vectors" / "galil_dmc.json").read_text())
 

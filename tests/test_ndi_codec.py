@@ -13,8 +13,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from ndi_parts import binary, line
 
-from galen_hw.drivers.ndi_clock import FrameClock
-from galen_hw.drivers.ndi_codec import (
+from galen_hw.drivers.ndi_tracker.clock import FrameClock
+from galen_hw.drivers.ndi_tracker.codec import (
     BadReplyError,
     binary_body,
     binary_size,
@@ -26,7 +26,7 @@ from galen_hw.drivers.ndi_codec import (
     reply_text,
     rom_writes,
 )
-from galen_hw.drivers.ndi_link import NdiLink
+from galen_hw.drivers.ndi_tracker.link import NdiLink
 
 VECTORS = json.loads((Path(__file__).parent / "vectors" / "ndi_tracker.json").read_text())
 QUIET = 50

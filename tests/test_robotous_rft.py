@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
@@ -15,10 +15,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from rft_sensor import MS, Sensor, ask, force, run_of, wrenches
 
-from galen_hw.drivers import robotous_codec as codec
 from galen_hw.drivers.device import CanFrame
-from galen_hw.drivers.robotous_codec import Command
-from galen_hw.drivers.robotous_rft import RobotousRft
+from galen_hw.drivers.robotous_rft import RobotousRft, codec
+from galen_hw.drivers.robotous_rft.codec import Command
 from galen_hw.errors import CommandRejectedError
 
 VECTORS = json.loads((Path(__file__).parent / "vectors/robotous_rft.json").read_text())["frames"]
@@ -184,6 +183,8 @@ def check_every_sample_is_whole(run, sensor):
 )
 def test_no_wrong_sample_whatever_happens_on_the_wire(seed, rates, rate_hz):
     """Any mixture of lost, doubled, short and foreign frames: each sample is whole and newer than the last."""
+    # Both kinds of doubling at once put eight frames into a period of 1 kHz: the sensor's own bus has no room for them.
+    assume(rate_hz < 1000 or not {"double", "double_pair"} <= rates.keys())
     sensor = Sensor(rng=random.Random(seed))
     run = run_of(sensor, rate_hz=rate_hz).seconds(0.2)
     assert run.device.ready

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from galen_hw.drivers.virtual.galil_dmc import VirtualGalilDmc
-from galen_hw.drivers.virtual.galil_profile import Path, Rates, State, jog, move, stop
+from galen_hw.drivers.virtual.galil_dmc.profile import Path, Rates, State, jog, move, stop
 from galen_hw.drivers.virtual.world import World
 from tests.galil_host import Host
 

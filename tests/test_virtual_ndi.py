@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from galen_hw.drivers.virtual.ndi_scene import REFERENCE, TOOL
 from galen_hw.drivers.virtual.ndi_tracker import VirtualNdiTracker
-from galen_hw.drivers.virtual.ndi_wire import crc16, garble
+from galen_hw.drivers.virtual.ndi_tracker.scene import REFERENCE, TOOL
+from galen_hw.drivers.virtual.ndi_tracker.wire import crc16, garble
 from galen_hw.drivers.virtual.world import World
 from galen_hw.spatial import quaternion_from_rotation
 

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from galen_hw.drivers.virtual.ndi_scene import REFERENCE, TOOL
 from galen_hw.drivers.virtual.ndi_tracker import VirtualNdiTracker
+from galen_hw.drivers.virtual.ndi_tracker.scene import REFERENCE, TOOL
 from galen_hw.drivers.virtual.world import World
 from galen_hw.spatial import quaternion_from_rotation
 from tests.pty_peer import empty_rom, run_client

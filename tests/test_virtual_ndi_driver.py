@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from galen_hw.drivers.ndi_tracker import NdiTracker
-from galen_hw.drivers.virtual.ndi_scene import REFERENCE, TOOL
 from galen_hw.drivers.virtual.ndi_tracker import VirtualNdiTracker
+from galen_hw.drivers.virtual.ndi_tracker.scene import REFERENCE, TOOL
 from galen_hw.drivers.virtual.world import World
 from tests.serial_pair import TIME_BASE, Pair
 

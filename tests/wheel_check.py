@@ -14,7 +14,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 MUST_HOLD = (
     "galen_hw/cli.py",
-    "galen_hw/drivers/ati_netcanoem.py",
+    "galen_hw/drivers/ati_netcanoem/device.py",
     "galen_hw/drivers/virtual/world.py",
     "galen_hw/services/compensation.py",
     "galen_hw/config/galen.urdf",
