@@ -9,6 +9,7 @@ import numpy as np
 from galen_hw.identification.deflection.blocks import Blocks, Rows, noise_of
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.elastic_terms import (
+    TRANSITIONS,
     WIDTHS,
     Columns,
     Term,
@@ -110,7 +111,8 @@ class Search:
         """Searched values, finer and finer, each for itself."""
         for factor in (1.6, 1.2, 1.06):
             self._view()
-            nearby = {term: zoomed(term, factor) for term in self.terms}
+            softest = {t.port: TRANSITIONS[-1] * amplitude(self._bare, t.port) for t in self.terms}
+            nearby = {term: zoomed(term, factor, softest[term.port]) for term in self.terms}
             blocks = self._blocks([*self.terms, *(t for near in nearby.values() for t in near)])
             for term, near in nearby.items():
                 place = self.terms.index(term)
@@ -149,10 +151,10 @@ class Search:
         """Add the candidate that the held-out sets want most, again and again."""
         now = blocks.held_out([*self.terms, *always]) if self.terms or always else blocks.yy / blocks.rows
         while True:
-            taken = {(t.kind, t.port) for t in self.terms}
+            taken = {t.place for t in self.terms}
             best: tuple[float, float, Term, Array] | None = None
             for t in candidates:
-                if (t.kind, t.port) in taken:
+                if t.place in taken:
                     continue
                 loss = blocks.held_out([*self.terms, t, *always])
                 gain, error = blocks.gain(now, loss)

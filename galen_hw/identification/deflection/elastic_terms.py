@@ -23,7 +23,8 @@ KINDS: Final[dict[str, type[Effect]]] = {
 }
 WIDTHS: Final = tuple(np.geomspace(0.01, 0.4, 10).tolist())
 CONSTANTS_S: Final = (0.7, 1.5, 3.0, 6.0, 12.0, 30.0)
-TRANSITIONS: Final = (0.004, 0.015, 0.05)
+TRANSITIONS: Final = (0.003, 0.01, 0.03)
+"""Of the load's amplitude; a softer step than the last is a curved spring, and hardening's business."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,11 @@ class Term:
     def bare(self) -> bool:
         """Whether it acts on the whole load; the others act on what the friction leaves of it."""
         return self.kind in ("compliance", "hysteresis")
+
+    @property
+    def place(self) -> tuple[str, str, int]:
+        """What there can be only one of: a curved spring may have a square and a cube."""
+        return self.kind, self.port, getattr(self.effect, "power", 0)
 
     def column(self, bare: GivingScene, settled: GivingScene) -> Array:
         """(N, d) give per unit of the parameter."""
@@ -123,8 +129,12 @@ def hysteresis_columns(views: Sequence[GivingScene], port: str, widths: Sequence
     return {term: [f[:, :, i] for f in full] for i, term in enumerate(terms)}
 
 
-def zoomed(term: Term, factor: float, count: int = 5) -> list[Term]:
-    """The same effect at neighbouring values of what is searched, from 1/factor to factor times."""
+def zoomed(term: Term, factor: float, softest: float, count: int = 5) -> list[Term]:
+    """The same effect at neighbouring values of what is searched, from 1/factor to factor times.
+
+    Args:
+        softest: largest transition of play, N or N m.
+    """
     ratios = [x for x in np.geomspace(1.0 / factor, factor, count).tolist() if abs(x - 1.0) > 1e-9]
     e = term.effect
     if isinstance(e, JointHysteresis):
@@ -132,7 +142,8 @@ def zoomed(term: Term, factor: float, count: int = 5) -> list[Term]:
     if isinstance(e, Creep):
         return [Term(term.kind, term.port, Creep(e.constant * x, joint=e.joint)) for x in ratios]
     if isinstance(e, BearingPlay):
-        return [Term(term.kind, term.port, BearingPlay(e.joint, e.transition * x)) for x in ratios]
+        steps = [e.transition * x for x in ratios if e.transition * x <= softest]
+        return [Term(term.kind, term.port, BearingPlay(e.joint, step)) for step in steps]
     return []
 
 
