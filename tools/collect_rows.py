@@ -10,7 +10,7 @@ from galen_hw.clock import NS_PER_S
 from galen_hw.identification.deflection.registration import MarkerWatch
 from galen_hw.kinematics import Robot
 from galen_hw.messages import JointsState, Message, TrackedPose, WrenchCompensated, WrenchRaw
-from galen_hw.spatial import Array, rotation_from_quaternion, transform
+from galen_hw.spatial import Array, inverse, rotation_from_quaternion, transform
 
 TOPICS = ("wrench/raw", "wrench/compensated", "joints/state", "tracker/tool", "tracker/reference")
 HALF_FRAME_S = 1.0 / 120.0
@@ -102,13 +102,21 @@ class Rows:
         tool = np.array([f[2] for f in frames]).reshape(-1, 4, 4)
         M = np.full_like(tool, np.nan)
         both = np.isfinite(tool + reference).all(axis=(1, 2)) if len(tool) else np.zeros(0, bool)
-        M[both] = np.linalg.inv(reference[both]) @ tool[both]
+        if both.any():
+            # The reference is at rest (the watch says if not): its own noise, times its distance, is averaged away.
+            M[both] = inverse(middle(reference[both])) @ tool[both]
         done, raw = self._wrench["done"], self._wrench["raw"]
         force = _means(np.array(done if len(done) > 0.9 * len(raw) else raw, dtype=float), start, time)
         tq = np.array([(ns - start) / NS_PER_S for ns, _ in self._joints])
         q = np.array([v for _, v in self._joints])
         at = np.stack([np.interp(time, tq, c) for c in q.T], axis=1) if len(q) else np.zeros((len(time), 0))
         return {"time": time, "q": at, "force": force, "M": M}
+
+
+def middle(T: Array) -> Array:
+    """(4, 4) median place and mean turn of a marker that was still, from (N, 4, 4)."""
+    U, _, Vt = np.linalg.svd(T[:, :3, :3].mean(axis=0))
+    return transform(U @ Vt, np.median(T[:, :3, 3], axis=0))
 
 
 def _force(message: WrenchRaw | WrenchCompensated) -> tuple[int, float, float, float]:

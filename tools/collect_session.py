@@ -15,7 +15,7 @@ from galen_hw.kinematics import Robot
 from galen_hw.recording import Recording, RecordingInfo, write_table
 from galen_hw.spatial import Array, inverse, quaternion_from_rotation, transform
 from galen_hw.tools.collect_plan import Plan, Push, Step
-from galen_hw.tools.collect_rows import Rows
+from galen_hw.tools.collect_rows import Rows, middle
 
 MOVE_WITHIN_S: Final = 60.0
 STILL_S: Final = 0.5
@@ -126,7 +126,7 @@ class CollectSession:
                 where=step.name,
                 todo="turn the markers to the tracker, or move the tracker, then go on",
             )
-        M = np.array([_middle(m) for m, _ in usable])
+        M = np.array([middle(m) for m, _ in usable])
         B = np.array([self._tip(np.median(q, axis=0)[None])[0] for _, q in usable])
         found = register_both(M, B)
         left = np.linalg.norm((found[0] @ B @ found[1] - M)[:, :3, 3], axis=1)
@@ -223,12 +223,3 @@ class CollectSession:
             "tracker_warnings": dict(self.rows.warnings),
         }
         write_table(Recording(columns, RecordingInfo.model_validate(info)), self.plan.folder / step.name)
-
-
-def _middle(M: Array) -> Array:
-    """(4, 4) median place and mean turn of a marker that was still."""
-    out = M[0].copy()
-    out[:3, 3] = np.median(M[:, :3, 3], axis=0)
-    U, _, Vt = np.linalg.svd(M[:, :3, :3].mean(axis=0))
-    out[:3, :3] = U @ Vt
-    return np.asarray(out)

@@ -101,7 +101,9 @@ def _recommend(out: Comparison) -> tuple[str, str]:
 def file_of(out: Comparison, name: str, robot: str) -> DeflectionFile:
     """The recommended model for the service."""
     first = out.learn[0]
-    left = [s.give - out.scores[out.best].predicted[s.name] for sets in out.held.values() for s in sets]
+    predicted = out.scores[out.best].predicted
+    pairs = [(s.give, predicted[s.name]) for sets in out.held.values() for s in sets]
+    left = [give[:, : model.shape[1]] - model for give, model in pairs]
     std = np.nanstd(np.concatenate(left), axis=0).tolist() if left else []
     return DeflectionFile(
         name=name,

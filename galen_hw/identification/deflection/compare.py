@@ -37,7 +37,7 @@ def judge(model: DeflectionModel, held_out: Mapping[str, Sequence[DeflectionSet]
         for s in sets:
             give = model.predict(s)
             predicted[s.name] = give
-            error = (s.give - give)[:, :3]
+            error = s.give[:, :3] - give[:, :3]
             error = error - error[first_rest(s)].mean(axis=0)
             errors.append(error)
             released.append(error[after_push(s)])

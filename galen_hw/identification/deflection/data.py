@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from galen_hw.errors import UsageError
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.scene_pose import PoseScene
+from galen_hw.physics.scene_pose import APPLIED, PoseScene
 from galen_hw.spatial import Array
 
 SATURATED_SHARE = 0.02
@@ -50,6 +50,10 @@ class DeflectionSet:
         """
         observations = replace(observations, belief=replace(observations.belief, compliance={}))
         scene = PoseScene(observations)
+        seen = np.isfinite(scene.residual).all(axis=1) & np.isfinite(observations.matrix(*APPLIED)).all(axis=1)
+        if not seen.all() and seen.any():  # Where the tool was hidden nothing can be learned.
+            observations = observations.taken(seen)
+            scene = PoseScene(observations)
         force, give = scene.force, scene.residual
         size = np.linalg.norm(force, axis=1)
         if not np.any(size > 0.0):
