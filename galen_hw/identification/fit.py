@@ -19,6 +19,8 @@ from galen_hw.identification.poses import Poses
 from galen_hw.spatial import Array
 
 ITERATIONS: Final = 40
+ROUGH: Final = 6
+"""Iterations with Huber's function: it only has to find the neighbourhood."""
 HUBER, TUKEY = 3.2, 6.0
 """Tuning for the norm of six whitened residuals (its median is 2.3): Huber's knee and Tukey's zero."""
 OUTLIER_WEIGHT: Final = 0.1
@@ -86,11 +88,11 @@ def fit(poses: Poses, unknowns: Unknowns, *, robust: bool = True, span: tuple[fl
     state = _start(model)
     stages = ("huber", "tukey") if robust else ("none",)
     for stage in stages:
-        for turn in range(ITERATIONS):
+        for turn in range(ROUGH if stage == "huber" else ITERATIONS):
             before = state.theta
             # What is known beforehand has no say until the scatter is known: it would win against a scatter too large.
             state = _iterate(model, state, stage, prior=turn > 1 or stage == "tukey")
-            if turn > 2 and np.all(np.abs(state.theta - before) <= 1e-10 + 1e-9 * np.abs(before)):
+            if turn > 2 and np.all(np.abs(state.theta - before) <= 1e-11 + 1e-7 * np.abs(before)):
                 break
     return _finish(model, state, stages[-1])
 

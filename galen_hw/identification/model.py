@@ -80,9 +80,13 @@ class Model:
         self.clock = clock(poses.clock, span)
         self.known = np.zeros((6, 3)) if poses.bias_body is None else weight_map(poses.bias_body)
         self.basis = normal_basis(poses.gravity)
+        self._linear: tuple[Array, Array] | None = None
 
     def evaluate(self, theta: Array) -> tuple[Array, Array]:
         """Predicted readings (n, 6) and their derivative (n, 6, p) at parameters (p,)."""
+        if self._linear is not None:
+            constant, J = self._linear
+            return J @ theta + constant, J
         J = np.zeros((len(self.poses), 6, len(self.names)))
         s, by_tilt, by_mount = self._gravity(theta, self.poses.R)
         on = self.poses.tool.astype(float)[:, None, None]
@@ -97,7 +101,11 @@ class Model:
             self._fill(J, BIAS, np.broadcast_to(np.eye(6), (len(J), 6, 6)))
         for k in range(self.unknowns.drift):
             self._fill(J, drift_names(k), self._power(k + 1)[:, None, None] * np.eye(6))
-        prediction = J @ theta + hung @ self.known.T
+        constant = hung @ self.known.T
+        prediction = J @ theta + constant
+        if not (self.unknowns.tilt or self.unknowns.mount):
+            self._linear = constant, J
+            return prediction, J
         W_t, W_b = self._maps(theta)
         if self.unknowns.tilt:
             self._fill(J, TILT, on * (W_t @ by_tilt) + W_b @ hung_by_tilt)
