@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.summary import summary
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
 from galen_hw.kinematics import GalenRobot, Robot, UrdfRobot
@@ -110,7 +111,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", metavar="OUT", help="write the answer as JSON")
     parser.add_argument("--report", metavar="OUT.html", help="write a page with figures")
     parser.add_argument("--save-model", metavar="OUT.json", help="write the terms found, for the live services")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0, help="of the blocks that are set aside")
+    parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, for many recordings")
+    parser.epilog = "example: galen-hw diagnose run.mcap --report report.html --save-model retractor+cable.json"
 
 
 def run(args: argparse.Namespace) -> int:
@@ -120,14 +123,62 @@ def run(args: argparse.Namespace) -> int:
         UsageError: wrong use or unreadable input.
     """
     paths = [p for given in args.recordings for p in expanded(Path(given))]
-    answers = [one(path, args) for path in paths]
-    for work in answers:
-        print(summary(work.diagnosis))
+    answers = _all(paths, args)
+    for answer in answers:
+        print(summary(answer))
+    if len(answers) > 1:
+        _table(answers)
     if args.json:
-        values = [work.diagnosis.to_json() for work in answers]
+        values = [answer.to_json() for answer in answers]
         text = json.dumps(values if len(values) > 1 else values[0], indent=1, ensure_ascii=False)
         Path(args.json).write_text(text + "\n", encoding="utf-8")
-    return EXIT_OK if all(w.diagnosis.verdict == "agrees" for w in answers) else EXIT_FOUND
+    return EXIT_OK if all(a.verdict == "agrees" for a in answers) else EXIT_FOUND
+
+
+def _all(paths: list[Path], args: argparse.Namespace) -> list[Diagnosis]:
+    """One after the other, or in parallel on all cores (on a Dask cluster where its address is given)."""
+    if len(paths) == 1:
+        return [_whole(paths[0], args, several=False)]
+    from joblib import Parallel, delayed, parallel_config
+
+    from galen_hw.tools.clusters import cluster
+
+    with cluster(args.dask) as backend, parallel_config(**backend):
+        found = Parallel()(delayed(_whole)(path, args, several=True) for path in paths)
+    return list(found)
+
+
+def _whole(path: Path, args: argparse.Namespace, *, several: bool) -> Diagnosis:
+    """Diagnose one recording and write what was asked for; with several, its name goes into the file's name."""
+    work = one(path, args)
+    if args.report:
+        from galen_hw.diagnosis.draw import traces_of
+        from galen_hw.diagnosis.page import write_page
+
+        write_page(_named(args.report, path, several=several), work.diagnosis.to_json(), traces_of(work))
+    if args.save_model:
+        terms = {"schema": 1, "recording": str(path), "terms": work.diagnosis.terms}
+        target = _named(args.save_model, path, several=several)
+        target.write_text(json.dumps(terms, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    return work.diagnosis
+
+
+def _named(given: str, path: Path, *, several: bool) -> Path:
+    target = Path(given)
+    return target.with_stem(f"{target.stem}-{path.stem}") if several else target
+
+
+def _table(answers: list[Diagnosis]) -> None:
+    """One row a recording."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("recording", "verdict", "findings", "held-out error / floor", box=None)
+    for answer in answers:
+        floor, after = answer.fit["noise_floor"], answer.fit["rmse_after"]
+        worst = max((after[c] / floor[c] for c in after if floor[c] > 0.0), default=float("nan"))
+        table.add_row(answer.recording, answer.verdict, ", ".join(f.effect for f in answer.findings), f"{worst:.2f}")
+    Console().print(table)
 
 
 def expanded(path: Path) -> list[Path]:

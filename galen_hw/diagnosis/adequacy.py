@@ -106,7 +106,7 @@ def leftovers(bench: Bench, model: list[Hypothesis], rest: Array, white: Array) 
     budget = max(int(train.sum()) // 6, 3)
     for c in range(bench.width):
         own = [h.white.values[:, h.white.channels.index(c)] for h in model if c in h.white.channels and h.count]
-        base = np.concatenate(own, axis=1)
+        base = np.concatenate([*own, np.zeros((len(rest), 0))], axis=1)
         for kind, X in families:
             if not X.shape[1]:
                 continue
@@ -134,8 +134,6 @@ def _test(
     good = s > 1e-3 * s[0]
     k = int(good.sum())
     y = white[train] - Q @ (Q.T @ white[train])
-    noise = max(float(np.mean(y**2)), 1.0) if k < 0.2 * len(y) else 1.0
-    del noise
     projected = U[:, good].T @ y
     z = (float(projected @ projected) - k) / np.sqrt(2.0 * k)
     theta = (Vt[good].T @ (projected / s[good])) / scale

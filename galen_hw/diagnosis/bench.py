@@ -14,7 +14,7 @@ from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
-MOST_ROWS = 16000
+MOST_ROWS = 12500
 SURROGATES = 48
 
 
@@ -97,9 +97,12 @@ class Bench:
         return Columns(columns.channels, self.rows.average(values))
 
     def add(self, effect: Effect, looked: int = 1) -> Hypothesis:
-        """A hypothesis with its columns, not yet whitened in place of any other."""
-        raw = self.averaged(effect.columns(self.scene), timed=not effect.EPISODIC and not effect.TIMING)
-        return self.made(effect, raw, looked)
+        """A hypothesis with its columns, averaged and whitened."""
+        return self.made(effect, self.raw(effect), looked)
+
+    def raw(self, effect: Effect) -> Columns:
+        """An effect's averaged columns, late where the stream is late."""
+        return self.averaged(effect.columns(self.scene), timed=not effect.EPISODIC and not effect.TIMING)
 
     def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
         """A hypothesis of given averaged columns."""

@@ -51,8 +51,9 @@ def diagnose(scene: Scene, *, name: str = "", holdout: Scene | None = None, shar
     bench = Bench(scene, 0.0 if holdout is not None else share, seed)
     glitch = _glitches(bench)
     effects = library(bench)
-    bench.learn_noise([bench.averaged(e.columns(scene), timed=True) for e in effects])
-    scorer = Scorer(bench, [bench.add(e) for e in effects])
+    columns = [bench.raw(effect) for effect in effects]
+    bench.learn_noise(columns)
+    scorer = Scorer(bench, [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)])
     selection = select(bench, scorer) if not premise.wrong else Selection(scorer)
     model = settle_model(bench, scorer, selection)
     judged = judge(model, holdout)

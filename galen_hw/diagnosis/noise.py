@@ -4,7 +4,8 @@ The spectrum is a level per logarithmic band, corrected for what the rich fit it
 law below the slowest band that a recording of this length can tell from drift (slopes up to that of flicker noise).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -38,6 +39,7 @@ class Noise:
     degrees: float
     correlation: Array
     steps: Array
+    kept: dict[int, Array] = field(default_factory=dict, compare=False)
 
     def spectrum(self, frequency: Array) -> Array:
         """(F, C) level at frequencies in cycles a row."""
@@ -68,10 +70,16 @@ class Noise:
             return np.asarray(x * self.sigma[channel] ** (2 * power))
         # The mirror image behind the end keeps the two ends apart that a plain FFT would join.
         wide = np.concatenate([x, x[::-1]])
-        level = self.spectrum(np.fft.rfftfreq(2 * n))[:, channel] ** power
+        level = self._levels(2 * n)[:, channel] ** power
         return np.asarray(np.fft.irfft(np.fft.rfft(wide, axis=0) * level[:, None], 2 * n, axis=0)[:n])
 
-    @property
+    def _levels(self, n: int) -> Array:
+        """The spectrum at the frequencies of a transform of length n, kept."""
+        if n not in self.kept:
+            self.kept[n] = self.spectrum(np.fft.rfftfreq(n))
+        return self.kept[n]
+
+    @cached_property
     def effective(self) -> float:
         """Number of independent values that a slow regressor meets, over all channels."""
         slow = self.spectrum(np.array([0.003]))[0]

@@ -9,7 +9,7 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 
 from galen_hw.diagnosis import figures
-from galen_hw.diagnosis.summary import VERDICTS, quantity, summary
+from galen_hw.diagnosis.summary import VERDICTS, quantity
 from galen_hw.diagnosis.traces import Traces
 from galen_hw.version import VERSION
 
@@ -26,7 +26,7 @@ def write_page(path: Path, answer: Mapping[str, Any], traces: Traces) -> None:
     text = template.render(
         answer=answer,
         verdict=VERDICTS[answer["verdict"]],
-        lines=summary(answer)[1:],
+        lines=answer.get("notes", ()),
         evidence=traces.evidence,
         pictures=_pictures(answer, traces),
         version=VERSION,

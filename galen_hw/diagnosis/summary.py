@@ -12,6 +12,18 @@ VERDICTS = {
 }
 
 
+def quantity(value: float, std: float | None, unit: str) -> str:
+    """A number with its standard deviation and unit, as many digits as it deserves."""
+    if std is None or not std > 0.0:
+        return f"{value:.4g} {unit}".strip()
+    digits = max(3, 2 + _order(abs(value)) - _order(std)) if value else 3
+    return f"{value:.{min(digits, 8)}g} ± {std:.2g} {unit}".strip()
+
+
+def _order(x: float) -> int:
+    return int(f"{x:e}".split("e")[1])
+
+
 def summary(d: Diagnosis) -> str:
     """Verdict, findings, fit, what is open, and notes."""
     lines = [f"{d.recording}: {VERDICTS[d.verdict]}"]
