@@ -142,4 +142,4 @@ def _test(
     gain = float(np.sum(white[where] ** 2 - (white[where] - predicted_white[where]) ** 2))
     predicted = X @ theta
     share = 1.0 - float(np.sum((rest[where] - predicted[where]) ** 2) / max(np.sum(rest[where] ** 2), 1e-300))
-    return (z, share, predicted, k) if gain > 6.0 or not judged.any() else None
+    return (z, share, predicted, k) if (gain > 8.0 and share > 0.0) or not judged.any() else None

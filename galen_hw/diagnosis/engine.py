@@ -14,7 +14,7 @@ from galen_hw.diagnosis.judge import Judged, judge
 from galen_hw.diagnosis.locate import channels_of, episodes_of, where_of
 from galen_hw.diagnosis.result import Diagnosis, Finding, Verdict
 from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.select import Selection, library, select
+from galen_hw.diagnosis.select import Selection, at_first_sight, library, select
 from galen_hw.diagnosis.words import next_experiment
 from galen_hw.physics.event_effects import Glitches
 from galen_hw.physics.scene import Scene
@@ -52,7 +52,7 @@ def diagnose(scene: Scene, *, name: str = "", holdout: Scene | None = None, shar
     glitch = _glitches(bench)
     effects = library(bench)
     columns = [bench.raw(effect) for effect in effects]
-    bench.learn_noise(columns)
+    bench.learn_noise(columns, [bench.raw(s.effect) for s in at_first_sight(bench)])
     scorer = Scorer(bench, [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)])
     selection = select(bench, scorer) if not premise.wrong else Selection(scorer)
     model = settle_model(bench, scorer, selection)

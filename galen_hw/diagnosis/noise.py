@@ -13,6 +13,7 @@ from galen_hw.diagnosis.rows import Rows
 from galen_hw.spatial import Array
 
 BANDS_PER_DECADE = 6
+LINES = 18
 SHORTEST = 96
 SLOW_CYCLES = 7.0
 """Below so many cycles in a segment the spectrum is continued, not measured."""
@@ -126,9 +127,13 @@ def estimate(rest: Array, basis: list[Array], rows: Rows, *, clock: bool, steps:
 
 
 def _bands(n: int) -> Array:
-    low = SLOW_CYCLES / n
-    count = max(int(np.ceil(BANDS_PER_DECADE * np.log10(0.5 / low))), 2)
-    return np.geomspace(low, 0.5, count + 1)
+    """Limits in cycles a row: at least `LINES` lines of the spectrum in a band, equal ratios where there are more."""
+    edges, ratio = [SLOW_CYCLES / n], 10.0 ** (1.0 / BANDS_PER_DECADE)
+    while edges[-1] < 0.5:
+        edges.append(max(edges[-1] * ratio, edges[-1] + LINES / n))
+    if len(edges) > 2 and 0.5 - edges[-2] < LINES / n:
+        edges.pop(-2)
+    return np.array([*edges[:-1], 0.5])
 
 
 def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array) -> Array:

@@ -14,10 +14,12 @@ from galen_hw.spatial import Array
 
 @dataclass(frozen=True)
 class Creep(Effect):
-    """Slow settling after a change of load: T dz/dt = x - z; r = a z, one Kelvin element in series with what the model has.
+    """Slow settling after a change of load: T dz/dt = x - z; r = a z ("more" to come after the load, a Kelvin element in
+    series with what the model has) or r = a (z - x) ("less" at first, as relaxation is seen by a calibrated sensor).
 
-    x is a channel's simulated load (sensor), or the load of a joint (pose: the joint gives by a z). Visible in rests
-    of a few T after a change of load. Confused with lag (short T), compliance (T below the rests) and drift.
+    x is a channel's simulated load (sensor), or the load of a joint (pose: the joint gives by a z). Settled at the start.
+    Visible in rests of a few T after a change of load. Confused with lag (short T), compliance or gain (T below the rests)
+    and drift.
     """
 
     KEY = "creep"
@@ -26,41 +28,50 @@ class Creep(Effect):
     constant: float
     channel: str = ""
     joint: str = ""
+    form: str = "more"
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Time constants from a fiftieth of a second to a third of the recording."""
+        """Time constants from half a second to a third of the recording."""
         longest = duration(scene) / 3.0
         if not scene.clock or longest <= 0.6:
             return
         for constant in log_grid(0.5, longest, 7):
-            if scene.observations.predict in ("pose", "targets"):
-                yield from (cls(constant, joint=j) for j in scene.joint_names if scene.load(j) is not None)
-            elif scene.observations.predict in ("wrench", "effort"):
-                spread = np.nanstd(scene.simulated, axis=0)
-                yield from (cls(constant, c) for c, s in zip(scene.channels, spread, strict=True) if s > 0.0)
-            else:
-                yield from (cls(constant, joint=joint_of(name)) for name in scene.channels)
+            for form in ("more", "less"):
+                for channel, joint in _bearing(scene):
+                    yield cls(constant, channel, joint, form)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Settled share of the load, or give of the joint."""
         if self.joint and scene.observations.predict != "position":
-            return (Parameter("compliance", "rad/(N m) or m/N"),)
+            return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
         return (Parameter("share", "1"),)
 
     def columns(self, scene: Scene) -> Columns:
         """The load's slow part through its port."""
         if self.channel:
             place = scene.channels.index(self.channel)
-            x = scene.simulated[:, place : place + 1]
-            return in_channel(place, [(scene.lag("creep", x, self.constant) - x)[:, 0]])
-        port = scene.joint_port(self.joint)
-        load = scene.load(self.joint)
+            return in_channel(place, [self._slow(scene, scene.simulated[:, place])])
+        port, load = scene.joint_port(self.joint), scene.load(self.joint)
         assert port is not None, "proposed only where there is a port"
         if load is None or scene.observations.predict == "position":
             load = scene.q[:, scene.joint_index(self.joint)]
-        slow = scene.lag("creep", load[:, None], self.constant)
-        return in_all([port * (slow - load[:, None])], len(scene.channels))
+        return in_all([port * self._slow(scene, load)[:, None]], len(scene.channels))
+
+    def _slow(self, scene: Scene, x: Array) -> Array:
+        slow = scene.lag("creep", x[:, None], self.constant)[:, 0]
+        return slow if self.form == "more" else slow - x
+
+
+def _bearing(scene: Scene) -> Iterator[tuple[str, str]]:
+    """(channel, "") of what bears load itself, or ("", joint)."""
+    if scene.observations.predict in ("pose", "targets"):
+        yield from (("", joint) for joint in scene.joint_names if scene.load(joint) is not None)
+    elif scene.observations.predict in ("wrench", "effort"):
+        spread = np.nanstd(scene.simulated, axis=0)
+        yield from ((name, "") for name, s in zip(scene.channels, spread, strict=True) if s > 0.0)
+    else:
+        yield from (("", joint_of(name)) for name in scene.channels)
 
 
 @dataclass(frozen=True)
