@@ -114,7 +114,7 @@ class AtiNetcanoem(Device[CanFrame]):
         todo = "it knows zero, unzero, restart"
         raise CommandRejectedError(f"unknown request {request.name!r}", where=self.name, todo=todo)
 
-    def stop(self, now_ns: int) -> list[CanFrame]:  # noqa: ARG002 - a polled board rests when it is not asked
+    def stop(self, now_ns: int) -> list[CanFrame]:
         """Ask for nothing any more; the board is silent when it is not asked."""
         self._phase, self._dialogue, self._flowing = Phase.OFF, None, False
         self._give_up("the sensor was stopped")

@@ -128,7 +128,7 @@ class RobotousRft(Device[CanFrame]):
         self._restart_id = request.id
         return self._take_outbox()
 
-    def stop(self, now_ns: int) -> list[CanFrame]:  # noqa: ARG002 - a stream ends at once
+    def stop(self, now_ns: int) -> list[CanFrame]:
         """End the stream."""
         was_on = self._phase is not Phase.OFF
         self._phase, self._due_ns, self._dialogue, self._flowing, self._wires = Phase.OFF, FAR_NS, None, False, []

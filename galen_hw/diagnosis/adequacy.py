@@ -1,4 +1,4 @@
-"""What physics left over: does any function of the known inputs and their past still explain the rest, and where?"""
+"""What physics left over, and where: whether any function of the known inputs and their past explains it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from galen_hw.diagnosis.bench import Bench, Hypothesis, rich_basis
+from galen_hw.diagnosis.rows import Mask
 from galen_hw.physics.effect import Columns
 from galen_hw.spatial import Array
 
@@ -107,10 +108,10 @@ def leftovers(bench: Bench, model: list[Hypothesis], rest: Array, white: Array) 
     for c in range(bench.width):
         own = [h.white.values[:, h.white.channels.index(c)] for h in model if c in h.white.channels and h.count]
         base = np.concatenate([*own, np.zeros((len(rest), 0))], axis=1)
-        for kind, X in families:
-            if not X.shape[1]:
+        for kind, columns in families:
+            if not columns.shape[1]:
                 continue
-            X = rich_basis(np.ones((len(X), 1)), [X], 12 * min(budget, X.shape[1]))
+            X = rich_basis(np.ones((len(columns), 1)), [columns], 12 * min(budget, columns.shape[1]))
             made = bench.made(None, Columns((c,), X[:, None, :]))
             found = _test(made.white.values[:, 0], X, base, white[:, c], rest[:, c], train, judged)
             if found is not None:
@@ -122,7 +123,7 @@ def leftovers(bench: Bench, model: list[Hypothesis], rest: Array, white: Array) 
 
 
 def _test(
-    Xw: Array, X: Array, base: Array, white: Array, rest: Array, train: Array, judged: Array
+    Xw: Array, X: Array, base: Array, white: Array, rest: Array, train: Mask, judged: Mask
 ) -> tuple[float, float, Array, int] | None:
     B = base[train]
     B = B / np.maximum(np.linalg.norm(B, axis=0), 1e-300)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from galen_hw.diagnosis.noise import Noise, estimate, quantisation
-from galen_hw.diagnosis.rows import Mask, Rows, blocks, set_aside
+from galen_hw.diagnosis.rows import Index, Mask, Rows, blocks, set_aside
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
@@ -57,7 +57,7 @@ class Bench:
     held: float = 0.3
     seed: int = 0
     rows: Rows = field(init=False)
-    block: Array = field(init=False)
+    block: Index = field(init=False)
     aside: Mask = field(init=False)
     dropped: Mask = field(init=False)
     noise: Noise = field(init=False)
@@ -115,9 +115,8 @@ class Bench:
         """What is always fitted: offsets of all channels and the baseline's own nuisances."""
         ones = np.ones((len(self.rows), 1, 1))
         out = [Columns((c,), ones) for c in range(self.width)]
-        for nuisance in self.scene.nuisances():
-            out.append(Columns(tuple(range(self.width)), self.rows.average(nuisance)[:, :, None]))
-        return out
+        everywhere = tuple(range(self.width))
+        return out + [Columns(everywhere, self.rows.average(n)[:, :, None]) for n in self.scene.nuisances()]
 
     def learn_noise(self, hypotheses: Iterable[Columns], extra: Iterable[Columns] = ()) -> None:
         """Noise from the rest of a rich fit: principal directions of all columns, channel by channel, and `extra` whole."""
@@ -152,7 +151,7 @@ class Bench:
         mix = np.linalg.cholesky(self.noise.correlation + 1e-6 * np.eye(self.width))
         z = rng.normal(size=(len(self.rows), count, self.width)) @ mix.T
         out = np.moveaxis(z, 1, 2).copy()
-        for c in np.flatnonzero(self.steps > 0):
+        for c in np.flatnonzero(self.steps > 0).tolist():
             if self.rows.stride > 1:
                 continue
             step = self.steps[c]
@@ -169,7 +168,7 @@ def _of(columns: Columns, channel: int) -> Array:
 
 
 def rich_basis(whole: Array, rich: list[Array], rows: int) -> Array:
-    """Orthonormal (M, r): `whole` and the leading directions of the normalised `rich` columns, r at most a twelfth of the rows."""
+    """Orthonormal (M, r): `whole` and the leading directions of the `rich` columns, r at most a twelfth of the rows."""
     most = int(min(70, max(rows // 12, 4)))
     Q = np.linalg.qr(_scaled(whole))[0]
     if not rich:

@@ -12,11 +12,8 @@ CLOSE = 7.0
 def confusions(model: Model, selection: Selection, finding: Finding) -> list[Confusion]:
     """Other effects that, put in the finding's place, would do as well; and those that are the same by structure."""
     scorer, scene = selection.scorer, model.bench.scene
-    mine = [
-        i
-        for i in selection.chosen
-        if scorer.library[i].effect is not None and finding.effect == scorer.library[i].effect.KEY
-    ]  # type: ignore[union-attr]
+    chosen = [(i, scorer.library[i].effect) for i in selection.chosen]
+    mine = [i for i, effect in chosen if effect is not None and finding.effect == effect.KEY]
     rivals: dict[str, float] = {}
     misfit = scorer.misfit(selection.chosen)
     for i in mine:
@@ -38,6 +35,6 @@ def confusions(model: Model, selection: Selection, finding: Finding) -> list[Con
         named.append("bias")
     if finding.effect in ("backlash", "hysteresis") and scene.observations.predict == "position":
         named += ["friction", *({"backlash", "hysteresis"} - {finding.effect})]
-    named = [key for key in dict.fromkeys(named)]
+    named = list(dict.fromkeys(named))
     assert WHY, "reasons by structure"
     return [Confusion(key, why(finding.effect, key)) for key in named[:5]]

@@ -11,7 +11,15 @@ from galen_hw.spatial import Array
 
 MOST_EVIDENCE = 30
 AGAINST_SPEED = ("friction",)
-AGAINST_POSITION = ("hysteresis", "backlash", "torque_ripple", "cable_drag", "joint_scale", "joint_offset", "compliance")
+AGAINST_POSITION = (
+    "hysteresis",
+    "backlash",
+    "torque_ripple",
+    "cable_drag",
+    "joint_scale",
+    "joint_offset",
+    "compliance",
+)
 
 
 def traces_of(work: Work) -> Traces:

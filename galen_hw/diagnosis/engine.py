@@ -13,12 +13,13 @@ from galen_hw.diagnosis.guards import Premise, premises
 from galen_hw.diagnosis.judge import Judged, judge
 from galen_hw.diagnosis.locate import channels_of, episodes_of, where_of
 from galen_hw.diagnosis.result import Diagnosis, Finding, Verdict
+from galen_hw.diagnosis.rows import Mask
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import Selection, at_first_sight, library, select
 from galen_hw.diagnosis.words import next_experiment
 from galen_hw.physics.event_effects import Glitches
 from galen_hw.physics.scene import Scene
-from galen_hw.spatial import Array
+from galen_hw.physics.table import effect_class
 
 
 @dataclass
@@ -66,20 +67,21 @@ def diagnose(scene: Scene, *, name: str = "", holdout: Scene | None = None, shar
 def _glitches(bench: Bench) -> list[Glitches]:
     """Marks isolated samples and leaves them out of everything."""
     marked = seek.spikes(bench.scene.residual, tuple(bench.scene.segments))
-    rows = np.flatnonzero(marked.any(axis=1))
-    if len(rows) < 3 and not _far(bench, marked):
+    spoilt = np.asarray(marked.any(axis=1))
+    rows = np.flatnonzero(spoilt)
+    if len(rows) < 3 and not _far(marked):
         return []
-    bench.dropped = bench.rows.spread(marked.any(axis=1))
+    bench.dropped = bench.rows.spread(spoilt)
     bench.whole = np.where(bench.dropped[:, None], np.nan, bench.whole)
     for c in range(bench.width):
         good = np.isfinite(bench.whole[:, c])
         bench.whole[:, c] = np.interp(np.arange(len(good)), np.flatnonzero(good), bench.whole[good, c])
     bench.y = bench.whole
-    names = tuple(n for n, m in zip(bench.scene.channels, marked.any(axis=0), strict=True) if m)
+    names = tuple(n for n, m in zip(bench.scene.channels, np.asarray(marked.any(axis=0)), strict=True) if m)
     return [Glitches(names, tuple(int(r) for r in rows))]
 
 
-def _far(bench: Bench, marked: Array) -> bool:
+def _far(marked: Mask) -> bool:
     return bool(marked.any()) and int(marked.any(axis=1).sum()) >= 2
 
 
@@ -93,13 +95,13 @@ def _said(
     name: str,
 ) -> Diagnosis:
     bench = model.bench
-    findings = findings_of(model, selection, judged, glitch)
+    findings = [f for f in findings_of(model, selection, judged, glitch) if _supported(f, judged)]
     for finding in findings:
         finding.confounded_with = confusions(model, selection, finding)
     rest = _strong(left, judged, bench)
     if premise.wrong or rest:
         findings.append(unknown_finding(bench, rest, premise))
-    verdict = _verdict(findings, judged, rest, premise)
+    verdict = _verdict(findings, rest, premise)
     unknown = ", ".join(findings[-1].channels[:3]) if findings and findings[-1].effect == "unknown" else ""
     named = [f.effect for f in findings if f.effect != "unknown"]
     rivals = [c.effect for f in findings for c in f.confounded_with]
@@ -127,6 +129,18 @@ def _said(
     )
 
 
+LEAST_GAIN = 0.002
+
+
+def _supported(finding: Finding, judged: Judged) -> bool:
+    """Nothing is claimed that held-out data do not support; what belongs to moments cannot show in another recording."""
+    if finding.effect == "glitches":
+        return True
+    gain = finding.evidence["heldout_gain"]
+    elsewhere = judged.name == "another recording" and effect_class(finding.effect).EPISODIC
+    return gain > (-LEAST_GAIN if elsewhere else LEAST_GAIN)
+
+
 def _strong(left: list[adequacy.Left], judged: Judged, bench: Bench) -> list[adequacy.Left]:
     """Leftovers that are worth saying: above chance, and not a trifle beside what was found or the noise."""
     out = []
@@ -138,7 +152,7 @@ def _strong(left: list[adequacy.Left], judged: Judged, bench: Bench) -> list[ade
     return out
 
 
-def _verdict(findings: list[Finding], judged: Judged, rest: list[adequacy.Left], premise: Premise) -> Verdict:
+def _verdict(findings: list[Finding], rest: list[adequacy.Left], premise: Premise) -> Verdict:
     named = [f for f in findings if f.effect != "unknown"]
     if premise.wrong:
         return "unexplained"

@@ -1,17 +1,22 @@
 """The chosen model, settled: what is held constant, its parameters with honest errors, and how it does on held-out rows."""
 
+import itertools
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.rows import Chosen
 from galen_hw.diagnosis.score import Scorer, solve_sym
 from galen_hw.diagnosis.select import Selection, fit, predicted
-from galen_hw.physics.effect import Effect
 from galen_hw.physics.geometry_effects import JointOffset
 from galen_hw.physics.sensor_effects import Bias
 from galen_hw.physics.time_effects import joint_of
 from galen_hw.spatial import Array
+
+if TYPE_CHECKING:
+    from galen_hw.physics.effect import Effect
 
 
 @dataclass
@@ -47,7 +52,7 @@ class Model:
     def slices(self) -> list[slice]:
         """Where each part's parameters stand."""
         ends = np.cumsum([0, *(h.count for h in self.parts)])
-        return [slice(int(a), int(b)) for a, b in zip(ends, ends[1:], strict=False)]
+        return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
     def without(self, out: list[Hypothesis]) -> "Model":
         """The same with some effects left out, fitted again."""
@@ -63,11 +68,11 @@ class Model:
             out[:, list(h.white.channels)] -= h.white.values @ self.theta[s]
         return out
 
-    def mse(self, rows: Array) -> Array:
+    def mse(self, rows: Chosen) -> Array:
         """(C,) mean squared error on rows."""
         return np.asarray(np.mean(self.rest()[rows] ** 2, axis=0))
 
-    def _covariance(self, rows: Array) -> Array:
+    def _covariance(self, rows: Chosen) -> Array:
         """Sandwich over contiguous blocks: valid when the whitening is not perfect; never below the classical one."""
         size = len(self.final)
         G, meat = np.zeros((size, size)), np.zeros((size, size))

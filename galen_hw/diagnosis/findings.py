@@ -1,5 +1,7 @@
 """From hypotheses to findings: one for each key, with all its channels, joints and parameters."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from galen_hw.diagnosis.adequacy import Left
@@ -11,7 +13,9 @@ from galen_hw.diagnosis.result import Finding, Value
 from galen_hw.diagnosis.select import CHANCE, Selection
 from galen_hw.diagnosis.words import SAYS
 from galen_hw.physics.event_effects import Glitches
-from galen_hw.spatial import Array
+
+if TYPE_CHECKING:
+    from galen_hw.spatial import Array
 
 
 def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list[Glitches]) -> list[Finding]:
@@ -28,7 +32,8 @@ def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list
 def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts: list[Hypothesis]) -> Finding:
     bench = model.bench
     where = dict(zip(map(id, model.parts), model.slices(), strict=True))
-    energy, parameters = np.zeros(bench.width), {}
+    energy = np.zeros(bench.width)
+    parameters: dict[str, Value] = {}
     for n, h in enumerate(parts):
         s = where[id(h)]
         signal = np.zeros((len(bench.rows), bench.width))
@@ -43,7 +48,8 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
     score, surprise = _evidence(model, selection, parts)
     gain = judged.gain(key)
     chance = float(min(1.0, CHANCE * np.exp(np.clip(selection.needed - surprise, -650.0, 6.0))))
-    says = f"{SAYS[key][0].upper()}{SAYS[key][1:]}{' (' + ', '.join(joints) + ')' if joints else ''}. On held-out data it takes {100 * gain:.0f} % of the excess."
+    place = f" ({', '.join(joints)})" if joints else ""
+    says = f"{SAYS[key][0].upper()}{SAYS[key][1:]}{place}. On held-out data it takes {100 * gain:.0f} % of the excess."
     evidence = {"heldout_gain": gain, "score": score, "false_alarm_probability": chance}
     return Finding(key, channels, joints, says, parameters, evidence)
 

@@ -31,7 +31,7 @@ def where_of(model: Model) -> list[dict[str, Any]]:
     """Ranges of a variable that hold much more of the excess than of the time, found on training rows, kept if held-out agree."""
     bench = model.bench
     energy = np.sum(bench.whole**2 / bench.noise.sigma**2, axis=1) - bench.width
-    out = []
+    out: list[dict[str, Any]] = []
     train, judged = bench.train, bench.judged if bench.judged.any() else bench.train
     for name, unit, values in variables(bench):
         found = _range(values[train], energy[train])
@@ -42,9 +42,10 @@ def where_of(model: Model) -> list[dict[str, Any]]:
         shares = [float(energy[rows & inside].sum() / max(energy[rows].sum(), 1e-300)) for rows in (train, judged)]
         time = float(inside.mean())
         if min(shares) > 1.5 * time + 0.05 and time < 0.7:
-            says = f"{100 * shares[1]:.0f} % of the excess in {100 * time:.0f} % of the rows: {name} from {low:.3g} to {high:.3g} {unit}"
+            span = f"{name} from {low:.3g} to {high:.3g} {unit}"
+            says = f"{100 * shares[1]:.0f} % of the excess in {100 * time:.0f} % of the rows: {span}"
             out.append({"variable": name, "range": [float(low), float(high)], "excess_share": shares[1], "says": says})
-    return sorted(out, key=lambda one: -one["excess_share"])[:4]
+    return sorted(out, key=lambda one: -float(one["excess_share"]))[:4]
 
 
 def variables(bench: Bench) -> list[tuple[str, str, Array]]:

@@ -1,7 +1,7 @@
 """The noise of every channel: its spectrum from what a rich fit leaves, whitening by it, and surrogates that look like it.
 
-The spectrum is a level per logarithmic band, corrected for what the rich fit itself took out of each band, and continued as a power
-law below the slowest band that a recording of this length can tell from drift (slopes up to that of flicker noise).
+The spectrum is a level per logarithmic band, corrected for what the rich fit itself took out of each band, and continued as a
+power law below the slowest band that a recording of this length can tell from drift (slopes up to that of flicker noise).
 """
 
 from dataclasses import dataclass, field
@@ -77,7 +77,7 @@ class Noise:
     def _levels(self, n: int) -> Array:
         """The spectrum at the frequencies of a transform of length n, kept."""
         if n not in self.kept:
-            self.kept[n] = self.spectrum(np.fft.rfftfreq(n))
+            self.kept[n] = self.spectrum(np.asarray(np.fft.rfftfreq(n), dtype=float))
         return self.kept[n]
 
     @cached_property
@@ -159,7 +159,7 @@ def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array) -> Array
                 share[b] += inside.sum()
     filled = share > 0
     level = np.interp(np.arange(len(power)), np.flatnonzero(filled), power[filled] / share[filled])
-    return np.maximum(level, 1e-7 * level.max() + 1e-30)
+    return np.asarray(np.maximum(level, 1e-7 * level.max() + 1e-30))
 
 
 def quantisation(y: Array) -> Array:

@@ -1,5 +1,6 @@
 """Rows of a recording: averaging over neighbours, contiguous blocks, and which are set aside."""
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +11,8 @@ from galen_hw.spatial import Array
 
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
+Chosen = Mask | Index
+"""Rows as a mask or by number."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class Rows:
     def runs(self) -> tuple[slice, ...]:
         """The segments in groups."""
         edges = np.cumsum([0] + [-(-(s.stop - s.start) // self.stride) for s in self.segments])
-        return tuple(slice(int(a), int(b)) for a, b in zip(edges, edges[1:], strict=False))
+        return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
 
     def __len__(self) -> int:
         """Number of groups."""
@@ -72,12 +75,10 @@ def blocks(runs: tuple[slice, ...], count: int) -> Index:
 def set_aside(block: Index, share: float, seed: int) -> Mask:
     """(M,) mask of rows held out: whole blocks, spread over the recording, never neighbours at small shares."""
     numbers = np.unique(block)
-    count = int(round(share * len(numbers)))
+    count = round(share * len(numbers))
     if len(numbers) < 4 or count < 1:
         return np.zeros(len(block), dtype=bool)
     rng = np.random.default_rng(seed)
     edges = np.linspace(0, len(numbers), count + 1)
-    chosen = [
-        numbers[int(rng.integers(int(a), max(int(b), int(a) + 1)))] for a, b in zip(edges, edges[1:], strict=False)
-    ]
+    chosen = [numbers[int(rng.integers(int(a), max(int(b), int(a) + 1)))] for a, b in itertools.pairwise(edges)]
     return np.isin(block, chosen)

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.stats import chi2, f
 
 from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.rows import Chosen
 from galen_hw.spatial import Array
 
 WEAK = 1e-5
@@ -77,9 +78,9 @@ class Scorer:
             fakes[at_new] += Xn.T @ self.fake[rows, c]
         self.G, self.b, self.fakes = G, b, fakes
 
-    def _stack(self, which: list[int], c: int, rows: Array) -> Array:
+    def _stack(self, which: list[int], c: int, rows: Chosen) -> Array:
         parts = [self.library[i].white.values[:, self.library[i].white.channels.index(c)] for i in which]
-        return np.concatenate(parts, axis=1)[rows]
+        return np.asarray(np.concatenate(parts, axis=1)[rows])
 
     def retarget(self, y: Array) -> None:
         """Another residual (M, C) for the same columns: what nonlinear effects predict beyond their slope is taken off."""
@@ -130,7 +131,7 @@ class Scorer:
             if self.library[i].looked == 1:
                 # What was sought in the residual has no counterpart in the surrogates: `looked` pays for it instead.
                 highest = np.maximum(highest, self._surprise(fake, count) - looked)
-            price = (count + len(self._searched(i))) * np.log(self.bench.noise.effective)
+            price = (self._freedom(i, count) + len(self._searched(i))) * np.log(self.bench.noise.effective)
             out[i] = Score(gain, count, float(surprise), float(gain - price - 2.0 * np.log(self.library[i].looked)))
         return out, highest
 
@@ -150,6 +151,10 @@ class Scorer:
     def _searched(self, i: int) -> dict[str, float]:
         effect = self.library[i].effect
         return {} if effect is None else effect.searched()
+
+    def _freedom(self, i: int, count: int) -> int:
+        effect = self.library[i].effect
+        return count if effect is None or effect.freedom is None else min(count, effect.freedom)
 
     def _families(self) -> list[float]:
         names = [None if h.effect is None else h.effect.family for h in self.library]

@@ -66,7 +66,7 @@ def _slow_spread(x: Array) -> Array:
 
 def _at(scene: Scene, row: int, rows: int) -> float:
     """Time of a row of the averaged rest."""
-    place = min(int(round(row * len(scene) / rows)), len(scene) - 1)
+    place = min(round(row * len(scene) / rows), len(scene) - 1)
     return float(scene.time[place])
 
 
@@ -85,8 +85,7 @@ def lines(scene: Scene, rest: Array, runs: tuple[slice, ...]) -> list[Sought]:
     power = np.abs(np.fft.rfft(x * np.hanning(n)[:, None], pad, axis=0)) ** 2
     ground = median_filter(power, size=(4 * 61, 1), mode="nearest") + 1e-300
     ratio = power / ground
-    first = 4 * 8
-    ratio[:first] = 0.0
+    ratio[: _above_motion(scene, runs, pad, n)] = 0.0
     out = []
     joint = ratio.sum(axis=1)
     dt = span / max(n - 1, 1)
@@ -97,6 +96,20 @@ def lines(scene: Scene, rest: Array, runs: tuple[slice, ...]) -> list[Sought]:
         f = int(np.argmax(score)) / (pad * dt)
         out.append(Sought(Vibration(tuple(names), float(f)), n // 2))
     return [s for s in out if s.effect.frequency > 0]  # type: ignore[attr-defined]
+
+
+def _above_motion(scene: Scene, runs: tuple[slice, ...], pad: int, n: int) -> int:
+    """First place of the padded spectrum that lies above what the joints themselves do: a line below is motion."""
+    least = (pad // n) * 8
+    moving = [scene.joint_index(joint) for joint in scene.moved]
+    if not moving:
+        return least
+    rows = np.linspace(0, len(scene) - 1, sum(run.stop - run.start for run in runs)).astype(int)
+    x = scene.q[rows][:, moving]
+    power = np.abs(np.fft.rfft((x - x.mean(axis=0)) * np.hanning(len(x))[:, None], axis=0)) ** 2
+    share = np.cumsum(power, axis=0) / power.sum(axis=0)
+    reach = int(np.max(np.argmax(share > 0.999, axis=0)))
+    return max(least, int(2.0 * reach * pad / len(x)))
 
 
 def ripples(scene: Scene, rest: Array) -> list[Sought]:
@@ -120,7 +133,7 @@ def ripples(scene: Scene, rest: Array) -> list[Sought]:
 
 def contacts(scene: Scene, white: Array, rest: Array) -> list[Sought]:
     """Episodes in which the whitened rest is far above its usual level: at most a third of the time, and rest between them."""
-    N, C = white.shape
+    N, _C = white.shape
     if not scene.clock or N < 200:
         return []
     length = max(int(0.004 * N), 5)

@@ -7,6 +7,7 @@ from scipy.optimize import minimize_scalar
 
 from galen_hw.diagnosis import seek
 from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.rows import Chosen
 from galen_hw.diagnosis.score import Score, Scorer, solve_sym, threshold
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.table import EFFECTS, effect_class
@@ -326,7 +327,7 @@ def _along(bench: Bench, scorer: Scorer, chosen: list[int], effect: Effect, name
     _, white = rests(bench, scorer, chosen)
     at = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
     rows = bench.train
-    wide = 1.02 if name == "frequency" or name == "wave_number" else 2.2
+    wide = 1.02 if name in {"frequency", "wave_number"} else 2.2
 
     def cost(log_value: float) -> float:
         h = bench.add(effect.with_searched({name: float(np.exp(log_value))}))
@@ -340,7 +341,7 @@ def _along(bench: Bench, scorer: Scorer, chosen: list[int], effect: Effect, name
     return effect.with_searched({name: float(np.exp(found.x))}) if found.fun < cost(np.log(value)) else effect
 
 
-def _gain(h: Hypothesis, base: list[Hypothesis], white: Array, rows: Array) -> float:
+def _gain(h: Hypothesis, base: list[Hypothesis], white: Array, rows: Chosen) -> float:
     """Fall of the whitened sum of squares of a rest when one hypothesis joins those that made it."""
     channels = h.white.channels
     X = h.white.values[rows].reshape(-1, h.count)
@@ -404,7 +405,9 @@ def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
     spread = scorer.spread(at)[-h.count :] * np.sqrt(misfit)
     parameters = h.effect.parameters(bench.scene)
     # With nothing but noise left the shape alone has proved it, whatever its size.
-    return misfit < PROVED or all(p.plausible(t, s) for p, t, s in zip(parameters, theta[-h.count :], spread, strict=True))
+    return misfit < PROVED or all(
+        p.plausible(t, s) for p, t, s in zip(parameters, theta[-h.count :], spread, strict=True)
+    )
 
 
 def crossed(bench: Bench, scorer: Scorer, chosen: list[int], folds: int = 5) -> Array:
@@ -423,7 +426,7 @@ def crossed(bench: Bench, scorer: Scorer, chosen: list[int], folds: int = 5) -> 
     return total / len(train)
 
 
-def fit(model: list[Hypothesis], white: Array, rows: Array, width: int) -> Array:
+def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int) -> Array:
     """Generalised least squares of a model on some rows."""
     size = sum(h.count for h in model)
     G, b = np.zeros((size, size)), np.zeros(size)
@@ -439,7 +442,7 @@ def fit(model: list[Hypothesis], white: Array, rows: Array, width: int) -> Array
     return solve_sym(G, b[:, None])[:, 0]
 
 
-def predicted(model: list[Hypothesis], theta: Array, rows: Array, width: int) -> Array:
+def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int) -> Array:
     """(len(rows), C) of a model in raw units."""
     out, done = np.zeros((len(rows), width)), 0
     for h in model:

@@ -112,6 +112,11 @@ class Effect(ABC):
         return (joint,) if joint else ()
 
     @property
+    def freedom(self) -> int | None:
+        """Physical parameters where the columns are a relaxation with more; None: as many as columns."""
+        return None
+
+    @property
     def family(self) -> tuple[Any, ...]:
         """What it is apart from the searched values: the same hypothesis at another point of the grid."""
         return (self.KEY, *((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in self.SEARCHED))  # type: ignore[arg-type]

@@ -16,9 +16,11 @@ from galen_hw.spatial import Array
 
 @dataclass(frozen=True)
 class Compliance(Effect):
-    """Elastic give: a joint by c times its load, q' = q + c tau ("joint"); the structure along the base's axes ("structure")
-    or the tool along the sensor's ("tool") by c times the applied force; in positions without a model of the weights, the
-    sag of a chain of links under its own weight, sum of a_l sin + b_l cos of the links' angles ("weight").
+    """Elastic give under load.
+
+    A joint by c times its load, q' = q + c tau ("joint"); the structure along the base's axes ("structure") or the tool
+    along the sensor's ("tool") by c times the applied force; in positions without a model of the weights, the sag
+    of a chain of links under its own weight, sum of a_l sin + b_l cos of the links' angles ("weight").
 
     Visible when the load changes otherwise than with motion. Confused with time_delay where load follows speed, with
     joint_offset for a constant load, with creep, hardening and payload.
@@ -129,6 +131,7 @@ class Hardening(Effect):
 
 
 def _load(scene: Scene, joint: str, source: str) -> Array | None:
+    load: Array | None
     if isinstance(scene, ArmScene) and source != "all":
         load = scene.weight_load(joint) if source == "weight" else scene.torque_from(joint, scene.force, scene.tip)
     else:

@@ -120,7 +120,7 @@ class LinkGeometry(Effect):
         moves = [sum(t * p[0] for t, p in zip(theta, parts, strict=True))]
         if len(parts[0]) > 1:
             moves.append(sum(t * p[1] for t, p in zip(theta, parts, strict=True)))
-        return scene.screw_port(moves)  # type: ignore[arg-type]
+        return scene.screw_port(moves)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Effects that act in a joint or along the arm: friction, torque ripple, cables."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -70,13 +70,13 @@ class Friction(Effect):
         v = scene.rates[0][:, scene.joint_index(self.joint)]
         s = np.tanh(v / self.transition)
         forward = 0.5 * (1.0 + s)
-        forms = {
+        forms: dict[str, Callable[[], list[Array]]] = {
             "coulomb": lambda: [s],
             "viscous": lambda: [v],
             "coulomb_viscous": lambda: [s, v],
             "asymmetric": lambda: [s * forward, v * forward, s * (1.0 - forward), v * (1.0 - forward)],
             "stribeck": lambda: [s, v, s * np.exp(-((v / (self.stribeck or 1.0)) ** 2))],
-            "load": lambda: [s, v, s * np.abs(scene.load(self.joint))],  # type: ignore[arg-type]
+            "load": lambda: [s, v, s * np.abs(np.asarray(scene.load(self.joint), dtype=float))],
         }
         return in_channel(_place(scene, self.joint), forms[self.form]())
 
@@ -124,7 +124,9 @@ class TorqueRipple(Effect):
 
 @dataclass(frozen=True)
 class CableDrag(Effect):
-    """A cable or hose pulls: "spring": from a point of the sensor's body to a point of the base, f = R^T (F0 - k p), torque
+    """A cable or hose pulls.
+
+    "spring": from a point of the sensor's body to a point of the base, f = R^T (F0 - k p), torque
     c x f for an unknown lever c (linear relaxation: 15 numbers); "joint": one channel along with one joint, r = k q_j, with the
     cable's own dry friction r = k q_j + c s(dq_j) in "joint_dry".
 
@@ -155,6 +157,11 @@ class CableDrag(Effect):
                 yield cls("joint", channel, joint)
                 if scene.clock and speed > 0.0 and group == "wrench":
                     yield cls("joint_dry", channel, joint, 0.03 * speed)
+
+    @property
+    def freedom(self) -> int | None:
+        """Stiffness, a point of the base and a point of the body; or a pull and its point."""
+        return {"spring": 7, "pull": 6}.get(self.form)
 
     @property
     def joints(self) -> tuple[str, ...]:

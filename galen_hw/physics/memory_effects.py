@@ -14,8 +14,10 @@ from galen_hw.spatial import Array
 
 @dataclass(frozen=True)
 class Creep(Effect):
-    """Slow settling after a change of load: T dz/dt = x - z; r = a z ("more" to come after the load, a Kelvin element in
-    series with what the model has) or r = a (z - x) ("less" at first, as relaxation is seen by a calibrated sensor).
+    """Slow settling after a change of load.
+
+    T dz/dt = x - z; r = a z ("more" to come after the load, a Kelvin element in series with what the model has) or
+    r = a (z - x) ("less" at first, as relaxation is seen by a calibrated sensor).
 
     x is a channel's simulated load (sensor), or the load of a joint (pose: the joint gives by a z). Settled at the start.
     Visible in rests of a few T after a change of load. Confused with lag (short T), compliance or gain (T below the rests)

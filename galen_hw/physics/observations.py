@@ -1,5 +1,6 @@
 """What the effects read: arrays of one recording (or of one live sample) and what the model believes."""
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -76,7 +77,7 @@ class Observations:
         if segment is None:
             return [slice(0, len(self))]
         edges = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(self)]
-        return [slice(a, b) for a, b in zip(edges, edges[1:], strict=False) if b > a]
+        return [slice(a, b) for a, b in itertools.pairwise(edges) if b > a]
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -140,7 +140,7 @@ class Scene:
         return False
 
     def error_with(self, band: float | None) -> float:
-        """Mean log rms of recorded minus simulated and of its changes from row to row, when the motion is low-passed at `band` Hz."""
+        """Mean log rms of recorded minus simulated and of its changes by row, the motion low-passed at `band` Hz."""
         scene = type(self)(self.observations, rates=self._derivatives(band))
         rest = scene.measured - scene.simulated
         rest = rest[len(rest) // 20 : -max(len(rest) // 20, 1)]

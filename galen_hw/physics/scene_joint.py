@@ -1,6 +1,8 @@
 """Efforts and positions of joints."""
 
+from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -72,7 +74,7 @@ class JointScene(Scene):
         zero = np.zeros_like(self.q)
         return self._coarse(lambda rows: robot.inverse_dynamics(self.q[rows], zero[rows], zero[rows]))
 
-    def _coarse(self, run) -> Array:  # type: ignore[no-untyped-def]
+    def _coarse(self, run: Callable[[Any], Array]) -> Array:
         """run(rows) -> (M, ...) on an even choice of rows, cubic in between; exact where there are few."""
         n = len(self)
         if n <= COARSE or len(self.segments) > 1:

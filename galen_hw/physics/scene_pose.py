@@ -1,14 +1,17 @@
 """The tracked pose of the tool tip, and tracked points whose registration nobody knows."""
 
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from galen_hw.errors import UsageError
-from galen_hw.physics.rigid import Body
 from galen_hw.physics.scene import Port, Scene, once
 from galen_hw.physics.screws import axis_screws, exponential, joint_screws
 from galen_hw.spatial import Array, rotation_from_quaternion, rotation_log
+
+if TYPE_CHECKING:
+    from galen_hw.physics.rigid import Body
 
 POSITION = tuple(f"pose.position.{axis}" for axis in "xyz")
 ORIENTATION = tuple(f"pose.orientation.{axis}" for axis in "xyz")

@@ -116,7 +116,10 @@ class WrenchScene(Scene):
     def geometry_ports(self) -> list[Port]:
         """Axes that do not point where the model says."""
         tilts = [found for found in axis_screws(self) if "tilt." in found[0]]
-        return [Port(name, "rad", self._turned(sum(s[:, 3:] for s in screws)), joint) for name, joint, screws in tilts]
+        return [
+            Port(name, "rad", self._turned(np.sum([s[:, 3:] for s in screws], axis=0)), joint)
+            for name, joint, screws in tilts
+        ]
 
     @once
     def load(self, joint: str) -> Array | None:
