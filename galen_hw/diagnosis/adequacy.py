@@ -71,6 +71,18 @@ def dictionaries(bench: Bench) -> Iterator[tuple[str, Array]]:
         yield "the past of the inputs", np.concatenate(lagged, axis=1)
 
 
+def compact(bench: Bench) -> list[Columns]:
+    """The leading directions of every family, in all channels: what they explain must not pass for noise."""
+    if len(bench.rows) < 2000:
+        return []
+    out, ones = [], np.ones((len(bench.rows), 1))
+    for _, X in dictionaries(bench):
+        if X.shape[1]:
+            values = rich_basis(ones, [X], 12 * 8)[:, 1:]
+            out += [Columns((c,), values[:, None, :]) for c in range(bench.width)]
+    return out
+
+
 def _inputs(bench: Bench) -> Array:
     q = bench.scene.q
     moving = [j for j, name in enumerate(bench.scene.joint_names) if name in bench.scene.moved]

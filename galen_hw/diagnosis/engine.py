@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from galen_hw.diagnosis import adequacy, seek
-from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.confusion import confusions
-from galen_hw.diagnosis.final import Model, settle_model
+from galen_hw.diagnosis.final import Model, merit, offsets, settle_model
 from galen_hw.diagnosis.findings import findings_of, unknown_finding
 from galen_hw.diagnosis.guards import Premise, premises
 from galen_hw.diagnosis.judge import Judged, judge
@@ -20,6 +20,7 @@ from galen_hw.diagnosis.words import next_experiment
 from galen_hw.physics.event_effects import Glitches
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.table import effect_class
+from galen_hw.spatial import Array
 
 
 @dataclass
@@ -53,15 +54,47 @@ def diagnose(scene: Scene, *, name: str = "", holdout: Scene | None = None, shar
     glitch = _glitches(bench)
     effects = library(bench)
     columns = [bench.raw(effect) for effect in effects]
-    bench.learn_noise(columns, [bench.raw(s.effect) for s in at_first_sight(bench)])
-    scorer = Scorer(bench, [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)])
-    selection = select(bench, scorer) if not premise.wrong else Selection(scorer)
-    model = settle_model(bench, scorer, selection)
+    generic = adequacy.compact(bench)
+    bench.learn_noise(columns, [*generic, *(bench.raw(s.effect) for s in at_first_sight(bench))])
+    hypotheses = [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)]
+    selection, model = _chosen(bench, hypotheses, blind=bool(premise.wrong))
     judged = judge(model, holdout)
     left = adequacy.leftovers(bench, model.parts, model.rest(), model.rest(white=True))
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
     diagnosis.holdout = judged.name
     return Work(bench, selection, model, judged, left, diagnosis)
+
+
+def _chosen(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> tuple[Selection, Model]:
+    """The better of two searches: with offsets always in the model and judged at the end (a drift is not called an offset),
+    and with offsets among the hypotheses (a constant error of geometry is not called one).
+    """
+    if blind:
+        nothing = Selection(Scorer(bench, hypotheses))
+        return nothing, settle_model(bench, nothing.scorer, nothing)
+    selection = select(bench, Scorer(bench, hypotheses))
+    model = settle_model(bench, selection.scorer, selection)
+    own = offsets(bench)
+    if not own:
+        return selection, model
+    y = bench.y
+    bench.y = bench.whole
+    other = select(bench, Scorer(bench, [*own, *hypotheses], free=False))
+    rival = settle_model(bench, other.scorer, other)
+    if merit(rival) > merit_of(model, y) + 6.0:
+        return other, rival
+    bench.y = y
+    return selection, model
+
+
+def merit_of(model: Model, y: Array) -> float:
+    """Merit of a model on the residual that it was made for."""
+    bench = model.bench
+    now, bench.y = bench.y, y
+    try:
+        return merit(model)
+    finally:
+        bench.y = now
 
 
 def _glitches(bench: Bench) -> list[Glitches]:
@@ -147,7 +180,9 @@ def _strong(left: list[adequacy.Left], judged: Judged, bench: Bench) -> list[ade
     for one in left:
         size = float(np.mean(one.predicted**2))
         before = float(judged.before[one.channel] - bench.noise.sigma[one.channel] ** 2)
-        if size > 0.01 * bench.noise.sigma[one.channel] ** 2 and size > 0.03 * before:
+        # A rounded reading follows its signal in part: a tenth of the rounding's variance is no physics.
+        rounding = 0.1 * float(bench.steps[one.channel]) ** 2 / 12.0
+        if size > max(0.01 * bench.noise.sigma[one.channel] ** 2, rounding) and size > 0.03 * before:
             out.append(one)
     return out
 

@@ -105,6 +105,8 @@ class Model:
 def settle_model(bench: Bench, scorer: Scorer, selection: Selection) -> Model:
     """Constants that the baseline may not fit become findings where they are significant, and go where they are not."""
     chosen = selection.hypotheses
+    if not scorer.free:
+        return Model(bench, list(scorer.base), chosen, scorer.white)
     allowed = [h for i, h in enumerate(scorer.base) if bench.scene.belief.bias_free or i >= bench.width]
     questioned = [h for h in scorer.base if h not in allowed]
     as_effects = [_named(bench, h) for h in questioned]
@@ -120,6 +122,26 @@ def settle_model(bench: Bench, scorer: Scorer, selection: Selection) -> Model:
         if z[s][0] > np.sqrt(2.0 * selection.needed * misfit) and matters:
             keep.append(h)
     return Model(bench, allowed, [*keep, *chosen], scorer.white)
+
+
+def merit(model: Model) -> float:
+    """Fall of the whitened sum of squares on the training rows less the price of the parameters."""
+    train = model.bench.train
+    price = 0.0
+    for h in model.effects:
+        effect = h.effect
+        freedom = h.count if effect is None or effect.freedom is None else min(h.count, effect.freedom)
+        price += (freedom + (0 if effect is None else len(effect.searched()))) * np.log(model.bench.noise.effective)
+    fall = np.sum(model.bench.whitened(model.bench.whole)[train] ** 2) - np.sum(model.rest(white=True)[train] ** 2)
+    return float(fall - price)
+
+
+def offsets(bench: Bench) -> list[Hypothesis]:
+    """The constants that the baseline may not fit, as the effects that they would be."""
+    if bench.scene.belief.bias_free:
+        return []
+    constants = bench.constants()[: bench.width]
+    return [_named(bench, bench.made(None, columns)) for columns in constants]
 
 
 def _named(bench: Bench, constant: Hypothesis) -> Hypothesis:

@@ -36,12 +36,14 @@ class Scorer:
     Args:
         bench: with noise.
         library: hypotheses in a fixed order; more may be appended.
+        free: constant offsets are always in the model; else only what the baseline itself fits.
     """
 
-    def __init__(self, bench: Bench, library: list[Hypothesis]) -> None:
-        self.bench = bench
+    def __init__(self, bench: Bench, library: list[Hypothesis], *, free: bool = True) -> None:
+        self.bench, self.free = bench, free
         self.library: list[Hypothesis] = []
-        self.base = [bench.made(None, columns, name="constant") for columns in bench.constants()]
+        own = bench.constants() if free else bench.constants()[0 if bench.scene.belief.bias_free else bench.width :]
+        self.base = [bench.made(None, columns, name="constant") for columns in own]
         self.white = bench.whitened(bench.y)
         self.fake = bench.surrogates()
         self._train = bench.train
@@ -99,7 +101,8 @@ class Scorer:
     def base_with(self, chosen: list[int]) -> Array:
         """Column numbers of the constants and the chosen hypotheses."""
         which = [*range(len(self.base)), *chosen]
-        return np.concatenate([np.arange(self.places[i].start, self.places[i].stop) for i in which])
+        parts = [np.arange(self.places[i].start, self.places[i].stop) for i in which]
+        return np.concatenate([np.empty(0, dtype=np.intp), *parts])
 
     def solve(self, chosen: list[int]) -> tuple[Array, Array, float]:
         """Parameters, column numbers and whitened sum of squares of a model."""

@@ -347,7 +347,8 @@ def _gain(h: Hypothesis, base: list[Hypothesis], white: Array, rows: Chosen) -> 
     X = h.white.values[rows].reshape(-1, h.count)
     r = white[rows][:, list(channels)].reshape(-1)
     parts = [b for b in base if set(b.white.channels) & set(channels)]
-    B = np.concatenate([_on(b.white, channels)[rows].reshape(len(X), -1) for b in parts], axis=1)
+    inside = [_on(b.white, channels)[rows].reshape(len(X), -1) for b in parts]
+    B = np.concatenate([np.empty((len(X), 0)), *inside], axis=1)
     B = B / np.maximum(np.linalg.norm(B, axis=0), 1e-300)
     X = X - B @ np.linalg.lstsq(B, X, rcond=1e-9)[0]
     theta = np.linalg.lstsq(X, r, rcond=1e-9)[0]
