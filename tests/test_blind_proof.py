@@ -108,6 +108,7 @@ def test_scores_know_right_from_wrong() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_a_small_share_of_the_proof(tmp_path: Path) -> None:
     """Through the command line: two nulls agree, one strong effect a group is named first."""
     cases = [

@@ -66,8 +66,10 @@ def diagnose(scene: Scene, *, name: str = "", holdout: Scene | None = None, shar
 
 
 def _chosen(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> tuple[Selection, Model]:
-    """The better of two searches: with offsets always in the model and judged at the end (a drift is not called an offset),
-    and with offsets among the hypotheses (a constant error of geometry is not called one).
+    """The better of two searches.
+
+    With offsets always in the model and judged at the end (a drift is not called an offset), and with offsets among the
+    hypotheses (a constant error of geometry is not called one).
     """
     if blind:
         nothing = Selection(Scorer(bench, hypotheses))
@@ -178,10 +180,12 @@ def _strong(left: list[adequacy.Left], judged: Judged, bench: Bench) -> list[ade
     """Leftovers that are worth saying: above chance, and not a trifle beside what was found or the noise."""
     out = []
     for one in left:
+        if not 0.0 < one.share <= 1.0:
+            continue  # it does not explain the rows that it was judged on
         size = float(np.mean(one.predicted**2))
         before = float(judged.before[one.channel] - bench.noise.sigma[one.channel] ** 2)
-        # A rounded reading follows its signal in part: a tenth of the rounding's variance is no physics.
-        rounding = 0.1 * float(bench.steps[one.channel]) ** 2 / 12.0
+        # A rounded reading follows its signal in part: a fifth of the rounding's variance is no physics.
+        rounding = 0.2 * float(bench.steps[one.channel]) ** 2 / 12.0
         if size > max(0.01 * bench.noise.sigma[one.channel] ** 2, rounding) and size > 0.03 * before:
             out.append(one)
     return out

@@ -2,13 +2,16 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
 from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, in_channel
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.time_effects import joint_of
+
+if TYPE_CHECKING:
+    from galen_hw.spatial import Array
 
 FORMS = ("coulomb", "viscous", "coulomb_viscous", "asymmetric", "stribeck", "load")
 

@@ -114,7 +114,7 @@ def settled_candidates(views: Sequence[GivingScene], ports: Sequence[str]) -> It
     for port in ports:
         size = amplitude(views, port)
         for constant in CONSTANTS_S:
-            yield Term("creep", port, Creep(constant, joint=port))
+            yield Term("creep", port, Creep(constant, joint=port, form="less"))
         for power in (2, 3):
             yield Term("hardening", port, Hardening(port, power))
         for share in TRANSITIONS:
@@ -140,7 +140,7 @@ def zoomed(term: Term, factor: float, softest: float, count: int = 5) -> list[Te
     if isinstance(e, JointHysteresis):
         return [Term(term.kind, term.port, JointHysteresis(e.joint, (e.widths[0] * x,))) for x in ratios]
     if isinstance(e, Creep):
-        return [Term(term.kind, term.port, Creep(e.constant * x, joint=e.joint)) for x in ratios]
+        return [Term(term.kind, term.port, Creep(e.constant * x, joint=e.joint, form="less")) for x in ratios]
     if isinstance(e, BearingPlay):
         steps = [e.transition * x for x in ratios if e.transition * x <= softest]
         return [Term(term.kind, term.port, BearingPlay(e.joint, step)) for step in steps]
