@@ -14,7 +14,7 @@ from galen_hw.recording import Recording, RecordingInfo, read_recording, write_t
 from galen_hw.recording.recording import group_of, joint_column
 from galen_hw.recording.to_mcap import write_mcap
 
-DATA = Path("/work/shared/data")
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 finite = st.floats(allow_nan=False, allow_infinity=False)
 cells = st.one_of(finite, st.just(float("nan")))
 names = st.sampled_from(

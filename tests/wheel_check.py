@@ -49,7 +49,7 @@ CONFORMANCE = """
 import importlib
 from galen_hw.cli import COMMANDS
 from galen_hw.drivers.table import DRIVERS, VIRTUAL_DEVICES
-from galen_hw.physics import EFFECTS
+from galen_hw.physics.table import EFFECTS
 from galen_hw.services.table import SERVICES
 for module, _ in COMMANDS.values():
     importlib.import_module(module)
