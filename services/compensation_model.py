@@ -15,6 +15,7 @@ from galen_hw.config.tool_file import ToolFile
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import Robot
 from galen_hw.messages import WrenchRaw
+from galen_hw.physics.observations import Belief
 from galen_hw.physics.rigid import Body, gravity_map, inertial_wrench
 from galen_hw.services.gravity_direction import GravityDirection
 from galen_hw.services.joint_history import JointSample
@@ -164,4 +165,10 @@ def _streams(tool: ToolFile, robot: Robot, turning: tuple[int, ...]) -> tuple[Te
         effects = ", ".join(term.effect for term in tool.terms)
         where, todo = f"tool {tool.name!r}: terms", f"galen-hw tool rollback {tool.name}"
         raise UsageError(f"this version cannot apply {effects} live", where=where, todo=todo) from None
-    return tuple(build(tool.terms, joint_names=order, robot=robot))
+    belief = Belief(
+        tool=_body(tool.mass or 0.0, tool.com or (0.0, 0.0, 0.0), tool.inertia),
+        bias_body=_bias_body(tool),
+        zeroed_rotation=_zeroed_rotation(tool, robot),
+        gravity=np.array(tool.gravity),
+    )
+    return tuple(build(tool.terms, joint_names=order, robot=robot, belief=belief))

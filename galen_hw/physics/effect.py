@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -130,24 +130,49 @@ class Effect(ABC):
         return replace(self, **values)  # type: ignore[type-var]
 
     def to_term(self, scene: Scene, theta: Array) -> dict[str, Any]:
-        """JSON form of the effect with its parameters, for files and live services."""
-        form = {k: v for k, v in asdict(self).items() if v is not None and v != ""}  # type: ignore[call-overload]
-        values = zip(self.parameters(scene), np.asarray(theta, dtype=float), strict=True)
-        return {
-            "effect": self.KEY,
-            "group": scene.observations.predict,
-            "form": form,
-            "parameters": {p.name: {"value": float(v), "unit": p.unit} for p, v in values},
-        }
+        """The effect with its parameters as a term of a tool's file: fields and linear parameters by name, SI units."""
+        values: dict[str, Any] = {"group": scene.observations.predict}
+        for f in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, f.name)
+            if value is not None and value != "":
+                values[f.name] = _flat(value)
+        named = zip(self.parameters(scene), np.asarray(theta, dtype=float), strict=True)
+        return {"effect": self.KEY, "parameters": values | {p.name: float(v) for p, v in named}}
 
     @classmethod
-    def from_form(cls, form: Mapping[str, Any]) -> Self:
-        """The effect of a term's form; lists become tuples again."""
-        return cls(**{k: _frozen(v) for k, v in form.items()})
+    def from_term(cls, parameters: Mapping[str, Any]) -> Self:
+        """The effect of a term's parameters; the linear ones are asked for by `theta_of`."""
+        form = {}
+        for f in fields(cls):  # type: ignore[arg-type]
+            if f.name in parameters:
+                value = parameters[f.name]
+                separate = isinstance(value, str) and str(f.type).startswith("tuple[str")
+                form[f.name] = tuple(value.split(" ")) if separate else _paired(value, str(f.type))
+        return cls(**form)
+
+    def theta_of(self, scene: Scene, parameters: Mapping[str, Any]) -> Array:
+        """(k,) linear parameters of a term, in the order of the columns.
+
+        Raises:
+            KeyError: one is missing.
+        """
+        return np.array([float(parameters[p.name]) for p in self.parameters(scene)])
 
 
-def _frozen(value: Any) -> Any:
-    return tuple(_frozen(v) for v in value) if isinstance(value, list) else value
+def _flat(value: Any) -> Any:
+    """Strings of a tuple joined by blanks, pairs of numbers laid flat: what a tool's file can hold."""
+    if isinstance(value, tuple) and value and isinstance(value[0], str):
+        return " ".join(value)
+    if isinstance(value, tuple) and value and isinstance(value[0], tuple):
+        return tuple(float(x) for pair in value for x in pair)
+    return value
+
+
+def _paired(value: Any, kind: str) -> Any:
+    if isinstance(value, (list, tuple)):
+        numbers = tuple(value)
+        return tuple(zip(numbers[::2], numbers[1::2], strict=True)) if kind.startswith("tuple[tuple") else numbers
+    return value
 
 
 def in_channel(channel: int, columns: Iterable[Array]) -> Columns:

@@ -36,7 +36,7 @@ class Compliance(Effect):
     def propose(cls, scene: Scene) -> Iterator[Self]:
         """Every joint that bears load; the structure where a force on the tip is known."""
         for joint in scene.joint_names:
-            if _load(scene, joint, "all") is not None and scene.joint_port(joint) is not None:
+            if _bears(scene, joint) and scene.joint_port(joint) is not None:
                 yield cls("joint", joint)
                 if isinstance(scene, ArmScene) and scene.belief.tool.mass > 0.0 and np.any(scene.force):
                     yield cls("joint", joint, "applied")
@@ -52,7 +52,7 @@ class Compliance(Effect):
         names = [joint_of(name) for name in scene.channels]
         for i, joint in enumerate(names):
             for first in names[max(0, i - 2) : i + 1]:
-                if _load(scene, joint, "all") is None and len(names) >= 3:
+                if not _bears(scene, joint) and len(names) >= 3:
                     yield cls("weight", joint, "all", first)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
@@ -112,7 +112,7 @@ class Hardening(Effect):
         """Every joint that bears load, or that is imposed on by an unknown device."""
         for joint in scene.joint_names:
             free = scene.observations.predict == "effort" and scene.belief.robot is None and joint in scene.moved
-            if free or (_load(scene, joint, "all") is not None and scene.joint_port(joint) is not None):
+            if free or (_bears(scene, joint) and scene.joint_port(joint) is not None):
                 yield from (cls(joint, power) for power in (2, 3))
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
@@ -130,10 +130,15 @@ class Hardening(Effect):
         return in_all([port * (load * np.abs(load) ** (self.power - 1))[:, None]], len(scene.channels))
 
 
+def _bears(scene: Scene, joint: str) -> bool:
+    load = _load(scene, joint, "all")
+    return load is not None and bool(np.nanstd(load) > 1e-12)
+
+
 def _load(scene: Scene, joint: str, source: str) -> Array | None:
     load: Array | None
     if isinstance(scene, ArmScene) and source != "all":
         load = scene.weight_load(joint) if source == "weight" else scene.torque_from(joint, scene.force, scene.tip)
     else:
         load = scene.load(joint)
-    return load if load is not None and np.nanstd(load) > 1e-12 else None
+    return load

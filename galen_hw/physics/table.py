@@ -77,6 +77,6 @@ def effect_of(term: Mapping[str, Any]) -> Effect:
         UsageError: an unknown key, or fields that do not fit.
     """
     try:
-        return effect_class(term["effect"]).from_form(term.get("form", {}))
+        return effect_class(term["effect"]).from_term(term.get("parameters", {}))
     except (KeyError, TypeError) as error:
         raise UsageError(f"not a term of an effect ({error})", where="terms", todo="save the model again") from error

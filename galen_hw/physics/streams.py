@@ -1,0 +1,131 @@
+"""Effects of a tool's file, sample by sample: the same classes as in the diagnosis, on scenes of one row."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from galen_hw.errors import UsageError
+from galen_hw.kinematics import Robot
+from galen_hw.physics.effect import Effect
+from galen_hw.physics.observations import Belief, Observations
+from galen_hw.physics.scene import Memory
+from galen_hw.physics.scene_wrench import WRENCH, WrenchScene
+from galen_hw.physics.table import effect_of
+from galen_hw.spatial import Array
+
+OUTSIDE: Final = ("contact", "glitches", "unknown", "temperature", "saturation")
+"""What cannot be predicted from joints and time alone."""
+RATE_CONSTANT = 0.02
+"""Time constant in s over which joint rates are smoothed for the effects that need them."""
+
+
+class Sample(Protocol):
+    """What a stream looks at: time of the wrench (ns), joint positions, and the prediction (6,) of the rigid bodies."""
+
+    @property
+    def t_ns(self) -> int:
+        """Monotonic clock."""
+
+    @property
+    def q(self) -> tuple[float, ...]:
+        """Joint positions in the order given to `build_streams`."""
+
+    @property
+    def predicted(self) -> Sequence[float]:
+        """Force, then torque."""
+
+
+class EffectStream:
+    """One effect with its memory.
+
+    Args:
+        effect: the piece of physics; theta: its linear parameters (k,).
+        joint_names: order of the joints in the samples.
+        belief: robot, and for errors of geometry the bodies.
+    """
+
+    def __init__(self, effect: Effect, theta: Array, joint_names: Sequence[str], belief: Belief) -> None:
+        self.effect, self.theta, self.belief = effect, theta, belief
+        self._columns = [f"joint.{name}.position" for name in joint_names]
+        self._order = [list(joint_names).index(n) for n in belief.robot.joint_names] if belief.robot else []
+        self._memory: Memory = {}
+        self._last: tuple[float, Array, Array] | None = None
+
+    def step(self, sample: Sample) -> Array:
+        """(6,) that the effect adds to the reading, sensor frame, N and N m."""
+        time, q = sample.t_ns * 1e-9, np.asarray(sample.q, dtype=float)
+        rate = self._rates(time, q)
+        return self.at(time, q, rate, np.zeros_like(rate), np.asarray(sample.predicted, dtype=float))
+
+    def at(self, time: float, q: Array, dq: Array, ddq: Array, predicted: Array) -> Array:
+        """The same with joint rates (n,) and their rates that are known."""
+        columns = {name: q[i : i + 1] for i, name in enumerate(self._columns)}
+        columns["time"] = np.array([time])
+        simulated = {name: predicted[i : i + 1] for i, name in enumerate(WRENCH)}
+        rates = tuple(x[self._order][None] if self._order else x[None] for x in (dq, ddq))
+        observations = Observations("wrench", columns, simulated, self.belief)
+        scene = WrenchScene(observations, rates=(rates[0], rates[1]), memory=self._memory)
+        return np.asarray(self.effect.change(scene, self.theta)[0])
+
+    def _rates(self, time: float, q: Array) -> Array:
+        if self._last is None:
+            self._last = (time, q, np.zeros_like(q))
+        before, old, rate = self._last
+        step = time - before
+        if step > 0.0:
+            share = -np.expm1(-step / RATE_CONSTANT)
+            rate = rate + share * ((q - old) / step - rate)
+            self._last = (time, q, rate)
+        return rate
+
+
+def build_streams(
+    terms: Sequence[Any],
+    *,
+    joint_names: Sequence[str],
+    robot: Robot | None,
+    belief: Belief | None = None,
+) -> list[EffectStream]:
+    """A stream for every term.
+
+    Args:
+        terms: objects or mappings with `effect` and `parameters`, as `galen-hw diagnose --save-model` writes them.
+        joint_names: order of the joints in the samples.
+        robot: that carries the sensor.
+        belief: bodies and gravity; needed by errors of geometry alone.
+
+    Raises:
+        UsageError: an effect that is not known, is not about wrenches, or cannot be predicted live.
+    """
+    known = replace(belief or Belief(), robot=robot)
+    return [_stream(_plain(term), joint_names, known) for term in terms]
+
+
+def _plain(term: Any) -> dict[str, Any]:
+    if isinstance(term, Mapping):
+        return dict(term)
+    return {"effect": term.effect, "parameters": dict(term.parameters)}
+
+
+def _stream(term: dict[str, Any], joint_names: Sequence[str], belief: Belief) -> EffectStream:
+    key, parameters = term["effect"], term["parameters"]
+    where = f"terms: {key}"
+    if key in OUTSIDE:
+        raise UsageError("cannot be predicted live", where=where, todo="leave the term out")
+    if parameters.get("group", "wrench") != "wrench":
+        raise UsageError(f"belongs to the group {parameters['group']!r}", where=where, todo="leave the term out")
+    effect = effect_of(term)
+    observations = Observations("wrench", {"time": np.zeros(1), **{n: np.zeros(1) for n in WRENCH}}, None, belief)
+    columns = dict(observations.columns) | {f"joint.{n}.position": np.zeros(1) for n in joint_names}
+    scene = WrenchScene(Observations("wrench", columns, None, belief), rates=_still(belief))
+    try:
+        return EffectStream(effect, effect.theta_of(scene, parameters), joint_names, belief)
+    except KeyError as error:
+        raise UsageError(f"no parameter {error}", where=where, todo="save the model again") from error
+
+
+def _still(belief: Belief) -> tuple[Array, Array]:
+    n = len(belief.robot.joint_names) if belief.robot is not None else 0
+    return np.zeros((1, n)), np.zeros((1, n))

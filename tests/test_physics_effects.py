@@ -1,0 +1,108 @@
+"""Every effect of the table, in every group where it can show, against the conformance checks; batch against stream."""
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from conformance import check_effect
+from physics_scenes import JOINTS, belief, scene
+
+from galen_hw.errors import UsageError
+from galen_hw.kinematics import GalenRobot
+from galen_hw.physics.effect import Effect
+from galen_hw.physics.event_effects import Contact, Glitches, Step, Vibration
+from galen_hw.physics.joint_effects import TorqueRipple
+from galen_hw.physics.streams import EffectStream, build_streams
+from galen_hw.physics.table import EFFECTS, effect_class, scene_of
+
+GROUPS = ("wrench", "pose", "targets", "effort", "position")
+
+
+def proposals(group, static=False):
+    made = (
+        scene(group, np.random.default_rng(1), dynamic=not static)
+        if group == "wrench"
+        else scene(group, np.random.default_rng(1))
+    )
+    found = [e for key in EFFECTS for e in effect_class(key).propose(made)]
+    first, last = made.channels[0], made.channels[-1]
+    found += [Step((first,), 5.0), Vibration((first, last), 3.0), Contact((first,), ((2.0, 4.0), (7.0, 8.0)))]
+    found += [Glitches((first,), (3, 9))] + ([TorqueRipple("elbow", 9.0)] if group == "effort" else [])
+    return made, list({e.family: e for e in found}.values())
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_every_hypothesis_holds_to_the_contract(group):
+    """Null is exactly null, columns are the slope, terms come back, in all five groups."""
+    made, found = proposals(group)
+    assert len(found) > 20
+    for effect in found:
+        for check in check_effect.CHECKS:
+            check(effect, made)
+
+
+def test_every_key_of_the_table_loads_and_says_what_it_is():
+    """Docstrings hold equation, visibility and look-alikes; keys agree with classes."""
+    for key in EFFECTS:
+        assert effect_class(key).KEY == key, key
+        if key != "unknown":
+            check_effect.check_docstring(effect_class(key))
+
+
+def test_an_unknown_key_is_one_clear_line():
+    """A term of a newer version says which effects are known."""
+    with pytest.raises(UsageError, match="no effect 'quantum'"):
+        effect_class("quantum")
+
+
+def streamable() -> list[Effect]:
+    _, found = proposals("wrench")
+    return [e for e in found if e.KEY not in ("temperature", "contact", "glitches", "saturation")]
+
+
+@pytest.mark.parametrize("effect", streamable(), ids=lambda e: e.KEY)
+def test_a_stream_gives_what_the_batch_gives(effect):
+    """Sample by sample or all at once, to rounding, memory carried along."""
+    made, _ = proposals("wrench")
+    theta = np.full(len(effect.parameters(made)), 0.013)
+    batch = effect.change(made, theta)
+    stream = EffectStream(effect, theta, JOINTS, belief())
+    rows = [
+        stream.at(made.time[k], made.q[k], made.rates[0][k], made.rates[1][k], made.simulated[k])
+        for k in range(len(made))
+    ]
+    if effect.KEY in ("time_delay",):
+        np.testing.assert_allclose(np.array(rows), batch, atol=1e-9 * np.abs(batch).max() + 1e-12)
+    else:
+        np.testing.assert_allclose(np.array(rows), batch, atol=1e-11 * max(np.abs(batch).max(), 1.0))
+
+
+def test_saved_terms_build_streams_and_outside_forces_do_not():
+    """What cannot be predicted live is refused, never applied by half."""
+    made, found = proposals("wrench")
+    creep = next(e for e in found if e.KEY == "creep")
+    term = creep.to_term(made, np.array([0.02]))
+    streams = build_streams([term], joint_names=JOINTS, robot=GalenRobot())
+    assert len(streams) == 1
+    with pytest.raises(UsageError, match="cannot be predicted live"):
+        build_streams([{"effect": "contact", "parameters": {}}], joint_names=JOINTS, robot=GalenRobot())
+    with pytest.raises(UsageError, match="no parameter"):
+        broken = {"effect": "creep", "parameters": {k: v for k, v in term["parameters"].items() if k != "share"}}
+        build_streams([broken], joint_names=JOINTS, robot=GalenRobot())
+
+
+def test_segments_start_afresh():
+    """Memory does not leak from one run to the next."""
+    made, found = proposals("wrench")
+    observations = made.observations
+    columns = dict(observations.columns) | {"segment": (np.arange(len(made)) >= 200).astype(float)}
+    cut = scene_of(dataclasses.replace(observations, columns=columns))
+    late = scene_of(observations.taken(slice(200, None)))
+    effect = next(e for e in found if e.KEY == "hysteresis")
+    theta = np.ones(len(effect.parameters(made)))
+    np.testing.assert_allclose(effect.change(cut, theta)[200:], effect.change(late, theta), atol=1e-12)
