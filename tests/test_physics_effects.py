@@ -76,7 +76,7 @@ def test_a_stream_gives_what_the_batch_gives(effect):
         stream.at(made.time[k], made.q[k], made.rates[0][k], made.rates[1][k], made.simulated[k])
         for k in range(len(made))
     ]
-    if effect.KEY in ("time_delay",):
+    if effect.KEY == "time_delay":
         np.testing.assert_allclose(np.array(rows), batch, atol=1e-9 * np.abs(batch).max() + 1e-12)
     else:
         np.testing.assert_allclose(np.array(rows), batch, atol=1e-11 * max(np.abs(batch).max(), 1.0))
@@ -91,8 +91,8 @@ def test_saved_terms_build_streams_and_outside_forces_do_not():
     assert len(streams) == 1
     with pytest.raises(UsageError, match="cannot be predicted live"):
         build_streams([{"effect": "contact", "parameters": {}}], joint_names=JOINTS, robot=GalenRobot())
+    broken = {"effect": "creep", "parameters": {k: v for k, v in term["parameters"].items() if k != "share"}}
     with pytest.raises(UsageError, match="no parameter"):
-        broken = {"effect": "creep", "parameters": {k: v for k, v in term["parameters"].items() if k != "share"}}
         build_streams([broken], joint_names=JOINTS, robot=GalenRobot())
 
 

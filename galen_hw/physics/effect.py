@@ -150,6 +150,11 @@ class Effect(ABC):
                 form[f.name] = tuple(value.split(" ")) if separate else _paired(value, str(f.type))
         return cls(**form)
 
+    @classmethod
+    def from_form(cls, form: Mapping[str, Any]) -> Self:
+        """The effect of its own fields; lists become tuples again."""
+        return cls(**{k: _frozen(v) for k, v in form.items()})
+
     def theta_of(self, scene: Scene, parameters: Mapping[str, Any]) -> Array:
         """(k,) linear parameters of a term, in the order of the columns.
 
@@ -157,6 +162,10 @@ class Effect(ABC):
             KeyError: one is missing.
         """
         return np.array([float(parameters[p.name]) for p in self.parameters(scene)])
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(_frozen(v) for v in value) if isinstance(value, list) else value
 
 
 def _flat(value: Any) -> Any:
