@@ -49,7 +49,7 @@ def test_every_hypothesis_holds_to_the_contract(group):
 def test_every_key_of_the_table_loads_and_says_what_it_is():
     """Docstrings hold equation, visibility and look-alikes; keys agree with classes."""
     for key in EFFECTS:
-        assert effect_class(key).KEY == key, key
+        assert key == effect_class(key).KEY, key
         if key != "unknown":
             check_effect.check_docstring(effect_class(key))
 

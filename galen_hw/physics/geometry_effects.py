@@ -127,8 +127,8 @@ class LinkGeometry(Effect):
 class SensorMounting(Effect):
     """The sensor is turned or shifted on its flange: a constant screw behind the last joint, in sensor axes.
 
-    Visible when gravity (wrench) or the arm (pose) turns in the sensor. Easily confused: a turn about the last joint's axis is that
-    joint's offset; for a wrench a shift is a payload's moment, a turn is a skew cross_talk.
+    Visible when gravity (wrench) or the arm (pose) turns in the sensor. Easily confused: a turn about the last joint's axis is
+    that joint's offset; for a wrench a shift is a payload's moment, a turn is a skew cross_talk.
     """
 
     KEY = "sensor_mounting"

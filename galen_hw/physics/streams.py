@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
@@ -10,10 +10,12 @@ from galen_hw.errors import UsageError
 from galen_hw.kinematics import Robot
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.scene import Memory
 from galen_hw.physics.scene_wrench import WRENCH, WrenchScene
 from galen_hw.physics.table import effect_of
 from galen_hw.spatial import Array
+
+if TYPE_CHECKING:
+    from galen_hw.physics.scene import Memory
 
 OUTSIDE: Final = ("contact", "glitches", "unknown", "temperature", "saturation")
 """What cannot be predicted from joints and time alone."""
