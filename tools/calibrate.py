@@ -276,8 +276,13 @@ def _as_json(
     ]
     live = None
     if check is not None:
-        ratio = (check.rms / check.noise).tolist()
-        live = {"rms": check.rms.tolist(), "noise_floor": check.noise.tolist(), "ratio": ratio, "passed": check.passed}
+        live = {
+            "rms": check.rms.tolist(),
+            "noise_floor": check.noise.tolist(),
+            "ratio": check.ratios,
+            "left_out_braking": check.braked,
+            "passed": check.passed,
+        }
     return {
         "accepted": accepted,
         "tool": data,

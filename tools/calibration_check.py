@@ -52,6 +52,17 @@ class LiveCheck:
         return np.asarray(np.sqrt(np.mean(self.compensated**2, axis=0)))
 
     @property
+    def ratios(self) -> dict[str, list[float]]:
+        """Compensated over noise floor: of all samples, of those at held-out poses, of those in motion."""
+        parts = {"all": np.ones_like(self.moving), "at_rest": ~self.moving, "moving": self.moving}
+        squares = self.compensated**2
+        return {
+            key: (np.sqrt(squares[rows].mean(axis=0)) / self.noise).tolist()
+            for key, rows in parts.items()
+            if rows.any()
+        }
+
+    @property
     def rms_raw(self) -> Array:
         """(6,) of the raw samples."""
         return np.asarray(np.sqrt(np.mean(self.raw**2, axis=0)))
