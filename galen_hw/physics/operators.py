@@ -22,12 +22,15 @@ def play(x: Array, half_width: Array, state: Array | None) -> tuple[Array, Array
         state: (m,) last output; None: the output starts at the first input.
     """
     low, high = x - half_width, x + half_width
-    p = x[0].copy() if state is None else state
-    out = np.empty_like(x)
-    for k in range(len(x)):
-        p = np.minimum(np.maximum(p, low[k]), high[k])
-        out[k] = p
-    return out, p
+    # One step clamps to a band, and clamps after one another are a clamp: all of them by doubling, not row by row.
+    reach = 1
+    while reach < len(x):
+        after_low, after_high = low[reach:].copy(), high[reach:].copy()
+        low[reach:] = np.minimum(np.maximum(low[:-reach], after_low), after_high)
+        high[reach:] = np.minimum(np.maximum(high[:-reach], after_low), after_high)
+        reach *= 2
+    out = np.minimum(np.maximum(x[0] if state is None else state, low), high)
+    return out, out[-1].copy()
 
 
 @dataclass(frozen=True)
@@ -50,12 +53,15 @@ def lag(time: Array, x: Array, constant: Array, state: LagState | None) -> tuple
     before = time[0] if state is None else state.time
     steps = np.diff(np.concatenate([[before], time]))
     share = -np.expm1(-np.maximum(steps, 0.0)[:, None] / constant)
-    y = x[0].copy() if state is None else state.output
-    out = np.empty_like(x)
-    for k in range(len(x)):
-        y = y + share[k] * (x[k] - y)
-        out[k] = y
-    return out, LagState(float(time[-1]), y)
+    # y_k = kept y_(k-1) + new, and such steps after one another are such a step: all of them by doubling.
+    kept, new = 1.0 - share, share * x
+    reach = 1
+    while reach < len(x):
+        new[reach:] = kept[reach:] * new[:-reach] + new[reach:]
+        kept[reach:] = kept[reach:] * kept[:-reach]
+        reach *= 2
+    out = kept * (x[0] if state is None else state.output) + new
+    return out, LagState(float(time[-1]), out[-1].copy())
 
 
 @dataclass(frozen=True)
