@@ -23,8 +23,8 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "export": ("galen_hw.tools.export", "write a recording as a table"),
     "import": ("galen_hw.tools.import_table", "write a table as an MCAP recording"),
     "diagnose": ("galen_hw.tools.diagnose", "find what a model left out: locate, name, model, prove"),
-    "collect": ("galen_hw.tools.collect", "guided collection of deflection data with the tracker"),
-    "deflection": ("galen_hw.tools.deflection", "fit and compare deflection models"),
+    "collect": ("galen_hw.tools.collect.command", "guided collection of deflection data with the tracker"),
+    "deflection": ("galen_hw.tools.deflection.command", "fit and compare deflection models"),
 }
 
 

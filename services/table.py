@@ -9,7 +9,7 @@ from typing import Final
 SERVICES: Final[dict[str, str]] = {
     "compensation": "galen_hw.services.compensation:CompensationService",
     "calibration": "galen_hw.services.calibration:CalibrationService",
-    "deflection": "galen_hw.services.deflection:DeflectionService",
+    "deflection": "galen_hw.services.deflection.service:DeflectionService",
     "admittance": "galen_hw.services.admittance:AdmittanceService",
     "recorder": "galen_hw.services.recorder:RecorderService",
 }

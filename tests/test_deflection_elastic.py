@@ -7,7 +7,7 @@ import pytest
 
 from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.stream import Place
-from galen_hw.tools.deflection_robots import NOISE_M, GivingRobot
+from galen_hw.tools.deflection.robots import NOISE_M, GivingRobot
 
 FULL = {"hysteresis": True, "creep": True, "hardening": True, "play": True}
 

@@ -9,10 +9,10 @@ import pytest
 from galen_hw.cli import main
 from galen_hw.identification.deflection.registration import register_both
 from galen_hw.recording import Recording, RecordingInfo, write_table
-from galen_hw.services.deflection_store import DeflectionStore
+from galen_hw.services.deflection.store import DeflectionStore
 from galen_hw.spatial import Array, rotation_exp, transform
 from galen_hw.tools.blind_proof.generator.galen import TOOLS
-from galen_hw.tools.deflection_robots import GivingRobot
+from galen_hw.tools.deflection.robots import GivingRobot
 
 ROBOT = GivingRobot.drawn(1)
 

@@ -16,9 +16,9 @@ from galen_hw.messages import Fault, Message, Pose, Request, Vector3, WrenchComp
 from galen_hw.physics.elastic_effects import Compliance, Hardening
 from galen_hw.physics.joint_memory_effects import BearingPlay, JointHysteresis
 from galen_hw.physics.memory_effects import Creep
-from galen_hw.services.deflection import DeflectionService
-from galen_hw.services.deflection_settings import DeflectionSettings
-from galen_hw.services.deflection_store import DeflectionFile, DeflectionStore
+from galen_hw.services.deflection.service import DeflectionService
+from galen_hw.services.deflection.settings import DeflectionSettings
+from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore
 from galen_hw.services.service import Output, ServiceContext
 from tests.compensation_parts import BASE, MS, RETRACTOR, ROBOT, joints, tool_file
 

@@ -17,11 +17,14 @@ MUST_HOLD = (
     "galen_hw/drivers/ati_netcanoem/device.py",
     "galen_hw/drivers/virtual/world.py",
     "galen_hw/services/compensation.py",
+    "galen_hw/services/deflection/service.py",
     "galen_hw/config/galen.urdf",
     "galen_hw/config/galen.toml",
     "galen_hw/config/galen-hw.service",
     "galen_hw/config/tools/retractor.json",
     "galen_hw/tools/calibrate.py",
+    "galen_hw/tools/collect/session.py",
+    "galen_hw/tools/deflection/report.html.j2",
     "galen_hw/py.typed",
 )
 

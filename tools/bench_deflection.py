@@ -19,7 +19,7 @@ from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.linear import CoupledLinear
 from galen_hw.identification.deflection.lstm import Lstm
 from galen_hw.spatial import Array
-from galen_hw.tools.deflection_robots import KINDS, NOISE_M, GivingRobot
+from galen_hw.tools.deflection.robots import KINDS, NOISE_M, GivingRobot
 
 if TYPE_CHECKING:
     from galen_hw.identification.deflection.model import DeflectionModel

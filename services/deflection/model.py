@@ -8,7 +8,7 @@ import numpy as np
 from galen_hw.config.tool_store import ToolStore
 from galen_hw.errors import GalenError
 from galen_hw.identification.deflection.table import model_of
-from galen_hw.services.deflection_store import DeflectionFile, DeflectionStore
+from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore
 from galen_hw.services.service import ServiceContext
 
 if TYPE_CHECKING:

@@ -25,8 +25,8 @@ from galen_hw.messages import (
     Vector3,
     WrenchCompensated,
 )
-from galen_hw.services.deflection_model import ServedModel
-from galen_hw.services.deflection_settings import DeflectionSettings
+from galen_hw.services.deflection.model import ServedModel
+from galen_hw.services.deflection.settings import DeflectionSettings
 from galen_hw.services.joint_history import RESET_NS, JointHistory
 from galen_hw.services.service import Output, Service, ServiceContext
 

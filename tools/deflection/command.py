@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
 
 if TYPE_CHECKING:
-    from galen_hw.services.deflection_store import DeflectionStore
-    from galen_hw.tools.deflection_fit import Comparison
+    from galen_hw.services.deflection.store import DeflectionStore
+    from galen_hw.tools.deflection.fit import Comparison
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Carry out one action."""
     from galen_hw.config.paths import state_dir
-    from galen_hw.services.deflection_store import DeflectionStore
+    from galen_hw.services.deflection.store import DeflectionStore
 
     store = DeflectionStore(args.state or state_dir())
     if args.action == "fit":
@@ -65,8 +65,8 @@ def run(args: argparse.Namespace) -> int:
 def _fit(args: argparse.Namespace, store: "DeflectionStore") -> int:
     from galen_hw.identification.deflection.data import check
     from galen_hw.identification.deflection.table import MODELS
-    from galen_hw.tools.deflection_data import read_sets, split
-    from galen_hw.tools.deflection_fit import compare, file_of, summary
+    from galen_hw.tools.deflection.data import read_sets, split
+    from galen_hw.tools.deflection.fit import compare, file_of, summary
 
     sets, days = read_sets(args.data)
     remarks = check(sets)
@@ -85,7 +85,7 @@ def _fit(args: argparse.Namespace, store: "DeflectionStore") -> int:
     else:
         _show(out)
     if args.report is not None:
-        from galen_hw.tools.deflection_figures import write_report
+        from galen_hw.tools.deflection.figures import write_report
 
         print(f"report: {write_report(out, args.report)}", file=sys.stderr)
     if not args.no_save:

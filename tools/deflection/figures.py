@@ -15,7 +15,7 @@ from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.lstm import Lstm
 from galen_hw.spatial import Array
 from galen_hw.tools.calibration_figures import BAND, DONE, INK, RAW, STYLE
-from galen_hw.tools.deflection_fit import Comparison
+from galen_hw.tools.deflection.fit import Comparison
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,7 +44,7 @@ def write_report(out: Comparison, page: Path) -> Path:
 def _render(out: Comparison, pictures: list[dict[str, str]]) -> str:
     from jinja2 import Environment
 
-    text = (resources.files("galen_hw.tools") / "deflection_report.html.j2").read_text(encoding="utf-8")
+    text = (resources.files("galen_hw.tools.deflection") / "report.html.j2").read_text(encoding="utf-8")
     elastic = out.models.get("elastic arm")
     arm = elastic if isinstance(elastic, ElasticArm) else None
     return Environment(autoescape=True).from_string(text).render(out=out, pictures=pictures, arm=arm)

@@ -14,8 +14,8 @@ from galen_hw.identification.deflection.registration import MarkerWatch, registe
 from galen_hw.kinematics import Robot
 from galen_hw.recording import Recording, RecordingInfo, write_table
 from galen_hw.spatial import Array, inverse, quaternion_from_rotation, transform
-from galen_hw.tools.collect_plan import Plan, Push, Step
-from galen_hw.tools.collect_rows import Rows, middle
+from galen_hw.tools.collect.plan import Plan, Push, Step
+from galen_hw.tools.collect.rows import Rows, middle
 
 MOVE_WITHIN_S: Final = 60.0
 STILL_S: Final = 0.5

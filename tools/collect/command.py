@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from galen_hw.drivers.virtual.control import VirtualControl
     from galen_hw.kinematics import Robot
     from galen_hw.spatial import Array
-    from galen_hw.tools.collect_session import CollectSession
+    from galen_hw.tools.collect.session import CollectSession
 
 VIRTUAL_TOOL: Final = "pointer"
 LARGEST_N: Final = 30.0
@@ -44,8 +44,8 @@ def run(args: argparse.Namespace) -> int:
     from galen_hw.config.paths import Addresses, client_runtime_dir
     from galen_hw.config.tool_store import ToolStore
     from galen_hw.daemon.session import own_daemon
-    from galen_hw.tools.collect_rows import TOPICS
-    from galen_hw.tools.collect_session import CollectSession
+    from galen_hw.tools.collect.rows import TOPICS
+    from galen_hw.tools.collect.session import CollectSession
 
     if not 1.0 <= args.force <= LARGEST_N or not 0.2 <= args.dwell <= 60.0 or not 1 <= args.configurations <= 50:
         raise UsageError("out of range", where="--force, --dwell, --configurations", todo="1-30 N, 0.2-60 s, 1-50")
@@ -91,7 +91,7 @@ def _plan(args: argparse.Namespace, robot: "Robot", tool: str, console: "Console
     """A begun session's plan, or a new one."""
     from datetime import UTC, datetime
 
-    from galen_hw.tools.collect_plan import Plan, make_steps
+    from galen_hw.tools.collect.plan import Plan, make_steps
 
     now = datetime.now(UTC)
     folder = args.output or Path(f"deflection-{now:%Y%m%d-%H%M%S}")

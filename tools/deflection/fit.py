@@ -15,7 +15,7 @@ from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.model import DeflectionModel
 from galen_hw.identification.deflection.table import MODELS, model_class
-from galen_hw.services.deflection_store import DeflectionFile
+from galen_hw.services.deflection.store import DeflectionFile
 from galen_hw.version import VERSION
 
 SIMPLER: Final = 1.05

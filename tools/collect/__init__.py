@@ -1,0 +1,1 @@
+"""`galen-hw collect`: a guided session with the tracker, set after set."""
