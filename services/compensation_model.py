@@ -30,12 +30,13 @@ class TermSample:
     """What a further effect may look at.
 
     Args:
-        t_ns: of the raw wrench.
+        t_ns, timestamp: of the raw wrench, monotonic ns and s since the epoch.
         q: positions of the joints that turn the sensor, then of the others, rad or m.
         predicted: (6,) by the rigid bodies; raw: (6,) as measured, N and N m.
     """
 
     t_ns: int
+    timestamp: float
     q: tuple[float, ...]
     predicted: Six
     raw: Six
@@ -99,7 +100,7 @@ class CompensationModel:
     def add_terms(self, predicted: Six, q: Sequence[float], raw: WrenchRaw) -> Six:
         """The prediction with the further effects of the tool's file; once for each sample, for they may remember."""
         f, t = raw.force, raw.torque
-        sample = TermSample(raw.t_ns, tuple(q), predicted, (f.x, f.y, f.z, t.x, t.y, t.z))
+        sample = TermSample(raw.t_ns, raw.timestamp, tuple(q), predicted, (f.x, f.y, f.z, t.x, t.y, t.z))
         for stream in self._streams:
             predicted = tuple([a + float(b) for a, b in zip(predicted, stream.step(sample), strict=True)])  # type: ignore[assignment]
         return predicted

@@ -30,6 +30,8 @@ class Belief:
         compliance: joint name to rad/(N m) or m/N that the baseline holds.
         distal_bodies: links of the robot that hang on the sensor.
         ranges: column to rated (low, high).
+        terms: of the tool's file, which the simulation adds (`physics/terms.py`).
+        epoch: seconds since the epoch at time 0 of the recording; None where it is not known.
     """
 
     robot: Robot | None = None
@@ -43,6 +45,8 @@ class Belief:
     compliance: Mapping[str, float] = field(default_factory=dict)
     distal_bodies: tuple[str, ...] = ()
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    terms: tuple[Mapping[str, Any], ...] = ()
+    epoch: float | None = None
 
 
 @dataclass(frozen=True)

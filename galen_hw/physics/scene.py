@@ -5,7 +5,7 @@ An effect is then the same few lines whichever group is compared, and does nothi
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, wraps
 from typing import Any, TypeVar
 
@@ -90,7 +90,14 @@ class Scene:
         if given is not None:
             missing = np.full(len(self), np.nan)
             return np.stack([np.asarray(given.get(name, missing)) for name in self.channels], axis=-1)
-        return self._simulate()
+        return self._simulate() + self._known_effects() if self.belief.terms else self._simulate()
+
+    def _known_effects(self) -> Array:
+        """(N, C) what the terms of the tool's file add; they see the simulation without them, as in the live services."""
+        from galen_hw.physics.terms import known_change
+
+        plain = replace(self.observations, belief=replace(self.belief, terms=()))
+        return known_change(type(self)(plain, rates=self.rates), self.belief.terms)
 
     def _simulate(self) -> Array:
         raise AssertionError("a scene without its own simulation needs a given one")

@@ -41,8 +41,10 @@ class Bias(Effect):
 class Drift(Effect):
     """The offset moves slowly: straight, r = a t / D; warm-up, r = a (1 - exp(-t / T)); wander, a few half cosines over D.
 
-    D is the length of the recording. Visible in any recording longer than the drift. Confused with temperature where none
-    was measured, with gravity where the poses are ordered, and with the slow end of coloured noise.
+    D is the length of the recording. Beyond it (a tool's file in the live services) a straight drift is carried on for as
+    long again and a wander not at all, then both are held; a warm-up has an end of its own. Visible in any recording longer
+    than the drift. Confused with temperature where none was measured, with gravity where the poses are ordered, and with
+    the slow end of coloured noise.
     """
 
     KEY = "drift"
@@ -75,12 +77,13 @@ class Drift(Effect):
 
     def columns(self, scene: Scene) -> Columns:
         """By the clock, or by the row number without one."""
-        t = scene.time - self.start
+        furthest = {"linear": 2.0 * self.length, "wander": self.length}.get(self.form, np.inf)
+        t = np.clip(scene.time - self.start, 0.0, furthest)
         channel = scene.channels.index(self.channel)
         if self.form == "wander":
             return in_channel(channel, [np.cos(np.pi * k * t / self.length) for k in range(1, 6)])
         if self.constant is not None:
-            return in_channel(channel, [-np.expm1(-np.maximum(t, 0.0) / self.constant)])
+            return in_channel(channel, [-np.expm1(-t / self.constant)])
         return in_channel(channel, [t / self.length])
 
 

@@ -12,23 +12,26 @@ from galen_hw.physics.effect import Effect
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.scene_wrench import WRENCH, WrenchScene
 from galen_hw.physics.table import effect_of
+from galen_hw.physics.terms import DATED, why_not_live
 from galen_hw.spatial import Array
 
 if TYPE_CHECKING:
     from galen_hw.physics.scene import Memory
 
-OUTSIDE: Final = ("contact", "glitches", "unknown", "temperature", "saturation")
-"""What cannot be predicted from joints and time alone."""
-RATE_CONSTANT = 0.02
+RATE_CONSTANT: Final = 0.02
 """Time constant in s over which joint rates are smoothed for the effects that need them."""
 
 
 class Sample(Protocol):
-    """What a stream looks at: time of the wrench (ns), joint positions, and the prediction (6,) of the rigid bodies."""
+    """What a stream looks at: times of the wrench, joint positions, and the prediction (6,) of the rigid bodies."""
 
     @property
     def t_ns(self) -> int:
-        """Monotonic clock."""
+        """Monotonic clock, ns."""
+
+    @property
+    def timestamp(self) -> float:
+        """Seconds since the epoch."""
 
     @property
     def q(self) -> tuple[float, ...]:
@@ -59,6 +62,8 @@ class EffectStream:
         """(6,) that the effect adds to the reading, sensor frame, N and N m."""
         time, q = sample.t_ns * 1e-9, np.asarray(sample.q, dtype=float)
         rate = self._rates(time, q)
+        if self.effect.KEY in DATED:
+            time = sample.timestamp
         return self.at(time, q, rate, np.zeros_like(rate), np.asarray(sample.predicted, dtype=float))
 
     def at(self, time: float, q: Array, dq: Array, ddq: Array, predicted: Array) -> Array:
@@ -114,10 +119,9 @@ def _plain(term: Any) -> dict[str, Any]:
 def _stream(term: dict[str, Any], joint_names: Sequence[str], belief: Belief) -> EffectStream:
     key, parameters = term["effect"], term["parameters"]
     where = f"terms: {key}"
-    if key in OUTSIDE:
-        raise UsageError("cannot be predicted live", where=where, todo="leave the term out")
-    if parameters.get("group", "wrench") != "wrench":
-        raise UsageError(f"belongs to the group {parameters['group']!r}", where=where, todo="leave the term out")
+    why = why_not_live(term)
+    if why:
+        raise UsageError(f"cannot be predicted live: {why}", where=where, todo="leave the term out")
     effect = effect_of(term)
     observations = Observations("wrench", {"time": np.zeros(1), **{n: np.zeros(1) for n in WRENCH}}, None, belief)
     columns = dict(observations.columns) | {f"joint.{n}.position": np.zeros(1) for n in joint_names}
