@@ -7,6 +7,7 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
+from galen_hw.diagnosis.algebra import orthonormal, scaled
 from galen_hw.diagnosis.bench import Bench, Hypothesis, rich_basis
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.physics.effect import Columns
@@ -115,17 +116,18 @@ def leftovers(bench: Bench, model: list[Hypothesis], rest: Array, white: Array) 
         rest, white: the model's rest, raw and whitened.
     """
     train, judged = bench.train, bench.judged
-    out, families = [], list(dictionaries(bench))
-    budget = max(int(train.sum()) // 6, 3)
+    out: list[Left] = []
+    families = [
+        (kind, rich_basis(np.ones((len(X), 1)), [X], 12 * min(max(int(train.sum()) // 6, 3), X.shape[1])))
+        for kind, X in dictionaries(bench)
+        if X.shape[1]
+    ]
     for c in range(bench.width):
         own = [h.white.values[:, h.white.channels.index(c)] for h in model if c in h.white.channels and h.count]
-        base = np.concatenate([*own, np.zeros((len(rest), 0))], axis=1)
-        for kind, columns in families:
-            if not columns.shape[1]:
-                continue
-            X = rich_basis(np.ones((len(columns), 1)), [columns], 12 * min(budget, columns.shape[1]))
-            made = bench.made(None, Columns((c,), X[:, None, :]))
-            found = _test(made.white.values[:, 0], X, base, white[:, c], rest[:, c], train, judged)
+        base = orthonormal(scaled(np.concatenate([*own, np.zeros((len(rest), 0))], axis=1)[train]), weakest=1e-12)
+        for kind, X in families:
+            Xw = bench.noise.whiten(X, c)
+            found = _test(Xw, X, base, white[:, c], rest[:, c], train, judged)
             if found is not None:
                 z, share, predicted, k = found
                 needed = CHANCE / (len(families) * bench.width)
@@ -135,21 +137,19 @@ def leftovers(bench: Bench, model: list[Hypothesis], rest: Array, white: Array) 
 
 
 def _test(
-    Xw: Array, X: Array, base: Array, white: Array, rest: Array, train: Mask, judged: Mask
+    Xw: Array, X: Array, Q: Array, white: Array, rest: Array, train: Mask, judged: Mask
 ) -> tuple[float, float, Array, int] | None:
-    B = base[train]
-    B = B / np.maximum(np.linalg.norm(B, axis=0), 1e-300)
-    Q, R = np.linalg.qr(B)
-    Q = Q[:, np.abs(np.diag(R)) > 1e-8]
-    A = Xw[train] - Q @ (Q.T @ Xw[train])
-    scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
-    U, s, Vt = np.linalg.svd(A / scale, full_matrices=False)
-    good = s > 1e-3 * s[0]
+    learn = Xw[train]
+    A = learn - Q @ (Q.T @ learn)
+    size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+    value, vector = np.linalg.eigh((A.T @ A) / np.outer(size, size))
+    good = value > 1e-6 * max(float(value[-1]), 1e-300)
     k = int(good.sum())
+    V = vector[:, good] / np.sqrt(value[good]) / size[:, None]
     y = white[train] - Q @ (Q.T @ white[train])
-    projected = U[:, good].T @ y
+    projected = V.T @ (A.T @ y)
     z = (float(projected @ projected) - k) / np.sqrt(2.0 * k)
-    theta = (Vt[good].T @ (projected / s[good])) / scale
+    theta = V @ projected
     where = judged if judged.any() else train
     predicted_white = Xw @ theta
     gain = float(np.sum(white[where] ** 2 - (white[where] - predicted_white[where]) ** 2))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from galen_hw.diagnosis.algebra import orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.noise import Noise, estimate, quantisation
 from galen_hw.diagnosis.rows import Index, Mask, Rows, blocks, set_aside
 from galen_hw.physics.effect import Columns, Effect
@@ -127,14 +128,12 @@ class Bench:
             rich = [_of(col, c) for col in library if c in col.channels]
             Q = rich_basis(np.concatenate(whole, axis=1), rich, M)
             good = ~self.dropped
-            fit = Q @ np.linalg.lstsq(Q[good], self.y[good, c], rcond=None)[0]
+            fit = Q @ solve_sym(Q[good].T @ Q[good], Q[good].T @ self.y[good, [c]][:, None])[:, 0]
             left = np.where(good, self.y[:, c] - fit, 0.0)
             rest.append(left)
             basis.append(Q)
-        floor = self.steps / np.sqrt(12.0 * np.minimum(np.mean(self.rows.counts), 1.0))
         self.noise = estimate(np.stack(rest, axis=-1), basis, self.rows, clock=self.scene.clock, steps=self.steps)
         self.rich_rest = np.stack(rest, axis=-1)
-        del floor
 
     def whitened(self, y: Array) -> Array:
         """(M, C) residual whitened; dropped rows are bridged first."""
@@ -170,24 +169,15 @@ def _of(columns: Columns, channel: int) -> Array:
 def rich_basis(whole: Array, rich: list[Array], rows: int) -> Array:
     """Orthonormal (M, r): `whole` and the leading directions of the `rich` columns, r at most a twelfth of the rows."""
     most = int(min(70, max(rows // 12, 4)))
-    Q = np.linalg.qr(_scaled(whole))[0]
+    Q = orthonormal(scaled(whole))
     if not rich:
         return Q
-    X = _scaled(np.concatenate(rich, axis=1))
-    X = _scaled(X - Q @ (Q.T @ X), keep=1e-4)
+    X = scaled(np.concatenate(rich, axis=1))
+    X = scaled(X - Q @ (Q.T @ X), keep=1e-4)
     if not X.size:
         return Q
-    value, vector = np.linalg.eigh(X.T @ X)
-    order = np.argsort(value)[::-1][:most]
-    order = order[value[order] > 1e-7 * max(value[order[0]], 1e-300)]
-    P = X @ (vector[:, order] / np.sqrt(value[order]))
-    return np.asarray(np.linalg.qr(np.concatenate([Q, P], axis=1))[0])
-
-
-def _scaled(X: Array, keep: float = 0.0) -> Array:
-    size = np.linalg.norm(X, axis=0)
-    good = size > max(keep, 1e-300)
-    return np.asarray(X[:, good] / size[good])
+    P = orthonormal(X, most=most)
+    return np.concatenate([Q, orthonormal(P - Q @ (Q.T @ P))], axis=1)
 
 
 Progress = Callable[[str, float], None]

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from galen_hw.diagnosis.algebra import solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.rows import Chosen
-from galen_hw.diagnosis.score import Scorer, solve_sym
+from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import Selection, fit, predicted
 from galen_hw.physics.geometry_effects import JointOffset
 from galen_hw.physics.sensor_effects import Bias

@@ -1,14 +1,29 @@
-"""Where the mismatch sits: channels, times, and regions of joint space, speed, load and temperature."""
+"""Where the mismatch sits: channels, times, and regions of joint space, speed, direction, load and temperature.
 
+Regions are found on the rows that the diagnosis learns from and kept only if rows that were set aside agree.
+"""
+
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.judge import Judged
+from galen_hw.diagnosis.judge import Judged, predict
+from galen_hw.diagnosis.rows import Mask
+from galen_hw.diagnosis.variables import Variable, variables
 from galen_hw.physics.event_effects import Contact, Glitches, Step
 from galen_hw.spatial import Array
+
+BINS = 16
+MOST = 4
+WIDEST = 0.7
+"""A region that holds more of the rows than this is no region."""
+SURE = 2.5
+"""Standard errors over blocks by which a region must beat an even spread, on rows that it was not found on."""
+FUNCTION = 0.3
+"""Share of the held-out excess from which a variable is said to organise it."""
 
 
 def channels_of(bench: Bench, judged: Judged) -> list[dict[str, Any]]:
@@ -27,57 +42,169 @@ def channels_of(bench: Bench, judged: Judged) -> list[dict[str, Any]]:
     ]
 
 
+@dataclass(frozen=True)
+class Region:
+    """A range of a variable, or two at once, that holds more of the excess than of the rows.
+
+    Args:
+        parts: variables with their ranges.
+        share, rows: of the excess and of the rows, on rows that the region was not found on.
+        mask: (M,) rows inside.
+    """
+
+    parts: tuple[tuple[Variable, float, float], ...]
+    share: float
+    rows: float
+    mask: Mask
+
+    @property
+    def lift(self) -> float:
+        """How much more of the excess than of the rows."""
+        return self.share - self.rows
+
+
 def where_of(model: Model) -> list[dict[str, Any]]:
-    """Ranges of a variable that hold much more of the excess than of the time, found on training rows, kept if held-out agree."""
+    """Regions that hold much more of the excess than of the rows, then variables of which the excess is a function."""
     bench = model.bench
-    energy = np.sum(bench.whole**2 / bench.noise.sigma**2, axis=1) - bench.width
-    out: list[dict[str, Any]] = []
-    train, judged = bench.train, bench.judged if bench.judged.any() else bench.train
-    for name, unit, values in variables(bench):
-        found = _range(values[train], energy[train])
-        if found is None:
-            continue
-        low, high = found
-        inside = (values >= low) & (values <= high)
-        shares = [float(energy[rows & inside].sum() / max(energy[rows].sum(), 1e-300)) for rows in (train, judged)]
-        time = float(inside.mean())
-        if min(shares) > 1.5 * time + 0.05 and time < 0.7:
-            span = f"{name} from {low:.3g} to {high:.3g} {unit}"
-            says = f"{100 * shares[1]:.0f} % of the excess in {100 * time:.0f} % of the rows: {span}"
-            out.append({"variable": name, "range": [float(low), float(high)], "excess_share": shares[1], "says": says})
-    return sorted(out, key=lambda one: -float(one["excess_share"]))[:4]
-
-
-def variables(bench: Bench) -> list[tuple[str, str, Array]]:
-    """Name, unit and values (M,) of what the excess may depend on."""
-    scene, out = bench.scene, []
-    for joint in scene.moved:
-        j = scene.joint_index(joint)
-        out.append((f"joint.{joint}.position", "", bench.rows.average(scene.q[:, j])))
-        if scene.clock:
-            out.append((f"joint.{joint}.velocity", "", bench.rows.average(scene.rates[0][:, j])))
-    for name, values in scene.observations.columns.items():
-        if name.startswith(("temperature.", "applied.force")) and np.isfinite(values).all() and np.ptp(values) > 0:
-            out.append((name, "", bench.rows.average(values)))
+    rest = baseline_rest(model)
+    known = variables(bench)
+    energy = np.sum(rest**2 / bench.noise.sigma**2 - 1.0, axis=1)
+    found = regions(bench, known, energy)
+    out = [_region_entry(one) for one in found]
+    named = {one.parts[0][0].name for one in found}
+    for variable, share, channel in organised(bench, known, rest)[:2]:
+        if share > FUNCTION and variable.name not in named:
+            low, high = float(variable.values.min()), float(variable.values.max())
+            says = f"{100 * share:.0f} % of the excess of {channel} is one function of {variable.name}"
+            out.append({"variable": variable.name, "range": [low, high], "excess_share": share, "says": says})
     return out
 
 
-def _range(values: Array, energy: Array, bins: int = 10) -> tuple[float, float] | None:
-    """The run of tenths whose mean excess is above twice the overall mean."""
-    edges = np.unique(np.quantile(values, np.linspace(0, 1, bins + 1)))
-    if len(edges) < 4 or energy.sum() <= 0:
+def baseline_rest(model: Model) -> Array:
+    """(M, C) what was recorded less the baseline, whose own nuisances are fitted."""
+    bench = model.bench
+    return np.asarray(bench.whole - predict(Model(bench, model.nuisances, [], bench.whitened(bench.whole))))
+
+
+def regions(bench: Bench, known: list[Variable], energy: Array) -> list[Region]:
+    """The best region of every variable, those that say the same as a better one left out."""
+    learn, check = halves(bench)
+    if len(energy) < 60 or energy[learn].sum() <= 0.0 or energy[check].sum() <= 0.0:
+        return []
+    everywhere = np.ones(len(energy), dtype=bool)
+    single = [one for v in known if (one := _region((), everywhere, v, energy, bench, learn, check))]
+    single.sort(key=lambda one: -one.lift)
+    out: list[Region] = []
+    for one in single:
+        if all(_overlap(one.mask, other.mask) < 0.6 for other in out):
+            out.append(_narrowed(one, known, energy, bench, learn, check))
+    return out[:MOST]
+
+
+def halves(bench: Bench) -> tuple[Mask, Mask]:
+    """Rows to find on and rows to check on: set aside, or every other block where none were."""
+    if bench.judged.any():
+        return bench.train, bench.judged
+    odd = bench.block % 2 == 1
+    return bench.train & ~odd, bench.train & odd
+
+
+def _region(
+    parts: tuple[tuple[Variable, float, float], ...],
+    inside: Mask,
+    variable: Variable,
+    energy: Array,
+    bench: Bench,
+    learn: Mask,
+    check: Mask,
+) -> Region | None:
+    """The range of a variable, within `inside`, that holds most excess beyond its rows; None if other rows disagree."""
+    found = _scan(variable.values[learn & inside], energy[learn & inside])
+    if found is None:
+        return None
+    mask = inside & (variable.values >= found[0]) & (variable.values <= found[1])
+    rows = float(mask[check].sum() / inside[check].sum())
+    total = float(energy[check & inside].sum())
+    if not 0.0 < rows < WIDEST or total <= 0.0:
+        return None
+    # Blocks are what is independent: a region that one loud block makes is none.
+    surplus = np.where(check & inside, energy * (mask - rows), 0.0)
+    by_block = np.bincount(bench.block, surplus)[np.unique(bench.block[check & inside])]
+    if len(by_block) < 4 or by_block.sum() < SURE * np.std(by_block, ddof=1) * np.sqrt(len(by_block)):
+        return None
+    share = float(energy[check & mask].sum() / total)
+    if share < rows + 0.15:
+        return None
+    whole = float(energy[check].sum())
+    return Region(
+        (*parts, (variable, *found)), float(energy[check & mask].sum() / whole), float(mask[check].mean()), mask
+    )
+
+
+def _scan(values: Array, energy: Array) -> tuple[float, float] | None:
+    """The range of bins of equal count whose share of the energy exceeds its share of the rows most."""
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
+    if len(edges) < 5 or energy.sum() <= 0.0:
         return None
     place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-    mean = np.array([energy[place == b].mean() if (place == b).any() else 0.0 for b in range(len(edges) - 1)])
-    top = int(np.argmax(mean))
-    if mean[top] < 1.6 * energy.mean():
-        return None
-    low = high = top
-    while low > 0 and mean[low - 1] > 1.3 * energy.mean():
-        low -= 1
-    while high < len(mean) - 1 and mean[high + 1] > 1.3 * energy.mean():
-        high += 1
-    return float(edges[low]), float(edges[high + 1])
+    bins = len(edges) - 1
+    share = np.bincount(place, energy, bins) / energy.sum() - np.bincount(place, minlength=bins) / len(values)
+    best, start, run, found = 0.0, 0, 0.0, (0, 0)
+    for b in range(bins):
+        if run <= 0.0:
+            start, run = b, 0.0
+        run += float(share[b])
+        if run > best:
+            best, found = run, (start, b)
+    return (float(edges[found[0]]), float(edges[found[1] + 1])) if best > 0.1 else None
+
+
+def _narrowed(one: Region, known: list[Variable], energy: Array, bench: Bench, learn: Mask, check: Mask) -> Region:
+    """The region cut by a second variable, where that holds clearly more of the excess a row."""
+    parts, inside = one.parts, one.mask
+    own = one.parts[0][0]
+    found = [
+        two
+        for v in known
+        if v is not own and v.about != own.about and (two := _region(parts, inside, v, energy, bench, learn, check))
+    ]
+    best = max(found, key=lambda two: two.lift, default=one)
+    return best if best.lift > one.lift + 0.02 and best.share > 0.5 * one.share else one
+
+
+def _overlap(a: Mask, b: Mask) -> float:
+    return float((a & b).sum() / max((a | b).sum(), 1))
+
+
+def _region_entry(one: Region) -> dict[str, Any]:
+    variable, low, high = one.parts[0]
+    place = " while ".join(v.span(a, b) for v, a, b in one.parts)
+    says = f"{100 * one.share:.0f} % of the excess in {100 * one.rows:.0f} % of the rows: {place}"
+    return {"variable": variable.name, "range": [low, high], "excess_share": one.share, "says": says}
+
+
+def organised(bench: Bench, known: list[Variable], rest: Array, bins: int = 20) -> list[tuple[Variable, float, str]]:
+    """For every variable the share of the excess of its best channel that is a function of it, on rows set aside.
+
+    The function is the mean in bins of equal count, learnt on the other rows; most first.
+    """
+    learn, check = halves(bench)
+    floor, names = bench.noise.sigma**2, bench.scene.channels
+    excess = np.mean(rest[check] ** 2, axis=0) - floor
+    able = np.flatnonzero(excess / floor > 0.05 * max(float(np.max(excess / floor)), 1e-300))
+    out = []
+    for v in known:
+        edges = np.unique(np.quantile(v.values[learn], np.linspace(0.0, 1.0, bins + 1)))
+        if len(edges) < 5 or not able.size:
+            continue
+        place = np.clip(np.searchsorted(edges, v.values, side="right") - 1, 0, len(edges) - 2)
+        count = np.maximum(np.bincount(place[learn], minlength=len(edges) - 1), 1)
+        mean = [np.bincount(place[learn], rest[learn, c], len(edges) - 1) / count for c in able]
+        after = [float(np.mean((rest[check, c] - m[place[check]]) ** 2)) for c, m in zip(able, mean, strict=True)]
+        share = [(np.mean(rest[check, c] ** 2) - a) / excess[c] for c, a in zip(able, after, strict=True)]
+        best = int(np.argmax(share * excess[able] / floor[able]))
+        out.append((v, float(np.clip(share[best], 0.0, 1.0)), names[able[best]]))
+    return sorted(out, key=lambda one: -one[1])
 
 
 def episodes_of(model: Model, glitch: list[Glitches]) -> list[list[float]]:
@@ -94,8 +221,9 @@ def episodes_of(model: Model, glitch: list[Glitches]) -> list[list[float]]:
 
 
 def _loud(model: Model) -> list[list[float]]:
+    """Stretches whose energy is more than twice the mean."""
     bench = model.bench
-    energy = np.sum(bench.whole**2 / bench.noise.sigma**2, axis=1)
+    energy = np.sum(baseline_rest(model) ** 2 / bench.noise.sigma**2, axis=1)
     count = min(60, len(energy) // 8)
     if count < 8:
         return []

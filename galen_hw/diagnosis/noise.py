@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from scipy.fft import dct, idct
 
 from galen_hw.diagnosis.rows import Rows
 from galen_hw.spatial import Array
@@ -69,15 +70,14 @@ class Noise:
         n = len(x)
         if not len(self.edges) or n < SHORTEST:
             return np.asarray(x * self.sigma[channel] ** (2 * power))
-        # The mirror image behind the end keeps the two ends apart that a plain FFT would join.
-        wide = np.concatenate([x, x[::-1]])
-        level = self._levels(2 * n)[:, channel] ** power
-        return np.asarray(np.fft.irfft(np.fft.rfft(wide, axis=0) * level[:, None], 2 * n, axis=0)[:n])
+        # The cosine transform is that of the signal with its mirror image behind it: the two ends stay apart.
+        level = self._levels(n)[:, channel] ** power
+        return np.asarray(idct(dct(x, axis=0) * level[:, None], axis=0))
 
     def _levels(self, n: int) -> Array:
-        """The spectrum at the frequencies of a transform of length n, kept."""
+        """The spectrum at the frequencies of a cosine transform of length n, kept."""
         if n not in self.kept:
-            self.kept[n] = self.spectrum(np.asarray(np.fft.rfftfreq(n), dtype=float))
+            self.kept[n] = self.spectrum(np.arange(n) / (2.0 * n))
         return self.kept[n]
 
     @cached_property

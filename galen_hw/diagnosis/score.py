@@ -3,14 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, f
 
+from galen_hw.diagnosis.algebra import log_tail, quadratic, solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.rows import Chosen
 from galen_hw.spatial import Array
-
-WEAK = 1e-5
-"""A direction of which less than this share is left beside the model is taken as already in it."""
 
 
 @dataclass(frozen=True)
@@ -168,32 +165,7 @@ class Scorer:
 
     def _surprise(self, gain: Array | float, count: int) -> Array:
         """Minus log p; by F where the noise rests on few degrees of freedom."""
-        degrees = self.bench.noise.degrees
-        if degrees > 4000:
-            return np.asarray(-chi2.logsf(gain, count))
-        return np.asarray(-f.logsf(np.asarray(gain) / count, count, degrees))
-
-
-def solve_sym(A: Array, B: Array) -> Array:
-    """A^-1 B for a symmetric positive semidefinite A, weak directions left out (scaled to a unit diagonal)."""
-    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    if not len(size):
-        return np.asarray(B)
-    value, vector = np.linalg.eigh(A / np.outer(size, size))
-    good = value > 1e-9 * max(value[-1], 1e-300)
-    V = vector[:, good] / size[:, None]
-    return np.asarray(V @ ((V.T @ B) / value[good][:, None]))
-
-
-def quadratic(A: Array, before: Array, r: Array, fakes: Array) -> tuple[float, Array, int]:
-    """R' A^-1 r and the same for surrogates (k, B), over the directions of which enough is left beside the model."""
-    size = np.sqrt(np.maximum(before, 1e-300))
-    value, vector = np.linalg.eigh(A / np.outer(size, size))
-    good = value > WEAK
-    if not good.any():
-        return 0.0, np.zeros(fakes.shape[1]), 0
-    V = (vector[:, good] / np.sqrt(value[good])) / size[:, None]
-    return float(np.sum((V.T @ r) ** 2)), np.sum((V.T @ fakes) ** 2, axis=0), int(good.sum())
+        return -log_tail(np.asarray(gain, dtype=float), count, self.bench.noise.degrees)
 
 
 def threshold(highest: Array, chance: float) -> float:

@@ -83,7 +83,7 @@ def lines(scene: Scene, rest: Array, runs: tuple[slice, ...]) -> list[Sought]:
     x = rest[long] - rest[long].mean(axis=0)
     pad = 4 * n
     power = np.abs(np.fft.rfft(x * np.hanning(n)[:, None], pad, axis=0)) ** 2
-    ground = median_filter(power, size=(4 * 61, 1), mode="nearest") + 1e-300
+    ground = _ground(power, 4 * 61) + 1e-300
     ratio = power / ground
     ratio[: _above_motion(scene, runs, pad, n)] = 0.0
     out = []
@@ -96,6 +96,16 @@ def lines(scene: Scene, rest: Array, runs: tuple[slice, ...]) -> list[Sought]:
         f = int(np.argmax(score)) / (pad * dt)
         out.append(Sought(Vibration(tuple(names), float(f)), n // 2))
     return [s for s in out if s.effect.frequency > 0]  # type: ignore[attr-defined]
+
+
+def _ground(power: Array, width: int) -> Array:
+    """Running median (F, C) over about `width` lines, from medians of half-overlapping pieces."""
+    half = width // 2
+    count = max(len(power) // half - 1, 1)
+    middle = np.array([np.median(power[k * half : k * half + width], axis=0) for k in range(count)])
+    at = half * (np.arange(count) + 1.0)
+    lines = np.arange(len(power))
+    return np.stack([np.interp(lines, at, middle[:, c]) for c in range(power.shape[1])], axis=-1)
 
 
 def _above_motion(scene: Scene, runs: tuple[slice, ...], pad: int, n: int) -> int:

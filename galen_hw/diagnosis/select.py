@@ -6,9 +6,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from galen_hw.diagnosis import seek
+from galen_hw.diagnosis.algebra import solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.rows import Chosen
-from galen_hw.diagnosis.score import Score, Scorer, solve_sym, threshold
+from galen_hw.diagnosis.score import Score, Scorer, threshold
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.table import EFFECTS, effect_class
 from galen_hw.spatial import Array
