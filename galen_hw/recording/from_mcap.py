@@ -1,6 +1,7 @@
 """An MCAP file as a `Recording`: everything at the times of the raw wrench samples."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -38,17 +39,29 @@ def read_mcap(path: Path, *, compensated: bool = False) -> Recording:
         found.setdefault(logged.topic, []).append(logged.message)
     rows = found.pop(TABLE_TOPIC, None)
     columns, notes = _from_table(rows, found, file) if rows else _from_bus(found, path)
-    info = _info(file, found.get("compensation/state", []))
-    recording = Recording(columns, info, path, None, (), dict(file.attachments))
-    warnings = (*file.warnings, *notes, *check(recording))
-    return Recording(columns, info, path, None, warnings, dict(file.attachments))
+    states: list[CompensationState] = found.get("compensation/state", [])
+    recording = Recording(
+        columns,
+        _info(file, states),
+        path,
+        attachments=dict(file.attachments),
+        tool_file=next((s.tool_file for s in reversed(states) if s.tool_file), ""),
+        epoch=None if rows else float(found[_base(found, path)][0].timestamp),
+    )
+    return replace(recording, warnings=(*file.warnings, *notes, *check(recording)))
 
 
-def _from_bus(found: dict[str, list[Any]], path: Path) -> tuple[Columns, list[str]]:
+def _base(found: dict[str, list[Any]], path: Path) -> str:
+    """The topic whose samples are the rows."""
     order = ("wrench/raw", "joints/state", "tracker/tool")
     base = next((topic for topic in order if found.get(topic)), None)
     if base is None:
         raise UsageError("holds no wrench, joint or tracker samples", where=str(path), todo="record these topics")
+    return base
+
+
+def _from_bus(found: dict[str, list[Any]], path: Path) -> tuple[Columns, list[str]]:
+    base = _base(found, path)
     t_ns = np.array([m.t_ns for m in found[base]], dtype=np.int64)
     start = int(t_ns[0])
     time = (t_ns - start) / NS_PER_S

@@ -53,6 +53,8 @@ class Recording:
         simulation: the same columns as someone else simulated them.
         warnings: what is odd about the recording, one line each; not fatal.
         attachments: texts that an MCAP file bears (the robot's URDF, tools' files, the configuration).
+        tool_file: text of the file of the tool in hand at the end, of an MCAP file; empty where it is not known.
+        epoch: seconds since the epoch at time 0, of an MCAP file; None where it is not known.
     """
 
     columns: dict[str, Array]
@@ -61,6 +63,8 @@ class Recording:
     simulation: "Recording | None" = None
     warnings: tuple[str, ...] = ()
     attachments: dict[str, str] = field(default_factory=dict)
+    tool_file: str = ""
+    epoch: float | None = None
 
     def __len__(self) -> int:
         """Number of samples (rows)."""
