@@ -37,19 +37,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Carry out one part."""
-    return PARTS[args.part][0](args, _store(args))
+    return PARTS[args.part][0](args, tool_store(args.dir))
 
 
-def _store(args: argparse.Namespace) -> "ToolStore":
-    """The running daemon's tools, or the user's own."""
+def tool_store(runtime: Path | None) -> "ToolStore":
+    """The tools of the daemon that runs in a runtime directory (None: the usual one), or the user's own."""
     from galen_hw.config.paths import state_dir
     from galen_hw.config.tool_store import ToolStore
 
-    folder = _ask_daemon(args, "daemon", "info", {}).get("state_dir")
+    folder = _ask_daemon(runtime, "daemon", "info", {}).get("state_dir")
     return ToolStore(Path(folder) if folder else state_dir())
 
 
-def _ask_daemon(args: argparse.Namespace, target: str, name: str, arguments: dict[str, Any]) -> dict[str, Any]:
+def _ask_daemon(runtime: Path | None, target: str, name: str, arguments: dict[str, Any]) -> dict[str, Any]:
     """The daemon's answer, empty if none runs.
 
     Raises:
@@ -59,7 +59,7 @@ def _ask_daemon(args: argparse.Namespace, target: str, name: str, arguments: dic
     from galen_hw.config.paths import Addresses, client_runtime_dir
     from galen_hw.errors import HardwareError
 
-    addresses = Addresses(args.dir or client_runtime_dir())
+    addresses = Addresses(runtime or client_runtime_dir())
     if not (addresses.runtime / "command").exists():
         return {}
     with CommandClient(addresses.command) as client:
@@ -108,7 +108,7 @@ def _select(args: argparse.Namespace, store: "ToolStore") -> int:
     if name is not None and not store.load(name).calibrated:
         todo = f"galen-hw calibrate --tool {name}"
         raise UsageError(f"tool {name!r} was never calibrated", where="tool select", todo=todo)
-    live = _ask_daemon(args, "compensation", "select_tool", {"tool": name})
+    live = _ask_daemon(args.dir, "compensation", "select_tool", {"tool": name})
     store.select(name)
     where = "the daemon uses it now" if live else "no daemon runs: taken up when it starts"
     return _done(args, {"selected": name}, f"selected {name or 'no tool'}; {where}")
@@ -133,7 +133,7 @@ def _history(args: argparse.Namespace, store: "ToolStore") -> int:
 def _rollback(args: argparse.Namespace, store: "ToolStore") -> int:
     before = store.active(args.name)
     tool = store.rollback(args.name, args.generation)
-    live = store.selected() == args.name and bool(_ask_daemon(args, "compensation", "reload", {}))
+    live = store.selected() == args.name and bool(_ask_daemon(args.dir, "compensation", "reload", {}))
     text = f"{args.name}: generation {before} -> {store.active(args.name)}" + (
         "; the daemon uses it now" if live else ""
     )
@@ -163,7 +163,10 @@ def _import(args: argparse.Namespace, store: "ToolStore") -> int:
             f"tool {tool.name!r} {problems[0]}", where=str(args.file), todo="calibrate it here, or --force"
         )
     saved = store.save(tool)
-    text = f"imported {saved.calibration_id}"
+    live = store.selected() == saved.name and bool(_ask_daemon(args.dir, "compensation", "reload", {}))
+    effects = ", ".join(dict.fromkeys(term.effect for term in saved.terms))
+    text = f"imported {saved.calibration_id}" + (f" with {effects}" if effects else "")
+    text += "; the daemon uses it now" if live else ""
     return _done(args, {"name": saved.name, "calibration": saved.calibration_id}, text)
 
 
@@ -171,7 +174,7 @@ def _foreign(args: argparse.Namespace, tool: "ToolFile") -> list[str]:
     """Why the file does not belong to the running daemon's hardware, as far as that is known."""
     from galen_hw.config.tool_store import binding_problems
 
-    info = _ask_daemon(args, "daemon", "info", {})
+    info = _ask_daemon(args.dir, "daemon", "info", {})
     return binding_problems(tool, sensor_serial="", robot=str(info.get("robot", "")))
 
 

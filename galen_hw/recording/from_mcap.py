@@ -190,13 +190,13 @@ def _info(file: McapFile, states: list[CompensationState]) -> RecordingInfo:
     values |= {key: file.metadata[key] for key in ("base_link", "sensor_link") if file.metadata.get(key)}
     tools = {state.tool_file for state in states if state.tool_file}
     if tools:
-        values |= _tool(json.loads(next(s.tool_file for s in reversed(states) if s.tool_file)))
+        values |= tool_info(json.loads(next(s.tool_file for s in reversed(states) if s.tool_file)))
     if len(tools) > 1:
         file.warnings.append("the tool or its calibration was changed during the recording; the last one is given")
     return RecordingInfo.model_validate(values)
 
 
-def _tool(tool: dict[str, Any]) -> dict[str, Any]:
+def tool_info(tool: dict[str, Any]) -> dict[str, Any]:
     """The keys of recording.json from a tool's file; its constant bias has no key there and is left free."""
     part = {key: tool[key] for key in ("name", "mass", "com", "inertia", "tip") if tool.get(key) is not None}
     values: dict[str, Any] = {"tool": part, "model": {"bias": "free"}}
