@@ -1,6 +1,6 @@
 """Benchmark of the deflection models on generated robots with concealed parameters.
 
-python -m galen_hw.tools.bench_deflection --robots 20 --lstm 3 --write docs/deflection.md
+python -m galen_hw.tools.bench_deflection --robots 20 --results bench.jsonl --write docs/deflection.md
 """
 
 import argparse
@@ -8,39 +8,37 @@ import json
 import resource
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
-from galen_hw.identification.deflection.compare import first_rest, residual_give
+from galen_hw.identification.deflection.compare import first_rest, residual_give, wall_shares
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.elastic import ElasticArm
-from galen_hw.identification.deflection.linear import CoupledLinear
-from galen_hw.identification.deflection.lstm import Lstm
+from galen_hw.identification.deflection.table import MODELS, model_class
 from galen_hw.spatial import Array
 from galen_hw.tools.deflection.robots import KINDS, NOISE_M, GivingRobot
 
-if TYPE_CHECKING:
-    from galen_hw.identification.deflection.model import DeflectionModel
-
 BEGIN, END = "<!-- bench: written by galen_hw.tools.bench_deflection -->", "<!-- bench end -->"
-LEARN, NEW, FIRST_NEW = 4, 2, 5
+OURS: Final = "elastic arm"
+RIVALS: Final = ("coupled linear", "LSTM (report)")
+NEW, SAME, OTHER = "new configuration", "same configuration", "other day"
+LEARN, JUDGE, FIRST_NEW = 4, 2, 5
 BAND_95: Final = 1.959964
 SEEN_RESIDUAL_M: Final = 3e-5
 
 
-def true_error(data: DeflectionSet, give: Array) -> Array:
-    """(N, 3) predicted less true give, both from the first rest on."""
+def true_give(data: DeflectionSet) -> Array:
+    """(N, 3) true tip, from the first rest on; the tracker's noise and delay are not in it."""
     true = np.stack([data.observations.columns[f"covariate.true.{a}"] for a in "xyz"], axis=1)
-    rest = first_rest(data)
-    return np.asarray(give - give[rest].mean(axis=0) - true + true[rest].mean(axis=0))
+    return np.asarray(true - true[first_rest(data)].mean(axis=0))
 
 
-def tracked_error(data: DeflectionSet, give: Array) -> Array:
-    """(N, 3) tracked less predicted give, both from the first rest on."""
-    error = data.give - give
-    return np.asarray(error - error[first_rest(data)].mean(axis=0))
+def from_rest(data: DeflectionSet, give: Array) -> Array:
+    """(N, 3) less its mean over the first rest."""
+    return np.asarray(give[:, :3] - give[first_rest(data), :3].mean(axis=0))
 
 
 def rms(error: Array) -> float:
@@ -48,111 +46,154 @@ def rms(error: Array) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
-def judge_robot(seed: int, *, with_lstm: bool) -> dict[str, Any]:
-    """One robot: learn at four configurations, judge at two others."""
+def judge_robot(seed: int, names: list[str]) -> dict[str, Any]:
+    """One robot: learn at four configurations twice each; judge there again, at two others, and on another day."""
     robot = GivingRobot.drawn(seed)
-    learn, new = robot.sets(LEARN), robot.sets(NEW, each=1, first=FIRST_NEW)
-    out: dict[str, Any] = {"seed": seed, "present": robot.present, "tracked": {}, "true": {}, "residual": {}}
-    arm = ElasticArm()
-    rivals: dict[str, DeflectionModel] = {"elastic arm": arm, "coupled linear": CoupledLinear()}
-    if with_lstm:
-        rivals["LSTM (report)"] = Lstm()
-    for name, model in rivals.items():
+    learn = robot.sets(LEARN)
+    held = {
+        SAME: robot.sets(JUDGE, each=1, again=2),
+        NEW: robot.sets(JUDGE, each=1, first=FIRST_NEW),
+        OTHER: robot.sets(JUDGE, each=1, day=1),
+    }
+    out: dict[str, Any] = {"seed": seed, "present": robot.present, "models": {}}
+    out["give"] = rms(np.concatenate([true_give(s) for s in held[NEW]]))
+    out["largest"] = float(max(np.linalg.norm(true_give(s), axis=1).max() for s in held[NEW]))
+    for name in names:
+        model = model_class(name)()
         begin, used = time.perf_counter(), resource.getrusage(resource.RUSAGE_SELF)
         model.fit(learn)
         after = resource.getrusage(resource.RUSAGE_SELF)
-        if name == "elastic arm":
-            out["fit_s"] = time.perf_counter() - begin
-            out["fit_cpu_s"] = after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime
-        gives = [model.predict(s) for s in new]
-        out["tracked"][name] = rms(np.concatenate([tracked_error(s, g) for s, g in zip(new, gives, strict=True)]))
-        out["true"][name] = rms(np.concatenate([true_error(s, g) for s, g in zip(new, gives, strict=True)]))
-        pairs = np.concatenate([residual_give(s, g) for s, g in zip(new, gives, strict=True)])
-        if rms(pairs[:, 0]) > SEEN_RESIDUAL_M:
-            out["residual"][name] = rms(pairs[:, 0] - pairs[:, 1]) / rms(pairs[:, 0])
-    out["give"] = rms(np.concatenate([tracked_error(s, np.zeros_like(s.give)) for s in new]))
-    out["kept"] = {kind: kind in arm.kept for kind in KINDS}
-    held = [(true_error(s, arm.predict(s)), tracked_error(s, arm.predict(s)), arm.variance(s)) for s in new]
-    out["covers_true"] = float(np.mean(np.concatenate([np.abs(e) <= BAND_95 * np.sqrt(v) for e, _, v in held])))
-    noisy = [np.abs(t) <= BAND_95 * np.sqrt(v + arm.noise**2) for _, t, v in held]
-    out["covers_tracked"] = float(np.mean(np.concatenate(noisy)))
+        cpu = after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime
+        gives = {kind: [model.predict(s) for s in sets] for kind, sets in held.items()}
+        out["models"][name] = {"fit_s": time.perf_counter() - begin, "fit_cpu_s": cpu} | _errors(held, gives)
+        if isinstance(model, ElasticArm):
+            out["kept"] = {kind: kind in model.kept for kind in KINDS}
+            out |= _coverage(model, held[NEW], gives[NEW])
     return out
 
 
-def table(results: list[dict[str, Any]]) -> str:
+def _errors(held: dict[str, list[DeflectionSet]], gives: dict[str, list[Array]]) -> dict[str, Any]:
+    """Of one model: rms against the tracked and the true tip, share of residual give missed, time beyond walls."""
+    out: dict[str, Any] = {"tracked": {}, "true": {}}
+    for kind, sets in held.items():
+        pairs = list(zip(sets, gives[kind], strict=True))
+        out["tracked"][kind] = rms(np.concatenate([from_rest(s, s.give) - from_rest(s, g) for s, g in pairs]))
+        out["true"][kind] = rms(np.concatenate([true_give(s) - from_rest(s, g) for s, g in pairs]))
+    pairs = list(zip(held[NEW], gives[NEW], strict=True))
+    left = np.concatenate([residual_give(s, g) for s, g in pairs])
+    if rms(left[:, 0]) > SEEN_RESIDUAL_M:
+        out["residual"] = rms(left[:, 0] - left[:, 1]) / rms(left[:, 0])
+    shares = [wall_shares(replace(s, give=true_give(s)), g) for s, g in pairs]
+    out["walls"] = np.mean(shares, axis=0).tolist()
+    return out
+
+
+def _coverage(arm: ElasticArm, sets: list[DeflectionSet], gives: list[Array]) -> dict[str, float]:
+    """Shares of coordinates inside the 95 % interval, of the true tip and of the tracked one."""
+    true, tracked = [], []
+    for s, g in zip(sets, gives, strict=True):
+        variance, model = arm.variance(s)[:, :3], from_rest(s, g)
+        true.append(np.abs(true_give(s) - model) <= BAND_95 * np.sqrt(variance))
+        tracked.append(np.abs(from_rest(s, s.give) - model) <= BAND_95 * np.sqrt(variance + arm.noise[:3] ** 2))
+    return {
+        "covers_true": float(np.mean(np.concatenate(true))),
+        "covers_tracked": float(np.mean(np.concatenate(tracked))),
+    }
+
+
+def of_model(results: list[dict[str, Any]], name: str, *keys: str) -> Array:
+    """One figure of a model over all robots that have it."""
+    out = []
+    for r in results:
+        value: Any = r["models"].get(name, {})
+        for key in keys:
+            value = value.get(key) if isinstance(value, dict) else None
+        if value is not None and not isinstance(value, dict):
+            out.append(value)
+    return np.array(out)
+
+
+def text_of(results: list[dict[str, Any]]) -> str:
     """The figures as Markdown."""
-    names = ("elastic arm", "coupled linear", "LSTM (report)")
-
-    def over(key: str, name: str) -> Array:
-        return np.array([r[key][name] for r in results if name in r[key]])
-
+    names = [n for n in MODELS if any(n in r["models"] for r in results)]
+    give, largest = (1e3 * np.array([r[k] for r in results]) for k in ("give", "largest"))
+    about = f"{len(results)} generated robots, {LEARN} configurations x 2 sets to learn, {JUDGE} held-out sets of each kind; "
+    about += "rms an axis; median (worst) over robots. "
+    about += f"The tip gives {np.median(give):.2f} mm rms ({give.min():.2f} to {give.max():.2f}), "
+    about += f"at most {np.median(largest):.1f} mm ({largest.min():.1f} to {largest.max():.1f})."
     lines = [
-        f"{len(results)} generated robots, {LEARN} configurations x 2 sets to learn, {NEW} to judge; rms an axis.",
+        about,
         "",
+        "| error of the tracked tip, x tracker noise | same configuration | new configuration | other day |",
+        "| --- | ---: | ---: | ---: |",
     ]
-    lines += ["| at configurations never seen | " + " | ".join(names) + " |", "| --- | ---: | ---: | ---: |"]
-    ours = over("tracked", names[0]) / NOISE_M
+    for name in names:
+        cells = [pair(of_model(results, name, "tracked", kind) / NOISE_M) for kind in (SAME, NEW, OTHER)]
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    head = ("error of the true tip, mm", "residual after a release, missed", "time beyond a wall", "fit, s of CPU")
+    lines += ["", "| at new configurations | " + " | ".join(head) + " |", "| --- | ---: | ---: | ---: | ---: |"]
+    for name in names:
+        walls = np.array([r["models"][name]["walls"] for r in results if name in r["models"]])
+        cells = [
+            pair(1e3 * of_model(results, name, "true", NEW), 3),
+            pair(100 * of_model(results, name, "residual"), 0, " %"),
+            f"{100 * walls[:, 1].mean():.1f} %",
+            pair(of_model(results, name, "fit_cpu_s"), 1),
+        ]
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    reported = np.mean([r["models"][OURS]["walls"][0] for r in results])
+    lines.append(f"| reported pose (rigid) | {pair(give, 3)} | | {100 * reported:.1f} % | |")
+    return "\n".join([*lines, "", "| what | wanted | found |", "| --- | --- | --- |", *verdicts(results)])
 
-    def row(text: str, cells: list[str]) -> None:
-        lines.append(f"| {text} | " + " | ".join(cells) + " |")
 
-    row("robots", [str(len(over("tracked", n))) for n in names])
-    row(
-        "error of the tracked tip, x tracker noise: median (worst)",
-        [_pair(over("tracked", n) / NOISE_M) for n in names],
-    )
-    row("error of the true tip, mm: median (worst)", [_pair(1e3 * over("true", n), 3) for n in names])
-    row(
-        "residual give after a release that is missed: median (worst)",
-        [_pair(100 * over("residual", n), 0, " %") for n in names],
-    )
-    for text, key in (("true", "true"), ("tracked", "tracked")):
-        ratios = [np.array([r[key][n] / r[key][names[0]] for r in results if n in r[key]]) for n in names]
-        row(f"error of the {text} tip, times ours: median (least)", [_pair(q, 1, "", least=True) for q in ratios])
+def verdicts(results: list[dict[str, Any]]) -> list[str]:
+    """Rows of the table of what was wanted and what was found."""
+    ours, residual = of_model(results, OURS, "tracked", NEW) / NOISE_M, of_model(results, OURS, "residual")
+    rows = [
+        ("held-out error, x tracker noise", "<= 1.2", f"{np.mean(ours <= 1.2):.0%} of robots; worst {ours.max():.2f}"),
+    ]
+    for rival in RIVALS:
+        both = [r["models"] for r in results if rival in r["models"]]
+        for tip in ("tracked", "true"):
+            ratio = np.array([m[rival][tip][NEW] / m[OURS][tip][NEW] for m in both])
+            if len(ratio):
+                found = f"{np.mean(ratio >= 5.0):.0%} of {len(ratio)} robots; median {np.median(ratio):.1f}"
+                rows.append(
+                    (f"{rival}, error of the {tip} tip, times ours", ">= 5", f"{found}, least {ratio.min():.1f}")
+                )
+    share = f"{np.mean(residual <= 0.2):.0%} of {len(residual)} robots that have one; median {np.median(residual):.0%}"
+    rows.append(("residual after a release, missed", "<= 20 %", f"{share}, worst {residual.max():.0%}"))
     right = [r["kept"][k] == r["present"][k] for r in results for k in KINDS]
     whole = [all(r["kept"][k] == r["present"][k] for k in KINDS) for r in results]
-    residual = over("residual", names[0])
-    lines += ["", "| what | wanted | found |", "| --- | --- | --- |"]
-    row("held-out error, x tracker noise", ["<= 1.2", f"{np.mean(ours <= 1.2):.0%} of robots; worst {ours.max():.2f}"])
-    row(
-        "residual after a release, missed",
-        ["<= 20 %", f"{np.mean(residual <= 0.2):.0%} of robots; median {np.median(residual):.0%}"],
-    )
-    row(
-        "an effect kept or dropped rightly",
-        [">= 95 %", f"{np.mean(right):.1%} of {len(right)}; all four at once {np.mean(whole):.0%}"],
-    )
+    found = f"{np.mean(right):.1%} of {len(right)}; all four at once in {np.mean(whole):.0%} of robots"
+    rows.append(("an effect kept or dropped rightly", ">= 95 %", found))
     for kind in KINDS:
         mine = [(r["present"][kind], r["kept"][kind]) for r in results]
         missed, extra = sum(p and not k for p, k in mine), sum(k and not p for p, k in mine)
-        row(
-            f"{kind}",
-            ["", f"missed {missed} of {sum(p for p, _ in mine)}, invented {extra} of {sum(not p for p, _ in mine)}"],
+        there = sum(p for p, _ in mine)
+        rows.append((kind, "", f"missed {missed} of {there}, invented {extra} of {len(mine) - there}"))
+    for what, key in (("true tip", "covers_true"), ("tracked tip, tracker noise added", "covers_tracked")):
+        each = np.array([r[key] for r in results])
+        rows.append(
+            (f"95 % interval holds the {what}", "93-97 %", f"{each.mean():.1%} ({each.min():.0%} to {each.max():.0%})")
         )
-    for text, key in (("true tip", "covers_true"), ("tracked tip, tracker noise added", "covers_tracked")):
-        row(f"95 % interval holds the {text}", ["93-97 %", f"{np.mean([r[key] for r in results]):.1%}"])
-    cpu, wall = (np.array([r[k] for r in results]) for k in ("fit_cpu_s", "fit_s"))
-    row(
-        "fit of the elastic arm, 8 sets",
-        ["<= 60 s", f"{np.median(cpu):.1f} s CPU, {np.median(wall):.1f} s on a shared machine"],
-    )
-    row("rms of the give itself, mm", ["", _pair(1e3 * np.array([r["give"] for r in results]), 2)])
-    return "\n".join(lines)
+    others = [n for n in MODELS if not n.startswith("LSTM")]
+    whole_fit = [sum(r["models"][n]["fit_s"] for n in others if n in r["models"]) for r in results]
+    rows.append((f"fit of all models but the LSTM, {2 * LEARN} sets", "<= 60 s", f"{pair(np.array(whole_fit), 1)} s"))
+    return [f"| {' | '.join(r)} |" for r in rows]
 
 
-def _pair(values: Array, digits: int = 2, unit: str = "", *, least: bool = False) -> str:
-    if not len(values):
-        return "-"
-    other = values.min() if least else values.max()
-    return f"{np.median(values):.{digits}f} ({other:.{digits}f}){unit}"
+def pair(values: Array, digits: int = 2, unit: str = "") -> str:
+    """Median and, in brackets, the largest."""
+    return f"{np.median(values):.{digits}f} ({values.max():.{digits}f}){unit}" if len(values) else "-"
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the robots; results are kept as lines of JSON, so that a run can be taken up again."""
     parser = argparse.ArgumentParser(description="deflection models on generated robots")
     parser.add_argument("--robots", type=int, default=20)
-    parser.add_argument("--first", type=int, default=1000, help="first seed")
-    parser.add_argument("--lstm", type=int, default=3, help="train the LSTM for so many of them")
+    parser.add_argument("--first", type=int, default=3000, help="first seed")
+    parser.add_argument("--without", nargs="*", default=[], choices=list(MODELS), help="leave models out")
     parser.add_argument("--results", type=Path, help="file of JSON lines to go on with")
     parser.add_argument("--write", type=Path, metavar="FILE.md", help="put the tables between the marks of this page")
     args = parser.parse_args(argv)
@@ -160,18 +201,18 @@ def main(argv: list[str] | None = None) -> int:
     if args.results is not None and args.results.exists():
         results = [json.loads(line) for line in args.results.read_text(encoding="utf-8").splitlines()]
     done = {r["seed"] for r in results}
-    for number in range(args.robots):
-        seed = args.first + number
+    names = [n for n in MODELS if n not in args.without]
+    for seed in range(args.first, args.first + args.robots):
         if seed in done:
             continue
-        results.append(judge_robot(seed, with_lstm=number < args.lstm))
+        results.append(judge_robot(seed, names))
         wrong = [k for k in KINDS if results[-1]["kept"][k] != results[-1]["present"][k]]
-        ours = results[-1]["tracked"]["elastic arm"] / NOISE_M
+        ours = results[-1]["models"][OURS]["tracked"][NEW] / NOISE_M
         print(f"{seed}: {ours:.2f} x noise; wrong: {', '.join(wrong) or 'none'}", file=sys.stderr, flush=True)
         if args.results is not None:
             with args.results.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(results[-1]) + "\n")
-    text = table(results)
+    text = text_of(results)
     print(text)
     if args.write is not None:
         page = args.write.read_text(encoding="utf-8")
