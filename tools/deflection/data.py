@@ -10,7 +10,7 @@ import numpy as np
 from galen_hw.errors import UsageError
 from galen_hw.identification.deflection.data import DeflectionSet, check
 from galen_hw.recording import Recording, read_recording
-from galen_hw.tools.diagnose import observations_of
+from galen_hw.tools.diagnose_input import observations_of
 
 SAME_M, SAME_RAD = 0.02, 0.05
 LEAST_SEEN = 60
