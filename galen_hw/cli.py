@@ -15,7 +15,10 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "check": ("galen_hw.tools.check", "check the set-up and name every problem at once"),
     "monitor": ("galen_hw.tools.monitor", "show live topics: rates, ages, losses, wrench"),
     "virtual": ("galen_hw.tools.virtual", "run the virtual robot: the other ends of the wires"),
-    "calibrate": ("galen_hw.tools.calibrate", "sweep, fit and verify a tool's weight, centre of mass and sensor bias"),
+    "calibrate": (
+        "galen_hw.tools.calibration.command",
+        "sweep, fit and verify a tool's weight, centre of mass and sensor bias",
+    ),
     "tool": ("galen_hw.tools.tool", "list, show, select, roll back and export tools and their calibrations"),
     "command": ("galen_hw.tools.command", "send one request to a device or service of the running daemon"),
     "record": ("galen_hw.tools.record", "record the bus to an MCAP file"),

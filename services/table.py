@@ -7,8 +7,8 @@ a new kind of message, a struct and a row in `TOPICS`. The conformance checks th
 from typing import Final
 
 SERVICES: Final[dict[str, str]] = {
-    "compensation": "galen_hw.services.compensation:CompensationService",
-    "calibration": "galen_hw.services.calibration:CalibrationService",
+    "compensation": "galen_hw.services.compensation.service:CompensationService",
+    "calibration": "galen_hw.services.calibration.service:CalibrationService",
     "deflection": "galen_hw.services.deflection.service:DeflectionService",
     "admittance": "galen_hw.services.admittance:AdmittanceService",
     "recorder": "galen_hw.services.recorder:RecorderService",

@@ -15,8 +15,8 @@ from galen_hw.messages import (
     Vector3,
     WrenchRaw,
 )
-from galen_hw.services.calibration import CalibrationService
-from galen_hw.services.calibration_settings import CalibrationSettings
+from galen_hw.services.calibration.service import CalibrationService
+from galen_hw.services.calibration.settings import CalibrationSettings
 from galen_hw.services.service import ServiceContext
 
 SAMPLE_NS, JOINTS_EVERY, TICK_EVERY = 4_000_000, 6, 12

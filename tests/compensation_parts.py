@@ -11,8 +11,8 @@ from galen_hw.config.tool_store import ToolStore
 from galen_hw.kinematics import GalenRobot, Robot
 from galen_hw.messages import JointsState, Message, Request, Vector3, WrenchCompensated, WrenchRaw
 from galen_hw.physics.rigid import Body, predicted_wrench
-from galen_hw.services.compensation import CompensationService
-from galen_hw.services.compensation_settings import CompensationSettings
+from galen_hw.services.compensation.service import CompensationService
+from galen_hw.services.compensation.settings import CompensationSettings
 from galen_hw.services.service import Output, ServiceContext
 from galen_hw.spatial import Array
 

@@ -18,7 +18,7 @@ from galen_hw.identification.report import two_step
 from galen_hw.recording import Recording, RecordingInfo, write_table
 from galen_hw.recording.recording import SENSOR_ORIENTATION, WRENCH
 from galen_hw.recording.session import Session
-from galen_hw.services.calibration_settings import AxisSettings, CalibrationSettings
+from galen_hw.services.calibration.settings import AxisSettings, CalibrationSettings
 from galen_hw.spatial import quaternion_from_rotation
 
 SETTINGS = CalibrationSettings(

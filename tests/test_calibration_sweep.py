@@ -17,10 +17,10 @@ from galen_hw.kinematics import GalenRobot
 from galen_hw.messages import JointsState, Request, Vector3, WrenchRaw
 from galen_hw.physics.rigid import gravity_in_sensor
 from galen_hw.recording import read_recording
-from galen_hw.services.calibration_plan import make_plan
-from galen_hw.services.calibration_settings import AxisSettings, CalibrationSettings
-from galen_hw.tools.calibration_poses import poses_of
-from galen_hw.tools.calibration_result import analyse
+from galen_hw.services.calibration.plan import make_plan
+from galen_hw.services.calibration.settings import AxisSettings, CalibrationSettings
+from galen_hw.tools.calibration.poses import poses_of
+from galen_hw.tools.calibration.result import analyse
 
 FEW = CalibrationSettings(
     axes={"tilt": AxisSettings(low=-0.6, high=0.6, count=3), "roll": AxisSettings(low=-0.9, high=0.9, count=4)},

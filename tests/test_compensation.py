@@ -13,7 +13,7 @@ from galen_hw.errors import CommandRejectedError, UsageError
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.messages import JointsState, Reply, Vector3, WrenchRaw, encode
 from galen_hw.physics.rigid import Body, inertial_wrench
-from galen_hw.services.gravity_direction import GravityDirection
+from galen_hw.services.compensation.gravity_direction import GravityDirection
 from galen_hw.spatial import transform, wrench_adjoint
 from tests.compensation_parts import (
     MS,

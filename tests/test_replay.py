@@ -14,7 +14,7 @@ from galen_hw.recording import read_recording, write_table
 from galen_hw.recording.mcap_reader import McapFile
 from galen_hw.recording.session import Session
 from galen_hw.recording.to_mcap import write_mcap
-from galen_hw.services.compensation_replay import Recorded, service_for, verify
+from galen_hw.services.compensation.replay import Recorded, service_for, verify
 from tests.compensation_parts import (
     BASE,
     MS,

@@ -19,8 +19,8 @@ from galen_hw.drivers.virtual.world import World
 from galen_hw.kinematics import GalenRobot
 from galen_hw.messages import CommandError, JointsState, Message, Reply, Request, Vector3, WrenchCompensated, WrenchRaw
 from galen_hw.services.admittance import AdmittanceService, AdmittanceSettings
-from galen_hw.services.compensation import CompensationService
-from galen_hw.services.compensation_settings import CompensationSettings
+from galen_hw.services.compensation.service import CompensationService
+from galen_hw.services.compensation.settings import CompensationSettings
 from galen_hw.services.service import Output, ServiceContext
 from galen_hw.spatial import Array
 

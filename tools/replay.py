@@ -12,7 +12,7 @@ from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
 if TYPE_CHECKING:
     from galen_hw.kinematics import Robot
     from galen_hw.recording.mcap_reader import Logged, McapFile
-    from galen_hw.services.compensation_replay import Recorded
+    from galen_hw.services.compensation.replay import Recorded
 
 AXES = ("fx N", "fy N", "fz N", "tx N mm", "ty N mm", "tz N mm")
 
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"  {warning}")
     if args.publish:
         return publish(logged, args)
-    from galen_hw.services.compensation_replay import Recorded
+    from galen_hw.services.compensation.replay import Recorded
 
     recorded = Recorded((item.topic, item.message) for item in logged)
     if not recorded.raw:
@@ -73,7 +73,7 @@ def robot_of(file: "McapFile") -> "Robot":
 
 
 def _verify(recorded: "Recorded", robot: "Robot", nowhere: Path) -> int:
-    from galen_hw.services.compensation_replay import service_for, verify
+    from galen_hw.services.compensation.replay import service_for, verify
 
     if not recorded.compensated or not recorded.states:
         what = "holds no wrench/compensated with its compensation/state, so that there is nothing to verify"
@@ -93,8 +93,8 @@ def _summary(recorded: "Recorded", robot: "Robot", nowhere: Path, tool: str | No
     import numpy as np
 
     from galen_hw.config.paths import state_dir
-    from galen_hw.services.compensation import CompensationService
-    from galen_hw.services.compensation_replay import again, service_for
+    from galen_hw.services.compensation.replay import again, service_for
+    from galen_hw.services.compensation.service import CompensationService
     from galen_hw.services.service import ServiceContext
 
     service = service_for(recorded, robot, nowhere)

@@ -12,9 +12,9 @@ promises nothing). No bound on how late a reply may come is assumed. More reques
 transports, but then one lost frame would shift every later sample by one without a trace: it is not done.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum, auto
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 from galen_hw.drivers.ati_netcanoem.codec import FIRST, SECOND
 from galen_hw.drivers.device import CanFrame
@@ -23,9 +23,6 @@ from galen_hw.drivers.reporting import FAR_NS
 
 Pair: TypeAlias = tuple[bytes, bytes, int]
 """Data of the two frames, and when the second was read, ns."""
-
-SILENT_TRIES: Final = 6
-"""Time-outs on end after which the board is taken for gone."""
 
 
 class Phase(Enum):
@@ -47,6 +44,9 @@ class Sampler:
         ask: the sample request.
         fence: see `dialogue.Fence`; `answers`: what the board answers to each of its queries, by opcode.
         period_ns: of the schedule; `timeout_ns`: how long an answer is waited for.
+        silent_ns: the board is taken for gone once it has let answers be waited for so long without a break. Only time
+            in which it was listened to counts, `timeout_ns` for each time-out: a program that was itself held up for
+            seconds by a busy machine has learnt nothing about the board.
         verify_repeats: hold a repeated pair until it is known not to be a double.
         counters: of the device; counts lost, late, doubled, short, missed, timeouts, repeated.
     """
@@ -56,6 +56,7 @@ class Sampler:
     answers: dict[int, bytes]
     period_ns: int
     timeout_ns: int
+    silent_ns: int
     verify_repeats: bool
     counters: dict[str, int]
     due_ns: int = FAR_NS
@@ -67,7 +68,7 @@ class Sampler:
     _last: tuple[bytes, bytes] = (b"", b"")
     _held: Pair = (b"", b"", 0)
     _fence_sent: bool = False
-    _silent: int = field(default=0)
+    _silent_ns: int = 0
 
     def start(self, now_ns: int) -> None:
         """Begin the schedule now."""
@@ -120,7 +121,7 @@ class Sampler:
 
     def _accept(self, pair: Pair) -> Pair:
         self._last = pair[:2]
-        self._phase, self.due_ns, self._silent = Phase.IDLE, self._slot_ns, 0
+        self._phase, self.due_ns, self._silent_ns = Phase.IDLE, self._slot_ns, 0
         return pair
 
     def _feed_odd(self, opcode: int, data: bytes, t_ns: int) -> None:
@@ -162,7 +163,7 @@ class Sampler:
             return None
         self.replaced = data != self.answers[opcode]
         repeat, self._phase = self._phase is Phase.REPEAT, Phase.IDLE
-        self.due_ns, self._silent = self._slot_ns, 0
+        self.due_ns, self._silent_ns = self._slot_ns, 0
         if not repeat or self.replaced:
             return None
         if self._first:  # the second half of the reply is missing
@@ -172,8 +173,8 @@ class Sampler:
 
     def _expire(self, now_ns: int) -> None:
         self.counters["timeouts"] += 1
-        self._silent += 1
-        self.gone = self._silent >= SILENT_TRIES
+        self._silent_ns += self.timeout_ns
+        self.gone = self._silent_ns >= self.silent_ns
         if self._phase in (Phase.FIRST, Phase.SECOND):
             self._lose(now_ns)
         elif self._phase is Phase.REPEAT:

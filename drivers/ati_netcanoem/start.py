@@ -27,6 +27,8 @@ class AtiSettings(BaseModel):
         reset_at_start: reset the board before anything else (its selection of a calibration is lost, and made again).
         reset_wait_s: how long a reset board is left in peace.
         reply_timeout_s: after this a sample is given up; `start_timeout_s`: the same for a question of the start.
+        silent_s: a board that answers nothing for so long is gone: a fault, and it is identified anew. The samples of
+            the silence are lost and marked as such long before that; see `sampler.Sampler` for what is counted.
         tries: how often a question is asked before a fault; `retry_s`: pause before the start is tried again.
         counts_per_force, counts_per_torque, force_unit, torque_unit: instead of what the board says; firmware before
             3.7 cannot say: it is then 1 000 000, N and N-m.
@@ -44,6 +46,7 @@ class AtiSettings(BaseModel):
     reset_at_start: bool = False
     reset_wait_s: float = Field(default=0.1, ge=0.0, le=10.0)
     reply_timeout_s: float = Field(default=0.02, gt=0.0, le=10.0)
+    silent_s: float = Field(default=1.0, gt=0.0, le=60.0)
     start_timeout_s: float = Field(default=0.1, gt=0.0, le=10.0)
     tries: int = Field(default=3, ge=1, le=100)
     retry_s: float = Field(default=1.0, gt=0.0, le=60.0)
@@ -93,6 +96,7 @@ def new_sampler(settings: AtiSettings, fence: Fence, answers: dict[int, bytes], 
         answers=answers,
         period_ns=round(NS_PER_S / settings.rate_hz),
         timeout_ns=round(settings.reply_timeout_s * NS_PER_S),
+        silent_ns=round(settings.silent_s * NS_PER_S),
         verify_repeats=settings.verify_repeats,
         counters=counters,
     )

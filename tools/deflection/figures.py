@@ -14,7 +14,7 @@ from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.lstm import Lstm
 from galen_hw.spatial import Array
-from galen_hw.tools.calibration_figures import BAND, DONE, INK, RAW, STYLE
+from galen_hw.tools.calibration.figures import BAND, DONE, INK, RAW, STYLE
 from galen_hw.tools.deflection.fit import Comparison
 
 if TYPE_CHECKING:

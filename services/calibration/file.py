@@ -9,7 +9,7 @@ import numpy as np
 from galen_hw.config.tool_store import write_atomic
 from galen_hw.kinematics import GalenRobot, Robot
 from galen_hw.recording.recording import SENSOR_ORIENTATION, WRENCH
-from galen_hw.services.calibration_plan import Step
+from galen_hw.services.calibration.plan import Step
 from galen_hw.spatial import Array, quaternion_from_rotation
 
 STD = tuple(f"covariate.std.{name.removeprefix('wrench.')}" for name in WRENCH)

@@ -24,11 +24,11 @@ from galen_hw.messages import (
     WrenchCompensated,
     WrenchRaw,
 )
-from galen_hw.services.compensation_commands import CompensationCommands
-from galen_hw.services.compensation_model import ZERO, Six
-from galen_hw.services.compensation_settings import CompensationSettings
-from galen_hw.services.correction import Correction
-from galen_hw.services.gravity_direction import GravityDirection
+from galen_hw.services.compensation.commands import CompensationCommands
+from galen_hw.services.compensation.correction import Correction
+from galen_hw.services.compensation.gravity_direction import GravityDirection
+from galen_hw.services.compensation.model import ZERO, Six
+from galen_hw.services.compensation.settings import CompensationSettings
 from galen_hw.services.joint_history import JointHistory
 from galen_hw.services.service import Output, Service, ServiceContext
 

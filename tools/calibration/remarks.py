@@ -13,7 +13,7 @@ from galen_hw.physics.rigid import gravity_in_sensor
 from galen_hw.spatial import Array
 
 if TYPE_CHECKING:
-    from galen_hw.tools.calibration_result import Result
+    from galen_hw.tools.calibration.result import Result
 
 CLEARLY = 1e-4
 SAME_GRAVITY = 0.05

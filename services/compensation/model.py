@@ -17,7 +17,7 @@ from galen_hw.kinematics import Robot
 from galen_hw.messages import WrenchRaw
 from galen_hw.physics.observations import Belief
 from galen_hw.physics.rigid import Body, gravity_map, inertial_wrench
-from galen_hw.services.gravity_direction import GravityDirection
+from galen_hw.services.compensation.gravity_direction import GravityDirection
 from galen_hw.services.joint_history import JointSample
 from galen_hw.spatial import Array, rotation_from_quaternion
 

@@ -13,7 +13,7 @@ from galen_hw.identification.fit import Fit, span_of
 from galen_hw.identification.model import Model
 from galen_hw.identification.poses import Poses
 from galen_hw.spatial import Array
-from galen_hw.tools.calibration_remarks import remarks
+from galen_hw.tools.calibration.remarks import remarks
 from galen_hw.version import VERSION
 
 

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from galen_hw.config.paths import Addresses
     from galen_hw.config.tool_file import ToolFile
     from galen_hw.recording import Recording
-    from galen_hw.tools.calibration_check import LiveCheck
-    from galen_hw.tools.calibration_result import Result, Setting
+    from galen_hw.tools.calibration.check import LiveCheck
+    from galen_hw.tools.calibration.result import Result, Setting
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,8 +64,8 @@ def _from_recording(args: argparse.Namespace, console: "Console") -> int:
     from galen_hw.config.tool_file import ToolFile
     from galen_hw.config.tool_store import ToolStore
     from galen_hw.recording import read_recording
-    from galen_hw.tools.calibration_poses import poses_of
-    from galen_hw.tools.calibration_result import analyse, tool_file
+    from galen_hw.tools.calibration.poses import poses_of
+    from galen_hw.tools.calibration.result import analyse, tool_file
 
     recording = read_recording(args.recording)
     store = ToolStore(state_dir())
@@ -82,7 +82,7 @@ def _from_recording(args: argparse.Namespace, console: "Console") -> int:
 
 def _setting(recording: "Recording") -> "Setting":
     """On what a recording was made, as far as it says."""
-    from galen_hw.tools.calibration_result import Setting
+    from galen_hw.tools.calibration.result import Setting
 
     about = _about(recording.path)
     info = recording.info
@@ -125,9 +125,9 @@ def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") 
     from galen_hw.bus import CommandClient
     from galen_hw.config.tool_store import ToolStore
     from galen_hw.recording import read_recording
-    from galen_hw.tools.calibration_poses import poses_of
-    from galen_hw.tools.calibration_result import analyse, tool_file
-    from galen_hw.tools.calibration_sweep import by_hand, by_virtual_hand, run_sweep
+    from galen_hw.tools.calibration.poses import poses_of
+    from galen_hw.tools.calibration.result import analyse, tool_file
+    from galen_hw.tools.calibration.sweep import by_hand, by_virtual_hand, run_sweep
 
     with CommandClient(addresses.command) as client:
         info = client.call("daemon", "info")
@@ -164,7 +164,7 @@ def _overrides(args: argparse.Namespace) -> dict[str, Any]:
         found = re.fullmatch(r"(\d+)x(\d+)", args.poses)
         if not found:
             raise UsageError(f"{args.poses!r} is not TILTSxROLLS", where="--poses", todo="e.g. --poses 7x8")
-        from galen_hw.services.calibration_settings import CalibrationSettings
+        from galen_hw.services.calibration.settings import CalibrationSettings
 
         axes = CalibrationSettings().model_dump()["axes"]
         for axis, count in zip(axes.values(), found.groups(), strict=True):
@@ -186,7 +186,7 @@ class _Session:
 
 def _conclude(session: _Session, result: "Result", tool: "ToolFile") -> int:
     """Show, ask, save, select, check, report."""
-    from galen_hw.tools.calibration_screen import check_table, show_accepted, show_result
+    from galen_hw.tools.calibration.screen import check_table, show_accepted, show_result
 
     args, console = session.args, session.console
     show_result(console, result)
@@ -227,7 +227,7 @@ def _ask(console: "Console", name: str) -> bool:
 def _select_and_check(session: _Session, tool: "ToolFile", result: "Result") -> "LiveCheck | None":
     """Have the daemon take the tool up, then see every sample compensated."""
     from galen_hw.bus import CommandClient
-    from galen_hw.tools.calibration_check import live_check
+    from galen_hw.tools.calibration.check import live_check
 
     addresses = session.addresses
     assert addresses is not None
@@ -244,7 +244,7 @@ def _report(
     session: _Session, result: "Result", tool: "ToolFile", check: "LiveCheck | None", *, accepted: bool
 ) -> Path:
     """Figures and page; beside the tool's calibrations unless told where."""
-    from galen_hw.tools.calibration_figures import write_report
+    from galen_hw.tools.calibration.figures import write_report
 
     number = tool.origin.generation if tool.origin else 0
     leaf = f"{tool.name}-{number:04d}" if accepted else f"{tool.name}-not-accepted"

@@ -13,7 +13,7 @@ from galen_hw.config.tool_file import ToolFile
 from galen_hw.identification.candidates import Candidate
 from galen_hw.identification.model import CHANNELS
 from galen_hw.spatial import Array
-from galen_hw.tools.calibration_result import Result
+from galen_hw.tools.calibration.result import Result
 
 SCALE = np.array([1.0, 1.0, 1.0, 1e3, 1e3, 1e3])
 """N and N m to N and N mm."""

@@ -10,9 +10,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from galen_hw.services.calibration_hold import Average, Expectation, average, touched, unsteady
-from galen_hw.services.calibration_plan import Step
-from galen_hw.services.calibration_state import Run, StaleError, SweepStoppedError
+from galen_hw.services.calibration.hold import Average, Expectation, average, touched, unsteady
+from galen_hw.services.calibration.plan import Step
+from galen_hw.services.calibration.state import Run, StaleError, SweepStoppedError
 
 SLOW, HOLD = "slow motion", "hold"
 """Details of the progress of a check while its samples count."""

@@ -14,8 +14,8 @@ from typing import Any
 from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.kinematics import Robot
 from galen_hw.messages import CompensationState, JointsState, Message, WrenchCompensated, WrenchRaw, encode
-from galen_hw.services.compensation import CompensationService
-from galen_hw.services.compensation_settings import CompensationSettings
+from galen_hw.services.compensation.service import CompensationService
+from galen_hw.services.compensation.settings import CompensationSettings
 from galen_hw.services.service import ServiceContext
 
 

@@ -7,10 +7,10 @@ import numpy as np
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.messages import CalibrationProgress, JointsState, Reply, Request, WrenchRaw
-from galen_hw.services.calibration_file import SweepFile
-from galen_hw.services.calibration_hold import Expectation, Sample
-from galen_hw.services.calibration_plan import Plan, duration_s, move_s
-from galen_hw.services.calibration_settings import CalibrationSettings
+from galen_hw.services.calibration.file import SweepFile
+from galen_hw.services.calibration.hold import Expectation, Sample
+from galen_hw.services.calibration.plan import Plan, duration_s, move_s
+from galen_hw.services.calibration.settings import CalibrationSettings
 from galen_hw.services.service import Output, ServiceContext
 from galen_hw.spatial import Array
 

@@ -12,7 +12,7 @@ from galen_hw.config.paths import Addresses
 from galen_hw.errors import HardwareError
 from galen_hw.messages import CalibrationProgress, JointsState, Message, Vector3, WrenchCompensated, WrenchRaw
 from galen_hw.spatial import Array
-from galen_hw.tools.calibration_sweep import run_check
+from galen_hw.tools.calibration.sweep import run_check
 
 COUNTED = ("slow motion", "hold")
 """Details of the progress during which samples count; swift moves to the start and home do not."""

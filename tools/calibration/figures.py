@@ -15,9 +15,9 @@ from galen_hw.identification.candidates import Candidate
 from galen_hw.identification.model import CHANNELS
 from galen_hw.physics.rigid import gravity_in_sensor
 from galen_hw.spatial import Array
-from galen_hw.tools.calibration_check import LiveCheck
-from galen_hw.tools.calibration_result import Result
-from galen_hw.tools.calibration_screen import SCALE, fit_rms, left_out_rms, unit
+from galen_hw.tools.calibration.check import LiveCheck
+from galen_hw.tools.calibration.result import Result
+from galen_hw.tools.calibration.screen import SCALE, fit_rms, left_out_rms, unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -231,7 +231,7 @@ def render(result: Result, pictures: dict[str, bytes], tool: ToolFile, check: Li
     """The page; pictures are inside, so that it can be sent as one file."""
     import jinja2
 
-    text = (resources.files("galen_hw.tools") / "calibration_report.html.j2").read_text(encoding="utf-8")
+    text = (resources.files("galen_hw.tools.calibration") / "report.html.j2").read_text(encoding="utf-8")
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     images = {name: base64.b64encode(data).decode() for name, data in pictures.items()}
     return environment.from_string(text).render(

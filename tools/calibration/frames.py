@@ -1,4 +1,4 @@
-"""Draws the frames of `docs/calibration.md`: `python -m galen_hw.tools.calibration_frames docs/images/frames.svg`."""
+"""Draws the frames of `docs/calibration.md`: `python -m galen_hw.tools.calibration.frames docs/images/frames.svg`."""
 
 import sys
 from pathlib import Path

@@ -8,8 +8,8 @@ from galen_hw.clock import NS_PER_S
 from galen_hw.config.tool_file import ToolFile, parse_tool
 from galen_hw.kinematics import Robot
 from galen_hw.messages import CompensationState, Vector3, WrenchRaw
-from galen_hw.services.compensation_model import ZERO, CompensationModel, Six
-from galen_hw.services.gravity_direction import Triple
+from galen_hw.services.compensation.gravity_direction import Triple
+from galen_hw.services.compensation.model import ZERO, CompensationModel, Six
 
 NO_RESIDUAL = (0.0,) * 9
 

@@ -6,11 +6,11 @@ from galen_hw.clock import NS_PER_S
 from galen_hw.config.tool_store import ToolStore, binding_problems
 from galen_hw.errors import CommandRejectedError, GalenError
 from galen_hw.messages import CommandError, Reply, Request, WrenchRaw
-from galen_hw.services.compensation_model import ZERO, Six
-from galen_hw.services.compensation_settings import CompensationSettings
-from galen_hw.services.correction import Correction
+from galen_hw.services.compensation.correction import Correction
+from galen_hw.services.compensation.model import ZERO, Six
+from galen_hw.services.compensation.settings import CompensationSettings
+from galen_hw.services.compensation.tare import Tare
 from galen_hw.services.service import Output
-from galen_hw.services.tare import Tare
 
 COMMANDS: Final = ("select_tool", "set_enabled", "tare", "untare", "set_contact", "reload")
 FARTHEST_CONTACT_M: Final = 2.0

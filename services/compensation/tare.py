@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from galen_hw.services.compensation_model import Six
+from galen_hw.services.compensation.model import Six
 
 
 @dataclass(slots=True)

@@ -15,7 +15,7 @@ import numpy as np
 from galen_hw.errors import CommandRejectedError
 from galen_hw.kinematics import Robot
 from galen_hw.physics.rigid import gravity_in_sensor
-from galen_hw.services.calibration_settings import AxisSettings, CalibrationSettings
+from galen_hw.services.calibration.settings import AxisSettings, CalibrationSettings
 from galen_hw.spatial import Array
 
 SHUFFLES: Final = 1000

@@ -16,12 +16,12 @@ from galen_hw.clock import NS_PER_S
 from galen_hw.config.tool_file import NAME
 from galen_hw.errors import CommandRejectedError, UsageError
 from galen_hw.messages import Fault, JointsState, Message, Reply, Request, Status, WrenchRaw
-from galen_hw.services.calibration_file import SweepFile
-from galen_hw.services.calibration_hold import Expectation
-from galen_hw.services.calibration_plan import duration_s, make_plan
-from galen_hw.services.calibration_script import Script, Wait, check, sweep
-from galen_hw.services.calibration_settings import CalibrationSettings
-from galen_hw.services.calibration_state import Run, StaleError, SweepStoppedError
+from galen_hw.services.calibration.file import SweepFile
+from galen_hw.services.calibration.hold import Expectation
+from galen_hw.services.calibration.plan import duration_s, make_plan
+from galen_hw.services.calibration.script import Script, Wait, check, sweep
+from galen_hw.services.calibration.settings import CalibrationSettings
+from galen_hw.services.calibration.state import Run, StaleError, SweepStoppedError
 from galen_hw.services.service import Output, Service, ServiceContext
 
 PROGRESS_NS: Final = NS_PER_S // 5
