@@ -2,103 +2,20 @@
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
+from galen_hw.config.tool_store import write_atomic
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.summary import summary
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
-from galen_hw.kinematics import GalenRobot, Robot, UrdfRobot
-from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.rigid import Body
+from galen_hw.physics.observations import Observations
 from galen_hw.physics.table import scene_of
+from galen_hw.physics.together import joined
 from galen_hw.recording import Recording, read_recording
-from galen_hw.spatial import Array, rotation_from_quaternion
-
-
-def observations_of(recording: Recording) -> Observations:
-    """What the effects read, from a recording and its own notes.
-
-    Raises:
-        UsageError: the recording does not say what is compared.
-    """
-    info = recording.info
-    if info.predict is None:
-        where = f"{recording.path}/recording.json: predict"
-        raise UsageError("nothing is named to compare", where=where, todo='e.g. "predict": "wrench"')
-    columns, simulation = dict(recording.columns), recording.simulation
-    simulated = None if simulation is None else _matched(recording, simulation)
-    return Observations(info.predict, columns, simulated, _belief(recording))
-
-
-def _matched(recording: Recording, simulation: Recording) -> dict[str, Array]:
-    """The simulation's columns at the recording's rows: by time, or row by row; NaN outside."""
-    ours, theirs = recording.time, simulation.time
-    if ours is None or theirs is None:
-        if len(simulation) != len(recording):
-            raise UsageError(
-                f"the simulation has {len(simulation)} rows beside {len(recording)} and no common clock",
-                where=str(simulation.path),
-                todo="give both a time column, or as many rows",
-            )
-        return dict(simulation.columns)
-    same = len(ours) == len(theirs) and np.allclose(ours, theirs, rtol=0.0, atol=1e-9)
-    if same:
-        return dict(simulation.columns)
-    order = np.argsort(theirs, kind="stable")
-    return {k: np.interp(ours, theirs[order], v[order], np.nan, np.nan) for k, v in simulation.columns.items()}
-
-
-def _belief(recording: Recording) -> Belief:
-    info = recording.info
-    robot = _robot(recording)
-    tool, bias = info.tool, info.bias_body
-    return Belief(
-        robot=robot,
-        tool=Body() if tool is None else _body(tool.mass, tool.com, tool.inertia),
-        tip=np.zeros(3) if tool is None or tool.tip is None else np.array(tool.tip),
-        bias_body=None if bias is None else _body(bias.mass, bias.com, bias.inertia),
-        zeroed_rotation=_zeroed(recording, robot),
-        gravity=np.array(info.gravity),
-        bias_free=info.model.bias == "free",
-        dynamic=info.model.dynamics == "rigid",
-        compliance={} if info.model.compliance is None else dict(info.model.compliance.joint),
-        distal_bodies=info.distal_bodies or (),
-        ranges=dict(info.ranges),
-    )
-
-
-def _body(mass: float | None, com: tuple[float, ...] | None, inertia: tuple[tuple[float, ...], ...] | None) -> Body:
-    return Body(
-        mass or 0.0,
-        np.zeros(3) if com is None else np.array(com),
-        np.zeros((3, 3)) if inertia is None else np.array(inertia),
-    )
-
-
-def _robot(recording: Recording) -> Robot | None:
-    info = recording.info
-    if info.robot is None:
-        return None
-    if info.robot == "galen":
-        return GalenRobot(gravity=np.array(info.gravity))
-    folder = recording.path if recording.path.is_dir() else recording.path.parent
-    file = Path(folder) / info.robot
-    if not file.is_file():
-        raise UsageError("the robot's file is not there", where=str(file), todo="put the URDF beside the recording")
-    sensor = info.sensor_link or info.tip_link
-    return UrdfRobot(file, sensor_link=sensor, base_link=info.base_link, gravity=np.array(info.gravity))
-
-
-def _zeroed(recording: Recording, robot: Robot | None) -> Array | None:
-    names = () if robot is None else tuple(robot.joint_names)
-    quaternion = recording.info.zeroed_quaternion(names)
-    if quaternion is not None:
-        return rotation_from_quaternion(quaternion)
-    joints = recording.info.zeroed_joints(names) if robot is not None else None
-    return None if joints is None or robot is None else np.asarray(robot.sensor_pose(np.array(joints))[0, :3, :3])
+from galen_hw.tools.diagnose_input import observations_of
+from galen_hw.tools.diagnose_tool import model_to_save, tool_named, with_tool
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -107,10 +24,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "recordings", nargs="+", metavar="RECORDING", help="MCAP file, table folder, or a folder of them"
     )
     parser.add_argument("--simulation", help="a table that someone else simulated")
-    parser.add_argument("--holdout", default="0.3", help="a second recording, or the share of blocks to set aside")
+    parser.add_argument(
+        "--holdout",
+        action="append",
+        metavar="RECORDING",
+        help="a second recording to be judged on (may be given several times), or the share of blocks to set aside (0.3)",
+    )
+    parser.add_argument(
+        "--together", action="store_true", help="fit all recordings as one: the same machine, several runs"
+    )
     parser.add_argument("--json", metavar="OUT", help="write the answer as JSON")
     parser.add_argument("--report", metavar="OUT.html", help="write a page with figures")
-    parser.add_argument("--save-model", metavar="OUT.json", help="write the terms found, for the live services")
+    parser.add_argument(
+        "--tool", metavar="NAME", help="the tool in hand, of the store or a tool's file (default: as recorded)"
+    )
+    parser.add_argument(
+        "--save-model",
+        metavar="OUT.json",
+        help="write the tool's file with the terms found, for galen-hw tool import; without a tool the terms alone",
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the blocks that are set aside")
     parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, for many recordings")
     parser.epilog = "example: galen-hw diagnose run.mcap --report report.html --save-model retractor+cable.json"
@@ -137,29 +69,31 @@ def run(args: argparse.Namespace) -> int:
 
 def _all(paths: list[Path], args: argparse.Namespace) -> list[Diagnosis]:
     """One after the other, or in parallel on all cores (on a Dask cluster where its address is given)."""
-    if len(paths) == 1:
-        return [_whole(paths[0], args, several=False)]
+    if len(paths) == 1 or args.together:
+        return [_whole(paths, args, several=False)]
     from joblib import Parallel, delayed, parallel_config
 
     from galen_hw.tools.clusters import cluster
 
     with cluster(args.dask) as backend, parallel_config(**backend):
-        found = Parallel()(delayed(_whole)(path, args, several=True) for path in paths)
+        found = Parallel()(delayed(_whole)([path], args, several=True) for path in paths)
     return list(found)
 
 
-def _whole(path: Path, args: argparse.Namespace, *, several: bool) -> Diagnosis:
-    """Diagnose one recording and write what was asked for; with several, its name goes into the file's name."""
-    work = one(path, args)
+def _whole(paths: list[Path], args: argparse.Namespace, *, several: bool) -> Diagnosis:
+    """Diagnose one recording (or some as one) and write what was asked for; with several, its name goes into the file's name."""
+    (work, recording), path = one(paths, args), paths[0]
     if args.report:
         from galen_hw.diagnosis.draw import traces_of
         from galen_hw.diagnosis.page import write_page
 
         write_page(_named(args.report, path, several=several), work.diagnosis.to_json(), traces_of(work))
     if args.save_model:
-        terms = {"schema": 1, "recording": str(path), "terms": work.diagnosis.terms}
         target = _named(args.save_model, path, several=several)
-        target.write_text(json.dumps(terms, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        saved = model_to_save(work, recording, target)
+        if saved.text:
+            write_atomic(target, saved.text)
+        work.diagnosis.notes += saved.lines
     return work.diagnosis
 
 
@@ -189,20 +123,62 @@ def expanded(path: Path) -> list[Path]:
     return [path]
 
 
-def one(path: Path, args: argparse.Namespace) -> Work:
-    """Diagnose one recording."""
-    recording = read_recording(path, simulation=args.simulation)
-    holdout, share = None, 0.3
-    try:
-        share = float(args.holdout)
-    except ValueError:
-        holdout = scene_of(observations_of(read_recording(args.holdout)))
-    if not 0.0 <= share < 0.9:
-        raise UsageError(
-            "not a share", where=f"--holdout {args.holdout}", todo="give a number from 0 to 0.9, or a recording"
-        )
-    work = diagnose(scene_of(observations_of(recording)), name=str(path), holdout=holdout, share=share, seed=args.seed)
-    work.diagnosis.notes[:0] = recording.warnings
+def one(paths: list[Path], args: argparse.Namespace) -> tuple[Work, Recording]:
+    """Diagnose one recording, or several recordings of one machine as one; and the (first) recording itself."""
+    share, judges = _holdout(args.holdout or ["0.3"])
+    tool = tool_named(args.tool) if args.tool else None
+
+    def read(path: Path, simulation: str | None = None) -> Recording:
+        recording = read_recording(path, simulation=simulation)
+        return recording if tool is None else with_tool(recording, tool)
+
+    recordings = [read(path, args.simulation) for path in paths]
+    observations, notes = _joined(recordings, paths)
+    holdout = None
+    if judges:
+        other = _joined([read(path) for path in judges], judges)[0]
+        order = {k: other.columns[k] for k in observations.columns if k in other.columns}
+        holdout = scene_of(replace(other, columns=order | dict(other.columns)))
+    scene = scene_of(observations)
+    if holdout is not None and holdout.channels != scene.channels:
+        todo = "judge on a recording that compares the same channels"
+        raise UsageError(f"does not compare the channels of {paths[0]}", where=f"--holdout {judges[0]}", todo=todo)
+    work = diagnose(scene, name=", ".join(map(str, paths)), holdout=holdout, share=share, seed=args.seed)
+    work.diagnosis.notes[:0] = notes
     if holdout is not None:
-        work.diagnosis.holdout = str(args.holdout)
-    return work
+        work.diagnosis.holdout = ", ".join(map(str, judges))
+    return work, recordings[0]
+
+
+def _holdout(given: list[str]) -> tuple[float, list[Path]]:
+    """The share of blocks to set aside, or the recordings to be judged on."""
+    try:
+        share = float(given[-1])
+    except ValueError:
+        return 0.3, [path for one in given for path in expanded(Path(one))]
+    if len(given) > 1 or not 0.0 <= share < 0.9:
+        where = f"--holdout {' '.join(given)}"
+        raise UsageError("not a share", where=where, todo="give a number from 0 to 0.9, or recordings")
+    return share, []
+
+
+def _joined(recordings: list[Recording], paths: list[Path]) -> tuple[Observations, list[str]]:
+    """The recordings as one, and what is odd about each."""
+    _same_machine(recordings, paths)
+    names = [str(path) for path in paths]
+    observations, begins = joined([observations_of(recording) for recording in recordings], names)
+    if len(paths) == 1:
+        return observations, list(recordings[0].warnings)
+    notes = [f"{name}: {line}" for name, r in zip(names, recordings, strict=True) for line in r.warnings]
+    clock = "at {:.2f} s" if observations.time is not None else "with row {:.0f}"
+    return observations, [*notes, *(f"{n} begins {clock.format(b)}" for n, b in zip(names, begins, strict=True))]
+
+
+def _same_machine(recordings: list[Recording], paths: list[Path]) -> None:
+    """That all recordings are of one machine and one model, so that one set of parameters can stand for all."""
+    first = recordings[0]
+    for recording, path in zip(recordings[1:], paths[1:], strict=True):
+        for key in ("robot", "tool", "predict", "model", "distal_bodies"):
+            if getattr(recording.info, key) != getattr(first.info, key):
+                todo = f"make {key} agree, or diagnose them one by one"
+                raise UsageError(f"{key} is not that of {paths[0]}", where=f"{path}/recording.json", todo=todo)

@@ -1,5 +1,6 @@
 """Effects of the clock: one stream late against the other, and slow filters."""
 
+from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -11,8 +12,31 @@ from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
 
+class Timing(Effect):
+    """An effect of the clock: it acts on everything that a stream delivers, other effects' changes included."""
+
+    NEEDS_CLOCK = True
+    TIMING = True
+    joint: str
+
+    @abstractmethod
+    def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
+        """(N, m) signals as this stream delivers them, whatever they are."""
+
+    def delivered(self, scene: Scene, columns: Columns, theta: Array) -> Columns:
+        """What another effect does, as it arrives through this stream: the channels of `joint` alone where one is named."""
+        names = [joint_of(scene.channels[c]) for c in columns.channels]
+        mine = [i for i, name in enumerate(names) if self.joint in ("", name)]
+        if not mine or not columns.count:
+            return columns
+        values = columns.values.copy()
+        flat = values[:, mine].reshape(len(values), -1)
+        values[:, mine] = self.retimed(scene, flat, theta).reshape(len(values), len(mine), columns.count)
+        return Columns(columns.channels, values)
+
+
 @dataclass(frozen=True)
-class TimeDelay(Effect):
+class TimeDelay(Timing):
     """One stream is late: y(t) = w(t - d), one number for all channels; its slope at zero is -dw/dt.
 
     `joint` restricts it to one joint's reading. Visible where the channels move. Confused with lag (the same to first order),
@@ -20,8 +44,6 @@ class TimeDelay(Effect):
     """
 
     KEY = "time_delay"
-    NEEDS_CLOCK = True
-    TIMING = True
     joint: str = ""
 
     @classmethod
@@ -54,7 +76,7 @@ class TimeDelay(Effect):
 
 
 @dataclass(frozen=True)
-class Lag(Effect):
+class Lag(Timing):
     """A first-order response: T dy/dt = w - y; y - w is `share` times that (1 for a plain first order).
 
     `joint` restricts it to one joint. Visible where the channels move quickly; nested with time_delay, to which it is the
@@ -63,8 +85,6 @@ class Lag(Effect):
 
     KEY = "lag"
     SEARCHED: ClassVar = {"constant": Searched(1e-4, 1e3, "s")}
-    NEEDS_CLOCK = True
-    TIMING = True
     constant: float
     joint: str = ""
 

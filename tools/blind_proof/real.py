@@ -69,25 +69,25 @@ def recordings(out: Path, workers: int) -> list[str]:
     if data is None:
         return ["## Real recordings\n", "Not present on this machine.\n"]
     out.mkdir(parents=True, exist_ok=True)
-    jobs = [(s, t) for s in SETS for t in s.test]
     with ThreadPoolExecutor(workers) as pool:
-        answers = list(pool.map(lambda job: _ask(data, job[0], job[1], out), jobs))
+        answers = list(pool.map(lambda real_set: _ask(data, real_set, out), SETS))
     lines = ["## Real recordings\n", "All with the tool's defaults; nothing was set for any of them.\n"]
     lines += [
         "| set, held out | verdict | findings, first to last | held-out rms before to after | known |",
         "| --- " * 5 + "|",
     ]
-    for (real_set, test), answer in zip(jobs, answers, strict=True):
-        lines.append(_row(real_set, test, answer))
+    lines += [_row(real_set, answer) for real_set, answer in zip(SETS, answers, strict=True)]
     return [*lines, ""]
 
 
-def _ask(data: Path, real_set: RealSet, test: str, out: Path) -> dict[str, Any] | str:
+def _ask(data: Path, real_set: RealSet, out: Path) -> dict[str, Any] | str:
     """The tool's answer, or its one line of refusal."""
-    path = out / f"{real_set.name}-{test}.json"
+    path = out / f"{real_set.name}.json"
     folder = data / real_set.name
     command = [sys.executable, "-m", "galen_hw.cli", "diagnose", *[str(folder / t) for t in real_set.train]]
-    command += ["--holdout", str(folder / test), "--json", str(path)]
+    for test in real_set.test:
+        command += ["--holdout", str(folder / test)]
+    command += ["--json", str(path)]
     if len(real_set.train) > 1:
         command.append("--together")
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -97,8 +97,8 @@ def _ask(data: Path, real_set: RealSet, test: str, out: Path) -> dict[str, Any] 
     return answer
 
 
-def _row(real_set: RealSet, test: str, answer: dict[str, Any] | str) -> str:
-    title = real_set.name if len(real_set.test) == 1 else f"{real_set.name}, {test}"
+def _row(real_set: RealSet, answer: dict[str, Any] | str) -> str:
+    title = f"{real_set.name}, {', '.join(real_set.test)}"
     if isinstance(answer, str):
         return f"| {title} | refused | {answer} | | {real_set.known} |"
     found = "; ".join(_finding(f) for f in answer["findings"]) or "none"
