@@ -26,7 +26,7 @@ class Left:
         kind: what the generic functions were of.
         z: (T - k) / sqrt(2 k) on the training rows.
         share: of the rest's mean square, on rows set aside (training rows where none are).
-        predicted: (M,) in raw units.
+        predicted: (M,) in raw units; basis: (M, k) the functions.
     """
 
     channel: int
@@ -34,6 +34,7 @@ class Left:
     z: float
     share: float
     predicted: Array
+    basis: Array
 
 
 def dictionaries(bench: Bench) -> Iterator[tuple[str, Array]]:
@@ -41,13 +42,10 @@ def dictionaries(bench: Bench) -> Iterator[tuple[str, Array]]:
     inputs = _inputs(bench)
     if not inputs.size:
         return
-    rng = np.random.default_rng(7)
-    z = (inputs - inputs.mean(axis=0)) / np.maximum(inputs.std(axis=0), 1e-12)
+    z = _standard(inputs)
     for scale, name in ((0.7, "the joint positions"), (2.0, "the joint positions, finely")):
-        w, phase = rng.normal(size=(z.shape[1], 24)) * scale, rng.uniform(0, 2 * np.pi, 24)
-        yield name, np.cos(z @ w + phase)
-    pairs = [z[:, i] * z[:, j] for i in range(z.shape[1]) for j in range(i, z.shape[1])]
-    yield "products of joint positions", np.stack(pairs[:40], axis=-1)
+        yield name, _waves(z, scale)
+    yield "products of joint positions", _products(z, z)
     for j in range(min(z.shape[1], 8)):
         reach = max(float(np.ptp(z[:, j])), 1e-9)
         numbers = np.arange(1, 31) * 2.0 * np.pi / reach / 1.3
@@ -55,13 +53,23 @@ def dictionaries(bench: Bench) -> Iterator[tuple[str, Array]]:
             f"periodic in input {j + 1}",
             np.concatenate([f(np.outer(z[:, j], numbers)) for f in (np.sin, np.cos)], axis=1),
         )
+    load = _standard(bench.rows.average(np.nan_to_num(bench.scene.simulated)))
+    if bench.scene.observations.predict != "position" and load.shape[1]:
+        yield "products of the simulated channels", _products(load, load)
+        yield "the simulated channels times the joint positions", _products(load, z)
+        yield "cubes of the simulated channels", np.concatenate([load**2, load**3, np.abs(load)], axis=1)
     if bench.scene.clock:
-        rate, second = (np.gradient(x, axis=0) for x in (z, np.gradient(z, axis=0)))
-        rate, second = (x / np.maximum(x.std(axis=0), 1e-12) for x in (rate, second))
+        rate = _standard(np.gradient(z, axis=0))
+        second = _standard(np.gradient(rate, axis=0))
         yield (
             "speeds and accelerations",
             np.concatenate([rate, np.abs(rate), np.tanh(4.0 * rate), second, rate * np.abs(rate)], axis=1),
         )
+        yield "products of speeds", np.concatenate([_products(rate, rate), _products(rate, np.abs(rate))], axis=1)
+        yield "positions times speeds", _products(z, rate)
+        yield "positions and speeds together", _waves(np.concatenate([z, rate], axis=1), 0.7)
+        if load.shape[1]:
+            yield "the simulated channels times speeds", _products(load, rate)
         for low in (0.004, 0.012, 0.035, 0.1):
             yield "a resonance that motion excites", _resonators(second, low)
         lagged = [
@@ -70,6 +78,29 @@ def dictionaries(bench: Bench) -> Iterator[tuple[str, Array]]:
             if k < len(z) // 4
         ]
         yield "the past of the inputs", np.concatenate(lagged, axis=1)
+
+
+MOST_PRODUCTS = 40
+
+
+def _standard(x: Array) -> Array:
+    """Columns of zero mean and unit variance; constant ones are left out."""
+    spread = x.std(axis=0)
+    good = spread > 1e-9 * np.maximum(np.abs(x).max(axis=0), 1e-12)
+    return np.asarray((x[:, good] - x[:, good].mean(axis=0)) / spread[good])
+
+
+def _products(a: Array, b: Array) -> Array:
+    """(M, k) products of columns, each pair once."""
+    pairs = [(i, j) for i in range(a.shape[1]) for j in range(b.shape[1]) if a is not b or j >= i]
+    return np.stack([a[:, i] * b[:, j] for i, j in pairs[:MOST_PRODUCTS]], axis=-1) if pairs else a[:, :0]
+
+
+def _waves(z: Array, scale: float) -> Array:
+    """Random Fourier features (Rahimi and Recht 2007): smooth functions of all inputs together."""
+    rng = np.random.default_rng(7)
+    w, phase = rng.normal(size=(z.shape[1], 24)) * scale, rng.uniform(0, 2 * np.pi, 24)
+    return np.asarray(np.cos(z @ w + phase))
 
 
 def compact(bench: Bench) -> list[Columns]:
@@ -132,7 +163,7 @@ def leftovers(bench: Bench, model: list[Hypothesis], rest: Array, white: Array) 
                 z, share, predicted, k = found
                 needed = CHANCE / (len(families) * bench.width)
                 if z > Z_NEEDED and chi2.sf(z * np.sqrt(2.0 * k) + k, k) < needed:
-                    out.append(Left(c, kind, z, share, predicted))
+                    out.append(Left(c, kind, z, share, predicted, X))
     return sorted(out, key=lambda left: -left.z)
 
 
@@ -141,11 +172,15 @@ def _test(
 ) -> tuple[float, float, Array, int] | None:
     learn = Xw[train]
     A = learn - Q @ (Q.T @ learn)
-    size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
-    value, vector = np.linalg.eigh((A.T @ A) / np.outer(size, size))
+    size = np.linalg.norm(A, axis=0)
+    own = size > 1e-3 * np.linalg.norm(learn, axis=0)  # not what the model itself can do
+    if not own.any():
+        return None
+    value, vector = np.linalg.eigh((A[:, own].T @ A[:, own]) / np.outer(size[own], size[own]))
     good = value > 1e-6 * max(float(value[-1]), 1e-300)
     k = int(good.sum())
-    V = vector[:, good] / np.sqrt(value[good]) / size[:, None]
+    V = np.zeros((A.shape[1], k))
+    V[own] = vector[:, good] / np.sqrt(value[good]) / size[own, None]
     y = white[train] - Q @ (Q.T @ white[train])
     projected = V.T @ (A.T @ y)
     z = (float(projected @ projected) - k) / np.sqrt(2.0 * k)

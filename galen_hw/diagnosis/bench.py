@@ -18,6 +18,7 @@ from galen_hw.spatial import Array
 
 MOST_ROWS = 12500
 SURROGATES = 48
+MOST_OF_MOTION = 0.995
 
 
 @dataclass
@@ -117,21 +118,38 @@ class Bench:
         everywhere = tuple(range(self.width))
         return out + [Columns(everywhere, self.rows.average(n)[:, :, None]) for n in self.scene.nuisances()]
 
-    def learn_noise(self, hypotheses: Iterable[Columns], extra: Iterable[Columns] = ()) -> None:
-        """Noise from the rest of a rich fit: principal directions of all columns, channel by channel, and `extra` whole."""
+    def learn_noise(self, hypotheses: Iterable[Columns], extra: Iterable[Columns] = (), *, above: float = 0.0) -> None:
+        """Noise from the rest of a fit: principal directions of all columns, channel by channel, and `extra` whole.
+
+        Below `above` (cycles a row) it is not measured but taken as at that frequency.
+        """
         constants, library, rest, basis = self.constants(), list(hypotheses), [], []
-        M = len(self.rows)
+        always = [*constants, *extra]
+        M, good = len(self.rows), ~self.dropped
         for c in range(self.width):
-            whole = [_of(col, c) for col in [*constants, *extra] if c in col.channels]
+            whole = [_of(col, c) for col in always if c in col.channels]
             rich = [_of(col, c) for col in library if c in col.channels]
             Q = rich_basis(np.concatenate(whole, axis=1), rich, M)
-            good = ~self.dropped
-            fit = Q @ solve_sym(Q[good].T @ Q[good], Q[good].T @ self.y[good, [c]][:, None])[:, 0]
-            left = np.where(good, self.y[:, c] - fit, 0.0)
-            rest.append(left)
+            fit = Q @ solve_sym(Q[good].T @ Q[good], Q[good].T @ self.y[good, c][:, None])[:, 0]
+            rest.append(np.where(good, self.y[:, c] - fit, 0.0))
             basis.append(Q)
-        self.noise = estimate(np.stack(rest, axis=-1), basis, self.rows, clock=self.scene.clock, steps=self.steps)
-        self.rich_rest = np.stack(rest, axis=-1)
+        self.noise = estimate(
+            np.stack(rest, axis=-1), basis, self.rows, clock=self.scene.clock, steps=self.steps, above=above
+        )
+
+    def motion_band(self) -> float:
+        """Cycles a row below which nearly all of the motion and of its products lies; 0 where nothing moves."""
+        scene = self.scene
+        moving = [scene.joint_index(joint) for joint in scene.moved]
+        run = max(self.rows.runs, key=lambda r: r.stop - r.start)
+        n = run.stop - run.start
+        if not scene.clock or not moving or n < 64:
+            return 0.0
+        x = self.rows.average(scene.rates[0][:, moving])[run]
+        power = np.abs(np.fft.rfft(x * np.hanning(n)[:, None], axis=0)) ** 2
+        share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
+        reach = int(np.max(np.argmax(share > MOST_OF_MOTION, axis=0)))
+        return float(min(2.0 * reach / n, 0.2))
 
     def whitened(self, y: Array) -> Array:
         """(M, C) residual whitened; dropped rows are bridged first."""

@@ -18,6 +18,7 @@ from galen_hw.diagnosis.rows import Mask
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import Selection, at_first_sight, library, select
 from galen_hw.diagnosis.words import next_experiment
+from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.event_effects import Glitches
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.table import effect_class
@@ -73,18 +74,33 @@ def diagnose(
     columns = [bench.raw(effect) for effect in effects]
     generic = adequacy.compact(bench)
     tell("learning the noise", 0.25)
-    bench.learn_noise(columns, [*generic, *(bench.raw(s.effect) for s in at_first_sight(bench))])
-    hypotheses = [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)]
-    tell("choosing effects", 0.4)
-    selection, model = _chosen(bench, hypotheses, blind=bool(premise.wrong))
-    tell("judging on held-out data", 0.8)
+    seen = [bench.raw(s.effect) for s in at_first_sight(bench)]
+    bench.learn_noise(columns, [*generic, *seen], above=bench.motion_band())
+    tell("choosing effects", 0.3)
+    selection, model, left = _searched(bench, effects, columns, blind=bool(premise.wrong))
+    # What moves with the robot cannot be told from noise before it is known what is there: the first noise was too small
+    # rather than too large. Now it is learnt from what the first model leaves, and everything is asked again.
+    tell("learning the noise again", 0.5)
+    rest = {x.channel: Columns((x.channel,), x.basis[:, None, :]) for x in reversed(left)}
+    bench.learn_noise((), [*(h.raw for h in model.parts), *rest.values()])
+    bench.y, bench.timing = bench.whole, []
+    tell("choosing effects again", 0.55)
+    selection, model, left = _searched(bench, effects, columns, blind=bool(premise.wrong))
+    tell("judging on held-out data", 0.9)
     judged = judge(model, holdout)
-    tell("looking at what is left", 0.85)
-    left = adequacy.leftovers(bench, model.parts, model.rest(), model.rest(white=True))
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
     diagnosis.holdout = judged.name
     tell("done", 1.0)
     return Work(bench, selection, model, judged, left, diagnosis)
+
+
+def _searched(
+    bench: Bench, effects: list[Effect], columns: list[Columns], *, blind: bool
+) -> tuple[Selection, Model, list[adequacy.Left]]:
+    """The chosen model under the present noise, and what it leaves."""
+    hypotheses = [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)]
+    selection, model = _chosen(bench, hypotheses, blind=blind)
+    return selection, model, adequacy.leftovers(bench, model.parts, model.rest(), model.rest(white=True))
 
 
 def _silent(stage: str, share: float) -> None:
@@ -127,7 +143,7 @@ def merit_of(model: Model, y: Array) -> float:
 
 def _glitches(bench: Bench) -> list[Glitches]:
     """Marks isolated samples and leaves them out of everything."""
-    marked = seek.spikes(bench.scene.residual, tuple(bench.scene.segments))
+    marked = seek.spikes(bench.scene.residual, tuple(bench.scene.segments), bench.steps)
     spoilt = np.asarray(marked.any(axis=1))
     rows = np.flatnonzero(spoilt)
     if len(rows) < 3 and not _far(marked):
@@ -206,8 +222,6 @@ def _strong(left: list[adequacy.Left], judged: Judged, bench: Bench) -> list[ade
     """Leftovers that are worth saying: above chance, and not a trifle beside what was found or the noise."""
     out = []
     for one in left:
-        if not 0.0 < one.share <= 1.0:
-            continue  # it does not explain the rows that it was judged on
         size = float(np.mean(one.predicted**2))
         before = float(judged.before[one.channel] - bench.noise.sigma[one.channel] ** 2)
         # A rounded reading follows its signal in part: a fifth of the rounding's variance is no physics.

@@ -91,7 +91,8 @@ def _undisturbed(model: Model, scene: Scene, rest: Array) -> tuple[Mask, tuple[t
     rows = Rows(tuple(scene.segments), model.bench.rows.stride)
     good = np.ones(len(rows), dtype=bool)
     if model.bench.dropped.any():
-        good &= ~rows.spread(np.asarray(seek.spikes(scene.residual, tuple(scene.segments)).any(axis=1)))
+        spoilt = seek.spikes(scene.residual, tuple(scene.segments), model.bench.steps)
+        good &= ~rows.spread(np.asarray(spoilt.any(axis=1)))
     episodes: tuple[tuple[float, float], ...] = ()
     if any(isinstance(h.effect, Contact) for h in model.effects):
         for found in seek.contacts(scene, rest, rest):

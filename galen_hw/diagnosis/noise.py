@@ -106,8 +106,13 @@ def _slope(x: Array, y: Array) -> float:
     return slope - float(np.sqrt(rest @ rest / max(len(x) - 2, 1) / (x @ x)))
 
 
-def estimate(rest: Array, basis: list[Array], rows: Rows, *, clock: bool, steps: Array) -> Noise:
-    """Noise from what is left (M, C) after a fit with an orthonormal basis (M, r) in each channel."""
+def estimate(rest: Array, basis: list[Array], rows: Rows, *, clock: bool, steps: Array, above: float = 0.0) -> Noise:
+    """Noise from what is left (M, C) after a fit with an orthonormal basis (M, r) in each channel.
+
+    Args:
+        rest, basis: of the fit; rows: of the bench; clock: without one, noise is white; steps: of rounded readings.
+        above: cycles a row below which physics may still be in the rest: there the noise is taken as at that frequency.
+    """
     M, C = rest.shape
     freedom = np.array([max(M - b.shape[1], 2) for b in basis], dtype=float)
     sigma = np.sqrt(np.sum(rest**2, axis=0) / freedom)
@@ -118,7 +123,7 @@ def estimate(rest: Array, basis: list[Array], rows: Rows, *, clock: bool, steps:
     if not clock or not long:
         return Noise(rows, np.empty(0), np.empty((0, C)), sigma, float(freedom.sum()), correlation, steps)
     edges = _bands(max(run.stop - run.start for run in long))
-    levels = np.stack([_levels(rest[:, c], basis[c], long, edges) for c in range(C)], axis=-1)
+    levels = np.stack([_levels(rest[:, c], basis[c], long, edges, above) for c in range(C)], axis=-1)
     noise = Noise(rows, edges, levels, sigma, float(freedom.sum()), correlation, steps)
     # What the bands say the variance is, so that one sample's sigma holds the slow part too.
     f = (np.arange(4096) + 0.5) / 8192
@@ -136,29 +141,53 @@ def _bands(n: int) -> Array:
     return np.array([*edges[:-1], 0.5])
 
 
-def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array) -> Array:
-    power, share = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
+LEAST_FREEDOM = 5.0
+"""A band of which the rich fit has left fewer lines is not measured, but read off its neighbours."""
+
+
+def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array, above: float) -> Array:
+    """(B,) level a band: what the rich fit has left there over the share of the band that it could not reach.
+
+    The rest of a fit with an orthonormal basis Q has at frequency f the expected power (1 - t) S, t the basis' own power
+    there (residual likelihood; Patterson and Thompson 1971, in the frequency domain).
+    """
+    lines, free, place = [], [], []
     for run in runs:
         n = run.stop - run.start
         window = np.hanning(n + 2)[1:-1]
         window /= np.sqrt(np.mean(window**2))
         f = np.fft.rfftfreq(n)
-        band = np.clip(np.searchsorted(edges, f, side="right") - 1, -1, len(edges) - 2)
-        line = np.abs(np.fft.rfft(rest[run] * window)) ** 2 / n
+        lines.append(np.abs(np.fft.rfft(rest[run] * window)) ** 2 / n)
         taken = np.zeros(len(f))
         for start in range(0, basis.shape[1], 32):
             part = basis[run, start : start + 32] * window[:, None]
             taken += np.sum(np.abs(np.fft.rfft(part, axis=0)) ** 2, axis=1) / n
-        for b in range(len(edges) - 1):
-            inside = (band == b) & (f > 0)
-            if inside.any():
-                # Between mean and median: a single line (mains, a periodic motion) must not pass for noise.
-                values = line[inside] / np.maximum(1.0 - np.minimum(taken[inside], 0.9), 0.1)
-                robust = np.median(values) / 0.74 if inside.sum() >= 12 else np.mean(values)
-                power[b] += inside.sum() * min(float(np.mean(values)), 1.3 * float(robust))
-                share[b] += inside.sum()
-    filled = share > 0
-    level = np.interp(np.arange(len(power)), np.flatnonzero(filled), power[filled] / share[filled])
+        free.append(np.clip(1.0 - taken, 0.0, 1.0))
+        place.append(np.where(f > 0, np.searchsorted(edges, f, side="right") - 1, -1).clip(-1, len(edges) - 2))
+    line, left, band = np.concatenate(lines), np.concatenate(free), np.concatenate(place)
+    level = np.full(len(edges) - 1, np.nan)
+    for b in range(len(level)):
+        inside = (band == b) & (left > 0.02)
+        if np.sum(left[inside]) < LEAST_FREEDOM or edges[b] < above:
+            continue
+        # A single line (mains, a periodic motion) must not pass for noise.
+        single = line[inside] / left[inside]
+        usual = np.median(single[left[inside] > 0.3]) / 0.69 if np.sum(left[inside] > 0.3) >= 12 else np.inf
+        good = single < 8.0 * usual
+        level[b] = np.sum(line[inside][good]) / np.sum(left[inside][good])
+    return _filled(level, edges)
+
+
+def _filled(level: Array, edges: Array) -> Array:
+    """Bands that could not be measured: between their neighbours in logarithms, as the nearest one at the ends.
+
+    At the slow end this may be too little noise: what is then chosen too boldly goes when the noise is learnt again from
+    what the first model leaves.
+    """
+    centres, known = np.log(np.sqrt(edges[1:] * edges[:-1])), np.isfinite(level) & (level > 0.0)
+    if not known.any():
+        return np.full(len(level), 1e-30)
+    level = np.exp(np.interp(centres, centres[known], np.log(level[known])))
     return np.asarray(np.maximum(level, 1e-7 * level.max() + 1e-30))
 
 
