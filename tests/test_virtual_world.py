@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from galen_hw.clock import NS_PER_S
-from galen_hw.drivers.virtual.effects import Cable, Compliance, Drift, Thermal
+from galen_hw.drivers.virtual.effects import Cable, Drift, Thermal
+from galen_hw.drivers.virtual.give import Compliance
 from galen_hw.drivers.virtual.motion import SensorMotion, motion_function
 from galen_hw.drivers.virtual.truth import BIAS_BODY, NOISE_SIGMA, TOOLS, Body
 from galen_hw.drivers.virtual.world import World
