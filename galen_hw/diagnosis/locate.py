@@ -17,7 +17,7 @@ from galen_hw.physics.event_effects import Contact, Glitches, Step
 from galen_hw.spatial import Array
 
 BINS = 16
-MOST = 4
+MOST = 3
 WIDEST = 0.7
 """A region that holds more of the rows than this is no region."""
 SURE = 2.5
@@ -93,12 +93,13 @@ def regions(bench: Bench, known: list[Variable], energy: Array) -> list[Region]:
         return []
     everywhere = np.ones(len(energy), dtype=bool)
     single = [one for v in known if (one := _region((), everywhere, v, energy, bench, learn, check))]
-    single.sort(key=lambda one: -one.lift)
-    out: list[Region] = []
+    # Speeds and loads often only follow positions: they must hold clearly more to be named in their stead.
+    single.sort(key=lambda one: -one.lift - (0.08 if one.parts[0][0].name.endswith(".position") else 0.0))
+    kept: list[Region] = []
     for one in single:
-        if all(_overlap(one.mask, other.mask) < 0.6 for other in out):
-            out.append(_narrowed(one, known, energy, bench, learn, check))
-    return out[:MOST]
+        if len(kept) < MOST and all(_overlap(one.mask, other.mask) < 0.5 for other in kept):
+            kept.append(one)
+    return [_narrowed(one, known, energy, bench, learn, check) for one in kept]
 
 
 def halves(bench: Bench) -> tuple[Mask, Mask]:
