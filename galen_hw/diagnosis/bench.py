@@ -13,6 +13,7 @@ from galen_hw.diagnosis.noise import Noise, estimate, quantisation
 from galen_hw.diagnosis.rows import Index, Mask, Rows, blocks, set_aside
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.time_effects import Timing
 from galen_hw.spatial import Array
 
 MOST_ROWS = 12500
@@ -62,7 +63,7 @@ class Bench:
     aside: Mask = field(init=False)
     dropped: Mask = field(init=False)
     noise: Noise = field(init=False)
-    timing: list[tuple[Effect, Array]] = field(default_factory=list)
+    timing: list[tuple[Timing, Array]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Averages the residual and marks the rows set aside."""
@@ -89,13 +90,10 @@ class Bench:
 
     def averaged(self, columns: Columns, *, timed: bool) -> Columns:
         """Columns on the bench's rows, as the late or lagging stream delivers them."""
-        values = columns.values
-        if timed and self.timing:
-            flat = values.reshape(len(values), -1)
+        if timed:
             for effect, theta in self.timing:
-                flat = effect.retimed(self.scene, flat, theta)  # type: ignore[attr-defined]
-            values = flat.reshape(values.shape)
-        return Columns(columns.channels, self.rows.average(values))
+                columns = effect.delivered(self.scene, columns, theta)
+        return Columns(columns.channels, self.rows.average(columns.values))
 
     def add(self, effect: Effect, looked: int = 1) -> Hypothesis:
         """A hypothesis with its columns, averaged and whitened."""

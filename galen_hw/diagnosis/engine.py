@@ -1,5 +1,6 @@
 """One recording from residual to verdict."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,7 +37,19 @@ class Work:
     glitches: list[Finding] = field(default_factory=list)
 
 
-def diagnose(scene: Scene, *, name: str = "", holdout: Scene | None = None, share: float = 0.3, seed: int = 0) -> Work:
+Progress = Callable[[str, float], None]
+"""Told what is being done and which share (0 to 1) of the whole is behind."""
+
+
+def diagnose(
+    scene: Scene,
+    *,
+    name: str = "",
+    holdout: Scene | None = None,
+    share: float = 0.3,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Work:
     """Locate, name, model and judge.
 
     Args:
@@ -44,25 +57,38 @@ def diagnose(scene: Scene, *, name: str = "", holdout: Scene | None = None, shar
         name: how it is called in the answer.
         holdout: a second recording to be judged on; else `share` of contiguous blocks is set aside.
         seed: of the choice of blocks.
+        progress: told how far the work is.
 
     Raises:
         UsageError: the recording cannot be compared at all.
     """
+    tell = progress or _silent
+    tell("checking the recording", 0.0)
     premise = premises(scene)
     scene = premise.scene
     bench = Bench(scene, 0.0 if holdout is not None else share, seed)
     glitch = _glitches(bench)
+    tell("simulating every effect", 0.1)
     effects = library(bench)
     columns = [bench.raw(effect) for effect in effects]
     generic = adequacy.compact(bench)
+    tell("learning the noise", 0.25)
     bench.learn_noise(columns, [*generic, *(bench.raw(s.effect) for s in at_first_sight(bench))])
     hypotheses = [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)]
+    tell("choosing effects", 0.4)
     selection, model = _chosen(bench, hypotheses, blind=bool(premise.wrong))
+    tell("judging on held-out data", 0.8)
     judged = judge(model, holdout)
+    tell("looking at what is left", 0.85)
     left = adequacy.leftovers(bench, model.parts, model.rest(), model.rest(white=True))
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
     diagnosis.holdout = judged.name
+    tell("done", 1.0)
     return Work(bench, selection, model, judged, left, diagnosis)
+
+
+def _silent(stage: str, share: float) -> None:
+    del stage, share
 
 
 def _chosen(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> tuple[Selection, Model]:
@@ -79,13 +105,13 @@ def _chosen(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> tuple
     own = offsets(bench)
     if not own:
         return selection, model
-    y = bench.y
-    bench.y = bench.whole
+    y, timing = bench.y, bench.timing
+    bench.y, bench.timing = bench.whole, []
     other = select(bench, Scorer(bench, [*own, *hypotheses], free=False))
     rival = settle_model(bench, other.scorer, other)
     if merit(rival) > merit_of(model, y) + 6.0:
         return other, rival
-    bench.y = y
+    bench.y, bench.timing = y, timing
     return selection, model
 
 

@@ -4,11 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from galen_hw.diagnosis import seek
 from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.rows import Rows
+from galen_hw.diagnosis.rows import Mask, Rows
 from galen_hw.diagnosis.select import predicted
+from galen_hw.physics.effect import Columns
+from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
@@ -21,6 +24,7 @@ class Judged:
         name: of what was held out.
         before: of the baseline; after: with all effects; without: per effect's key, with that one left out.
         floor: of the noise.
+        episodes: times (s) of contacts in another recording; apart: share of its rows left out of all these errors.
     """
 
     name: str
@@ -28,6 +32,8 @@ class Judged:
     after: Array
     without: dict[str, Array]
     floor: Array
+    episodes: tuple[tuple[float, float], ...] = ()
+    apart: float = 0.0
 
     def gain(self, key: str) -> float:
         """Share of the held-out excess, channels weighed by their noise, that an effect removes."""
@@ -69,10 +75,32 @@ def judge(model: Model, holdout: Scene | None) -> Judged:
         without = {key: part.mse(rows) for key, part in smaller.items()}
         name = "contiguous blocks set aside" if bench.judged.any() else "the recording itself"
         return Judged(name, before, model.mse(rows), without, floor)
-    after = np.mean(apply(model, holdout) ** 2, axis=0)
-    without = {key: np.mean(apply(part, holdout) ** 2, axis=0) for key, part in smaller.items()}
-    before = np.mean(apply(baseline, holdout) ** 2, axis=0)
-    return Judged("another recording", before, after, without, floor)
+    rest = apply(model, holdout)
+    good, episodes = _undisturbed(model, holdout, rest)
+    after = np.mean(rest[good] ** 2, axis=0)
+    without = {key: np.mean(apply(part, holdout)[good] ** 2, axis=0) for key, part in smaller.items()}
+    before = np.mean(apply(baseline, holdout)[good] ** 2, axis=0)
+    return Judged("another recording", before, after, without, floor, episodes, float(1.0 - good.mean()))
+
+
+def _undisturbed(model: Model, scene: Scene, rest: Array) -> tuple[Mask, tuple[tuple[float, float], ...]]:
+    """Rows (M,) of another recording that nothing of a moment spoils, and the times (s) of its contacts.
+
+    Only what was found in the recording itself is looked for: isolated samples, and outside forces.
+    """
+    rows = Rows(tuple(scene.segments), model.bench.rows.stride)
+    good = np.ones(len(rows), dtype=bool)
+    if model.bench.dropped.any():
+        good &= ~rows.spread(np.asarray(seek.spikes(scene.residual, tuple(scene.segments)).any(axis=1)))
+    episodes: tuple[tuple[float, float], ...] = ()
+    if any(isinstance(h.effect, Contact) for h in model.effects):
+        for found in seek.contacts(scene, rest, rest):
+            assert isinstance(found.effect, Contact), "contacts are sought"
+            episodes = found.effect.episodes
+        time = rows.average(scene.time)
+        for start, end in episodes:
+            good &= (time < start) | (time > end)
+    return good, episodes
 
 
 def predict(model: Model) -> Array:
@@ -90,11 +118,11 @@ def apply(model: Model, scene: Scene) -> Array:
         if h.effect is None:
             refit.append(h)
         elif not h.effect.EPISODIC:
-            change = h.effect.change(scene, model.final[s])
+            change = Columns(tuple(range(bench.width)), h.effect.change(scene, model.final[s])[:, :, None])
             if not h.effect.TIMING:
                 for late, theta in bench.timing:
-                    change = late.retimed(scene, change, theta)  # type: ignore[attr-defined]
-            rest -= change
+                    change = late.delivered(scene, change, theta)
+            rest -= change.values[:, :, 0]
     rest = rows.average(rest)
     if refit:
         columns = _nuisances(refit, scene, rows, bench)

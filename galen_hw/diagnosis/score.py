@@ -81,6 +81,17 @@ class Scorer:
         parts = [self.library[i].white.values[:, self.library[i].white.channels.index(c)] for i in which]
         return np.asarray(np.concatenate(parts, axis=1)[rows])
 
+    def retime(self) -> None:
+        """All columns anew as the bench's late or lagging stream delivers them."""
+        bench, library = self.bench, self.library
+        for i in range(len(self.base), len(library)):
+            h = library[i]
+            if h.effect is not None and h.theta is None and not h.effect.EPISODIC and not h.effect.TIMING:
+                library[i] = bench.made(h.effect, bench.raw(h.effect), h.looked, h.name)
+        self.library, self.places = [], []
+        self.G, self.b, self.fakes = np.empty((0, 0)), np.empty(0), np.empty((0, self.fake.shape[2]))
+        self.append(library)
+
     def retarget(self, y: Array) -> None:
         """Another residual (M, C) for the same columns: what nonlinear effects predict beyond their slope is taken off."""
         self.white = self.bench.whitened(y)

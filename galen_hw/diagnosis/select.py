@@ -12,6 +12,7 @@ from galen_hw.diagnosis.rows import Chosen
 from galen_hw.diagnosis.score import Score, Scorer, threshold
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.table import EFFECTS, effect_class
+from galen_hw.physics.time_effects import Timing
 from galen_hw.spatial import Array
 
 CHANCE = 0.002
@@ -112,6 +113,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
             settle(bench, scorer, out.chosen)
         if _enrich(bench, scorer, out):
             settle(bench, scorer, out.chosen)
+        retime(bench, scorer, out.chosen)
         refused.clear()
     out.evidence = {i: scorer.scores([j for j in out.chosen if j != i], [i])[0][i] for i in out.chosen}
     return out
@@ -226,6 +228,34 @@ def settle(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
         for k, (place, _) in enumerate(fresh):
             chosen[place] = len(scorer.library) - len(fresh) + k
         scorer.retarget(bench.y)
+
+
+LATER = 0.1
+"""A delay or lag that moves by more than this share makes all other effects' columns anew."""
+
+
+def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
+    """What a late or lagging stream delivers of the other effects is late too: a delayed play is not a delay plus a play."""
+    for _ in range(2):
+        theta, now = scorer.solve(chosen)[0], list[tuple[Timing, Array]]()
+        done = sum(h.count for h in scorer.base)
+        for i in chosen:
+            h = scorer.library[i]
+            t, done = theta[done : done + h.count], done + h.count
+            if isinstance(h.effect, Timing):
+                now.append((h.effect, t))
+        if _same_timing(bench.timing, now):
+            return
+        bench.timing = now
+        scorer.retime()
+        settle(bench, scorer, chosen)
+
+
+def _same_timing(old: list[tuple[Timing, Array]], new: list[tuple[Timing, Array]]) -> bool:
+    return len(old) == len(new) and all(
+        a == b and bool(np.max(np.abs(s - t)) <= LATER * np.max(np.abs(t)))
+        for (a, s), (b, t) in zip(old, new, strict=True)
+    )
 
 
 def tangent(bench: Bench, h: Hypothesis, theta: Array) -> tuple[Hypothesis, Array]:
