@@ -34,7 +34,7 @@ class ServedModel:
         self.tool = self.asked = self._unknown = ""
         self.tip: Triple = (0.0, 0.0, 0.0)
         with suppress(GalenError):  # The compensation says what is wrong with the tools.
-            self._take(ToolStore(context.state_dir).selected() or "")
+            self._take(ToolStore(context.state_dir, virtual=context.virtual).selected() or "")
         try:
             self.load()
         except GalenError as error:
@@ -73,7 +73,11 @@ class ServedModel:
         self._bind()
 
     def _take(self, name: str) -> None:
-        self.tip = (0.0, 0.0, 0.0) if not name else ToolStore(self._context.state_dir).load(name).tip
+        self.tip = (
+            (0.0, 0.0, 0.0)
+            if not name
+            else ToolStore(self._context.state_dir, virtual=self._context.virtual).load(name).tip
+        )
         self.tool = self.asked = name
 
     def _bind(self) -> None:
