@@ -3,6 +3,7 @@
 Regions are found on the rows that the diagnosis learns from and kept only if rows that were set aside agree.
 """
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -210,14 +211,18 @@ def organised(bench: Bench, known: list[Variable], rest: Array, bins: int = 20) 
 
 def episodes_of(model: Model, glitch: list[Glitches]) -> list[list[float]]:
     """Times at which something happens: of contacts, after steps, around glitches; else where the excess is loud."""
-    scene, out = model.bench.scene, []
+    scene, end = model.bench.scene, float(model.bench.scene.time[-1])
+    out: list[list[float]] = []
+    steps: list[float] = []
     for h in model.effects:
         if isinstance(h.effect, Contact):
             out += [list(e) for e in h.effect.episodes]
         if isinstance(h.effect, Step):
-            out.append([h.effect.moment, float(scene.time[-1])])
+            steps.append(float(h.effect.moment))
     for one in glitch:
         out += [[float(scene.time[r]), float(scene.time[r])] for r in one.rows[:50]]
+    # A step holds until the next one, the last until the end.
+    out += [[a, b] for a, b in itertools.pairwise([*sorted(set(steps)), end])]
     return sorted(out) or _loud(model)
 
 

@@ -39,7 +39,10 @@ class Finding:
 
 @dataclass
 class Diagnosis:
-    """Everything that is known in the end; `notes` are one-line warnings for people and `terms` the saved model."""
+    """Everything that is known in the end.
+
+    Besides what is specified: `notes` (one line each), `terms` (the saved model) and the channels' `units`.
+    """
 
     recording: str
     holdout: str
@@ -53,6 +56,7 @@ class Diagnosis:
     next_experiment: str
     notes: list[str] = field(default_factory=list)
     terms: list[dict[str, Any]] = field(default_factory=list)
+    units: dict[str, str] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """As specified; numbers that are not finite become null, which JSON has a word for."""

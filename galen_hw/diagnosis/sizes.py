@@ -103,10 +103,16 @@ def headline(finding: Finding) -> str:
     parts = _by_name(finding.parameters)
     named = [name for pattern in HEAD.get(finding.effect, ()) for name in parts if re.fullmatch(pattern, name)]
     named = list(dict.fromkeys(named))
+    named = [n for n in named if any(_sure(v) for v in parts[n])] or named
     words = [_range(name, parts[name]) for name in named[:MOST_PARTS]]
     if finding.effect in ("vibration", "torque_ripple", "step", "contact", "hysteresis") or not words:
         words += [f"{text(SIGNAL, value)} rms" for value in parts.get(SIGNAL, [])[:1]]
     return ", ".join(words)
+
+
+def _sure(value: Value) -> bool:
+    """Whether it differs from zero at all."""
+    return abs(value.value) > 2.0 * value.std
 
 
 def _by_name(parameters: Mapping[str, Value]) -> dict[str, list[Value]]:
