@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
             addresses.require_daemon()
         subscriber = stack.enter_context(Subscriber(addresses.bus, topics, queue=QUEUE))
         info = _daemon_info(addresses.command)
-        context = _context(Path(args.config or info.get("config") or config_path(None)))
+        context = session_context(Path(args.config or info.get("config") or config_path(None)))
         context["virtual"] = bool(info.get("virtual"))
         stream = stack.enter_context(open_new(path, overwrite=args.force))
         heard = record(subscriber, Session(stream, encoding=args.encoding, **context), args.seconds)
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _context(path: Path) -> dict[str, Any]:
+def session_context(path: Path) -> dict[str, Any]:
     """What a session should know of the robot, from the settings in the file `path`."""
     import tomllib
 
