@@ -24,12 +24,14 @@ class VirtualRobot:
     Args:
         folder: of its wires.
         addresses: by wire (`can0`, `motors`, `tracker`, `control`): settings of the transport that reaches it.
+        files: that come with its devices, by name: `tool.rom` and `reference.rom`, the marker bodies' definitions.
         sensor: driver of the sensor on `can0`.
         control: to change its world.
     """
 
     folder: Path
     addresses: dict[str, dict[str, Any]]
+    files: dict[str, str]
     sensor: str
     control: VirtualControl
     _process: subprocess.Popen[bytes]
@@ -103,7 +105,7 @@ def start_virtual(
         said.close()
         raise HardwareError(lines[-1].removeprefix("galen-hw virtual: "), where="virtual robot")
     ready = json.loads(line)
-    return VirtualRobot(Path(folder), ready["addresses"], sensor, VirtualControl(folder), process, said)
+    return VirtualRobot(Path(folder), ready["addresses"], ready["files"], sensor, VirtualControl(folder), process, said)
 
 
 @contextmanager
