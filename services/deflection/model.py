@@ -7,7 +7,6 @@ import numpy as np
 
 from galen_hw.config.tool_store import ToolStore
 from galen_hw.errors import GalenError
-from galen_hw.identification.deflection.table import model_of
 from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore
 from galen_hw.services.service import ServiceContext
 
@@ -55,6 +54,9 @@ class ServedModel:
         self.file = self.stream = None
         name = self._chosen or store.selected()
         if name is not None:
+            # Fitting and its numerics take a second to import: a service without a model does not wait for them.
+            from galen_hw.identification.deflection.table import model_of
+
             file = store.load(name)
             std = np.array(file.std) if file.std else None
             self.stream, self.file = model_of(file.model, file.values).stream(std), file
