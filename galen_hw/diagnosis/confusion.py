@@ -35,7 +35,7 @@ class Rival:
         lead: twice the log likelihood by which the found one is better, prices paid.
         angle: deg between the found signal and what the rival can make of it.
         nearest: deg, smallest principal angle between the two spans.
-        theta: (k,) the rival's parameters in the found one's place.
+        theta: (k,) the rival's parameters in the found one's place; own: the found one's.
     """
 
     place: int
@@ -45,6 +45,7 @@ class Rival:
     angle: float
     nearest: float
     theta: Array
+    own: Array
 
 
 def confusions(model: Model, selection: Selection, finding: Finding) -> list[Confusion]:
@@ -128,7 +129,7 @@ def _in_place(scorer: Scorer, chosen: list[int], i: int) -> list[Rival]:
         lead = (gain - price(scorer, scorer.library[i])) - (worth - price(scorer, h))
         U = _whitening(A, np.diag(scorer.G)[own])
         nearest = float(np.linalg.norm(W.T @ cross @ U, 2)) if U.shape[1] else 0.0
-        out.append(Rival(j, i, h.effect.KEY, lead, _angle(np.sqrt(share)), _angle(nearest), W @ (W.T @ r)))
+        out.append(Rival(j, i, h.effect.KEY, lead, _angle(np.sqrt(share)), _angle(nearest), W @ (W.T @ r), theta))
     return out
 
 

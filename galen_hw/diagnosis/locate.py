@@ -23,7 +23,7 @@ WIDEST = 0.7
 """A region that holds more of the rows than this is no region."""
 SURE = 2.5
 """Standard errors over blocks by which a region must beat an even spread, on rows that it was not found on."""
-FUNCTION = 0.3
+FUNCTION = 0.5
 """Share of the held-out excess from which a variable is said to organise it."""
 
 

@@ -78,6 +78,7 @@ WHY: Final[dict[frozenset[str], str]] = {
     frozenset(("lag", "friction")): "a lag and viscous friction both follow the speed",
     frozenset(("lag", "creep")): "creep is a lag with a long time constant",
     frozenset(("joint_offset", "bias")): "an offset of the reading and of the joint's zero look the same here",
+    frozenset(("bias", "link_geometry")): "an arm that stands elsewhere and a tracker that is off read the same",
     frozenset(("joint_offset", "base_tilt")): "the first joint turns about a level axis, as a tilt of the base does",
     frozenset(
         ("joint_offset", "sensor_mounting")
@@ -156,6 +157,34 @@ NEXT: Final[dict[str, str]] = {
     "cable_drag": "repeat the poses in random order with the cable unplugged",
     "vibration": "hold still for a minute with the motors on, then off",
 }
+
+
+SETTLED_BY: Final[dict[frozenset[str], str]] = {
+    frozenset(
+        ("bias", "link_geometry")
+    ): "measure a mark on the base with the tracker: an arm that stands elsewhere moves it not",
+    frozenset(("bias", "joint_offset")): "check the joint's zero against a mechanical mark; no motion of the arm can",
+    frozenset(("joint_offset", "base_tilt")): "put a level on the base; no motion of the arm can",
+    frozenset(
+        ("joint_offset", "sensor_mounting")
+    ): "check the last joint's zero with a level; no motion of the arm can",
+    frozenset(("link_geometry", "sensor_mounting")): "turn the tool by 180 degrees on its flange and repeat the poses",
+    frozenset(("link_geometry", "base_tilt")): "put a level on the base; no motion of the arm can",
+    frozenset(("drift", "temperature")): "log the temperature at the sensor while the machine warms up, at rest",
+    frozenset(
+        ("backlash", "friction")
+    ): "push the stopped joint lightly by hand in both directions: play gives, friction does not",
+    frozenset(
+        ("hysteresis", "friction")
+    ): "sweep the joint slowly to and fro with ever smaller reversals, the servo off",
+    frozenset(("backlash", "hysteresis")): "sweep the joint slowly to and fro with ever smaller reversals",
+}
+
+
+def settled_by(found: str, rival: str) -> str:
+    """What would tell two effects apart where it cannot be simulated."""
+    plain = NEXT.get(rival, NEXT.get(found, "record a motion over a wider range, at two speeds"))
+    return SETTLED_BY.get(frozenset((found, rival)), plain)
 
 
 def next_experiment(found: Sequence[str], rivals: Sequence[str], unknown: str) -> str:
