@@ -135,11 +135,24 @@ def examine(document: dict[str, Any], path: Path, places: Places, tables: Tables
     return Setup(usable, path, devices, services), sorted(set(problems), key=_line_of)
 
 
-def with_transports(setup: Setup, transports: Mapping[str, dict[str, Any]], tables: Tables) -> Setup:
-    """The same set-up on other wires, e.g. the virtual robot's; devices not in `transports` are left out."""
+def with_transports(
+    setup: Setup,
+    transports: Mapping[str, dict[str, Any]],
+    tables: Tables,
+    settings: Mapping[str, dict[str, Any]] | None = None,
+) -> Setup:
+    """The same set-up on other wires, e.g. the virtual robot's; devices not in `transports` are left out.
+
+    `settings`: by device, what is set beside its own settings.
+    """
+    more = settings or {}
     document = setup.config.model_dump(mode="json", exclude_unset=True)
     document["devices"] = {
-        name: {**section, "transport": transports[name]}
+        name: {
+            **section,
+            "transport": transports[name],
+            "settings": section.get("settings", {}) | more.get(name, {}),
+        }
         for name, section in document["devices"].items()
         if name in transports
     }

@@ -83,6 +83,7 @@ class Origin(_Part):
         method: name of the fit that was accepted; sweep: the raw sweep's folder.
         fit_poses, verify_poses: how many; condition: number of the scaled problem.
         generation: counts up in the state directory; 0 before it is saved.
+        virtual: made on a virtual robot: never used on a real one.
     """
 
     generation: Annotated[int, Field(ge=0)] = 0
@@ -91,6 +92,7 @@ class Origin(_Part):
     software: str
     robot: str
     sensor_serial: str = ""
+    virtual: bool = False
     method: str
     reason: str = ""
     sweep: str = ""

@@ -4,6 +4,10 @@
     STATE/tools/NAME/active.json     {"generation": n}: the one in use
     STATE/tools/selected.json        {"tool": NAME}: taken up when the daemon starts
 
+A calibration made on a virtual robot says so in its file and has a pointer of its own (`active-virtual.json`, and
+`selected-virtual.json` for the tool in hand): what is tried without hardware neither replaces nor becomes what the real
+sensor is compensated with.
+
 Every file is written beside its place, flushed to the disk and then renamed over it, so that a power cut leaves either
 the old content or the new.
 """
@@ -51,7 +55,7 @@ def write_atomic(path: Path, text: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Generation:
-    """One calibration in the history of a tool; `error` says why it cannot be read."""
+    """One calibration in the history of a tool; `active` on its kind of hardware; `error` says why it is unreadable."""
 
     number: int
     path: Path
@@ -67,10 +71,13 @@ class ToolStore:
     Args:
         state_dir: of the service (`$STATE_DIRECTORY` or the user's).
         nominal_dir: folder of nominal files, the package's own if None.
+        virtual: whose calibrations are in use: those of virtual (True) or of real hardware (False); None for people,
+            who are shown the real one where there is one.
     """
 
     state_dir: Path
     nominal_dir: Path | None = field(default=None)
+    virtual: bool | None = None
 
     def names(self) -> list[str]:
         """All tools, nominal or calibrated, sorted."""
@@ -125,11 +132,8 @@ class ToolStore:
         return tool
 
     def active(self, name: str) -> int | None:
-        """Number of the generation in use; None if the tool was never calibrated."""
-        _check_name(name)
-        path = self._root / name / "active.json"
-        number = _read_json(path).get("generation") if path.exists() else None
-        return number if isinstance(number, int) else None
+        """Number of the generation in use; None if the tool was never calibrated on such hardware."""
+        return next((n for kind in self._kinds if (n := self._pointer(name, virtual=kind)) is not None), None)
 
     def history(self, name: str) -> list[Generation]:
         """All generations, oldest first; a damaged one is listed with its error.
@@ -138,8 +142,8 @@ class ToolStore:
             UsageError: no such tool.
         """
         self.nominal(name)
-        active = self.active(name)
-        return [self._entry(name, number, active) for number in self._numbers(name)]
+        active = {self._pointer(name, virtual=kind) for kind in (False, True)}
+        return [self._entry(name, number, number in active) for number in self._numbers(name)]
 
     def save(self, tool: ToolFile, *, activate: bool = True) -> ToolFile:
         """Add a generation (nothing is ever overwritten) and, unless told otherwise, make it the one in use.
@@ -160,32 +164,38 @@ class ToolStore:
         return tool
 
     def activate(self, name: str, number: int) -> ToolFile:
-        """Make a generation the one in use, after reading it.
+        """Make a generation the one in use on its kind of hardware, after reading it.
 
         Raises:
             UsageError: not there, damaged or impossible; the one in use stays.
         """
         tool = self.generation(name, number)
-        write_atomic(self._root / name / "active.json", json.dumps({"generation": number}) + "\n")
+        path = self._root / name / _file("active", virtual=_is_virtual(tool))
+        write_atomic(path, json.dumps({"generation": number}) + "\n")
         return tool
 
     def rollback(self, name: str, number: int | None = None) -> ToolFile:
-        """Go back to a generation, or to the latest readable one before the active one.
+        """Go back to a generation, or to the latest readable one before the active one, of the same kind of hardware.
 
         Raises:
             UsageError: there is none.
         """
         if number is not None:
             return self.activate(name, number)
-        active = self.active(name)
-        older = [g.number for g in self.history(name) if g.tool is not None and (active is None or g.number < active)]
+        kind = next((k for k in self._kinds if self._pointer(name, virtual=k) is not None), self._kinds[0])
+        active = self._pointer(name, virtual=kind)
+        older = [
+            g.number
+            for g in self.history(name)
+            if g.tool is not None and _is_virtual(g.tool) is kind and (active is None or g.number < active)
+        ]
         if not older:
             raise UsageError(f"tool {name!r} has no earlier calibration", todo=f"galen-hw tool history {name}")
         return self.activate(name, older[-1])
 
     def selected(self) -> str | None:
         """The tool that the daemon takes up when it starts; None for no tool."""
-        path = self._root / "selected.json"
+        path = self._root / _file("selected", virtual=self._kinds[0])
         name = _read_json(path).get("tool") if path.exists() else None
         return name if isinstance(name, str) and re.match(NAME, name) else None
 
@@ -197,7 +207,19 @@ class ToolStore:
         """
         if name is not None:
             self.load(name)
-        write_atomic(self._root / "selected.json", json.dumps({"tool": name}) + "\n")
+        path = self._root / _file("selected", virtual=self._kinds[0])
+        write_atomic(path, json.dumps({"tool": name}) + "\n")
+
+    @property
+    def _kinds(self) -> tuple[bool, ...]:
+        """Kinds of hardware (virtual or not) whose calibrations count, the first one first."""
+        return (False, True) if self.virtual is None else (self.virtual,)
+
+    def _pointer(self, name: str, *, virtual: bool) -> int | None:
+        _check_name(name)
+        path = self._root / name / _file("active", virtual=virtual)
+        number = _read_json(path).get("generation") if path.exists() else None
+        return number if isinstance(number, int) else None
 
     @property
     def _root(self) -> Path:
@@ -213,12 +235,12 @@ class ToolStore:
         found = [int(p.stem) for p in folder.glob("*.json") if p.stem.isdigit()] if folder.is_dir() else []
         return sorted(found)
 
-    def _entry(self, name: str, number: int, active: int | None) -> Generation:
+    def _entry(self, name: str, number: int, active: bool) -> Generation:
         path = self.path(name, number)
         try:
-            return Generation(number, path, number == active, self.generation(name, number))
+            return Generation(number, path, active, self.generation(name, number))
         except UsageError as error:
-            return Generation(number, path, number == active, None, str(error))
+            return Generation(number, path, active, None, str(error))
 
     def _nominal_texts(self) -> dict[str, tuple[str, str]]:
         """Text and place of every nominal file by tool."""
@@ -227,12 +249,19 @@ class ToolStore:
         return {f.name.removesuffix(".json"): (f.read_text(encoding="utf-8"), str(f)) for f in files}
 
 
-def binding_problems(tool: ToolFile, *, sensor_serial: str, robot: str) -> list[str]:
-    """Why a calibration does not belong to this hardware, one line each; none if it does or is not known to not."""
+def binding_problems(tool: ToolFile, *, sensor_serial: str, robot: str, virtual: bool | None = None) -> list[str]:
+    """Why a calibration does not belong to this hardware, one line each; none if it does or is not known to not.
+
+    Args:
+        sensor_serial, robot: empty where not known; virtual: the hardware is virtual, None where not known.
+    """
     origin = tool.origin
     if origin is None:
         return []
     problems = []
+    if virtual is not None and origin.virtual is not virtual:
+        there, here = ("real", "virtual") if virtual else ("virtual", "real")
+        problems.append(f"was calibrated on a {there} robot, this is a {here} one")
     if origin.sensor_serial and sensor_serial and origin.sensor_serial != sensor_serial:
         problems.append(f"was calibrated on sensor {origin.sensor_serial}, this is {sensor_serial}")
     if origin.robot and robot and origin.robot != robot:
@@ -240,13 +269,13 @@ def binding_problems(tool: ToolFile, *, sensor_serial: str, robot: str) -> list[
     return problems
 
 
-def check_binding(tool: ToolFile, *, sensor_serial: str, robot: str) -> None:
+def check_binding(tool: ToolFile, *, sensor_serial: str, robot: str, virtual: bool | None = None) -> None:
     """Refuse a calibration of another sensor or robot.
 
     Raises:
         UsageError: it belongs to other hardware.
     """
-    problems = binding_problems(tool, sensor_serial=sensor_serial, robot=robot)
+    problems = binding_problems(tool, sensor_serial=sensor_serial, robot=robot, virtual=virtual)
     if problems:
         todo = f"galen-hw calibrate --tool {tool.name}"
         raise UsageError(f"tool {tool.name!r} {' and '.join(problems)}", todo=todo)
@@ -255,6 +284,14 @@ def check_binding(tool: ToolFile, *, sensor_serial: str, robot: str) -> None:
 def _identified(tool: ToolFile, origin: Origin, number: int) -> Origin:
     digest = hashlib.sha256(tool.to_json().encode()).hexdigest()[:8]
     return origin.model_copy(update={"generation": number, "id": f"{tool.name}/{number:04d}-{digest}"})
+
+
+def _is_virtual(tool: ToolFile) -> bool:
+    return tool.origin is not None and tool.origin.virtual
+
+
+def _file(stem: str, *, virtual: bool) -> str:
+    return f"{stem}-virtual.json" if virtual else f"{stem}.json"
 
 
 def _check_name(name: str) -> None:

@@ -96,7 +96,10 @@ class RecorderService(Service):
         path = Path(args["file"]) if args.get("file") else directory / default_name(datetime.now(UTC))
         self._stream = open_new(path)
         self._path = path
-        self._session = Session(self._stream, robot=self._context.robot.name, encoding=self._settings.encoding)
+        context = self._context
+        virtual = bool(context.virtual)
+        encoding = self._settings.encoding
+        self._session = Session(self._stream, robot=context.robot.name, virtual=virtual, encoding=encoding)
 
     def _stop(self) -> None:
         assert self._session is not None

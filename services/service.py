@@ -28,7 +28,7 @@ class ServiceContext:
         state_dir: the state directory; tools and calibrations live below it (`ToolStore(context.state_dir)`).
         identity: of the configured hardware (robot and devices), for `snapshot` and `restore`.
         sensor, motors, tracker: names of these devices, for the `target` of requests; empty where not configured.
-        virtual: the devices are virtual.
+        virtual: the devices are virtual; None where there are none (a replay).
     """
 
     robot: Robot
@@ -38,7 +38,7 @@ class ServiceContext:
     sensor: str = "ft"
     motors: str = "motors"
     tracker: str = "tracker"
-    virtual: bool = False
+    virtual: bool | None = False
 
 
 class Service(ABC):

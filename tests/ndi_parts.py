@@ -2,6 +2,7 @@
 
 import struct
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from galen_hw.clock import TimeBase
@@ -11,6 +12,8 @@ from galen_hw.drivers.serial_line import LineControl
 MS = 1_000_000
 FRAME_NS = 16_666_667
 DELAY_NS = 3 * MS
+VECTORS = Path(__file__).parent / "vectors"
+MARKERS = {role: {"rom_file": VECTORS / f"ndi_{role}.rom"} for role in ("tool", "reference")}
 
 
 def crc(data: bytes) -> int:
@@ -161,7 +164,8 @@ class NdiBench:
     breaks: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.device = NdiTracker("tracker", NdiTracker.Settings(**self.settings), TimeBase(10**18))
+        settings = {"markers": MARKERS} | self.settings
+        self.device = NdiTracker("tracker", NdiTracker.Settings(**settings), TimeBase(10**18))
         self.line: list[tuple[int, bytes]] = []
 
     def start(self, seconds: float = 2.0) -> "NdiBench":

@@ -46,8 +46,9 @@ def _pump(device, master: int, client: "subprocess.Popen[str]", end: float) -> N
             os.write(master, data)
 
 
-def empty_rom(folder: Path) -> Path:
-    """A tool definition that says nothing."""
-    path = folder / "tool.rom"
-    path.write_bytes(bytes(752))
-    return path
+VECTORS = Path(__file__).parent / "vectors"
+
+
+def rom(name: str = "tool") -> Path:
+    """A tool definition of the vectors."""
+    return VECTORS / f"ndi_{name}.rom"

@@ -219,6 +219,24 @@ def test_the_tools_life(capsys, poses, tmp_path):
         assert "retractor/0003-" in capsys.readouterr().out
 
 
+def test_the_list_tells_virtual_from_real(capsys, poses):
+    """A calibration from a virtual robot's recording is marked; beside the real one it has a row of its own."""
+    info = json.loads((poses / "recording.json").read_text())
+    (poses / "recording.json").write_text(json.dumps(info | {"virtual": True, "sensor_serial": "FT28417"}))
+    _, found = calibrated(capsys, poses, "--tool", "retractor")
+    assert (found["tool"]["origin"]["virtual"], found["tool"]["origin"]["sensor_serial"]) == (True, "FT28417")
+    rows = [r for r in as_json(capsys, "tool", "list")[1] if r["name"] == "retractor"]
+    assert [(r["virtual"], r["calibrated"]) for r in rows] == [(True, True)]
+    as_json(capsys, "tool", "select", "retractor")
+
+    (poses / "recording.json").write_text(json.dumps(info))
+    calibrated(capsys, poses, "--tool", "retractor")
+    rows = [r for r in as_json(capsys, "tool", "list")[1] if r["name"] == "retractor"]
+    assert [(r["virtual"], r["selected"]) for r in rows] == [(False, False), (True, True)]
+    assert main(["tool", "list"]) == 0
+    assert capsys.readouterr().out.count("virtual ") == 1
+
+
 def test_an_impossible_file_is_not_imported(capsys, tmp_path):
     """One line with file and key; the history stays empty."""
     file = tmp_path / "bad.json"

@@ -50,6 +50,8 @@ def test_a_virtual_calibration_finds_and_saves_the_tool(command, environ, tmp_pa
     assert saved.calibration_id == found["tool"]["origin"]["id"]
     assert saved.origin.sensor_serial
     assert saved.origin.robot == "galen"
+    assert saved.origin.virtual
+    assert not ToolStore(tmp_path / "state", virtual=False).load("pointer").calibrated
     assert len(read_recording(saved.origin.sweep)) == saved.origin.fit_poses + saved.origin.verify_poses
 
 

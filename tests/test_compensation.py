@@ -9,13 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from galen_hw.config.tool_file import BiasBody
+from galen_hw.config.tool_store import ToolStore
 from galen_hw.errors import CommandRejectedError, UsageError
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.messages import JointsState, Reply, Vector3, WrenchRaw, encode
 from galen_hw.physics.rigid import Body, inertial_wrench
 from galen_hw.services.compensation.gravity_direction import GravityDirection
+from galen_hw.services.compensation.service import CompensationService
+from galen_hw.services.compensation.settings import CompensationSettings
+from galen_hw.services.service import ServiceContext
 from galen_hw.spatial import transform, wrench_adjoint
 from tests.compensation_parts import (
+    BASE,
     MS,
     RETRACTOR,
     ROBOT,
@@ -287,6 +292,28 @@ def test_an_impossible_command_says_why_and_changes_nothing(
     assert [encode(o[1]) for o in feed(service, raw(2 * MS, np.ones(6)))] == [
         encode(o[1]) for o in feed(twin, raw(2 * MS, np.ones(6)))
     ]
+
+
+def test_a_virtual_calibration_is_never_served_to_a_real_sensor(tmp_path: Path) -> None:
+    """Neither selected by command nor, with the pointers changed by hand, at the start; on a virtual robot it is."""
+    tool = tool_file(serial="FT1")
+    assert tool.origin is not None
+    ToolStore(tmp_path).save(tool.model_copy(update={"origin": tool.origin.model_copy(update={"virtual": True})}))
+    with pytest.raises(CommandRejectedError, match="never calibrated"):
+        service_at(tmp_path).request(ask("select_tool", tool="retractor"), 0)
+
+    folder = tmp_path / "tools"
+    (folder / "retractor" / "active-virtual.json").rename(folder / "retractor" / "active.json")
+    (folder / "selected.json").write_text('{"tool": "retractor"}')
+    service = service_at(tmp_path)
+    with pytest.raises(CommandRejectedError, match="was calibrated on a virtual robot, this is a real one"):
+        service.request(ask("select_tool", tool="retractor"), 0)
+    assert not messages(feed(service, raw(MS, np.zeros(6), serial_number="FT1")))[0].valid
+    assert "virtual robot" in messages(service.tick(0), "fault")[0].what
+
+    (folder / "retractor" / "active.json").rename(folder / "retractor" / "active-virtual.json")
+    virtual = CompensationService("c", CompensationSettings(), ServiceContext(ROBOT, BASE, tmp_path, virtual=True))
+    assert virtual.request(ask("select_tool", tool="retractor"), 0)[0].result["tool"] == "retractor"  # type: ignore[union-attr]
 
 
 def test_a_calibration_of_another_sensor_makes_nothing_valid(tmp_path: Path) -> None:

@@ -47,7 +47,10 @@ def test_led_by_hand_recorded_and_repeated(tmp_path: Path, capsys: pytest.Captur
     """Without compensation the tool drifts by centimetres after it is let go, with it by nothing; and the recording of
     all that, ended by SIGKILL, gives the same compensated wrench bit for bit."""
     (tmp_path / "galen.toml").write_text(CONFIG)
-    ToolStore(tmp_path / "state").save(calibrated())
+    tool = calibrated()
+    assert tool.origin is not None
+    tool = tool.model_copy(update={"origin": tool.origin.model_copy(update={"virtual": True})})
+    ToolStore(tmp_path / "state").save(tool)
     config, file = str(tmp_path / "galen.toml"), tmp_path / "run.mcap"
     moved = {}
     with own_daemon(config=config, state=tmp_path / "state") as addresses:
@@ -90,4 +93,6 @@ def test_led_by_hand_recorded_and_repeated(tmp_path: Path, capsys: pytest.Captur
     recording = read_recording(file)
     assert recording.info.tool is not None
     assert recording.info.tool.name == "retractor"
+    assert recording.info.virtual
+    assert recording.info.sensor_serial
     assert np.nanmax(recording.columns["joint.roll.position"]) > 0.5

@@ -273,7 +273,8 @@ def test_default_file_is_good_and_complete() -> None:
 def test_default_file_comments_show_the_defaults() -> None:
     """With every comment of a setting taken away, the set-up is the same: the comments do not lie."""
     text = DEFAULT_CONFIG.read_text(encoding="utf-8")
-    lines = [line for line in text.splitlines() if not line.startswith(("# urdf", "# sensor_link", "# base_link"))]
+    examples = ("# urdf", "# sensor_link", "# base_link", "# settings")
+    lines = [line for line in text.splitlines() if not line.startswith(examples)]
     shown = "\n".join(line[2:] if line.startswith("# ") and " = " in line else line for line in lines)
     shown = shown.replace("# [robot.delta]", "[robot.delta]")
     places = Places("galen.toml", shown)

@@ -56,11 +56,12 @@ def test_run_virtual_end_to_end(tmp_path: Path) -> None:
     try:
         assert process.stdout is not None
         line = process.stdout.readline()
-        assert line.startswith("ready: ft ready, motors ready"), line
+        assert line.startswith("ready: ft ready, motors ready, tracker ready"), line
         assert virtual_pids(tmp_path)
         seen: dict[str, Message] = {}
         with Subscriber(addresses.bus) as bus, CommandClient(addresses.command) as client:
             wanted = {"wrench/raw", "wrench/compensated", "wrench/contact", "joints/state", "pose/reported", "status"}
+            wanted |= {"tracker/tool", "tracker/reference"}
 
             def heard() -> bool:
                 for _ in range(2000):

@@ -20,8 +20,8 @@ from galen_hw.messages import Reply, Request
 @pytest.fixture
 def roms(tmp_path):
     """Settings of two wireless bodies with definitions of their own."""
-    (tmp_path / "tool.rom").write_bytes(bytes([1]) * 752)
-    (tmp_path / "reference.rom").write_bytes(bytes([2]) * 1024)
+    (tmp_path / "tool.rom").write_bytes(b"NDI" + bytes([1]) * 749)
+    (tmp_path / "reference.rom").write_bytes(b"NDI" + bytes([2]) * 1021)
     return {name: {"rom_file": str(tmp_path / f"{name}.rom")} for name in ("tool", "reference")}
 
 
@@ -35,8 +35,8 @@ def test_from_power_up_to_poses(roms):
     kinds = [text.partition(":")[0] for text in peer.lines]
     assert kinds[:4] == ["INIT", "COMM", "PHSR", "PHF"]
     assert kinds.count("PVWR") == 12 + 16
-    assert peer.roms["01"] == bytes([1]) * 752 + bytes(16)
-    assert peer.roms["02"] == bytes([2]) * 1024
+    assert peer.roms["01"] == b"NDI" + bytes([1]) * 749 + bytes(16)
+    assert peer.roms["02"] == b"NDI" + bytes([2]) * 1021
     tool, reference = bench.messages("tracker/tool")[-1], bench.messages("tracker/reference")[-1]
     assert tool.valid
     assert (tool.handle, tool.position.x, tool.position.z) == ("01", pytest.approx(0.1), pytest.approx(-1.5))
@@ -283,6 +283,23 @@ def test_impossible_settings_are_refused(settings, words):
     """Each mistake is named."""
     with pytest.raises(ValidationError, match=words):
         NdiTracker.Settings(**settings)
+
+
+def test_a_file_that_is_no_definition_is_refused(tmp_path):
+    """A text file in its place is noticed when the settings are read."""
+    (tmp_path / "notes.rom").write_text("see the cupboard")
+    with pytest.raises(ValidationError, match="is no tool definition"):
+        NdiTracker.Settings(markers={"tool": {"rom_file": str(tmp_path / "notes.rom")}})
+
+
+def test_a_wireless_body_without_a_definition_is_one_fault_and_nothing_is_asked_for():
+    """No handle is taken for a body that cannot be initialised; a body that is plugged in needs none."""
+    bench = NdiBench(settings={"markers": {"tool": {}}}).start()
+    assert bench.faults[0] == "tool: a wireless marker body needs its tool definition (.rom)"
+    assert "rom_file" in bench.messages("fault")[0].todo
+    assert not any(text.startswith("PHRQ") for text in bench.peer.lines)
+    plugged = NdiBench(NdiPeer(ports={"0A": 0x01}, roms={"0A": b"x"}), {"markers": {"tool": {}}}).start()
+    assert plugged.device.ready
 
 
 def test_an_oversized_definition_is_refused(tmp_path):

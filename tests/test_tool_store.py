@@ -13,10 +13,10 @@ from galen_hw.config.tool_store import ToolStore, binding_problems, check_bindin
 from galen_hw.errors import UsageError
 
 
-def tool(mass=0.287, name="retractor", serial="FT1", **more):
-    origin = Origin(
-        date="2026-01-02T03:04:05+00:00", software="galen-hw 0", robot="galen", sensor_serial=serial, method="robust"
-    )
+def tool(mass=0.287, name="retractor", serial="FT1", virtual=False, **more):
+    date = "2026-01-02T03:04:05+00:00"
+    bound = {"robot": "galen", "sensor_serial": serial, "virtual": virtual}
+    origin = Origin(date=date, software="galen-hw 0", method="robust", **bound)
     std = BodyStd(mass=1e-4, com=(1e-5, 1e-5, 2e-5))
     data = {"name": name, "tip": (0.045, 0.0, -0.14), "mass": mass, "com": (0.031, 0.004, -0.063), "std": std}
     return ToolFile(**(data | {"origin": origin} | more))
@@ -161,6 +161,35 @@ def test_a_damaged_generation_is_listed_and_can_be_rolled_back_from(store):
     assert store.rollback("retractor").mass == 0.28
 
 
+def test_virtual_and_real_calibrations_have_a_pointer_each(store):
+    """What is tried on a virtual robot neither replaces the real calibration nor is rolled back to, and says so."""
+    real, virtual = (ToolStore(store.state_dir, virtual=kind) for kind in (False, True))
+    for mass, kind in ((0.28, False), (0.29, False), (0.40, True)):
+        store.save(tool(mass, virtual=kind))
+
+    assert (real.load("retractor").mass, virtual.load("retractor").mass, store.load("retractor").mass) == (
+        0.29,
+        0.4,
+        0.29,
+    )
+    assert [(g.number, g.active) for g in real.history("retractor")] == [(1, False), (2, True), (3, True)]
+    assert real.rollback("retractor").mass == 0.28
+    with pytest.raises(UsageError, match="no earlier calibration"):
+        virtual.rollback("retractor")
+    assert virtual.load("retractor").mass == 0.4
+    virtual.select("retractor")
+    assert (virtual.selected(), real.selected()) == ("retractor", None)
+
+
+def test_people_see_the_virtual_calibration_where_there_is_no_real_one(store):
+    """Without a daemon: the real one comes first, then the virtual one, then the geometry."""
+    store.save(tool(0.4, virtual=True))
+    assert store.load("retractor").mass == 0.4
+    assert not ToolStore(store.state_dir, virtual=False).load("retractor").calibrated
+    store.save(tool(0.28))
+    assert store.load("retractor").mass == 0.28
+
+
 def test_a_calibration_is_bound_to_its_sensor_and_robot(store):
     """Another serial number or robot is named; an unknown one is let pass."""
     found = store.save(tool())
@@ -170,6 +199,14 @@ def test_a_calibration_is_bound_to_its_sensor_and_robot(store):
     with pytest.raises(UsageError, match=r"calibrated on sensor FT1, this is FT2.*calibrate --tool retractor"):
         check_binding(found, sensor_serial="FT2", robot="galen")
     assert "robot 'galen', this is 'kuka'" in binding_problems(found, sensor_serial="FT1", robot="kuka")[0]
+    for virtual in (True, False):
+        other = tool(virtual=not virtual)
+        assert binding_problems(other, sensor_serial="FT1", robot="galen", virtual=not virtual) == []
+        assert (
+            "a virtual robot" in binding_problems(other, sensor_serial="FT1", robot="galen", virtual=virtual)[0]
+            or virtual
+        )
+        assert len(binding_problems(other, sensor_serial="FT1", robot="galen", virtual=virtual)) == 1
 
 
 CUT = """

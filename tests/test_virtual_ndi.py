@@ -12,6 +12,7 @@ from galen_hw.drivers.virtual.ndi_tracker.scene import REFERENCE, TOOL
 from galen_hw.drivers.virtual.ndi_tracker.wire import crc16, garble
 from galen_hw.drivers.virtual.world import World
 from galen_hw.spatial import quaternion_from_rotation
+from tests.pty_peer import rom
 
 MS = 1_000_000
 PORT_LINE = 2 + 51 + 8 + 8 + 1
@@ -45,11 +46,16 @@ class Host:
         assert f"{crc16(reply[:-5]):04X}".encode() == reply[-5:-1]
         return reply[:-5].decode()
 
+    def load(self, handle, data=None):
+        data = (data or rom().read_bytes()).ljust(768, b"\0")
+        for at in range(0, len(data), 64):
+            assert self.ask(f"PVWR:{handle:02X}{at:04X}{data[at : at + 64].hex().upper()}", ms=30) == "OKAY"
+
     def track(self, count=2):
         assert self.ask("INIT:") == "OKAY"
         for handle in range(1, count + 1):
             assert self.ask("PHRQ:*********1****") == f"{handle:02X}"
-            assert self.ask(f"PVWR:{handle:02X}0000" + "0" * 128) == "OKAY"
+            self.load(handle)
             assert self.ask(f"PINIT:{handle:02X}") == "OKAY"
             assert self.ask(f"PENA:{handle:02X}D") == "OKAY"
         assert self.ask("TSTART:80") == "OKAY"
@@ -113,7 +119,7 @@ def test_errors(sent, answer):
 
 def test_a_handle_goes_its_way_in_order():
     """Asked for, loaded, initialised, enabled: PHSR sorts by it; out of order it is refused."""
-    host = Host(needs_definitions=True)
+    host = Host()
     host.ask("INIT:")
     assert host.ask("PHRQ:*********1****") == "01"
     assert host.ask("PINIT:01") == "ERROR0D"
@@ -122,6 +128,8 @@ def test_a_handle_goes_its_way_in_order():
     assert host.ask("PVWR:0103C0" + "0" * 128) == "OKAY"
     assert host.ask("PVWR:010000" + "0" * 126) == "ERROR03"
     assert host.ask("PHSR:02") == "0101001"
+    assert host.ask("PINIT:01") == "ERROR13"
+    host.load(1)
     assert host.ask("PINIT:01") == "OKAY"
     assert host.ask("PHSR:03") == "0101011"
     assert host.ask("PDIS:01") == "ERROR0F"
@@ -322,7 +330,9 @@ def test_replies_take_their_time_on_the_wire():
     host = Host(paced=True)
     host.ask("INIT:", ms=50)
     host.ask("COMM:50000", ms=50)
-    for text in ("PHRQ:*********1****", "PVWR:010000" + "0" * 128, "PINIT:01", "PENA:01D", "TSTART:"):
+    host.ask("PHRQ:*********1****", ms=30)
+    host.load(1)
+    for text in ("PINIT:01", "PENA:01D", "TSTART:"):
         host.ask(text, ms=30)
     early = host.raw(command("TX:0801"), ms=5)
     late = host.wait(5)
@@ -352,3 +362,16 @@ def test_garbled_bytes_hold_no_carriage_return():
     """Noise never ends a command by chance."""
     assert 0x0D not in garble(bytes(range(256)))
     assert REFERENCE != TOOL
+
+
+def test_definitions_are_those_of_the_vectors():
+    """752 bytes: signature, sum of what follows the checksum, marker count, spheres in mm, each body's own distances."""
+    for name in ("tool", "reference"):
+        data = rom(name).read_bytes()
+        assert Host().device.files[f"{name}.rom"] == data
+        assert (len(data), data[:4]) == (752, b"NDI\0")
+        assert struct.unpack_from("<H", data, 4)[0] == sum(data[6:]) % 65536
+        spheres = np.array(struct.unpack_from("<12f", data, 72)).reshape(4, 3)
+        gaps = np.linalg.norm(spheres[:, None] - spheres, axis=-1)[np.triu_indices(4, 1)]
+        assert data[28] == 4
+        assert np.diff(np.sort(gaps)).min() > 1.0

@@ -9,7 +9,7 @@ from galen_hw.drivers.virtual.ndi_tracker import VirtualNdiTracker
 from galen_hw.drivers.virtual.ndi_tracker.scene import REFERENCE, TOOL
 from galen_hw.drivers.virtual.world import World
 from galen_hw.spatial import quaternion_from_rotation
-from tests.pty_peer import empty_rom, run_client
+from tests.pty_peer import rom, run_client
 
 pytest.importorskip("ndicapy")
 pytest.importorskip("sksurgerynditracker")
@@ -83,10 +83,10 @@ def truth(device, marker):
     return np.array([w, x, y, z, *(1e3 * pose[:3, 3])])
 
 
-def test_ndicapi_probes_initialises_tracks_and_reads_both_replies(tmp_path):
+def test_ndicapi_probes_initialises_tracks_and_reads_both_replies():
     """Probe, INIT, COMM to 115200, ROMs, PHSR, PINIT, PENA, PHINF, TSTART, TX and BX, TSTOP, and an error."""
     device = VirtualNdiTracker(VirtualNdiTracker.Settings(), World())
-    out = json.loads(run_client(device, NDICAPI, str(empty_rom(tmp_path))))
+    out = json.loads(run_client(device, NDICAPI, str(rom())))
 
     assert out["probe"] == 0
     assert (out["init"], out["comm"]) == ("OKAY", "OKAY")
@@ -100,14 +100,13 @@ def test_ndicapi_probes_initialises_tracks_and_reads_both_replies(tmp_path):
         for column, marker in ((1, TOOL), (2, REFERENCE)):
             got = np.array([row[column][:7] for row in out[kind]])
             np.testing.assert_allclose(got.mean(axis=0), truth(device, marker), atol=0.1)
-            assert got[:, 4:].std() > 0.02 or True
             assert np.ptp(got[:, 4]) > 0.01
 
 
-def test_scikit_surgery_tracks_two_tools(tmp_path):
+def test_scikit_surgery_tracks_two_tools():
     """The wrapper that most labs use connects, configures and reads frames whose poses are the markers'."""
     device = VirtualNdiTracker(VirtualNdiTracker.Settings(), World())
-    frames = json.loads(run_client(device, SCIKIT, str(empty_rom(tmp_path))))
+    frames = json.loads(run_client(device, SCIKIT, str(rom())))
     last = frames[-1]
 
     assert last[0] == [1, 2]

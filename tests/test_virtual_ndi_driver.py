@@ -7,7 +7,10 @@ from galen_hw.drivers.ndi_tracker import NdiTracker
 from galen_hw.drivers.virtual.ndi_tracker import VirtualNdiTracker
 from galen_hw.drivers.virtual.ndi_tracker.scene import REFERENCE, TOOL
 from galen_hw.drivers.virtual.world import World
+from tests.pty_peer import rom
 from tests.serial_pair import TIME_BASE, Pair
+
+MARKERS = {role: {"rom_file": rom(role)} for role in ("tool", "reference")}
 
 
 def place(message):
@@ -18,7 +21,7 @@ def place(message):
 @pytest.fixture(params=["BX", "TX"])
 def pair(request):
     world = World()
-    driver = NdiTracker("tracker", NdiTracker.Settings(reply=request.param), TIME_BASE)
+    driver = NdiTracker("tracker", NdiTracker.Settings(reply=request.param, markers=MARKERS), TIME_BASE)
     pair = Pair(driver, VirtualNdiTracker(VirtualNdiTracker.Settings(), world))
     pair.world = world
     assert pair.run(15.0, lambda: driver.ready), pair.said
@@ -59,3 +62,26 @@ def test_it_comes_back_after_a_restart_of_the_tracker(pair):
     pair.run(0.3)
     count = len(pair.of("tracker/tool"))
     assert pair.run(30.0, lambda: len(pair.of("tracker/tool")) > count + 30)
+
+
+def test_without_a_definition_it_refuses_as_a_real_tracker_does():
+    """A passive body has no memory of its own: one fault says which body and what to set, and nothing is tracked."""
+    driver = NdiTracker("tracker", NdiTracker.Settings(markers={"tool": MARKERS["tool"], "reference": {}}), TIME_BASE)
+    pair = Pair(driver, VirtualNdiTracker(VirtualNdiTracker.Settings(), World()))
+    assert not pair.run(10.0, lambda: driver.ready)
+    fault = pair.of("fault")[-1]
+    assert fault.what == "reference: a wireless marker body needs its tool definition (.rom)"
+    assert "rom_file" in fault.todo
+    assert not pair.of("tracker/tool")
+
+
+def test_a_damaged_definition_is_refused_by_the_tracker(tmp_path):
+    """One bit of the geometry flipped: PINIT fails, and the fault names the body."""
+    damaged = bytearray(rom("tool").read_bytes())
+    damaged[84] ^= 0x10
+    (tmp_path / "bad.rom").write_bytes(damaged)
+    markers = {"tool": {"rom_file": tmp_path / "bad.rom"}}
+    driver = NdiTracker("tracker", NdiTracker.Settings(markers=markers), TIME_BASE)
+    pair = Pair(driver, VirtualNdiTracker(VirtualNdiTracker.Settings(), World()))
+    assert not pair.run(10.0, lambda: driver.ready)
+    assert pair.of("fault")[-1].what == "tool: PINIT refused with error 13: port could not be initialised"

@@ -187,6 +187,15 @@ def test_a_path_too_long_for_a_socket_is_said(tmp_path):
     assert "too long for a socket" in done.stderr
 
 
+def test_a_talkative_one_is_not_blocked_by_a_full_pipe(monkeypatch):
+    """The interpreter's own log of imports fills any pipe (64 KiB) before it is ready; it starts, serves, and is heard."""
+    monkeypatch.setenv("PYTHONVERBOSE", "1")
+    with virtual_robot() as robot:
+        with open_bus(robot) as bus:
+            assert ask(bus, 0x205) == [(0x205, b"FT28417\x00")]
+        assert len(robot.said) > 65536
+
+
 def test_sigterm_cleans_up_and_a_crash_does_not_block_the_next_start(tmp_path):
     """After SIGTERM only the lock file stays; after SIGKILL the links are stale, and a new start replaces them."""
     robot = start_virtual(tmp_path)

@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from galen_hw.clock import NS_PER_S
-from galen_hw.drivers.virtual.effects import Cable, Compliance, Drift, Thermal
-from galen_hw.drivers.virtual.motion import SensorMotion, motion_function
+from galen_hw.drivers.virtual.effects import Cable, Drift, Thermal
+from galen_hw.drivers.virtual.give import Compliance
+from galen_hw.drivers.virtual.motion import JointHistory, SensorMotion, motion_function
 from galen_hw.drivers.virtual.truth import BIAS_BODY, NOISE_SIGMA, TOOLS, Body
 from galen_hw.drivers.virtual.world import World
 from galen_hw.errors import UsageError
@@ -297,3 +298,15 @@ def test_guiding_turns_about_base_axes():
     world.guide(turn=[0, 0, 0.2], move_s=0.5)
     torque = world.motion(T0).R @ (world.load(T0 + NS_PER_S) - rest)[3:]
     np.testing.assert_allclose(torque, [0, 0, 0.6], atol=1e-9)
+
+
+def test_states_said_microseconds_apart_make_no_forces():
+    """A controller that is asked twice within 10 us says the same motion: the acceleration stays the true one."""
+    history, t_ns, gaps = JointHistory(1), 0, np.random.default_rng(4).integers(1_000, 3_000_000, 400)
+    for gap in gaps:
+        t_ns += int(gap)
+        t = t_ns * 1e-9
+        history.set([0.15 * t * t], [0.3 * t], [0.3], t_ns)
+    asked = np.linspace(0.1 * t_ns, t_ns, 2000).astype(int)
+    found = np.array([history.at(int(t))[2][0] for t in asked])
+    np.testing.assert_allclose(found, 0.3, atol=0.01)

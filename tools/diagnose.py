@@ -5,16 +5,19 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+from rich.console import Console
+
 from galen_hw.config.tool_store import write_atomic
+from galen_hw.diagnosis.bench import Progress
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.result import Diagnosis
-from galen_hw.diagnosis.summary import summary
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.table import scene_of
 from galen_hw.physics.together import joined
 from galen_hw.recording import Recording, read_recording
 from galen_hw.tools.diagnose_input import observations_of
+from galen_hw.tools.diagnose_screen import counting, show, working
 from galen_hw.tools.diagnose_tool import model_to_save, tool_named, with_tool
 
 
@@ -56,13 +59,10 @@ def run(args: argparse.Namespace) -> int:
     """
     paths = [p for given in args.recordings for p in expanded(Path(given))]
     answers = _all(paths, args)
-    for answer in answers:
-        print(summary(answer))
-    if len(answers) > 1:
-        _table(answers)
+    show(Console(), answers)
     if args.json:
         values = [answer.to_json() for answer in answers]
-        text = json.dumps(values if len(values) > 1 else values[0], indent=1, ensure_ascii=False)
+        text = json.dumps(values if len(values) > 1 else values[0], indent=1, ensure_ascii=False, allow_nan=False)
         Path(args.json).write_text(text + "\n", encoding="utf-8")
     return EXIT_OK if all(a.verdict == "agrees" for a in answers) else EXIT_FOUND
 
@@ -70,19 +70,31 @@ def run(args: argparse.Namespace) -> int:
 def _all(paths: list[Path], args: argparse.Namespace) -> list[Diagnosis]:
     """One after the other, or in parallel on all cores (on a Dask cluster where its address is given)."""
     if len(paths) == 1 or args.together:
-        return [_whole(paths, args, several=False)]
+        with working(f"reading {paths[0].name}") as progress:
+            return [_whole(paths, args, several=False, progress=progress)]
     from joblib import Parallel, delayed, parallel_config
 
     from galen_hw.tools.clusters import cluster
 
-    with cluster(args.dask) as backend, parallel_config(**backend):
-        found = Parallel()(delayed(_whole)([path], args, several=True) for path in paths)
-    return list(found)
+    out: dict[str, Diagnosis] = {}
+    with counting("diagnosing", len(paths)) as done, cluster(args.dask) as backend, parallel_config(**backend):
+        # Dask hands everything over at the end; the processes of this machine one by one.
+        each = "list" if args.dask else "generator_unordered"
+        for path, answer in Parallel(return_as=each)(delayed(_named_answer)(path, args) for path in paths):
+            out[path] = answer
+            done()
+    return [out[str(path)] for path in paths]
 
 
-def _whole(paths: list[Path], args: argparse.Namespace, *, several: bool) -> Diagnosis:
+def _named_answer(path: Path, args: argparse.Namespace) -> tuple[str, Diagnosis]:
+    return str(path), _whole([path], args, several=True)
+
+
+def _whole(
+    paths: list[Path], args: argparse.Namespace, *, several: bool, progress: Progress | None = None
+) -> Diagnosis:
     """Diagnose one recording (or some as one) and write what was asked for; with several, its name goes into the file's name."""
-    (work, recording), path = one(paths, args), paths[0]
+    (work, recording), path = one(paths, args, progress), paths[0]
     if args.report:
         from galen_hw.diagnosis.draw import traces_of
         from galen_hw.diagnosis.page import write_page
@@ -102,19 +114,6 @@ def _named(given: str, path: Path, *, several: bool) -> Path:
     return target.with_stem(f"{target.stem}-{path.stem}") if several else target
 
 
-def _table(answers: list[Diagnosis]) -> None:
-    """One row a recording."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("recording", "verdict", "findings", "held-out error / floor", box=None)
-    for answer in answers:
-        floor, after = answer.fit["noise_floor"], answer.fit["rmse_after"]
-        worst = max((after[c] / floor[c] for c in after if floor[c] > 0.0), default=float("nan"))
-        table.add_row(answer.recording, answer.verdict, ", ".join(f.effect for f in answer.findings), f"{worst:.2f}")
-    Console().print(table)
-
-
 def expanded(path: Path) -> list[Path]:
     """The recordings of a folder of recordings; else the path itself."""
     if path.is_dir() and not any((path / f"recording.{kind}").exists() for kind in ("csv", "parquet", "json")):
@@ -123,7 +122,7 @@ def expanded(path: Path) -> list[Path]:
     return [path]
 
 
-def one(paths: list[Path], args: argparse.Namespace) -> tuple[Work, Recording]:
+def one(paths: list[Path], args: argparse.Namespace, progress: Progress | None = None) -> tuple[Work, Recording]:
     """Diagnose one recording, or several recordings of one machine as one; and the (first) recording itself."""
     share, judges = _holdout(args.holdout or ["0.3"])
     tool = tool_named(args.tool) if args.tool else None
@@ -143,7 +142,9 @@ def one(paths: list[Path], args: argparse.Namespace) -> tuple[Work, Recording]:
     if holdout is not None and holdout.channels != scene.channels:
         todo = "judge on a recording that compares the same channels"
         raise UsageError(f"does not compare the channels of {paths[0]}", where=f"--holdout {judges[0]}", todo=todo)
-    work = diagnose(scene, name=", ".join(map(str, paths)), holdout=holdout, share=share, seed=args.seed)
+    name = ", ".join(map(str, paths))
+    work = diagnose(scene, name=name, holdout=holdout, share=share, seed=args.seed, progress=progress)
+    work.diagnosis.units = dict(zip(scene.channels, scene.units, strict=True))
     work.diagnosis.notes[:0] = notes
     if holdout is not None:
         work.diagnosis.holdout = ", ".join(map(str, judges))

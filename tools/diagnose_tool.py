@@ -86,8 +86,8 @@ def model_to_save(work: "Work", recording: Recording, target: Path) -> Saved:
     A tool's file is complete: it holds what the old one held, the effects that can be served live, and the constant
     offset fitted again beside them. Everything that is left out is said.
     """
-    group = work.diagnosis.predict
-    found = work.diagnosis.terms
+    group, named = work.diagnosis.predict, {finding.effect for finding in work.diagnosis.findings}
+    found = [term for term in work.diagnosis.terms if term["effect"] in named]
     whole = bool(recording.tool_file) and group == "wrench"
     keep, lines = _servable(found, group, recording.epoch) if whole else ([*found], [])
     if not keep:

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     from datetime import UTC, datetime
 
     from galen_hw.bus import Subscriber
-    from galen_hw.config.paths import Addresses, client_runtime_dir
+    from galen_hw.config.paths import Addresses, client_runtime_dir, config_path
     from galen_hw.daemon.session import own_daemon
     from galen_hw.recording.session import Session
     from galen_hw.services.recorder import chosen_topics, default_name, open_new
@@ -59,7 +59,9 @@ def run(args: argparse.Namespace) -> int:
             addresses = Addresses(args.dir or client_runtime_dir())
             addresses.require_daemon()
         subscriber = stack.enter_context(Subscriber(addresses.bus, topics, queue=QUEUE))
-        context = _context(_settings_file(args.config, addresses.command))
+        info = _daemon_info(addresses.command)
+        context = session_context(Path(args.config or info.get("config") or config_path(None)))
+        context["virtual"] = bool(info.get("virtual"))
         stream = stack.enter_context(open_new(path, overwrite=args.force))
         heard = record(subscriber, Session(stream, encoding=args.encoding, **context), args.seconds)
     if not heard:
@@ -73,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _context(path: Path) -> dict[str, Any]:
+def session_context(path: Path) -> dict[str, Any]:
     """What a session should know of the robot, from the settings in the file `path`."""
     import tomllib
 
@@ -90,15 +92,13 @@ def _context(path: Path) -> dict[str, Any]:
     return {"robot": robot.name, "urdf": urdf, "links": links, "config": text}
 
 
-def _settings_file(given: str | None, command: str) -> Path:
-    """The file that the running daemon has read, or the usual one where it does not say."""
+def _daemon_info(command: str) -> dict[str, Any]:
+    """What the running daemon says of itself: the file that it has read, and whether its robot is virtual."""
     from galen_hw.bus import CommandClient
-    from galen_hw.config.paths import config_path
 
-    if given is None:
-        with suppress(GalenError), CommandClient(command) as client:
-            return Path(client.call("daemon", "info", timeout_s=2.0)["config"])
-    return config_path(given)
+    with suppress(GalenError), CommandClient(command) as client:
+        return client.call("daemon", "info", timeout_s=2.0)
+    return {}
 
 
 def record(subscriber: "Subscriber", session: "Session", seconds: float | None) -> int:

@@ -101,7 +101,7 @@ def _summary(recorded: "Recorded", robot: "Robot", nowhere: Path, tool: str | No
     if tool is not None:
         from galen_hw.clock import TimeBase
 
-        context = ServiceContext(robot, TimeBase(), state_dir())
+        context = ServiceContext(robot, TimeBase(), state_dir(), virtual=None)
         service = CompensationService("compensation", recorded.settings(), context)
         service.take_tool(tool)
     elif recorded.states:

@@ -3,6 +3,7 @@
 import argparse
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,8 +46,9 @@ def tool_store(runtime: Path | None) -> "ToolStore":
     from galen_hw.config.paths import state_dir
     from galen_hw.config.tool_store import ToolStore
 
-    folder = _ask_daemon(runtime, "daemon", "info", {}).get("state_dir")
-    return ToolStore(Path(folder) if folder else state_dir())
+    info = _ask_daemon(runtime, "daemon", "info", {})
+    folder = info.get("state_dir")
+    return ToolStore(Path(folder) if folder else state_dir(), virtual=info.get("virtual"))
 
 
 def _ask_daemon(runtime: Path | None, target: str, name: str, arguments: dict[str, Any]) -> dict[str, Any]:
@@ -72,22 +74,31 @@ def _ask_daemon(runtime: Path | None, target: str, name: str, arguments: dict[st
 
 
 def _list(args: argparse.Namespace, store: "ToolStore") -> int:
-    rows = []
-    for name in store.names():
-        row: dict[str, Any] = {"name": name, "selected": name == store.selected()}
-        try:
-            row |= _summary(store.load(name))
-        except GalenError as error:
-            row["error"] = str(error)
-        rows.append(row)
+    rows = [row for name in store.names() for row in _rows(store, name)]
     if args.json:
         print(json.dumps(rows))
         return EXIT_OK
-    table = _table("", "tool", "mass g", "com mm", "calibration", "date", "sensor")
+    table = _table("", "tool", "mass g", "com mm", "calibration", "date", "robot", "sensor")
     for row in rows:
         table.add_row(">" if row["selected"] else "", row["name"], *_cells(row))
     _print(table)
     return EXIT_OK
+
+
+def _rows(store: "ToolStore", name: str) -> list[dict[str, Any]]:
+    """What is in use of a tool: on the real robot, on a virtual one, or neither."""
+    rows = []
+    for kind in (False, True):
+        of_kind = replace(store, virtual=kind)
+        row: dict[str, Any] = {"name": name, "selected": name == of_kind.selected(), "virtual": kind}
+        try:
+            row |= _summary(of_kind.load(name)) | {"virtual": kind}
+        except GalenError as error:
+            row["error"] = str(error)
+        if not kind or row.get("calibrated") or "error" in row:
+            rows.append(row)
+    calibrated = [row for row in rows if row.get("calibrated") or "error" in row]
+    return calibrated or rows
 
 
 def _show(args: argparse.Namespace, store: "ToolStore") -> int:
@@ -105,12 +116,16 @@ def _select(args: argparse.Namespace, store: "ToolStore") -> int:
     name = None if args.none else args.name
     if name is None and not args.none:
         raise UsageError("which tool?", where="tool select", todo="give its name, or --none")
-    if name is not None and not store.load(name).calibrated:
-        todo = f"galen-hw calibrate --tool {name}"
-        raise UsageError(f"tool {name!r} was never calibrated", where="tool select", todo=todo)
+    if name is not None:
+        tool = store.load(name)
+        if tool.origin is None:
+            todo = f"galen-hw calibrate --tool {name}"
+            raise UsageError(f"tool {name!r} was never calibrated", where="tool select", todo=todo)
+        store = replace(store, virtual=tool.origin.virtual)
     live = _ask_daemon(args.dir, "compensation", "select_tool", {"tool": name})
     store.select(name)
-    where = "the daemon uses it now" if live else "no daemon runs: taken up when it starts"
+    daemon = "a virtual one" if store.virtual else "it"
+    where = "the daemon uses it now" if live else f"no daemon runs: taken up when {daemon} starts"
     return _done(args, {"selected": name}, f"selected {name or 'no tool'}; {where}")
 
 
@@ -122,9 +137,9 @@ def _history(args: argparse.Namespace, store: "ToolStore") -> int:
     if not history:
         print(f"{args.name} was never calibrated: galen-hw calibrate --tool {args.name}")
         return EXIT_OK
-    table = _table("", "n", "mass g", "com mm", "calibration", "date", "sensor")
+    table = _table("", "n", "mass g", "com mm", "calibration", "date", "robot", "sensor")
     for g in history:
-        cells = _cells(_summary(g.tool)) if g.tool else [g.error, "", "", "", ""]
+        cells = _cells(_summary(g.tool)) if g.tool else _cells({"error": g.error})
         table.add_row(">" if g.active else "", str(g.number), *cells)
     _print(table)
     return EXIT_OK
@@ -133,7 +148,9 @@ def _history(args: argparse.Namespace, store: "ToolStore") -> int:
 def _rollback(args: argparse.Namespace, store: "ToolStore") -> int:
     before = store.active(args.name)
     tool = store.rollback(args.name, args.generation)
-    live = store.selected() == args.name and bool(_ask_daemon(args.dir, "compensation", "reload", {}))
+    of_kind = replace(store, virtual=bool(tool.origin and tool.origin.virtual))
+    live = store.virtual == of_kind.virtual and of_kind.selected() == args.name
+    live = live and bool(_ask_daemon(args.dir, "compensation", "reload", {}))
     text = f"{args.name}: generation {before} -> {store.active(args.name)}" + (
         "; the daemon uses it now" if live else ""
     )
@@ -163,7 +180,9 @@ def _import(args: argparse.Namespace, store: "ToolStore") -> int:
             f"tool {tool.name!r} {problems[0]}", where=str(args.file), todo="calibrate it here, or --force"
         )
     saved = store.save(tool)
-    live = store.selected() == saved.name and bool(_ask_daemon(args.dir, "compensation", "reload", {}))
+    of_kind = replace(store, virtual=bool(saved.origin and saved.origin.virtual))
+    live = store.virtual == of_kind.virtual and of_kind.selected() == saved.name
+    live = live and bool(_ask_daemon(args.dir, "compensation", "reload", {}))
     effects = ", ".join(dict.fromkeys(term.effect for term in saved.terms))
     text = f"imported {saved.calibration_id}" + (f" with {effects}" if effects else "")
     text += "; the daemon uses it now" if live else ""
@@ -175,7 +194,7 @@ def _foreign(args: argparse.Namespace, tool: "ToolFile") -> list[str]:
     from galen_hw.config.tool_store import binding_problems
 
     info = _ask_daemon(args.dir, "daemon", "info", {})
-    return binding_problems(tool, sensor_serial="", robot=str(info.get("robot", "")))
+    return binding_problems(tool, sensor_serial="", robot=str(info.get("robot", "")), virtual=info.get("virtual"))
 
 
 def _summary(tool: "ToolFile") -> dict[str, Any]:
@@ -189,6 +208,7 @@ def _summary(tool: "ToolFile") -> dict[str, Any]:
         "date": origin.date if origin else None,
         "sensor_serial": origin.sensor_serial if origin else None,
         "robot": origin.robot if origin else None,
+        "virtual": origin.virtual if origin else False,
     }
 
 
@@ -199,11 +219,12 @@ def _entry(generation: "Generation") -> dict[str, Any]:
 
 def _cells(row: dict[str, Any]) -> list[str]:
     if "error" in row:
-        return [str(row["error"]), "", "", "", ""]
+        return ["", "", str(row["error"]), "", "", ""]
     if not row["calibrated"]:
-        return ["-", "-", "never calibrated", "", ""]
+        return ["-", "-", "never calibrated", "", "", ""]
     com = ", ".join(f"{1e3 * x:.2f}" for x in row["com"])
-    return [f"{1e3 * row['mass']:.2f}", com, row["calibration"], row["date"], row["sensor_serial"] or "?"]
+    robot = f"virtual {row['robot']}" if row["virtual"] else row["robot"] or "?"
+    return [f"{1e3 * row['mass']:.2f}", com, row["calibration"], row["date"], robot, row["sensor_serial"] or "?"]
 
 
 def _print_tool(tool: "ToolFile") -> None:
@@ -227,7 +248,7 @@ def _print_tool(tool: "ToolFile") -> None:
         sensor = origin.sensor_serial or "not known"
         rows += [
             ("calibration", f"{origin.id}, {origin.date}, {origin.software}"),
-            ("made on", f"robot {origin.robot or 'not known'}, sensor {sensor}"),
+            ("made on", f"{'virtual ' if origin.virtual else ''}robot {origin.robot or 'not known'}, sensor {sensor}"),
             ("by", f"{origin.method}, {origin.fit_poses} poses and {origin.verify_poses} to verify with"),
             ("raw sweep", origin.sweep or "-"),
         ]

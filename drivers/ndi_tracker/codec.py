@@ -15,6 +15,8 @@ START_WORD: Final = b"\xc4\xa5"
 HEADER_BYTES: Final = 6
 ROM_CHUNK: Final = 64
 ROM_LIMIT: Final = 1024
+ROM_SIGNATURE: Final = b"NDI"
+"""First bytes of a tool definition (sawNDITracker's tool converter)."""
 
 ERRORS: Final[Mapping[int, str]] = {
     0x01: "invalid command",

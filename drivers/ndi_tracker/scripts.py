@@ -10,13 +10,10 @@ from galen_hw.drivers.ndi_tracker.settings import MarkerSettings, Role
 from galen_hw.drivers.serial_line import LineChange
 
 POWER_UP_BAUD: Final = 9600
-_SET_ROM: Final = "set rom_file to the marker body's tool definition"
+_SET_ROM: Final = "set rom_file in settings.markers of the tracker to the marker body's tool definition"
 _BREAK_NS: Final = 500_000_000
 _SWITCH_NS: Final = 200_000_000
 _ENABLED: Final = 0x20
-_BLANK: Final = bytes(752)
-"""In place of a definition that was not configured: a simulator takes it, a tracker refuses it, which is then told."""
-
 _WIRELESS: Final = "PHRQ:*********1****"
 
 
@@ -137,7 +134,12 @@ def _init(init_ns: int) -> Generator[Step, str, bool]:
 
 
 def _allocate(markers: Mapping[Role, MarkerSettings]) -> Generator[Step, str, dict[str, Role]]:
-    """A handle with its tool definition for each wireless body, and for those that nothing plugged in can be."""
+    """A handle with its tool definition for each wireless body; the others must be plugged in.
+
+    Raises:
+        NdiSetupError: a body without a definition, and nothing is plugged in that it could be: a tracker tells passive
+            bodies by their geometry, which only the definition holds.
+    """
     found: dict[str, Role] = {}
     plugged = len(handles((yield Ask("PHSR:00"))))
     for role, marker in markers.items():
@@ -145,8 +147,10 @@ def _allocate(markers: Mapping[Role, MarkerSettings]) -> Generator[Step, str, di
         if not marker.rom and (named or plugged):
             plugged = max(0, plugged - 1)
             continue
+        if not marker.rom:
+            raise NdiSetupError(f"{role}: a wireless marker body needs its tool definition (.rom)", _SET_ROM)
         handle = yield Ask(_WIRELESS)
-        for write in rom_writes(handle, marker.rom or _BLANK):
+        for write in rom_writes(handle, marker.rom):
             yield Ask(write)
         found[handle] = role
     return found
@@ -163,9 +167,7 @@ def _initialise(found: Mapping[str, Role]) -> Generator[Step, str, None]:
                 yield Ask(f"PINIT:{handle}")
             except NdiError as error:
                 if handle in found:
-                    raise NdiSetupError(
-                        f"{found[handle]}: {error}", "set rom_file to the marker body's tool definition"
-                    ) from None
+                    raise NdiSetupError(f"{found[handle]}: {error}", _SET_ROM) from None
                 yield Ask(f"PHF:{handle}")
 
 

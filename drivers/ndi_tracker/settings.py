@@ -5,7 +5,7 @@ from typing import Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
-from galen_hw.drivers.ndi_tracker.codec import BAUD_CODES, ROM_LIMIT
+from galen_hw.drivers.ndi_tracker.codec import BAUD_CODES, ROM_LIMIT, ROM_SIGNATURE
 
 Role: TypeAlias = Literal["tool", "reference"]
 
@@ -14,7 +14,7 @@ class MarkerSettings(BaseModel):
     """A marker body and how to find it.
 
     Args:
-        rom_file: its tool definition, for wireless (passive) bodies; they get a handle of their own.
+        rom_file: its tool definition, without which a wireless (passive) body cannot be tracked.
         handle: of a body that the tracker knows by itself (a wired one), two hex digits.
         serial_number: of such a body, as PHINF tells it.
     """
@@ -37,6 +37,8 @@ class MarkerSettings(BaseModel):
         if not 0 < len(self._rom) <= ROM_LIMIT:
             size = len(self._rom)
             raise ValueError(f"rom_file {self.rom_file} has {size} bytes, a tool definition has 1 to {ROM_LIMIT}")
+        if not self._rom.startswith(ROM_SIGNATURE):
+            raise ValueError(f"rom_file {self.rom_file} is no tool definition: it does not begin with NDI")
         return self
 
     @property

@@ -6,8 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from galen_hw.drivers.virtual.effects import Cable, Compliance, Drift, Thermal
+from galen_hw.drivers.virtual.effects import Cable, Drift, Thermal
 from galen_hw.drivers.virtual.faults import parse_fault
+from galen_hw.drivers.virtual.give import Compliance
 from galen_hw.drivers.virtual.ports import Port
 from galen_hw.drivers.virtual.world import World
 from galen_hw.errors import GalenError, UsageError
@@ -94,19 +95,18 @@ class Commands:
         numbers: dict[str, Any] = {k: _numbers(v, 3) if k in points else float(v) for k, v in cable.items()}
         self._world.cable = Cable(**numbers) if cable else None
 
-    def compliance(self, joint: Any = None, structure: Any = None, play: Any = None) -> None:
+    def compliance(self, creep_s: float = 3.0, **given: Any) -> None:
         """See `Compliance`; nothing makes the arm rigid."""
         count = len(self._world.robot.joint_names)
-        given = [x is not None for x in (joint, structure, play)]
-        self._world.compliance = (
-            Compliance(
-                np.zeros(count) if joint is None else _numbers(joint, count),
-                np.zeros(6) if structure is None else _numbers(structure, 6),
-                np.zeros(count) if play is None else _numbers(play, count),
-            )
-            if any(given)
-            else None
-        )
+        per_joint = ("joint", "play", "friction", "hardening", "bearing", "slope", "creep")
+        unknown = set(given) - {*per_joint, "structure"}
+        if unknown:
+            raise UsageError(f"no {min(unknown)!r}", where="control", todo=f"one of: structure, {', '.join(per_joint)}")
+        numbers = {k: _numbers(v, 6 if k == "structure" else count) for k, v in given.items() if v is not None}
+        if creep_s <= 0.0 or any((v < 0.0).any() for k, v in numbers.items() if k != "slope"):
+            raise UsageError("must not be negative", where="control", todo="give, friction and widths from 0 on")
+        rigid = {"joint": np.zeros(count), "structure": np.zeros(6), "play": np.zeros(count)}
+        self._world.compliance = Compliance(**(rigid | numbers), creep_s=float(creep_s)) if numbers else None
 
     def fault(self, name: str, on: bool = True) -> None:
         """Switch a fault by name."""

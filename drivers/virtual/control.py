@@ -91,7 +91,7 @@ class VirtualControl:
         self.call("cable", **cable)
 
     def compliance(self, **compliance: Any) -> None:
-        """Joint [n] (m/N, rad/(N m)), structure [6], play [n]; nothing at all makes the arm rigid again."""
+        """Joint, play, friction, hardening, bearing, slope, creep [n each], creep_s, structure [6]; nothing: rigid."""
         self.call("compliance", **compliance)
 
     def fault(self, name: str, on: bool = True) -> None:

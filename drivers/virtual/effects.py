@@ -1,11 +1,11 @@
-"""What the nominal model does not know of: drift, temperature, a cable, give and play. All off by default."""
+"""What the nominal model does not know of: drift, temperature, a cable (`give`: the arm's). All off by default."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from galen_hw.clock import NS_PER_S
-from galen_hw.spatial import Array, rotation_exp, transform
+from galen_hw.spatial import Array
 
 _WALK_STEP_NS = 10_000_000
 _REFERENCE_C = 22.0
@@ -112,31 +112,3 @@ class Cable:
         self._length = length
         pull = self.stiffness * max(0.0, length - self.rest_length) + self.friction * self._bristle / self.slip
         return np.asarray(line * (pull / length))
-
-
-@dataclass(slots=True)
-class Compliance:
-    """Give and play of the arm; what its encoders do not see.
-
-    Args:
-        joint: (n,) give of each joint, m/N or rad/(N m).
-        structure: (6,) give between the last joint and the sensor, sensor axes: m/N, then rad/(N m).
-        play: (n,) width of each joint's lost motion, m or rad: the load side follows only where the play ends.
-    """
-
-    joint: Array
-    structure: Array
-    play: Array
-    _behind: Array | None = field(init=False, default=None)
-
-    def joints(self, q: Array, effort: Array) -> Array:
-        """(n,) where the load sides of the joints are, with encoders at `q` and efforts in N, N m."""
-        if self._behind is None:
-            self._behind = q.copy()
-        self._behind = np.clip(self._behind, q - 0.5 * self.play, q + 0.5 * self.play)
-        return np.asarray(self._behind + self.joint * effort)
-
-    def bend(self, load: Array) -> Array:
-        """(4, 4) displacement of the sensor in its own frame under `load` (6,), sensor frame."""
-        give = self.structure * load
-        return transform(rotation_exp(give[3:]), give[:3])

@@ -20,6 +20,7 @@ EXTRAPOLATION_S: Final = 0.1
 """A controller that has not been heard of for so long has stopped."""
 
 _KEPT: Final = 4096
+_CLOSE_NS: Final = 1_000_000
 
 
 class JointHistory:
@@ -69,7 +70,10 @@ class JointHistory:
         return self._frozen
 
     def _between(self, index: int, t_ns: int) -> JointState:
-        """Cubic through positions and velocities, so that both are continuous; the acceleration is the cubic's."""
+        """Cubic through positions and velocities, so that both are continuous; the acceleration is the cubic's.
+
+        Between states that lie closer together the nanosecond of their times would show in it: there it is the states'.
+        """
         (qa, va, aa), (qb, vb, ab) = self._states[index], self._states[index + 1]
         ta, tb = self._times[index], self._times[index + 1]
         if not (va.any() or vb.any() or aa.any() or ab.any()) and (qa == qb).all():
@@ -81,7 +85,8 @@ class JointHistory:
         d = (qb - qa) / h
         c2, c3 = 3.0 * d - 2.0 * va - vb, va + vb - 2.0 * d
         q = qa + h * s * (va + s * (c2 + s * c3))
-        return q, va + s * (2.0 * c2 + 3.0 * s * c3), (2.0 * c2 + 6.0 * s * c3) / h
+        own = aa + s * (ab - aa) if tb - ta < _CLOSE_NS else (2.0 * c2 + 6.0 * s * c3) / h
+        return q, va + s * (2.0 * c2 + 3.0 * s * c3), own
 
 
 @dataclass(frozen=True, slots=True)

@@ -102,6 +102,9 @@ class VirtualProcess:
             options = self._options
             port = open_can_port(options.can, options.channel, options.folder / "can0", self.devices["can0"])
             self._add(stack, "can0", port)
+            for device in self.devices.values():
+                for name, content in getattr(device, "files", {}).items():
+                    self._put(stack, self._options.folder / name, content)
             self._control = self._bind(stack)
             self.commands = Commands(self.world, self.devices, self.ports, time.monotonic_ns)
             self._stack = stack.pop_all()
@@ -109,6 +112,12 @@ class VirtualProcess:
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Where the files that come with the devices are, by name: the tool definitions of the marker bodies."""
+        names = (name for device in self.devices.values() for name in getattr(device, "files", {}))
+        return {name: str(self._options.folder / name) for name in names}
 
     @property
     def addresses(self) -> dict[str, dict[str, str | int]]:
@@ -153,6 +162,10 @@ class VirtualProcess:
     def _add(self, stack: ExitStack, name: str, port: Port) -> None:
         stack.callback(port.close)
         self.ports[name] = port
+
+    def _put(self, stack: ExitStack, path: Path, content: bytes) -> None:
+        path.write_bytes(content)
+        stack.callback(path.unlink, missing_ok=True)
 
     def _lock(self, stack: ExitStack) -> None:
         folder = self._options.folder
@@ -211,10 +224,12 @@ def run(options: Options, *, as_json: bool) -> int:
     with VirtualProcess(options) as process:
         if as_json:
             ready = {"ready": True, "dir": str(options.folder), "sensor": options.sensor}
-            print(json.dumps({**ready, "addresses": process.addresses}), flush=True)
+            print(json.dumps({**ready, "addresses": process.addresses, "files": process.files}), flush=True)
         else:
             for name, address in process.addresses.items():
                 print(f"{name:8}" + " ".join(f"{key}={value}" for key, value in address.items()))
+            for name, path in process.files.items():
+                print(f"{name:15}{path}")
             print("READY", flush=True)
         process.serve()
     sys.stdout.flush()

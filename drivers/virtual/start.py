@@ -24,15 +24,18 @@ class VirtualRobot:
     Args:
         folder: of its wires.
         addresses: by wire (`can0`, `motors`, `tracker`, `control`): settings of the transport that reaches it.
+        files: that come with its devices, by name: `tool.rom` and `reference.rom`, the marker bodies' definitions.
         sensor: driver of the sensor on `can0`.
         control: to change its world.
     """
 
     folder: Path
     addresses: dict[str, dict[str, Any]]
+    files: dict[str, str]
     sensor: str
     control: VirtualControl
     _process: subprocess.Popen[bytes]
+    _said: IO[bytes]
 
     @property
     def pid(self) -> int:
@@ -44,6 +47,12 @@ class VirtualRobot:
         """Its process has not ended."""
         return self._process.poll() is None
 
+    @property
+    def said(self) -> str:
+        """What it has written to its standard error; nothing as long as all is well."""
+        self._said.seek(0)
+        return self._said.read().decode("utf-8", "replace").strip()
+
     def close(self) -> None:
         """End it and wait until it has cleaned up."""
         self.control.close()
@@ -54,7 +63,7 @@ class VirtualRobot:
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
-        for stream in (self._process.stdout, self._process.stderr):
+        for stream in (self._process.stdout, self._said):
             if stream is not None:
                 stream.close()
 
@@ -78,22 +87,25 @@ def start_virtual(
     words = ["--dir", str(folder), "--sensor", sensor, "--can", can, "--channel", channel, "--seed", str(seed)]
     words += ["--settings", json.dumps(dict(settings or {})), "--parent-pid", str(os.getpid()), "--json"]
     words += ["--tool", tool] if tool else []
+    said = tempfile.TemporaryFile(prefix="galen-virtual-")  # noqa: SIM115 - closed by `VirtualRobot.close`
     process = subprocess.Popen(
         [sys.executable, "-m", "galen_hw.cli", "virtual", *words],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        stderr=said,  # not a pipe: nobody reads it while the robot runs, and a full one would stop the robot
         start_new_session=True,  # Ctrl-C is for the command; it ends the virtual robot itself, and last.
     )
     assert process.stdout is not None
     line = _first_line(process.stdout, time.monotonic() + timeout_s)
     if not line.startswith(b'{"ready"'):
         process.kill()
-        _, errors = process.communicate()
-        lines = errors.decode("utf-8", "replace").strip().splitlines() or ["no answer"]
+        process.communicate()
+        said.seek(0)
+        lines = said.read().decode("utf-8", "replace").strip().splitlines() or ["no answer"]
+        said.close()
         raise HardwareError(lines[-1].removeprefix("galen-hw virtual: "), where="virtual robot")
     ready = json.loads(line)
-    return VirtualRobot(Path(folder), ready["addresses"], sensor, VirtualControl(folder), process)
+    return VirtualRobot(Path(folder), ready["addresses"], ready["files"], sensor, VirtualControl(folder), process, said)
 
 
 @contextmanager

@@ -1,18 +1,21 @@
 """One world for all virtual devices: robot, what hangs on it, a hand, hidden effects, noise and faults."""
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from galen_hw.drivers.virtual.effects import Cable, Compliance, Drift, Thermal
+from galen_hw.drivers.virtual.effects import Cable, Drift, Thermal
 from galen_hw.drivers.virtual.hand import Guide, Hand, Push
 from galen_hw.drivers.virtual.load import load_matrix, load_wrench
 from galen_hw.drivers.virtual.motion import JointHistory, JointState, SensorMotion, motion_function
 from galen_hw.drivers.virtual.truth import BIAS_BODY, NOISE_SIGMA, Body, tool_named
 from galen_hw.kinematics import GalenRobot, Robot
 from galen_hw.spatial import Array, inverse, transform
+
+if TYPE_CHECKING:
+    from galen_hw.drivers.virtual.give import Compliance
 
 _NOISE_BLOCK: Final = 4096
 _BEND_PERIOD_NS: Final = 5_000_000
@@ -155,17 +158,26 @@ class World:
         """(4, 4) under load, kept for 5 ms: the turn that it adds to gravity is small, and the work is not."""
         if not fresh and self._bent is not None and 0 <= t_ns - self._bent[0] < _BEND_PERIOD_NS:
             return self._bent[1]
-        give, motion = self.compliance, self.motion(t_ns)
+        give = self.compliance
         assert give is not None
-        q, rigid = self._joints.at(t_ns)[0], transform(motion.R, motion.p)
-        guess = rigid @ self._displacement  # The load is taken where the last bend left the sensor.
-        load = self._carried(t_ns, motion, guess[:3, :3], guess[:3, 3])
-        base = np.concatenate((guess[:3, :3] @ load[:3], guess[:3, :3] @ load[3:]))
-        effort = self.robot.sensor_jacobian(q)[0].T @ base
-        pose = np.asarray(self.robot.sensor_pose(give.joints(q, effort))[0] @ give.bend(load))
-        self._displacement = inverse(rigid) @ pose
+        if give.remembers:
+            for step_ns in give.missing(t_ns):
+                give.advance(step_ns, self._joints.at(step_ns)[0], self._effort(step_ns)[1])
+        q, motion = self._joints.at(t_ns)[0], self.motion(t_ns)
+        load, effort = self._effort(t_ns)
+        moved = q + give.at(t_ns) if give.remembers else give.joints(q, effort)
+        pose = np.asarray(self.robot.sensor_pose(moved)[0] @ give.bend(load))
+        self._displacement = inverse(transform(motion.R, motion.p)) @ pose
         self._bent = (t_ns, pose)
         return pose
+
+    def _effort(self, t_ns: int) -> tuple[Array, Array]:
+        """(6,) load on the sensor and (n,) efforts on the joints, taken where the last bend left the sensor."""
+        motion = self.motion(t_ns)
+        guess = transform(motion.R, motion.p) @ self._displacement
+        load = self._carried(t_ns, motion, guess[:3, :3], guess[:3, 3])
+        base = np.concatenate((guess[:3, :3] @ load[:3], guess[:3, :3] @ load[3:]))
+        return load, np.asarray(self.robot.sensor_jacobian(self._joints.at(t_ns)[0])[0].T @ base)
 
     def _sample_noise(self) -> Array:
         if self._next_noise >= len(self._noise):

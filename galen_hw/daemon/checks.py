@@ -131,7 +131,7 @@ def _quality(seen: Seen) -> list[Finding]:
 
 def check_tools(setup: Setup, state_dir: Path, sensor_serial: str) -> Finding:
     """The tools' files: readable, possible, calibrated, on this hardware, not long ago."""
-    store = ToolStore(state_dir)
+    store = ToolStore(state_dir, virtual=setup.virtual)
     finding = Finding("tools", str(state_dir))
     try:
         selected, names = store.selected(), store.names()
@@ -153,8 +153,9 @@ def _tool(store: ToolStore, name: str, robot: str, sensor_serial: str, selected:
     except UsageError as error:
         return Finding(name, str(error), PROBLEM, error.todo)
     if tool.origin is None:
-        return Finding(name, "never calibrated", trouble, again)
-    wrong = binding_problems(tool, sensor_serial=sensor_serial, robot=robot)
+        here = " on a virtual robot" if store.virtual else ""
+        return Finding(name, f"never calibrated{here}", trouble, again)
+    wrong = binding_problems(tool, sensor_serial=sensor_serial, robot=robot, virtual=store.virtual)
     if wrong:
         return Finding(name, "; ".join(wrong), trouble, again)
     days = _age_days(tool.origin.date)

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final
@@ -26,12 +26,12 @@ from galen_hw.daemon.lock import lock
 from galen_hw.daemon.notify import Notifier
 from galen_hw.daemon.orders import Orders
 from galen_hw.daemon.port import Waker
+from galen_hw.daemon.readiness import Readiness
 from galen_hw.errors import EXIT_FOUND, EXIT_HARDWARE, EXIT_OK, EXIT_USAGE
 from galen_hw.messages import TOPICS
 from galen_hw.version import VERSION
 
 TURN_S: Final = 0.05
-INTERPRETERS_WITHIN_S: Final = 30.0
 REST_WITHIN_S: Final = 6.0
 SILENT_AFTER_S: Final = 8.0
 DEATHS_ALLOWED: Final = 5
@@ -82,7 +82,9 @@ class Supervisor:
         self._waker = Waker()
         self._stopping = False
         self._is_ready = False
-        self._begun, self._all_up = time.monotonic(), 0.0
+        section = setup.config.daemon
+        optional = {name: device.optional for name, device in setup.devices.items()}
+        self._readiness = Readiness(optional, section.start_timeout_s, section.optional_wait_s, time.monotonic())
 
     def stop(self) -> None:
         """End soon; from a signal handler."""
@@ -176,29 +178,16 @@ class Supervisor:
         """READY once all that is required answers and samples flow; an exit status when that cannot be."""
         if self._is_ready:
             return EXIT_OK
-        states = self._device_states()
-        required = {n: s for n, s in states.items() if not s.optional}
-        awaited = {n for n, d in self._setup.devices.items() if not d.optional}
-        if self._processes.keys() <= self._broker.beats.keys():
-            # Devices have their time from here: what the interpreters need to start is no fault of theirs.
-            self._all_up = self._all_up or time.monotonic()
-        since = self._all_up or self._begun + INTERPRETERS_WITHIN_S
-        late = time.monotonic() - since > self._setup.config.daemon.start_timeout_s
-        tried = awaited <= required.keys() and all(s.attempts and s.wire != "opening" for s in required.values())
-        if tried and any(s.wire == "failed" for s in required.values()):
-            return self._refuse({n: s for n, s in required.items() if s.wire == "failed"})
-        if awaited <= required.keys() and all(s.ready for s in required.values()) and self._flows():
+        missing = [name for name in self._processes if name not in self._broker.beats]
+        verdict = self._readiness.judge(
+            time.monotonic(), self._device_states(), all_up=not missing, flows=self._flows()
+        )
+        if verdict.refused:
+            return self._refuse(verdict.devices, missing)
+        if verdict.ready:
             self._is_ready = True
             self._notifier.ready()
             self._on_ready(self._summary())
-        elif late:
-            return self._refuse(
-                {
-                    n: required.get(n, _SILENT)
-                    for n in self._setup.devices
-                    if n in awaited and not required.get(n, _SILENT).ready
-                }
-            )
         return EXIT_OK
 
     def _flows(self) -> bool:
@@ -206,12 +195,14 @@ class Supervisor:
             return CORE in self._broker.beats
         return self._broker.beats.get(CORE, Beat()).progress > 0
 
-    def _refuse(self, states: Mapping[str, DeviceState]) -> int:
+    def _refuse(self, states: Mapping[str, DeviceState], missing: Sequence[str]) -> int:
         for name, state in states.items():
             what, where, todo = state.problem or ("does not answer", "", "is it switched on, and the right device?")
             place = where if name in where else f"devices.{name}{f' ({where})' if where else ''}"
             print(f"galen-hw run: {place}: {what}{f'; {todo}' if todo else ''}", file=sys.stderr)
-        if not states:
+        for name in missing:
+            print(f"galen-hw run: process {name}: has not started; is the machine overloaded?", file=sys.stderr)
+        if not states and not missing:
             print("galen-hw run: no samples flow; see galen-hw check", file=sys.stderr)
         return EXIT_HARDWARE
 
@@ -264,9 +255,6 @@ class Supervisor:
         self._broker.close()
         self._waker.close()
         os.close(self._lock)
-
-
-_SILENT: Final = DeviceState(wire="closed", ready=False, optional=False)
 
 
 def install_signals(supervisor: Supervisor) -> None:

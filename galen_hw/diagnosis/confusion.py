@@ -1,40 +1,165 @@
-"""What this recording cannot tell apart."""
+"""What this recording cannot tell apart: by likelihood, by the angle between the effects' signals, and by structure.
 
+Everything is read off the inner products of whitened columns. Beside the rest of the model (nuisances and the other
+effects, projected out) a found effect leaves the columns A with parameters t and a rival the columns B. The rival can make
+the share R^2 = |P_B A t|^2 / |A t|^2 of the found signal; its angle is arccos R. The smallest principal angle between the
+spans of A and B (Bjoerck and Golub 1973) says whether any signal of one could be any of the other. The likelihood decides,
+angles say why.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from galen_hw.diagnosis.algebra import WEAK, solve_sym
+from galen_hw.diagnosis.bench import Hypothesis
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.result import Confusion, Finding
+from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import Selection
-from galen_hw.diagnosis.words import WHY, why
+from galen_hw.diagnosis.words import structural, why
+from galen_hw.spatial import Array
 
 CLOSE = 7.0
-"""Difference of rank (twice a log likelihood) below which two effects count as equal."""
+"""Twice a log likelihood below which two effects count as equal: odds of about thirty to one."""
+MOST = 5
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect in the place of a found one.
+
+    Args:
+        place: of the rival in the scorer's library; instead: of the found one.
+        key: of the rival.
+        lead: twice the log likelihood by which the found one is better, prices paid.
+        angle: deg between the found signal and what the rival can make of it.
+        nearest: deg, smallest principal angle between the two spans.
+        theta: (k,) the rival's parameters in the found one's place; own: the found one's.
+    """
+
+    place: int
+    instead: int
+    key: str
+    lead: float
+    angle: float
+    nearest: float
+    theta: Array
+    own: Array
 
 
 def confusions(model: Model, selection: Selection, finding: Finding) -> list[Confusion]:
     """Other effects that, put in the finding's place, would do as well; and those that are the same by structure."""
-    scorer, scene = selection.scorer, model.bench.scene
+    out = {rival.key: Confusion(rival.key, _why(finding.effect, rival)) for rival in rivals(selection, finding)}
+    for key in structural(finding.effect, model.bench.scene):
+        out.setdefault(key, Confusion(key, why(finding.effect, key)))
+    return list(out.values())[:MOST]
+
+
+def rivals(selection: Selection, finding: Finding, *, everyone: bool = False) -> list[Rival]:
+    """The best rival of every other key that ties with the finding (or `everyone` at all near), nearest first."""
+    scorer = selection.scorer
+    found: dict[str, Rival] = {}
+    misfit = scorer.misfit(selection.chosen)
+    for i in _places(selection, finding):
+        # Where physics is missing, differences of a few hundredths are that physics.
+        margin = CLOSE + 0.05 * min(1.0, misfit - 1.0) * _beside(scorer, selection.chosen, i)[1]
+        for rival in _in_place(scorer, selection.chosen, i):
+            if (
+                rival.key != finding.effect
+                and (everyone or rival.lead < margin)
+                and rival.lead < found.get(rival.key, rival).lead + 1e-9
+            ):
+                found[rival.key] = rival
+    return sorted(found.values(), key=lambda rival: rival.lead)
+
+
+def _places(selection: Selection, finding: Finding) -> list[int]:
+    """Where the finding stands in the scorer's library: among the chosen, or as a constant that is always fitted."""
+    scorer = selection.scorer
     chosen = [(i, scorer.library[i].effect) for i in selection.chosen]
     mine = [i for i, effect in chosen if effect is not None and finding.effect == effect.KEY]
-    rivals: dict[str, float] = {}
-    misfit = scorer.misfit(selection.chosen)
-    for i in mine:
-        others = [j for j in selection.chosen if j != i]
-        scores, _ = scorer.scores(others)
-        if i not in scores:
+    if mine or finding.effect not in ("bias", "joint_offset"):
+        return mine
+    names = scorer.bench.scene.channels
+    constant = [i for i, h in enumerate(scorer.base) if len(h.raw.channels) == 1]
+    return [i for i in constant if names[scorer.base[i].raw.channels[0]] in finding.channels]
+
+
+def _others(scorer: Scorer, chosen: list[int], i: int) -> Array:
+    """Column numbers of the model without hypothesis i."""
+    at = scorer.base_with([j for j in chosen if j != i])
+    own = scorer.places[i]
+    return np.asarray(at[(at < own.start) | (at >= own.stop)], dtype=np.intp)
+
+
+def _beside(scorer: Scorer, chosen: list[int], i: int) -> tuple[Array, float, Array]:
+    """Columns of the model without hypothesis i, the gain of i beside them, and its parameters there."""
+    at = _others(scorer, chosen, i)
+    own = np.arange(scorer.places[i].start, scorer.places[i].stop)
+    P = solve_sym(scorer.G[np.ix_(at, at)], np.column_stack([scorer.G[np.ix_(at, own)], scorer.b[at]]))
+    A = scorer.G[np.ix_(own, own)] - scorer.G[np.ix_(own, at)] @ P[:, :-1]
+    r = scorer.b[own] - scorer.G[np.ix_(own, at)] @ P[:, -1]
+    theta = solve_sym(A, r[:, None])[:, 0]
+    return at, float(theta @ r), theta
+
+
+def _in_place(scorer: Scorer, chosen: list[int], i: int) -> list[Rival]:
+    """Every hypothesis of another key that can make at least half of the found signal."""
+    at, gain, theta = _beside(scorer, chosen, i)
+    own = scorer.places[i]
+    every = scorer.G[at]
+    P = solve_sym(scorer.G[np.ix_(at, at)], np.column_stack([every, scorer.b[at]]))
+    A = scorer.G[own, own] - scorer.G[own, at] @ P[:, own]
+    signal = float(theta @ A @ theta)
+    mine, out = scorer.library[i].effect, []
+    for j, h in enumerate(scorer.library):
+        same = h.effect is None or (mine is not None and h.effect.KEY == mine.KEY)
+        if h.effect is None or same or j in chosen or not h.count or signal <= 0.0:
             continue
-        # Where physics is missing, differences of a few hundredths are that physics.
-        margin = CLOSE + 0.05 * min(1.0, misfit - 1.0) * scores[i].gain
-        for j, score in scores.items():
-            effect = scorer.library[j].effect
-            if effect is None or finding.effect == effect.KEY or score.rank < scores[i].rank - margin:
-                continue
-            rivals[effect.KEY] = max(rivals.get(effect.KEY, 0.0), score.rank)
-    named = sorted(rivals, key=lambda key: -rivals[key])
-    if finding.effect == "drift" and not scene.observations.has("temperature."):
-        named.append("temperature")
-    if finding.effect == "joint_offset" and scene.observations.predict == "position":
-        named.append("bias")
-    if finding.effect in ("backlash", "hysteresis") and scene.observations.predict == "position":
-        named += ["friction", *({"backlash", "hysteresis"} - {finding.effect})]
-    named = list(dict.fromkeys(named))
-    assert WHY, "reasons by structure"
-    return [Confusion(key, why(finding.effect, key)) for key in named[:5]]
+        s = scorer.places[j]
+        B = scorer.G[s, s] - scorer.G[s, at] @ P[:, s]
+        W = _whitening(B, np.diag(scorer.G)[s])
+        cross = scorer.G[s, own] - scorer.G[s, at] @ P[:, own]
+        share = float(np.sum((W.T @ (cross @ theta)) ** 2)) / signal
+        if not W.shape[1] or share < 0.5:
+            continue
+        r = scorer.b[s] - scorer.G[s, at] @ P[:, -1]
+        worth = float(np.sum((W.T @ r) ** 2))
+        lead = (gain - price(scorer, scorer.library[i])) - (worth - price(scorer, h))
+        U = _whitening(A, np.diag(scorer.G)[own])
+        nearest = float(np.linalg.norm(W.T @ cross @ U, 2)) if U.shape[1] else 0.0
+        out.append(Rival(j, i, h.effect.KEY, lead, _angle(np.sqrt(share)), _angle(nearest), W @ (W.T @ r), theta))
+    return out
+
+
+def _whitening(A: Array, before: Array) -> Array:
+    """(k, r) with W W' = A^-1 on the directions of which enough is left beside the model."""
+    size = np.sqrt(np.maximum(before, 1e-300))
+    value, vector = np.linalg.eigh(A / np.outer(size, size))
+    good = value > WEAK
+    return np.asarray((vector[:, good] / np.sqrt(value[good])) / size[:, None])
+
+
+def price(scorer: Scorer, h: Hypothesis) -> float:
+    """What freedom costs: (parameters and searched values) log n, and twice the log of the places looked at."""
+    if h.effect is None:
+        return float(np.log(scorer.bench.noise.effective))
+    freedom = h.count if h.effect.freedom is None else min(h.count, h.effect.freedom)
+    n = scorer.bench.noise.effective
+    return float((freedom + len(h.effect.searched())) * np.log(n) + 2.0 * np.log(h.looked))
+
+
+def _angle(cosine: float) -> float:
+    return float(np.degrees(np.arccos(np.clip(cosine, 0.0, 1.0))))
+
+
+def _why(found: str, rival: Rival) -> str:
+    """The reason with its numbers."""
+    odds = float(np.exp(np.clip(0.5 * rival.lead, -50.0, 50.0)))
+    likely = f"it is {odds:.2g} times less likely" if odds >= 1.5 else "it is as likely"
+    if odds < 0.67:
+        likely = (
+            f"by likelihood alone it would do better ({1.0 / odds:.2g} times), held-out data and form speak against it"
+        )
+    return f"{why(found, rival.key)}: the two signals are {rival.angle:.1f} deg apart beside the rest, and {likely}"

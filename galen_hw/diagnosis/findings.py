@@ -1,8 +1,9 @@
 """From hypotheses to findings: one for each key, with all its channels, joints and parameters."""
 
-from typing import TYPE_CHECKING
+import re
 
 import numpy as np
+from scipy.special import erfc
 
 from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
@@ -11,11 +12,12 @@ from galen_hw.diagnosis.guards import Premise
 from galen_hw.diagnosis.judge import Judged
 from galen_hw.diagnosis.result import Finding, Value
 from galen_hw.diagnosis.select import CHANCE, Selection
-from galen_hw.diagnosis.words import SAYS
+from galen_hw.diagnosis.sizes import SIGNAL, headline
+from galen_hw.diagnosis.variables import joint_units
+from galen_hw.diagnosis.words import BELIEVED, SAYS
 from galen_hw.physics.event_effects import Glitches
-
-if TYPE_CHECKING:
-    from galen_hw.spatial import Array
+from galen_hw.physics.scene import Scene
+from galen_hw.spatial import Array
 
 
 def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list[Glitches]) -> list[Finding]:
@@ -26,38 +28,58 @@ def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list
         by_key.setdefault(h.effect.KEY, []).append(h)
     out = [_finding(model, selection, judged, key, parts) for key, parts in by_key.items()]
     out.sort(key=lambda f: -f.evidence["score"])
-    return out + [_glitch(model.bench, g) for g in glitch]
+    return out + [_glitch(model.bench, judged, g) for g in glitch]
 
 
 def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts: list[Hypothesis]) -> Finding:
     bench = model.bench
     where = dict(zip(map(id, model.parts), model.slices(), strict=True))
-    energy = np.zeros(bench.width)
+    signal = np.zeros((len(bench.rows), bench.width))
+    variance = np.zeros(bench.width)
     parameters: dict[str, Value] = {}
     for n, h in enumerate(parts):
         s = where[id(h)]
-        signal = np.zeros((len(bench.rows), bench.width))
-        signal[:, list(h.raw.channels)] = h.raw.values @ model.final[s]
-        energy += (
-            np.mean((signal - signal.mean(axis=0)) ** 2 + (key in ("bias", "joint_offset")) * signal**2, axis=0)
-            / bench.noise.sigma**2
-        )
-        parameters |= _parameters(model, h, s, prefix=_prefix(bench, h) if len(parts) > 1 else "", number=n)
+        signal[:, list(h.raw.channels)] += h.raw.values @ model.final[s]
+        variance[list(h.raw.channels)] += _rms_variance(h, model.final[s], model.covariance[s, s])
+        parameters |= _parameters(model, h, s, prefix=_prefix(h) if len(parts) > 1 else "", number=n)
+    constant = key in ("bias", "joint_offset")
+    power = np.mean((signal - (0.0 if constant else 1.0) * signal.mean(axis=0)) ** 2, axis=0)
+    energy = power / bench.noise.sigma**2
     channels = [bench.scene.channels[c] for c in np.argsort(-energy) if energy[c] > 0.02 * energy.max()]
+    strongest = int(np.argmax(energy))
+    parameters[SIGNAL] = Value(
+        float(np.sqrt(power[strongest])), float(np.sqrt(variance[strongest])), bench.scene.units[strongest]
+    )
     joints = list(dict.fromkeys(j for h in parts if h.effect is not None for j in h.effect.joints))
     score, surprise = _evidence(model, selection, parts)
     gain = judged.gain(key)
     chance = float(min(1.0, CHANCE * np.exp(np.clip(selection.needed - surprise, -650.0, 6.0))))
-    place = f" ({', '.join(joints)})" if joints else ""
-    says = f"{SAYS[key][0].upper()}{SAYS[key][1:]}{place}. On held-out data it takes {100 * gain:.0f} % of the excess."
     evidence = {"heldout_gain": gain, "score": score, "false_alarm_probability": chance}
-    return Finding(key, channels, joints, says, parameters, evidence)
+    finding = Finding(key, channels, joints, "", parameters, evidence)
+    finding.says = says(finding)
+    return finding
 
 
-def _prefix(bench: Bench, h: Hypothesis) -> str:
-    effect = h.effect
-    place = getattr(effect, "channel", "") or getattr(effect, "joint", "")
-    del bench
+def says(finding: Finding) -> str:
+    """What physics and how much of it; why it is believed."""
+    key, gain = finding.effect, finding.evidence["heldout_gain"]
+    place = ", ".join(finding.joints) or ", ".join(finding.channels[:3])
+    first = f"{SAYS[key][0].upper()}{SAYS[key][1:]} ({place}): {headline(finding)}."
+    share = f"on data it did not learn from it takes {100 * gain:.0f} % of the excess"
+    return f"{first} {BELIEVED[key][0].upper()}{BELIEVED[key][1:]}; {share}."
+
+
+def _rms_variance(h: Hypothesis, theta: Array, covariance: Array) -> Array:
+    """Variance of the rms of a signal in each of its channels, to first order in its parameters."""
+    centred = h.raw.values - h.raw.values.mean(axis=0)
+    signal = centred @ theta
+    size = np.sqrt(np.maximum(np.mean(signal**2, axis=0), 1e-300))
+    slope = np.einsum("nc,nck->ck", signal, centred) / (len(signal) * size[:, None])
+    return np.asarray(np.einsum("ck,kl,cl->c", slope, covariance, slope))
+
+
+def _prefix(h: Hypothesis) -> str:
+    place = getattr(h.effect, "channel", "") or getattr(h.effect, "joint", "")
     return f"{place}: " if place else ""
 
 
@@ -69,10 +91,22 @@ def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int)
     mark = prefix or (f"{number + 1}: " if number else "")
     out = {f"{mark}{p.name}": Value(float(v), float(d), p.unit) for p, v, d in named}
     for name, value in effect.searched().items():
-        out[f"{mark}{name}"] = Value(value, _searched_spread(model, h, s, name, value), effect.SEARCHED[name].unit)
+        unit = _unit(bench.scene, effect.joints, effect.SEARCHED[name].unit)
+        out[f"{mark}{name}"] = Value(value, _searched_spread(model, h, s, name, value), unit)
     if hasattr(effect, "moment"):
         out[f"{mark}moment"] = Value(float(effect.moment), 0.0, "s")
+    if hasattr(effect, "limit"):
+        unit = bench.scene.units[h.raw.channels[0]]
+        out[f"{mark}limit"] = Value(float(effect.limit), 0.0, unit)
     return out
+
+
+def _unit(scene: Scene, joints: tuple[str, ...], unit: str) -> str:
+    """Of "rad or m" and its like the one that the joint has."""
+    first, either, second = unit.partition(" or ")
+    if not either or not joints or joints[0] not in scene.joint_names:
+        return unit
+    return second if joint_units(scene, joints[0])[0] == "m" else first
 
 
 def _searched_spread(model: Model, h: Hypothesis, s: slice, name: str, value: float) -> float:
@@ -96,7 +130,7 @@ def _searched_spread(model: Model, h: Hypothesis, s: slice, name: str, value: fl
 
 def _evidence(model: Model, selection: Selection, parts: list[Hypothesis]) -> tuple[float, float]:
     """Score and surprise of a finding: of its parts together, or the z of a constant."""
-    scorer, score, surprise = selection.scorer, 0.0, 0.0
+    score, surprise = 0.0, 0.0
     for i, h in zip(selection.chosen, selection.hypotheses, strict=True):
         if any(h is p for p in parts) and i in selection.evidence:
             score += selection.evidence[i].rank
@@ -108,22 +142,26 @@ def _evidence(model: Model, selection: Selection, parts: list[Hypothesis]) -> tu
             gain = float(np.sum(model.final[s] ** 2 / np.maximum(np.diag(model.covariance)[s], 1e-300)))
             score += gain
             surprise = max(surprise, 0.5 * gain)
-    del scorer
     return float(score), float(surprise)
 
 
-def _glitch(bench: Bench, glitch: Glitches) -> Finding:
+def _glitch(bench: Bench, judged: Judged, glitch: Glitches) -> Finding:
+    """Rows that stand alone; their share is of the whole excess of the recording, theirs included."""
     rows: Array = np.asarray(glitch.rows)
     places = [bench.scene.channels.index(name) for name in glitch.channels]
-    size = float(np.median(np.abs(bench.scene.residual[rows][:, places]).max(axis=1)))
-    share = len(rows) / max(len(bench.scene), 1)
+    centred = bench.scene.residual - np.median(bench.scene.residual, axis=0)
+    z = np.abs(centred[rows][:, places]) / bench.noise.sigma[places]
+    size = float(np.median(np.abs(centred[rows][:, places]).max(axis=1)))
+    own = float(np.sum(z**2))
+    rest = float(np.sum(np.maximum(judged.before / judged.floor - 1.0, 0.0))) * len(bench.scene)
+    chance = float(np.clip(len(bench.scene) * bench.width * erfc(np.min(z.max(axis=1)) / np.sqrt(2.0)), 1e-300, 1.0))
     return Finding(
         "glitches",
         list(glitch.channels),
         [],
         f"{len(rows)} isolated samples stand far off their neighbours; they are left out of every fit.",
         {"count": Value(float(len(rows)), 0.0, "1"), "size": Value(size, 0.0, bench.scene.units[places[0]])},
-        {"heldout_gain": float(1.0 - share), "score": 40.0 * len(rows), "false_alarm_probability": 1e-9},
+        {"heldout_gain": own / max(own + rest, 1e-300), "score": own, "false_alarm_probability": chance},
     )
 
 
@@ -135,7 +173,18 @@ def unknown_finding(bench: Bench, left: list[Left], premise: Premise) -> Finding
         says, share, z = premise.wrong[0], 0.0, 10.0
     else:
         best = left[0]
-        says = f"Structure is left that no named effect explains: it depends on {best.kind} in {names[best.channel]}."
         share, z = best.share, best.z
+        says = (
+            f"Structure is left in {names[best.channel]} that no named effect explains: {dependence(best.kind, bench.scene)}, "
+            f"which accounts for {100 * share:.0f} % of what is left on data not learnt from."
+        )
     evidence = {"heldout_gain": 0.0, "score": float(z), "false_alarm_probability": 2e-4}
     return Finding("unknown", channels, [], says, {"share_left": Value(float(share), 0.0, "1")}, evidence)
+
+
+def dependence(kind: str, scene: Scene) -> str:
+    """What generic functions found, in words; inputs by their joints' names."""
+    number = re.fullmatch(r"periodic in input (\d+)", kind)
+    if number and int(number[1]) <= len(scene.moved):
+        return f"it repeats along {scene.moved[int(number[1]) - 1]}"
+    return f"it follows {kind}"

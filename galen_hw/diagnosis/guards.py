@@ -1,16 +1,25 @@
-"""Before any fitting: is the recording what it says it is? Each thing that is not becomes one line."""
+"""Before any fitting: rows that can be compared, and what is odd about the rest. Each thing becomes one line."""
 
-from dataclasses import dataclass, field
-from itertools import permutations
+from bisect import bisect_right
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
+from galen_hw.diagnosis.rows import Index, Mask
 from galen_hw.errors import UsageError
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.table import scene_of
 from galen_hw.spatial import Array
 
-FEWEST = 8
+FEWEST: Final = 8
+SHORT: Final = 100
+"""Rows of a motion below which only gross effects can show."""
+DISORDER: Final = 0.05
+"""Share of rows out of order beyond which the clock is not one clock."""
+GAP_STEPS, GAP_S = 5.0, 0.5
+"""A step this many times the median, and at least so long, is a gap: what happened in it nobody knows."""
+ORIENTATION: Final = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
 
 
 @dataclass
@@ -28,100 +37,168 @@ class Premise:
     wrong: list[str] = field(default_factory=list)
     channels: list[str] = field(default_factory=list)
 
+    def refuse(self, channel: str, line: str) -> None:
+        """A line that makes every finding worthless."""
+        self.wrong.append(line)
+        self.channels.append(channel)
+
 
 def premises(scene: Scene) -> Premise:
     """Leaves out rows that cannot be compared and looks for wrong axes, signs, units and clocks.
 
     Raises:
-        UsageError: no channel, or too few rows to compare.
+        UsageError: no channel, nothing to simulate from, a clock that is none, or too few rows to compare.
     """
+    from galen_hw.diagnosis import mixups
+
     if not scene.channels:
         group = scene.observations.predict
         raise UsageError(f"no column of the group {group!r} is there to compare", where="recording", todo="see predict")
-    notes: list[str] = []
-    scene = _ordered(scene, notes)
-    scene = _complete(scene, notes)
-    out = Premise(scene, notes)
-    if scene.observations.predict == "wrench":
-        _axes(out)
-    _units(out)
+    _drivable(scene)
+    out = Premise(scene)
+    for step in (_ordered, _parted, _driven):
+        out.scene = step(out.scene, out.notes)
+    mixups.joints(out)
+    _complete(out)
+    mixups.channels(out)
+    if out.scene.clock and len(out.scene) < SHORT:
+        out.notes.append(f"only {len(out.scene)} rows: too short to tell any but gross effects")
     out.notes += out.wrong
     return out
+
+
+def _drivable(scene: Scene) -> None:
+    """There is something to simulate from."""
+    seen, robot, columns = scene.observations, scene.belief.robot, scene.observations.columns
+    if seen.simulation is not None or seen.predict == "position":
+        return
+    turned = seen.predict == "wrench" and all(name in columns for name in ORIENTATION)
+    absent = [n for n in robot.joint_names if f"joint.{n}.position" not in columns] if robot is not None else []
+    if robot is None and not turned:
+        instead = " or the columns sensor.orientation.x y z w" if seen.predict == "wrench" else ""
+        raise UsageError(
+            "there is nothing to simulate from",
+            where="recording.json: robot",
+            todo=f"name the robot{instead}, or add a folder simulation/",
+        )
+    if absent and not turned:
+        what = f"{len(absent)} of the robot's joints have no position, first {absent[0]}"
+        raise UsageError(what, where="recording", todo=f"add the column joint.{absent[0]}.position")
 
 
 def _ordered(scene: Scene, notes: list[str]) -> Scene:
     """Rows whose clock stands or runs backwards inside a segment go."""
     if not scene.clock:
         return scene
-    good = np.ones(len(scene), dtype=bool)
+    good, behind = np.ones(len(scene), dtype=bool), 0
     for part in scene.segments:
         t = scene.time[part]
-        good[part] = t > np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
+        if np.all(np.diff(t) > 0.0):
+            continue
+        rising = longest_rising(t)
+        behind += len(t) - len(rising)
+        kept = np.zeros(len(t), dtype=bool)
+        kept[rising[np.diff(t[rising], prepend=-np.inf) > 0.0]] = True
+        good[part] = kept
     if good.all():
         return scene
+    if behind > DISORDER * len(scene):
+        raise UsageError(
+            f"time runs backwards in {behind} of {len(scene)} rows",
+            where="recording: time",
+            todo="sort the rows, or number the runs 0, 1, 2 in a column segment",
+        )
     notes.append(f"time repeats or runs backwards in {int((~good).sum())} rows, which are left out")
     return scene_of(scene.observations.taken(good))
 
 
-def _complete(scene: Scene, notes: list[str]) -> Scene:
-    """Rows without a measured or simulated value, or without a joint position, go; a dead channel is named."""
-    y, s = scene.measured, scene.simulated
-    for c, name in enumerate(scene.channels):
-        if not np.isfinite(y[:, c]).any() or not np.isfinite(s[:, c]).any():
-            raise UsageError(f"{name} has no value that can be compared", where="recording", todo="check the column")
-        if len(y) > 2 and np.nanmax(y[:, c]) == np.nanmin(y[:, c]) and np.nanstd(s[:, c]) > 0:
-            notes.append(f"{name} is constant: the channel may be dead")
-    good = np.isfinite(y).all(axis=1) & np.isfinite(s).all(axis=1)
-    if good.sum() < FEWEST:
-        raise UsageError(
-            f"only {int(good.sum())} rows can be compared", where="recording", todo=f"record at least {FEWEST}"
-        )
-    if good.all():
+def longest_rising(t: Array) -> Index:
+    """Places of a longest subsequence of (N,) that never falls (patience sorting, N log N)."""
+    tails: list[float] = []
+    ends: list[int] = []
+    before = np.full(len(t), -1, dtype=np.intp)
+    for i, x in enumerate(t.tolist()):
+        at = bisect_right(tails, x)
+        before[i] = ends[at - 1] if at else -1
+        tails[at : at + 1] = [x]
+        ends[at : at + 1] = [i]
+    out, i = [], ends[-1]
+    while i >= 0:
+        out.append(i)
+        i = int(before[i])
+    return np.array(out[::-1], dtype=np.intp)
+
+
+def _parted(scene: Scene, notes: list[str]) -> Scene:
+    """Rows on either side of a gap are no longer continuous with each other."""
+    if not scene.clock or len(scene) < 3:
         return scene
-    notes.append(f"{int((~good).sum())} rows have no value to compare and are left out")
-    return scene_of(scene.observations.taken(good))
+    steps = np.diff(scene.time)
+    edges = np.zeros(len(scene), dtype=bool)
+    for part in scene.segments:
+        edges[part.start] = True
+    inside = steps[~edges[1:]]
+    if not len(inside):
+        return scene
+    gap = (steps > max(GAP_STEPS * float(np.median(inside)), GAP_S)) & ~edges[1:]
+    if not gap.any():
+        return scene
+    longest = float(steps[gap].max())
+    notes.append(
+        f"time has {int(gap.sum())} gaps, the longest of {longest:.3g} s: what has a memory starts afresh there"
+    )
+    edges[1:] |= gap
+    observations = scene.observations
+    columns = dict(observations.columns) | {"segment": np.cumsum(edges).astype(float) - 1.0}
+    return scene_of(replace(observations, columns=columns))
 
 
-def _axes(out: Premise) -> None:
-    """Whether another order or sign of the axes meets the simulation far better than the one that is named."""
-    scene = out.scene
-    y = scene.measured - scene.measured.mean(axis=0)
-    s = scene.simulated - scene.simulated.mean(axis=0)
-    for block, name in ((slice(0, 3), "wrench.force"), (slice(3, 6), "wrench.torque")):
-        best, text = _best_axes(y[:, block], s[:, block])
-        plain = float(np.sum((y[:, block] - s[:, block]) ** 2))
-        if best < 0.15 * plain and text:
-            out.wrong.append(f"{name}: {text}; the axes or signs are probably mixed up")
-            out.channels += [f"{name}.{a}" for a in "xyz"]
+def _driven(scene: Scene, notes: list[str]) -> Scene:
+    """Rows without what the simulation is driven by go; a thermometer's missing cells are bridged."""
+    columns, robot = scene.observations.columns, scene.belief.robot
+    bridged = {}
+    for name, values in columns.items():
+        there = np.isfinite(values)
+        if name.startswith("temperature.") and there.any() and not there.all():
+            bridged[name] = np.interp(np.arange(len(values)), np.flatnonzero(there), values[there])
+            notes.append(f"{name}: {int((~there).sum())} empty cells are bridged from their neighbours")
+    drivers = ORIENTATION if robot is None else [f"joint.{n}.position" for n in robot.joint_names]
+    good = np.ones(len(scene), dtype=bool)
+    for name in drivers:
+        if name in columns and np.isfinite(columns[name]).any():
+            good &= np.isfinite(columns[name])
+    enough(good)
+    if not good.all():
+        notes.append(f"{int((~good).sum())} rows have no joint position or orientation and are left out")
+    if good.all() and not bridged:
+        return scene
+    observations = replace(scene.observations, columns=dict(columns) | bridged)
+    return scene_of(observations.taken(good))
 
 
-def _best_axes(y: Array, s: Array) -> tuple[float, str]:
-    best, text = np.inf, ""
-    energy = np.sum(s**2, axis=0)
-    if np.any(energy < 1e-3 * energy.max()):
-        return best, text
-    for order in permutations(range(3)):
-        for signs in np.array(np.meshgrid([1, -1], [1, -1], [1, -1])).reshape(3, -1).T:
-            error = float(np.sum((y - signs * s[:, order]) ** 2))
-            if error < best:
-                names = [f"{'-' if g < 0 else ''}{'xyz'[o]}" for g, o in zip(signs, order, strict=True)]
-                best = error
-                text = "" if names == ["x", "y", "z"] else f"x, y, z read like {', '.join(names)} of the simulation"
-    return best, text
+def enough(good: Mask) -> None:
+    """Raise if too few rows (N,) can be compared.
+
+    Raises:
+        UsageError: fewer than `FEWEST`.
+    """
+    if good.sum() < FEWEST:
+        what = f"only {int(good.sum())} of {len(good)} rows can be compared"
+        raise UsageError(what, where="recording", todo=f"record at least {FEWEST}, with no empty cells")
 
 
-def _units(out: Premise) -> None:
-    """Whether recorded and simulated channels differ by a factor that is a change of units."""
-    scene = out.scene
-    factors = {1000.0: "milli", 57.29578: "degrees", 9.80665: "kilograms-force", 4.44822: "pounds-force"}
+def _complete(out: Premise) -> None:
+    """Rows without a measured or simulated value go; a dead channel is named."""
+    scene, (y, s) = out.scene, (out.scene.measured, out.scene.simulated)
     for c, name in enumerate(scene.channels):
-        y, s = scene.measured[:, c], scene.simulated[:, c]
-        y, s = y - y.mean(), s - s.mean()
-        size = float(s @ s)
-        if size <= 0.0 or float(np.corrcoef(y, s)[0, 1] if np.std(y) > 0 else 0.0) < 0.95:
-            continue
-        scale = float(y @ s) / size
-        for factor, text in factors.items():
-            if min(abs(scale / factor - 1.0), abs(scale * factor - 1.0)) < 0.1:
-                out.wrong.append(f"{name} is {scale:.3g} times what is simulated: is it in other units ({text})?")
-                out.channels.append(name)
+        if not np.isfinite(y[:, c]).any():
+            raise UsageError(f"{name} has no value", where="recording", todo="add the column, or fill it")
+        if not np.isfinite(s[:, c]).any():
+            if out.wrong:
+                raise UsageError(out.wrong[0], where="recording", todo="give SI units")
+            raise UsageError(f"{name} cannot be simulated", where="recording", todo="check the joints' columns")
+    good = np.asarray(np.isfinite(y).all(axis=1) & np.isfinite(s).all(axis=1))
+    enough(good)
+    if not good.all():
+        out.notes.append(f"{int((~good).sum())} rows have no value to compare and are left out")
+        out.scene = scene_of(scene.observations.taken(good))

@@ -3,6 +3,7 @@
 Regions are found on the rows that the diagnosis learns from and kept only if rows that were set aside agree.
 """
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,12 +18,12 @@ from galen_hw.physics.event_effects import Contact, Glitches, Step
 from galen_hw.spatial import Array
 
 BINS = 16
-MOST = 4
+MOST = 3
 WIDEST = 0.7
 """A region that holds more of the rows than this is no region."""
 SURE = 2.5
 """Standard errors over blocks by which a region must beat an even spread, on rows that it was not found on."""
-FUNCTION = 0.3
+FUNCTION = 0.5
 """Share of the held-out excess from which a variable is said to organise it."""
 
 
@@ -93,12 +94,13 @@ def regions(bench: Bench, known: list[Variable], energy: Array) -> list[Region]:
         return []
     everywhere = np.ones(len(energy), dtype=bool)
     single = [one for v in known if (one := _region((), everywhere, v, energy, bench, learn, check))]
-    single.sort(key=lambda one: -one.lift)
-    out: list[Region] = []
+    # Speeds and loads often only follow positions: they must hold clearly more to be named in their stead.
+    single.sort(key=lambda one: -one.lift - (0.08 if one.parts[0][0].name.endswith(".position") else 0.0))
+    kept: list[Region] = []
     for one in single:
-        if all(_overlap(one.mask, other.mask) < 0.6 for other in out):
-            out.append(_narrowed(one, known, energy, bench, learn, check))
-    return out[:MOST]
+        if len(kept) < MOST and all(_overlap(one.mask, other.mask) < 0.5 for other in kept):
+            kept.append(one)
+    return [_narrowed(one, known, energy, bench, learn, check) for one in kept]
 
 
 def halves(bench: Bench) -> tuple[Mask, Mask]:
@@ -209,14 +211,18 @@ def organised(bench: Bench, known: list[Variable], rest: Array, bins: int = 20) 
 
 def episodes_of(model: Model, glitch: list[Glitches]) -> list[list[float]]:
     """Times at which something happens: of contacts, after steps, around glitches; else where the excess is loud."""
-    scene, out = model.bench.scene, []
+    scene, end = model.bench.scene, float(model.bench.scene.time[-1])
+    out: list[list[float]] = []
+    steps: list[float] = []
     for h in model.effects:
         if isinstance(h.effect, Contact):
             out += [list(e) for e in h.effect.episodes]
         if isinstance(h.effect, Step):
-            out.append([h.effect.moment, float(scene.time[-1])])
+            steps.append(float(h.effect.moment))
     for one in glitch:
         out += [[float(scene.time[r]), float(scene.time[r])] for r in one.rows[:50]]
+    # A step holds until the next one, the last until the end.
+    out += [[a, b] for a, b in itertools.pairwise([*sorted(set(steps)), end])]
     return sorted(out) or _loud(model)
 
 

@@ -1,5 +1,6 @@
 """The answer as data: what `--json` writes, key by key as `docs/diagnosis.md` has it."""
 
+import math
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -38,7 +39,10 @@ class Finding:
 
 @dataclass
 class Diagnosis:
-    """Everything that is known in the end; `notes` are one-line warnings and are not part of the specified keys."""
+    """Everything that is known in the end.
+
+    Besides what is specified: `notes` (one line each), `terms` (the saved model) and the channels' `units`.
+    """
 
     recording: str
     holdout: str
@@ -52,10 +56,11 @@ class Diagnosis:
     next_experiment: str
     notes: list[str] = field(default_factory=list)
     terms: list[dict[str, Any]] = field(default_factory=list)
+    units: dict[str, str] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """As specified, with `notes` beside."""
-        return {
+        """As specified; numbers that are not finite become null, which JSON has a word for."""
+        answer = {
             "schema": 1,
             "recording": self.recording,
             "holdout": self.holdout,
@@ -65,5 +70,13 @@ class Diagnosis:
             "findings": [asdict(finding) for finding in self.findings],
             "fit": self.fit,
             "next_experiment": self.next_experiment,
-            "notes": self.notes,
         }
+        return {key: _finite(value) for key, value in answer.items()}
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_finite(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -188,6 +188,8 @@ def _info(file: McapFile, states: list[CompensationState]) -> RecordingInfo:
     robot = file.metadata.get("robot_file") or ("galen" if file.metadata.get("robot") else None)
     values: dict[str, Any] = {"schema": 1, "robot": robot, "predict": "wrench"}
     values |= {key: file.metadata[key] for key in ("base_link", "sensor_link") if file.metadata.get(key)}
+    values |= {"sensor_serial": serial} if (serial := file.metadata.get("serial_number")) else {}
+    values |= {"virtual": True} if file.metadata.get("virtual") == "true" else {}
     tools = {state.tool_file for state in states if state.tool_file}
     if tools:
         values |= tool_info(json.loads(next(s.tool_file for s in reversed(states) if s.tool_file)))

@@ -61,7 +61,10 @@ class Model(_Part):
 
 
 class RecordingInfo(_Part):
-    """The keys of `recording.json`; SI units. `unknown` lists keys that the program does not read."""
+    """The keys of `recording.json`; SI units. `unknown` lists keys that the program does not read.
+
+    Two keys are galen-hw's own: `sensor_serial` (empty where not known) and `virtual` (made on a virtual robot).
+    """
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     robot: str | None = None
@@ -77,6 +80,8 @@ class RecordingInfo(_Part):
     model: Model = Model()
     ranges: dict[str, tuple[FiniteFloat, FiniteFloat]] = {}
     notes: Any = None
+    sensor_serial: str = ""
+    virtual: bool = False
 
     @property
     def unknown(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ class Session:
         stream: binary, where to.
         robot: name of the robot; urdf: its text if it is not a Galen.
         links: base and sensor link in that URDF.
-        config: text of the configuration.
+        config: text of the configuration; virtual: the robot is a virtual one.
         encoding: of the messages.
     """
 
@@ -25,9 +25,11 @@ class Session:
         urdf: str = "",
         links: dict[str, str] | None = None,
         config: str = "",
+        virtual: bool = False,
         encoding: Encoding = "json",
     ) -> None:
         known = {"robot": robot, "robot_file": "robot.urdf" if urdf else ""} | (links or {})
+        known |= {"virtual": "true"} if virtual else {}
         self._writer = McapWriter(stream, encoding=encoding, metadata=known)
         self._known = dict.fromkeys(("serial_number", "calibration", "tool"), "")
         self._last: dict[tuple[str, str], int] = {}

@@ -49,6 +49,8 @@ class SweepFile:
             "gravity": [float(g) for g in self._robot.gravity],
             "predict": "wrench",
             "model": {"bias": "free"},
+            "sensor_serial": self._about.get("sensor_serial", ""),
+            "virtual": bool(self._about.get("virtual")),
             "notes": "static poses of a calibration sweep, averaged; see sweep.json",
         }
         write_atomic(self.folder / "recording.json", json.dumps(info, indent=1) + "\n")

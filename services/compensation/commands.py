@@ -3,6 +3,7 @@
 from typing import Any, Final
 
 from galen_hw.clock import NS_PER_S
+from galen_hw.config.tool_file import ToolFile
 from galen_hw.config.tool_store import ToolStore, binding_problems
 from galen_hw.errors import CommandRejectedError, GalenError
 from galen_hw.messages import CommandError, Reply, Request, WrenchRaw
@@ -20,7 +21,7 @@ class CompensationCommands:
     """Carries requests out on a `Correction`.
 
     Args:
-        name: of the service; store: of the tools; robot: name of the configured robot.
+        name: of the service; store: of the tools on this kind of hardware; robot: name of the configured robot.
     """
 
     def __init__(
@@ -74,14 +75,17 @@ class CompensationCommands:
         """
         file = self._store.load(tool)
         if not file.calibrated:
-            todo = f"galen-hw calibrate --tool {tool}"
-            raise CommandRejectedError(f"tool {tool!r} was never calibrated", where=self.name, todo=todo)
-        problems = binding_problems(file, sensor_serial=self.serial, robot=self._robot)
+            todo, here = f"galen-hw calibrate --tool {tool}", " on a virtual robot" if self._store.virtual else ""
+            raise CommandRejectedError(f"tool {tool!r} was never calibrated{here}", where=self.name, todo=todo)
+        problems = self._binding_problems(file)
         if problems:
             todo = f"galen-hw calibrate --tool {tool}"
             raise CommandRejectedError(f"tool {tool!r} {' and '.join(problems)}", where=self.name, todo=todo)
         self._correction.use(file)
         self.problem = ""
+
+    def _binding_problems(self, file: ToolFile) -> list[str]:
+        return binding_problems(file, sensor_serial=self.serial, robot=self._robot, virtual=self._store.virtual)
 
     def _select(self, tool: object) -> dict[str, Any]:
         if tool is not None and not isinstance(tool, str):
@@ -120,8 +124,10 @@ class CompensationCommands:
     def check_serial(self, serial: str) -> None:
         """A calibration of another sensor must not be used, whenever its serial number becomes known."""
         self.serial, model = serial, self._correction.model
-        problems = model and binding_problems(model.tool, sensor_serial=serial, robot=self._robot)
-        self.problem = f"tool {model.name!r} {' and '.join(problems)}" if model and problems else ""
+        if model is None:
+            return  # Why the selected tool could not be taken up stays a problem.
+        problems = self._binding_problems(model.tool)
+        self.problem = f"tool {model.name!r} {' and '.join(problems)}" if problems else ""
 
     def feed_tare(self, tare: Tare, raw: WrenchRaw, predicted: Six) -> list[Output]:
         """Add one valid sample to a running tare; its reply when there are enough."""

@@ -60,7 +60,7 @@ class CompensationService(Service):
         self._history = JointHistory(tuple(robot.joint_names[i] for i in order), settings.max_extrapolation_s)
         self._waiting: deque[WrenchRaw] = deque()
         self._correction = Correction(robot, enabled=settings.enabled, blend_s=settings.blend_s)
-        store = ToolStore(context.state_dir)
+        store = ToolStore(context.state_dir, virtual=context.virtual)
         self._commands = CompensationCommands(name, settings, self._correction, store, robot.name)
         self._age_s, self._seq = nan, 0
         self._topic_seq = dict.fromkeys(("compensation/state", "status", "fault"), 0)

@@ -7,7 +7,6 @@ import numpy as np
 
 from galen_hw.config.tool_store import ToolStore
 from galen_hw.errors import GalenError
-from galen_hw.identification.deflection.table import model_of
 from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore
 from galen_hw.services.service import ServiceContext
 
@@ -34,7 +33,7 @@ class ServedModel:
         self.tool = self.asked = self._unknown = ""
         self.tip: Triple = (0.0, 0.0, 0.0)
         with suppress(GalenError):  # The compensation says what is wrong with the tools.
-            self._take(ToolStore(context.state_dir).selected() or "")
+            self._take(ToolStore(context.state_dir, virtual=context.virtual).selected() or "")
         try:
             self.load()
         except GalenError as error:
@@ -55,6 +54,9 @@ class ServedModel:
         self.file = self.stream = None
         name = self._chosen or store.selected()
         if name is not None:
+            # Fitting and its numerics take a second to import: a service without a model does not wait for them.
+            from galen_hw.identification.deflection.table import model_of
+
             file = store.load(name)
             std = np.array(file.std) if file.std else None
             self.stream, self.file = model_of(file.model, file.values).stream(std), file
@@ -73,7 +75,11 @@ class ServedModel:
         self._bind()
 
     def _take(self, name: str) -> None:
-        self.tip = (0.0, 0.0, 0.0) if not name else ToolStore(self._context.state_dir).load(name).tip
+        self.tip = (
+            (0.0, 0.0, 0.0)
+            if not name
+            else ToolStore(self._context.state_dir, virtual=self._context.virtual).load(name).tip
+        )
         self.tool = self.asked = name
 
     def _bind(self) -> None:

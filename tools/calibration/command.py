@@ -90,8 +90,8 @@ def _setting(recording: "Recording") -> "Setting":
     if isinstance(zeroed, tuple) and len(zeroed) != 4:
         zeroed = dict(zip(recording.joint_names, zeroed, strict=True))
     robot = str(about.get("robot") or info.robot or "")
-    serial = str(about.get("sensor_serial") or "")
-    return Setting(robot, serial, str(recording.path.resolve()), zeroed, about.get("date"))
+    sweep = str(recording.path.resolve())
+    return Setting(robot, info.sensor_serial, sweep, zeroed, about.get("date"), virtual=info.virtual)
 
 
 def _about(folder: Path) -> dict[str, Any]:
@@ -131,9 +131,9 @@ def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") 
 
     with CommandClient(addresses.command) as client:
         info = client.call("daemon", "info")
-    store = ToolStore(Path(info["state_dir"]))
-    nominal = store.load(args.tool)
     virtual = bool(info["virtual"])
+    store = ToolStore(Path(info["state_dir"]), virtual=virtual)
+    nominal = store.load(args.tool)
     operator = (
         by_virtual_hand(console, args.tool, addresses.virtual)
         if virtual

@@ -120,7 +120,7 @@ class Setting:
     """On what the calibration was made.
 
     Args:
-        robot, sensor_serial: what it is bound to; sweep: path of the raw sweep.
+        robot, sensor_serial, virtual: what it is bound to; sweep: path of the raw sweep.
         zeroed_at: joints or quaternion, as in the tool's file; date: None for now.
     """
 
@@ -129,6 +129,7 @@ class Setting:
     sweep: str = ""
     zeroed_at: dict[str, float] | tuple[float, float, float, float] | None = None
     date: str | None = None
+    virtual: bool = False
 
 
 def tool_file(result: Result, nominal: ToolFile, setting: Setting) -> ToolFile:
@@ -144,6 +145,7 @@ def tool_file(result: Result, nominal: ToolFile, setting: Setting) -> ToolFile:
         software=f"galen-hw {VERSION}",
         robot=setting.robot,
         sensor_serial=setting.sensor_serial,
+        virtual=setting.virtual,
         method=result.best.key,
         reason=result.comparison.reason,
         sweep=setting.sweep,

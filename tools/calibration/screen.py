@@ -158,7 +158,8 @@ def show_accepted(tool: ToolFile, path: str) -> RenderableType:
     assert tool.com is not None
     com = ", ".join(f"{1e3 * x:.2f}" for x in tool.com)
     text = f"[bold]{tool.calibration_id}[/]  mass {1e3 * tool.mass:.2f} g, centre of mass ({com}) mm\n{path}"
-    return Panel(text, title="accepted", title_align="left", border_style="green", expand=False)
+    title = "accepted, for virtual robots" if tool.origin and tool.origin.virtual else "accepted"
+    return Panel(text, title=title, title_align="left", border_style="green", expand=False)
 
 
 def unit(channel: str) -> str:

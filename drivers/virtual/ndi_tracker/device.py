@@ -9,6 +9,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.drivers.virtual.faults import parse_fault
+from galen_hw.drivers.virtual.ndi_tracker.definition import (
+    REFERENCE_SPHERES_MM,
+    TOOL_SPHERES_MM,
+    make_definition,
+)
 from galen_hw.drivers.virtual.ndi_tracker.ports import Ports
 from galen_hw.drivers.virtual.ndi_tracker.scene import Scene, SceneSettings, SceneWorld
 from galen_hw.drivers.virtual.ndi_tracker.session import Identity, Session
@@ -40,7 +45,6 @@ class VirtualNdiTracker:
         revision: str = "010"
         serial_number: str = "P6-00123"
         paced: bool = True
-        needs_definitions: bool = Field(default=False, description="PINIT wants a .rom first, as a real tracker does")
         announce: bool = Field(default=True, description="say RESET at power-up")
         reply_time_s: float = Field(default=0.001, ge=0.0)
 
@@ -59,8 +63,7 @@ class VirtualNdiTracker:
     def __init__(self, settings: Settings, world: SceneWorld) -> None:
         self.settings, self.world = settings, world
         identity = Identity(settings.model, settings.revision, settings.serial_number)
-        ports = Ports(definitions_known=not settings.needs_definitions)
-        self.session = Session(Scene(settings.scene, world), identity, ports=ports)
+        self.session = Session(Scene(settings.scene, world), identity, ports=Ports())
         self.host_baud_rate: int | None = None
         self._reader = CommandReader()
         self._rx, self._tx = PacedLine(0), PacedLine(0)
@@ -69,6 +72,14 @@ class VirtualNdiTracker:
         self._struck: set[str] = set()
         self._replies = 0
         self._switched_ns, self._baud_rate = 0, LineSettings().baud_rate
+
+    @property
+    def files(self) -> dict[str, bytes]:
+        """What comes in the box: the tool definitions of the two marker bodies, by file name."""
+        return {
+            "tool.rom": make_definition(TOOL_SPHERES_MM, "VIRTUAL-TOOL"),
+            "reference.rom": make_definition(REFERENCE_SPHERES_MM, "VIRTUAL-REFERENCE"),
+        }
 
     @property
     def line(self) -> LineSettings:

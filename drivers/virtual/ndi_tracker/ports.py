@@ -3,11 +3,13 @@
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+from galen_hw.drivers.virtual.ndi_tracker.definition import is_definition
 from galen_hw.drivers.virtual.ndi_tracker.wire import (
     INVALID_HANDLE,
     INVALID_PRIORITY,
     NO_HANDLE_LEFT,
     NO_TOOL,
+    NOT_INITIALISABLE,
     OUT_OF_RANGE,
     TOO_LONG,
     TOO_SHORT,
@@ -53,14 +55,9 @@ class Port:
 
 
 class Ports:
-    """All handles. A passive tool is told by its geometry; here the order of asking says which marker it is.
+    """All handles. A passive tool is told by its geometry; here the order of asking says which marker it is."""
 
-    Args:
-        definitions_known: a handle can be initialised without a tool definition from the host.
-    """
-
-    def __init__(self, *, definitions_known: bool = False) -> None:
-        self._definitions_known = definitions_known
+    def __init__(self) -> None:
         self.by_handle: dict[int, Port] = {}
 
     def clear(self) -> None:
@@ -76,7 +73,7 @@ class Ports:
             raise NdiError(NO_HANDLE_LEFT)
         taken = {port.marker for port in self.by_handle.values()}
         marker = next(m for m in range(_HANDLES) if m not in taken)
-        self.by_handle[free[0]] = Port(free[0], marker, loaded=self._definitions_known)
+        self.by_handle[free[0]] = Port(free[0], marker)
         return f"{free[0]:02X}"
 
     def free(self, parameters: str) -> str:
@@ -127,10 +124,12 @@ class Ports:
         return "OKAY"
 
     def initialise(self, parameters: str) -> str:
-        """PINIT: only a handle with a tool definition."""
+        """PINIT: only a handle with a tool definition that is one; a passive body has no memory of its own to ask."""
         port = self.find(parameters)
         if not port.loaded:
             raise NdiError(NO_TOOL)
+        if not is_definition(port.rom):
+            raise NdiError(NOT_INITIALISABLE)
         port.initialised = True
         return "OKAY"
 

@@ -1,0 +1,134 @@
+"""How large a finding is, for people: the parameters that matter, in units that read well, with their uncertainty."""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from galen_hw.diagnosis.result import Finding, Value
+
+HEAD: Final[dict[str, tuple[str, ...]]] = {
+    "bias": ("offset",),
+    "step": ("jump_.*",),
+    "drift": ("change", "amplitude"),
+    "temperature": ("coefficient",),
+    "gain": ("gain_error",),
+    "cross_talk": ("leak",),
+    "saturation": ("limit",),
+    "time_delay": ("delay",),
+    "lag": ("constant",),
+    "creep": ("share", "compliance", "constant"),
+    "backlash": ("half_width",),
+    "vibration": ("frequency",),
+    "payload": ("mass", "moment_."),
+    "base_tilt": ("tilt_.",),
+    "inertial": ("share",),
+    "joint_offset": ("offset",),
+    "joint_scale": ("scale_error",),
+    "link_geometry": (".*_tilt.*", ".*_shift.*", "rod_length.*", "radius.*"),
+    "sensor_mounting": ("turn_.", "shift_."),
+    "friction": ("coulomb", "coulomb_forward", "coulomb_backward", "viscous", "stiction"),
+    "compliance": ("compliance.*",),
+    "torque_ripple": ("wave_number",),
+    "cable_drag": ("stiffness", "dry_friction"),
+    "glitches": ("size",),
+}
+"""Parameters that are named first, by regular expression; with none of them the size of the signal speaks."""
+
+SIGNAL: Final = "rms_signal"
+"""The parameter that every finding has: rms of what it adds to its strongest channel."""
+
+PERCENT: Final = {"gain_error", "leak", "scale_error", "share", "load_share"}
+MOST_PARTS: Final = 3
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A number in a unit that reads well."""
+
+    value: float
+    std: float
+    unit: str
+
+
+def quantity(value: float, std: float | None, unit: str) -> str:
+    """A number with its standard deviation and unit, as many digits as it deserves."""
+    if std is None or not std > 0.0 or not math.isfinite(std):
+        return f"{value:.4g} {unit}".strip()
+    place = _order(std)
+    digits = max(1 - place, 0)
+    if digits > 6 or abs(value) >= 1e6:
+        return f"{value:.{max(2, min(2 + _order(abs(value) or std) - place, 8))}g} ± {std:.2g} {unit}".strip()
+    return f"{value:.{digits}f} ± {std:.{digits}f} {unit}".strip()
+
+
+def _order(x: float) -> int:
+    return int(f"{x:e}".split("e")[1])
+
+
+def readable(value: float, std: float, unit: str, name: str = "") -> Shown:
+    """SI in a unit that people read: mm, mrad or deg, ms, g, N mm, per cent."""
+    if name in PERCENT and unit == "1":
+        return Shown(100.0 * value, 100.0 * std, "%")
+    size = abs(value)
+    table: dict[str, list[tuple[float, float, str]]] = {
+        "m": [(1e-4, 1e6, "um"), (0.5, 1e3, "mm")],
+        "rad": [(2e-4, 1e6, "urad"), (0.1, 1e3, "mrad"), (math.inf, math.degrees(1.0), "deg")],
+        "s": [(0.5, 1e3, "ms")],
+        "kg": [(0.5, 1e3, "g")],
+        "kg m": [(0.5, 1e6, "g mm")],
+        "N m": [(0.02, 1e3, "N mm")],
+        "rad/(N m)": [(0.02, 1e3, "mrad/(N m)")],
+        "m/N": [(1e-3, 1e6, "um/N")],
+        "rad/s": [(math.inf, math.degrees(1.0), "deg/s")],
+    }
+    if name == "wave_number" and unit in ("rad/rad", "rad/m") and value > 0.0:
+        period = readable(2.0 * math.pi / value, 0.0, unit.removeprefix("rad/"))
+        return Shown(period.value, period.value * std / value, period.unit)
+    for below, factor, shown in table.get(unit, []):
+        if size < below:
+            return Shown(factor * value, factor * std, shown)
+    return Shown(value, std, "" if unit == "1" else unit)
+
+
+def text(name: str, value: Value) -> str:
+    """One parameter for people."""
+    shown = readable(value.value, value.std, value.unit, name)
+    return quantity(shown.value, shown.std, shown.unit)
+
+
+def headline(finding: Finding) -> str:
+    """The size of a finding in a few words: up to three parameters, ranges over joints or channels."""
+    parts = _by_name(finding.parameters)
+    named = [name for pattern in HEAD.get(finding.effect, ()) for name in parts if re.fullmatch(pattern, name)]
+    named = list(dict.fromkeys(named))
+    named = [n for n in named if any(_sure(v) for v in parts[n])] or named
+    words = [_range(name, parts[name]) for name in named[:MOST_PARTS]]
+    if finding.effect in ("vibration", "torque_ripple", "step", "contact", "hysteresis") or not words:
+        words += [f"{text(SIGNAL, value)} rms" for value in parts.get(SIGNAL, [])[:1]]
+    return ", ".join(words)
+
+
+def _sure(value: Value) -> bool:
+    """Whether it differs from zero at all."""
+    return abs(value.value) > 2.0 * value.std
+
+
+def _by_name(parameters: Mapping[str, Value]) -> dict[str, list[Value]]:
+    """Parameters of all parts under their bare name: "joint3: coulomb" is a coulomb."""
+    out: dict[str, list[Value]] = {}
+    for name, value in parameters.items():
+        out.setdefault(name.rsplit(": ", 1)[-1], []).append(value)
+    return out
+
+
+def _range(name: str, values: list[Value]) -> str:
+    label = {"wave_number": "period"}.get(name, name.replace("_", " "))
+    if len(values) == 1:
+        return f"{label} {text(name, values[0])}"
+    shown = [readable(v.value, v.std, v.unit, name) for v in values]
+    if len({one.unit for one in shown}) > 1:
+        return f"{label} {text(name, values[0])} and others"
+    low, high = (f"{pick(one.value for one in shown):.3g}" for pick in (min, max))
+    return f"{label} {low if low == high else f'{low} to {high}'} {shown[0].unit}".strip()
