@@ -7,14 +7,16 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from galen_hw.diagnosis.algebra import orthonormal, scaled
+from galen_hw.diagnosis.algebra import orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis, rich_basis
-from galen_hw.diagnosis.rows import Mask
+from galen_hw.diagnosis.rows import Index
 from galen_hw.physics.effect import Columns
 from galen_hw.spatial import Array
 
 Z_NEEDED = 4.5
 CHANCE = 2e-4
+T_NEEDED = 3.0
+"""Standard errors by which generic functions must win on blocks that they were not fitted on."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ class Left:
         channel: place.
         kind: what the generic functions were of.
         z: (T - k) / sqrt(2 k) on the training rows.
-        share: of the rest's mean square, on rows set aside (training rows where none are).
+        share: of the rest's mean square.
         predicted: (M,) in raw units; basis: (M, k) the functions.
     """
 
@@ -103,16 +105,17 @@ def _waves(z: Array, scale: float) -> Array:
     return np.asarray(np.cos(z @ w + phase))
 
 
-def compact(bench: Bench) -> list[Columns]:
+def families(bench: Bench) -> list[tuple[str, Array]]:
+    """The generic functions of a bench as orthonormal bases (M, k), a constant first, the strongest directions next."""
+    ones, most = np.ones((len(bench.rows), 1)), max(int((~bench.dropped).sum()) // 6, 3)
+    return [(kind, rich_basis(ones, [X], 12 * min(most, X.shape[1]))) for kind, X in dictionaries(bench) if X.shape[1]]
+
+
+def compact(bench: Bench, generic: list[tuple[str, Array]]) -> list[Columns]:
     """The leading directions of every family, in all channels: what they explain must not pass for noise."""
     if len(bench.rows) < 2000:
         return []
-    out, ones = [], np.ones((len(bench.rows), 1))
-    for _, X in dictionaries(bench):
-        if X.shape[1]:
-            values = rich_basis(ones, [X], 12 * 8)[:, 1:]
-            out += [Columns((c,), values[:, None, :]) for c in range(bench.width)]
-    return out
+    return [Columns((c,), X[:, None, 1:9]) for _, X in generic for c in range(bench.width)]
 
 
 def _inputs(bench: Bench) -> Array:
@@ -139,55 +142,73 @@ def _resonators(x: Array, frequency: float) -> Array:
     return np.concatenate(out, axis=1) if out else x[:, :0]
 
 
-def leftovers(bench: Bench, model: list[Hypothesis], rest: Array, white: Array) -> list[Left]:
-    """Structure in the rest (M, C) of a model, strongest first; only what also predicts rows set aside.
+def leftovers(
+    bench: Bench, generic: list[tuple[str, Array]], model: list[Hypothesis], rest: Array, white: Array
+) -> list[Left]:
+    """Structure in the rest (M, C) of a model, strongest first; only what also predicts blocks it was not fitted on.
 
     Args:
+        generic: `families` of the bench.
         model: nuisances and effects, so that generic functions get no credit for what these could do.
         rest, white: the model's rest, raw and whitened.
     """
-    train, judged = bench.train, bench.judged
+    good = ~bench.dropped
+    block = bench.block[good]
     out: list[Left] = []
-    families = [
-        (kind, rich_basis(np.ones((len(X), 1)), [X], 12 * min(max(int(train.sum()) // 6, 3), X.shape[1])))
-        for kind, X in dictionaries(bench)
-        if X.shape[1]
-    ]
+    transformed = [bench.noise.transformed(X) for _, X in generic]
     for c in range(bench.width):
         own = [h.white.values[:, h.white.channels.index(c)] for h in model if c in h.white.channels and h.count]
-        base = orthonormal(scaled(np.concatenate([*own, np.zeros((len(rest), 0))], axis=1)[train]), weakest=1e-12)
-        for kind, X in families:
-            Xw = bench.noise.whiten(X, c)
-            found = _test(Xw, X, base, white[:, c], rest[:, c], train, judged)
-            if found is not None:
-                z, share, predicted, k = found
-                needed = CHANCE / (len(families) * bench.width)
-                if z > Z_NEEDED and chi2.sf(z * np.sqrt(2.0 * k) + k, k) < needed:
-                    out.append(Left(c, kind, z, share, predicted, X))
+        base = orthonormal(scaled(np.concatenate([*own, np.zeros((len(rest), 0))], axis=1)[good]), weakest=1e-12)
+        y = white[good, c] - base @ (base.T @ white[good, c])
+        for (kind, X), known in zip(generic, transformed, strict=True):
+            Xw = bench.noise.whitened(known, c)[good]
+            V, A = _beside(Xw, base)
+            k = V.shape[1]
+            if not k:
+                continue
+            projected = V.T @ (A.T @ y)
+            T = float(projected @ projected)
+            z = (T - k) / np.sqrt(2.0 * k)
+            if z < Z_NEEDED or chi2.sf(T, k) > CHANCE / (len(generic) * bench.width):
+                continue
+            if _crossed(A @ V, y, block, shrink=1.0 - k / T) < T_NEEDED:
+                continue
+            predicted = X @ (V @ projected)
+            power = max(float(np.sum(rest[good, c] ** 2)), 1e-300)
+            share = 1.0 - float(np.sum((rest[good, c] - predicted[good]) ** 2)) / power
+            out.append(Left(c, kind, z, share, predicted, X))
     return sorted(out, key=lambda left: -left.z)
 
 
-def _test(
-    Xw: Array, X: Array, Q: Array, white: Array, rest: Array, train: Mask, judged: Mask
-) -> tuple[float, float, Array, int] | None:
-    learn = Xw[train]
-    A = learn - Q @ (Q.T @ learn)
+def _beside(Xw: Array, base: Array) -> tuple[Array, Array]:
+    """Columns less what the model can do, A (n, k), and V so that A V is orthonormal."""
+    A = Xw - base @ (base.T @ Xw)
     size = np.linalg.norm(A, axis=0)
-    own = size > 1e-3 * np.linalg.norm(learn, axis=0)  # not what the model itself can do
+    own = size > 1e-3 * np.linalg.norm(Xw, axis=0)
     if not own.any():
-        return None
+        return np.zeros((A.shape[1], 0)), A
     value, vector = np.linalg.eigh((A[:, own].T @ A[:, own]) / np.outer(size[own], size[own]))
     good = value > 1e-6 * max(float(value[-1]), 1e-300)
-    k = int(good.sum())
-    V = np.zeros((A.shape[1], k))
+    V = np.zeros((A.shape[1], int(good.sum())))
     V[own] = vector[:, good] / np.sqrt(value[good]) / size[own, None]
-    y = white[train] - Q @ (Q.T @ white[train])
-    projected = V.T @ (A.T @ y)
-    z = (float(projected @ projected) - k) / np.sqrt(2.0 * k)
-    theta = V @ projected
-    where = judged if judged.any() else train
-    predicted_white = Xw @ theta
-    gain = float(np.sum(white[where] ** 2 - (white[where] - predicted_white[where]) ** 2))
-    predicted = X @ theta
-    share = 1.0 - float(np.sum((rest[where] - predicted[where]) ** 2) / max(np.sum(rest[where] ** 2), 1e-300))
-    return (z, share, predicted, k) if (gain > 8.0 and share > 0.0) or not judged.any() else None
+    return V, A
+
+
+def _crossed(U: Array, y: Array, block: Index, *, shrink: float, folds: int = 5) -> float:
+    """How surely orthonormal functions U (n, k) predict blocks that they were not fitted on: mean gain over its error.
+
+    The fit is shrunk towards nothing as James and Stein have it (1961), so that many functions of which few matter may win.
+    Blocks are the unit: slow noise inside a block is one piece of luck.
+    """
+    fold = np.unique(block, return_inverse=True)[1] % folds
+    gain = np.zeros(len(y))
+    for f in range(folds):
+        learn, judge = fold != f, fold == f
+        if not judge.any() or not learn.any():
+            continue
+        theta = shrink * solve_sym(U[learn].T @ U[learn], (U[learn].T @ y[learn])[:, None])[:, 0]
+        predicted = U[judge] @ theta
+        gain[judge] = predicted * (2.0 * y[judge] - predicted)
+    each = np.bincount(block, gain)[np.unique(block)]
+    spread = float(np.std(each, ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else np.inf
+    return float(np.mean(each)) / max(spread, 1e-300)

@@ -21,7 +21,7 @@ SURROGATES = 48
 MOST_OF_MOTION = 0.995
 
 
-@dataclass
+@dataclass(eq=False)
 class Hypothesis:
     """One effect on the bench.
 
@@ -54,11 +54,13 @@ class Bench:
         scene: what was measured and simulated.
         held: share of blocks set aside.
         seed: of the choice of blocks and of surrogates.
+        most: rows that it may have; neighbours are averaged until there are no more.
     """
 
     scene: Scene
     held: float = 0.3
     seed: int = 0
+    most: int = MOST_ROWS
     rows: Rows = field(init=False)
     block: Index = field(init=False)
     aside: Mask = field(init=False)
@@ -69,15 +71,27 @@ class Bench:
     def __post_init__(self) -> None:
         """Averages the residual and marks the rows set aside."""
         n = len(self.scene)
-        self.rows = Rows(tuple(self.scene.segments), max(1, -(-n // MOST_ROWS)))
+        # A scene that low-passes what it compares says how many neighbouring rows hold nothing new.
+        self.rows = Rows(tuple(self.scene.segments), max(1, getattr(self.scene, "grain", 1), -(-n // self.most)))
         count = 40 if len(self.rows) >= 400 else max(min(len(self.rows) // 4, 14), 4)
         self.block = blocks(self.rows.runs, count)
         self.aside = set_aside(self.block, self.held, self.seed) if self.held > 0 else np.zeros(len(self.rows), bool)
+        self.spoilt = np.zeros(n, dtype=bool)
         self.dropped = np.zeros(len(self.rows), dtype=bool)
         self.whole = self.rows.average(self.scene.residual)
         self.y = self.whole
         self.steps = quantisation(self.scene.measured)
         self.width = len(self.scene.channels)
+
+    def leave_out(self, spoilt: Mask) -> None:
+        """Rows (N,) of the recording that no fit may see; the averaged rows that hold one are bridged."""
+        self.spoilt = spoilt
+        self.dropped = self.rows.spread(spoilt)
+        good = np.flatnonzero(~self.dropped)
+        if self.dropped.any() and len(good):
+            at = np.arange(len(self.dropped))
+            self.whole = np.stack([np.interp(at, good, self.whole[good, c]) for c in range(self.width)], axis=-1)
+        self.y = self.whole
 
     @property
     def train(self) -> Mask:
@@ -106,9 +120,10 @@ class Bench:
 
     def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
         """A hypothesis of given averaged columns."""
+        flat = self.noise.transformed(raw.values.reshape(len(raw.values), -1)).reshape(raw.values.shape)
         white = np.empty_like(raw.values)
         for i, channel in enumerate(raw.channels):
-            white[:, i] = self.noise.whiten(raw.values[:, i], channel)
+            white[:, i] = self.noise.whitened(flat[:, i], channel)
         return Hypothesis(effect, raw, Columns(raw.channels, white), looked, name)
 
     def constants(self) -> list[Columns]:

@@ -54,25 +54,38 @@ class Noise:
 
     def whiten(self, x: Array, channel: int) -> Array:
         """(M, k) columns of one channel, scaled and filtered so that its noise becomes white with unit variance."""
-        out = np.empty_like(x, dtype=float)
-        for run in self.rows.runs:
-            out[run] = self._filtered(x[run], channel, -0.5)
-        return out
+        return self.whitened(self.transformed(x), channel)
 
     def colour(self, z: Array, channel: int) -> Array:
         """White noise (M, k) turned into noise like the channel's."""
-        out = np.empty_like(z, dtype=float)
+        return self._filtered(self.transformed(z), channel, 0.5)
+
+    def transformed(self, x: Array) -> Array:
+        """(M, k) columns as `whitened` takes them: the part of the work that is the same for all channels.
+
+        The cosine transform of a run is that of the signal with its mirror image behind it: the two ends stay apart.
+        """
+        out = np.empty_like(x, dtype=float)
         for run in self.rows.runs:
-            out[run] = self._filtered(z[run], channel, 0.5)
+            out[run] = dct(x[run], axis=0) if self._coloured(run) else x[run]
         return out
 
-    def _filtered(self, x: Array, channel: int, power: float) -> Array:
-        n = len(x)
-        if not len(self.edges) or n < SHORTEST:
-            return np.asarray(x * self.sigma[channel] ** (2 * power))
-        # The cosine transform is that of the signal with its mirror image behind it: the two ends stay apart.
-        level = self._levels(n)[:, channel] ** power
-        return np.asarray(idct(dct(x, axis=0) * level[:, None], axis=0))
+    def whitened(self, transformed: Array, channel: int) -> Array:
+        """(M, k) white columns from transformed ones."""
+        return self._filtered(transformed, channel, -0.5)
+
+    def _filtered(self, transformed: Array, channel: int, power: float) -> Array:
+        out = np.empty_like(transformed)
+        for run in self.rows.runs:
+            if self._coloured(run):
+                level = self._levels(run.stop - run.start)[:, channel] ** power
+                out[run] = idct(transformed[run] * level[:, None], axis=0)
+            else:
+                out[run] = transformed[run] * self.sigma[channel] ** (2.0 * power)
+        return out
+
+    def _coloured(self, run: slice) -> bool:
+        return len(self.edges) > 0 and run.stop - run.start >= SHORTEST
 
     def _levels(self, n: int) -> Array:
         """The spectrum at the frequencies of a cosine transform of length n, kept."""
@@ -125,8 +138,8 @@ def estimate(rest: Array, basis: list[Array], rows: Rows, *, clock: bool, steps:
     edges = _bands(max(run.stop - run.start for run in long))
     levels = np.stack([_levels(rest[:, c], basis[c], long, edges, above) for c in range(C)], axis=-1)
     noise = Noise(rows, edges, levels, sigma, float(freedom.sum()), correlation, steps)
-    # What the bands say the variance is, so that one sample's sigma holds the slow part too.
-    f = (np.arange(4096) + 0.5) / 8192
+    # What the bands say the variance is, so that one sample's sigma holds the slow part too, as far as it was measured.
+    f = np.maximum((np.arange(4096) + 0.5) / 8192, np.sqrt(edges[0] * edges[1]))
     total = np.sqrt(np.mean(noise.spectrum(f), axis=0))
     return Noise(rows, edges, levels, total, float(freedom.sum()), correlation, steps)
 
