@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import median_filter
+from scipy.ndimage import percentile_filter
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from galen_hw.spatial import Array
@@ -70,15 +70,31 @@ def smoothed(time: Array, x: Array, segments: list[slice], band: float, *, bridg
     return out
 
 
+ALONE = 3
+"""So many samples in a row may be isolated; more are an event."""
+
+
 def isolated(x: Array) -> NDArray[np.bool_]:
-    """(N,) samples that stand off a running median of nine by more than nine of the usual distances from it."""
-    if len(x) < 20 or not np.isfinite(x).all():
-        return np.zeros(len(x), dtype=bool)
-    away = np.abs(x - median_filter(x, size=9, mode="nearest"))
-    spread = max(1.4826 * float(np.median(away)), 1e-300)
-    usual = float(np.sqrt(np.mean(np.minimum(away, 6.0 * spread) ** 2)))
-    found = away > 9.0 * max(usual, 1e-12 * float(np.max(np.abs(x))))
-    return found if usual > 0.0 and found.mean() < 0.03 else np.zeros(len(x), dtype=bool)
+    """(N,) samples, at most three in a row, that stand out to one side of what lies before and after them.
+
+    How far a sample stands out is the smaller of its distances to the third one before and after, where both have one sign;
+    zero on slopes, steps and ramps. It must be six times what nine samples of ten around it stay below.
+    """
+    n = len(x)
+    none = np.zeros(n, dtype=bool)
+    if n < 20 or not np.isfinite(x).all():
+        return none
+    wide = np.pad(x, ALONE, mode="reflect")
+    before, after = x - wide[:n], x - wide[2 * ALONE :]
+    out = np.where(before * after > 0.0, np.minimum(np.abs(before), np.abs(after)), 0.0)
+    if not out.any():
+        return none
+    around = percentile_filter(out, 90, size=101, mode="nearest")
+    usual = np.maximum(around, max(float(np.quantile(out, 0.9)), float(out[out > 0.0].min())))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], out > 6.0 * usual, [False]]).astype(int)))
+    for a, b in edges.reshape(-1, 2):
+        none[a:b] = b - a <= ALONE
+    return none
 
 
 def derivatives(
