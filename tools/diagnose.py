@@ -99,7 +99,7 @@ def _whole(
         from galen_hw.diagnosis.draw import traces_of
         from galen_hw.diagnosis.page import write_page
 
-        write_page(_named(args.report, path, several=several), work.diagnosis.to_json(), traces_of(work))
+        write_page(_named(args.report, path, several=several), work.diagnosis, traces_of(work))
     if args.save_model:
         target = _named(args.save_model, path, several=several)
         saved = model_to_save(work, recording, target)
