@@ -7,7 +7,7 @@ An effect is then the same few lines whichever group is compared, and does nothi
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, wraps
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -62,6 +62,8 @@ class Scene:
     channels: tuple[str, ...] = ()
     rotational: tuple[bool, ...] = ()
     units: tuple[str, ...] = ()
+    whole: "Self | None" = None
+    """Of a single row: the recording that it belongs to, which knows what one row cannot show."""
 
     def __init__(
         self, observations: Observations, rates: tuple[Array, Array] | None = None, memory: Memory | None = None
@@ -77,6 +79,13 @@ class Scene:
     def __len__(self) -> int:
         """Number of rows."""
         return len(self.observations)
+
+    def row(self, k: int, memory: Memory) -> Self:
+        """Row k by itself, as a live sample; `memory` is handed on from row to row."""
+        at = slice(k, k + 1)
+        one = type(self)(self.observations.taken(at), rates=(self.rates[0][at], self.rates[1][at]), memory=memory)
+        one.whole = self
+        return one
 
     @cached_property
     def measured(self) -> Array:

@@ -214,8 +214,8 @@ class PositionScene(JointScene):
     @once
     def load(self, joint: str) -> Array | None:
         """Effort with a sign, as measured; else the torque of the URDF's weight; else None."""
-        effort = self.observations.columns.get(f"joint.{joint}.effort")
+        effort = (self.whole or self).observations.columns.get(f"joint.{joint}.effort")
         if effort is not None and np.isfinite(effort).all() and np.min(effort) < 0.0 < np.max(effort):
-            return np.asarray(effort)
+            return np.asarray(self.observations.columns[f"joint.{joint}.effort"])
         weight = self.weight_torque()
         return None if weight is None else weight[:, self.joint_index(joint)]
