@@ -8,6 +8,7 @@ import numpy as np
 from galen_hw.diagnosis import adequacy, seek
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.confusion import confusions
+from galen_hw.diagnosis.experiment import next_experiment
 from galen_hw.diagnosis.final import Model, merit, offsets, settle_model
 from galen_hw.diagnosis.findings import findings_of, unknown_finding
 from galen_hw.diagnosis.guards import Premise, premises
@@ -17,7 +18,6 @@ from galen_hw.diagnosis.result import Diagnosis, Finding, Verdict
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import Selection, at_first_sight, library, select
-from galen_hw.diagnosis.words import next_experiment
 from galen_hw.physics.event_effects import Glitches
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.table import effect_class
@@ -163,10 +163,7 @@ def _said(
     if premise.wrong or rest:
         findings.append(unknown_finding(bench, rest, premise))
     verdict = _verdict(findings, rest, premise)
-    unknown = ", ".join(findings[-1].channels[:3]) if findings and findings[-1].effect == "unknown" else ""
-    named = [f.effect for f in findings if f.effect != "unknown"]
-    rivals = [c.effect for f in findings for c in f.confounded_with]
-    advice = next_experiment(named, rivals, unknown)
+    advice = next_experiment(model, selection, findings, rest)
     notes = list(premise.notes)
     if verdict == "agrees":
         notes.append(_limit(bench))

@@ -214,7 +214,9 @@ def _plain(key: str) -> str:
 
 def _unexplained(model: Model, left: list[Left]) -> str:
     """Where no name fits: whether it is of place, of time or of speed."""
-    place = f" in {model.bench.scene.channels[left[0].channel]}" if left else ""
+    if not left:
+        return "First put right what is said of the recording itself; nothing else is worth an experiment before."
+    place = f" in {model.bench.scene.channels[left[0].channel]}"
     if not model.bench.scene.clock:
         return (
             f"Something is left{place} that no name fits: repeat the same poses in another order, each of them twice."
