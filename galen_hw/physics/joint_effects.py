@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, in_channel
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_channel
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.time_effects import joint_of
+from galen_hw.spatial import skew
 
 if TYPE_CHECKING:
     from galen_hw.spatial import Array
@@ -192,13 +193,11 @@ class CableDrag(Effect):
             return in_channel(place, [q, *(scene.seen(rub[:, None])[:, 0] for rub in rubs)])
         Rt = np.swapaxes(scene.T[:, :3, :3], 1, 2)  # type: ignore[attr-defined]
         p = np.einsum("nij,nj->ni", Rt, scene.T[:, :3, 3])  # type: ignore[attr-defined]
-        unit_pulls = [Rt[:, :, i] for i in range(3)]
-        lever = [np.cross(np.eye(3)[i], f) for i in range(3) for f in unit_pulls]
-        zero = np.zeros((len(scene), 3))
-        force = [np.concatenate([f, zero], axis=1) for f in unit_pulls]
-        torque = [np.concatenate([zero, t], axis=1) for t in lever]
+        levers = skew(np.eye(3))
+        out = np.zeros((len(scene), 6, 16))
+        out[:, :3, 0], out[:, :3, 1:4] = -p, Rt
+        out[:, 3:, 4:7] = -np.einsum("iab,nb->nai", levers, p)
+        out[:, 3:, 7:] = np.einsum("iab,nbj->naij", levers, Rt).reshape(-1, 3, 9)
         if self.form == "pull":
-            return in_all([*force, *torque], 6)
-        spring = [np.concatenate([-p, zero], axis=1)]
-        spring_lever = [np.concatenate([zero, -np.cross(np.eye(3)[i], p)], axis=1) for i in range(3)]
-        return in_all([*spring, *force, *spring_lever, *torque], 6)
+            out = out[:, :, [1, 2, 3, *range(7, 16)]]
+        return Columns(tuple(range(6)), out)
