@@ -12,7 +12,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from galen_hw.errors import UsageError
-from galen_hw.spatial import Array, rotation_about, transform
+from galen_hw.spatial import Array, cross, rotation_about, transform
 from galen_hw.units import STANDARD_GRAVITY
 
 GALEN_JOINTS = ("carriage1", "carriage2", "carriage3", "roll", "tilt")
@@ -76,11 +76,11 @@ class LinearDelta:
         centres = np.empty((*c.shape, 3))
         centres[..., :2], centres[..., 2] = self._towers, c - self._home_height
         e1, e2 = centres[..., 1, :] - centres[..., 0, :], centres[..., 2, :] - centres[..., 0, :]
-        normal = np.cross(e1, e2)
+        normal = cross(e1, e2)
         n2 = np.sum(normal**2, axis=-1, keepdims=True)
         # Circumcentre of the three carriages relative to the first; all three are at rod length from the platform.
         l1, l2 = np.sum(e1**2, axis=-1, keepdims=True), np.sum(e2**2, axis=-1, keepdims=True)
-        centre = (l1 * np.cross(e2, normal) + l2 * np.cross(normal, e1)) / (2.0 * n2)
+        centre = (l1 * cross(e2, normal) + l2 * cross(normal, e1)) / (2.0 * n2)
         with np.errstate(invalid="ignore"):
             height = np.sqrt((self.rod_length**2 - np.sum(centre**2, axis=-1, keepdims=True)) / n2)
         return np.asarray(centres[..., 0, :] + centre + np.sign(normal[..., 2:]) * height * normal)

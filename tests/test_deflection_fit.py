@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from galen_hw.cli import main
-from galen_hw.identification.deflection.registration import register_both
 from galen_hw.recording import Recording, RecordingInfo, write_table
 from galen_hw.services.deflection.store import DeflectionStore
-from galen_hw.spatial import Array, rotation_exp, transform
+from galen_hw.spatial import Array
 from galen_hw.tools.blind_proof.generator.galen import TOOLS
 from galen_hw.tools.deflection.robots import GivingRobot
 
@@ -101,16 +100,3 @@ def test_a_fit_ends_in_a_saved_model_and_a_page(
     with pytest.raises(SystemExit):
         main(["deflection"])
     assert main(["deflection", "--state", str(state), "rollback", "mine"]) == 2
-
-
-def test_markers_whose_places_nobody_knows_are_found_from_poses_without_force() -> None:
-    """Robot-world and hand-eye at once, exact on exact data, close on noisy data; one axis is refused."""
-    rng = np.random.default_rng(0)
-    X, Z = (transform(rotation_exp(rng.normal(size=3)), rng.normal(size=3)) for _ in range(2))
-    B = transform(rotation_exp(rng.normal(size=(8, 3))), rng.normal(size=(8, 3)))
-    found = register_both(X @ B @ Z, B)
-    assert np.abs(found[0] - X).max() < 1e-9
-    assert np.abs(found[1] - Z).max() < 1e-9
-    flat = transform(rotation_exp(np.outer(rng.normal(size=8), [0.0, 0.0, 1.0])), rng.normal(size=(8, 3)))
-    with pytest.raises(Exception, match="do not tell"):
-        register_both(X @ flat @ Z, flat)

@@ -160,7 +160,12 @@ def test_a_gap_grows_the_covariance_and_another_clock_resets(tmp_path: Path) -> 
 
 @pytest.mark.parametrize(
     ("file", "word"),
-    [({"robot": "other"}, "robot"), ({"tool": "pointer"}, "tool"), ({"tip": (0.0, 0.0, -0.2)}, "tip")],
+    [
+        ({"robot": "other"}, "robot"),
+        ({"virtual": True}, "virtual robot"),
+        ({"tool": "pointer"}, "tool"),
+        ({"tip": (0.0, 0.0, -0.2)}, "tip"),
+    ],
 )
 def test_a_model_of_another_robot_or_tool_is_refused(tmp_path: Path, file: dict[str, Any], word: str) -> None:
     """A fault says what, where and what to do, and no corrected pose is valid."""

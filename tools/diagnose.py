@@ -57,14 +57,24 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         UsageError: wrong use or unreadable input.
     """
+    _check_outputs(args)
     paths = [p for given in args.recordings for p in expanded(Path(given))]
     answers = _all(paths, args)
     show(Console(), answers)
     if args.json:
         values = [answer.to_json() for answer in answers]
         text = json.dumps(values if len(values) > 1 else values[0], indent=1, ensure_ascii=False, allow_nan=False)
-        Path(args.json).write_text(text + "\n", encoding="utf-8")
+        write_atomic(Path(args.json), text + "\n")
     return EXIT_OK if all(a.verdict == "agrees" for a in answers) else EXIT_FOUND
+
+
+def _check_outputs(args: argparse.Namespace) -> None:
+    """What is to be written can be, before minutes of work are spent on it."""
+    for option, given in (("--json", args.json), ("--report", args.report), ("--save-model", args.save_model)):
+        if given and Path(given).is_dir():
+            raise UsageError("is a folder", where=f"{option} {given}", todo="name a file in it")
+        if given and not Path(given).parent.is_dir():
+            raise UsageError("there is no such folder", where=f"{option} {given}", todo=f"mkdir {Path(given).parent}")
 
 
 def _all(paths: list[Path], args: argparse.Namespace) -> list[Diagnosis]:
@@ -99,7 +109,7 @@ def _whole(
         from galen_hw.diagnosis.draw import traces_of
         from galen_hw.diagnosis.page import write_page
 
-        write_page(_named(args.report, path, several=several), work.diagnosis.to_json(), traces_of(work))
+        write_page(_named(args.report, path, several=several), work.diagnosis, traces_of(work))
     if args.save_model:
         target = _named(args.save_model, path, several=several)
         saved = model_to_save(work, recording, target)

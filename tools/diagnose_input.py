@@ -43,6 +43,12 @@ def _matched(recording: Recording, simulation: Recording) -> dict[str, Array]:
     if same:
         return dict(simulation.columns)
     order = np.argsort(theirs, kind="stable")
+    if min(ours.max(), theirs.max()) <= max(ours.min(), theirs.min()):
+        what = (
+            f"the simulation does not overlap the recording in time: {theirs.min():.6g} to {theirs.max():.6g} s beside "
+            f"{ours.min():.6g} to {ours.max():.6g} s"
+        )
+        raise UsageError(what, where=str(simulation.path), todo="give both the same clock")
     return {k: np.interp(ours, theirs[order], v[order], np.nan, np.nan) for k, v in simulation.columns.items()}
 
 

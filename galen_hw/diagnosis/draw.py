@@ -1,101 +1,112 @@
-"""From the work of a diagnosis to what its page shows: traces, each effect's own curve, the table of evidence."""
+"""From the work of a diagnosis to what its page shows: traces, curves, maps, evidence, look-alikes, possible recordings."""
 
 from typing import Any
 
 import numpy as np
 
+from galen_hw.diagnosis.confusion import rivals
+from galen_hw.diagnosis.curves import curves_of
 from galen_hw.diagnosis.engine import Work
-from galen_hw.diagnosis.traces import Curve, Evidence, Traces
+from galen_hw.diagnosis.experiment import options_of
+from galen_hw.diagnosis.locate import baseline_rest, organised
+from galen_hw.diagnosis.traces import Alike, Along, Evidence, Option, Traces
+from galen_hw.diagnosis.variables import Variable, variables
 from galen_hw.physics.effect import Effect
 from galen_hw.spatial import Array
 
-MOST_EVIDENCE = 30
-AGAINST_SPEED = ("friction",)
-AGAINST_POSITION = (
-    "hysteresis",
-    "backlash",
-    "torque_ripple",
-    "cable_drag",
-    "joint_scale",
-    "joint_offset",
-    "compliance",
-)
+MOST_EVIDENCE = 40
+MOST_ALONG = 6
+LEAST_ALONG = 0.1
+"""Share of the excess from which a variable is worth a picture."""
+MOST_ALIKE = 6
+MOST_OPTIONS = 6
 
 
 def traces_of(work: Work) -> Traces:
     """Everything that the page draws."""
-    bench, scene = work.bench, work.bench.scene
+    bench, scene, before = work.bench, work.bench.scene, baseline_rest(work.model)
     return Traces(
         time=bench.rows.average(scene.time),
         clock=scene.clock,
         channels=tuple(scene.channels),
         units=tuple(scene.units),
-        before=bench.whole,
+        before=before,
         after=work.model.rest(),
         held_out=np.asarray(bench.aside),
-        maps=_maps(work),
-        curves=_curves(work),
+        along=_along(work, before),
+        plane=_plane(work, before),
+        curves=curves_of(work),
         evidence=_evidence(work),
+        alike=_alike(work),
+        options=[Option(a.recipe.name, a.minutes, a.angle) for a in _options(work)],
     )
 
 
-def _maps(work: Work) -> list[tuple[str, Array]]:
-    """Positions and speeds of the joints that moved, and time."""
-    bench, scene = work.bench, work.bench.scene
-    out: list[tuple[str, Array]] = []
-    for joint in scene.moved[:5]:
-        k = scene.joint_index(joint)
-        out.append((f"{joint}, position", bench.rows.average(scene.q[:, k])))
-    if scene.clock:
-        speeds = bench.rows.average(scene.rates[0])
-        out += [(f"{joint}, speed", speeds[:, scene.joint_index(joint)]) for joint in scene.moved[:5]]
-        out.append(("time, s", bench.rows.average(scene.time)))
-    return [(label, x) for label, x in out if np.isfinite(x).all()]
+def _along(work: Work, before: Array) -> list[Along]:
+    """The variables that organise the excess best, one picture a variable, with the region where one was found."""
+    if work.diagnosis.verdict == "agrees":
+        return []
+    names, regions = work.bench.scene.channels, {w["variable"]: w["range"] for w in work.diagnosis.where}
+    out = []
+    for v, share, channel in organised(work.bench, variables(work.bench), before):
+        region = regions.get(v.name)
+        whole = region is None or (region[0] <= v.values.min() and region[1] >= v.values.max())
+        inside = None if whole or region is None else (float(region[0]), float(region[1]))
+        if share > LEAST_ALONG or inside is not None:
+            out.append(Along(_label(v), v.unit, names.index(channel), v.values, share, inside))
+    return out[:MOST_ALONG]
 
 
-def _curves(work: Work) -> list[Curve]:
-    """One picture an effect (at most eight): in its strongest channel, all other effects taken off."""
-    model, rest = work.model, work.model.rest()
-    out: list[Curve] = []
-    for h, s in zip(model.parts, model.slices(), strict=True):
-        if h.effect is None or len(out) == 8:
-            continue
-        change = h.raw.values @ model.theta[s]
-        best = int(np.argmax(np.std(change, axis=0) / work.bench.noise.sigma[list(h.raw.channels)]))
-        channel = h.raw.channels[best]
-        out.append(_curve(work, h.effect, change[:, best], rest[:, channel], channel))
+def _label(v: Variable) -> str:
+    return v.name.removeprefix("joint.").replace(".", " ")
+
+
+def _plane(work: Work, before: Array) -> tuple[tuple[str, str, Array], tuple[str, str, Array]] | None:
+    """The two variables of motion, of two joints where it can be, that organise the excess best."""
+    motion = (".position", ".velocity")
+    known = [v for v in variables(work.bench) if v.name.endswith(motion) and v.about in work.bench.scene.moved]
+    order = [v for v, _, _ in organised(work.bench, known, before)]
+    if len(order) < 2 or work.diagnosis.verdict == "agrees":
+        return None
+    a = order[0]
+    b = next((v for v in order[1:] if v.about != a.about), order[1])
+    return (_label(a), a.unit, a.values), (_label(b), b.unit, b.values)
+
+
+def _alike(work: Work) -> list[Alike]:
+    """The nearest look-alikes of every finding, told apart or not."""
+    out = []
+    for finding in work.diagnosis.findings:
+        tied = {c.effect for c in finding.confounded_with}
+        near = rivals(work.selection, finding, everyone=True)
+        near.sort(key=lambda r: r.lead)
+        shown = [Alike(finding.effect, r.key, r.angle, r.nearest, 0.5 * r.lead, r.key not in tied) for r in near]
+        known = {one.rival for one in shown}
+        nan = float("nan")
+        shown += [Alike(finding.effect, key, nan, nan, nan, apart=False) for key in tied - known]
+        out += sorted(shown, key=lambda one: one.apart)[:MOST_ALIKE]
     return out
 
 
-def _curve(work: Work, effect: Effect, change: Array, rest: Array, channel: int) -> Curve:
-    scene, rows = work.bench.scene, work.bench.rows
-    name, unit = scene.channels[channel], scene.units[channel]
-    label, x, loop = ("time, s" if scene.clock else "row"), rows.average(scene.time), True
-    joint = next((j for j in effect.joints if j in scene.moved), None)
-    if joint is not None:
-        k = scene.joint_index(joint)
-        if effect.KEY in AGAINST_SPEED:
-            label, x, loop = f"speed of {joint}, rad/s or m/s", rows.average(scene.rates[0][:, k]), False
-        elif effect.KEY in AGAINST_POSITION:
-            label, x, loop = f"position of {joint}, rad or m", rows.average(scene.q[:, k]), effect.KEY == "hysteresis"
-    place = f"{effect.KEY}, {joint or name}"
-    return Curve(effect.KEY, place, label, f"{name}, {unit}", x, change + rest, change, loop)
+def _options(work: Work) -> list[Any]:
+    """Recipes for the first open question, quickest first."""
+    return options_of(work.model, work.selection, work.diagnosis.findings)[:MOST_OPTIONS]
 
 
 def _evidence(work: Work) -> list[Evidence]:
-    """The best of every family before anything was chosen, strongest first; then what was kept."""
+    """The best of every family before anything was chosen, strongest first."""
     selection, model = work.selection, work.model
     rows: list[Evidence] = []
     seen: set[tuple[Any, ...]] = set()
     kept = {_place(h.effect) for h in model.effects if h.effect is not None}
     refused = {_place(e): paid for e, paid in selection.refused}
-    order = sorted(selection.first, key=lambda i: -selection.first[i].rank)
-    for i in order:
+    for i in sorted(selection.first, key=lambda i: -selection.first[i].rank):
         effect = selection.scorer.library[i].effect
         if effect is None or _place(effect) in seen or len(rows) == MOST_EVIDENCE:
             continue
         seen.add(_place(effect))
-        score, where = selection.first[i], ", ".join(effect.joints) or str(getattr(effect, "channel", "") or "")
+        score = selection.first[i]
+        where = ", ".join(effect.joints) or str(getattr(effect, "channel", "") or "")
         gain = refused.get(_place(effect), float("nan"))
         outcome, reason = "not needed", "nothing of it is left beside what was kept"
         if _place(effect) in kept:

@@ -118,6 +118,16 @@ def best_of(model: Model, pair: Pair) -> Advice | None:
     return min(wide or able, key=lambda a: a.minutes, default=None)
 
 
+def options_of(model: Model, selection: Selection, findings: list[Finding]) -> list[Advice]:
+    """All recipes for the first open question, quickest first; none where nothing is open."""
+    for finding in findings:
+        if finding.confounded_with:
+            pair = pair_of(selection, finding, finding.confounded_with[0].effect, model)
+            able = [] if pair is None else [a for a in _advised(model, pair) if a.minutes < LONGEST]
+            return sorted(able, key=lambda a: (a.angle < WIDE, a.minutes))
+    return []
+
+
 def _advised(model: Model, pair: Pair) -> Iterator[Advice]:
     bench, joints = model.bench, tuple(dict.fromkeys((*pair.found.joints, *pair.rival.joints)))
     keys = {pair.found.KEY, pair.rival.KEY}
@@ -204,7 +214,9 @@ def _plain(key: str) -> str:
 
 def _unexplained(model: Model, left: list[Left]) -> str:
     """Where no name fits: whether it is of place, of time or of speed."""
-    place = f" in {model.bench.scene.channels[left[0].channel]}" if left else ""
+    if not left:
+        return "First put right what is said of the recording itself; nothing else is worth an experiment before."
+    place = f" in {model.bench.scene.channels[left[0].channel]}"
     if not model.bench.scene.clock:
         return (
             f"Something is left{place} that no name fits: repeat the same poses in another order, each of them twice."

@@ -1,59 +1,87 @@
-"""The report's pictures, each as PNG bytes: residuals, floors, map of where, an effect's own curve."""
+"""The report's pictures, each as SVG: residuals, floors, map and curves of where, an effect's own curve."""
 
 import io
 from collections.abc import Mapping
 from typing import Any, Final
 
 import matplotlib as mpl
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from galen_hw.diagnosis.traces import Curve, Traces
+from galen_hw.diagnosis.sizes import readable
+from galen_hw.diagnosis.summary import channel_words
+from galen_hw.diagnosis.traces import Along, Curve, Option, Traces
 from galen_hw.spatial import Array
 
-BEFORE, AFTER, FLOOR, GREY = "#c8643c", "#1f6f8b", "#cfe1e8", "#7a7a7a"
-MOST_POINTS: Final = 4000
+BEFORE, AFTER, FLOOR, GREY, INK, HELD = "#d1603d", "#17627f", "#d5e7ee", "#8a949b", "#1d2a33", "#efe9da"
+MOST_POINTS: Final = 5000
+MOST_CHANNELS: Final = 14
+STYLE: Final[Any] = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "legend.frameon": False,
+    "svg.hashsalt": "galen-hw",
+}
 
 
-def png(figure: Figure) -> bytes:
-    """The picture, closed afterwards."""
+def svg(figure: Figure) -> bytes:
+    """The picture; dense points are rasterised inside it."""
     out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=130)
-    plt.close(figure)
+    figure.savefig(out, format="svg", dpi=150, metadata={"Date": None})
     return out.getvalue()
 
 
 def residuals(traces: Traces, floor: Mapping[str, float]) -> bytes:
     """Residual before and after over time, a panel a channel, with the band of two sigma of the noise."""
     shown = _channels(traces)
-    columns = 1 if len(shown) <= 2 else 2 if len(shown) <= 4 else 3
+    columns = 1 if len(shown) <= 2 else 2
     rows = -(-len(shown) // columns)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=(11, 1.9 * rows + 0.9), sharex=True, squeeze=False, layout="constrained"
-    )
-    keep = _thin(len(traces.time))
-    t = traces.time[keep]
-    for ax, c in zip(axes.flat, shown, strict=False):
-        name = traces.channels[c]
-        level = floor.get(name)
-        if level:
-            ax.axhspan(-2 * level, 2 * level, color=FLOOR, lw=0, label="2 sigma of the noise")
-        ax.plot(t, _centred(traces.before[keep, c]), color=BEFORE, lw=0.7, label="before")
-        ax.plot(t, _centred(traces.after[keep, c]), color=AFTER, lw=0.7, label="after")
-        _shade(ax, traces)
-        ax.set_title(f"{name}, {traces.units[c]}", loc="left", fontsize=9)
-        ax.tick_params(labelsize=8)
-        ax.grid(alpha=0.25)
-    for ax in list(axes.flat)[len(shown) :]:
-        ax.set_visible(False)
-    for ax in axes[-1]:
-        ax.set_xlabel("time, s" if traces.clock else "row", fontsize=9)
-    handles, labels = axes.flat[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-    return png(figure)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(11, (2.6 if columns == 1 else 1.75) * rows + 0.7), layout="constrained")
+        axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
+        keep = _thin(len(traces.time))
+        for ax, c in zip(axes.flat, shown, strict=False):
+            _residual(ax, traces, c, keep, floor.get(traces.channels[c], 0.0))
+        for ax in list(axes.flat)[len(shown) :]:
+            ax.set_visible(False)
+        for k, ax in enumerate(axes.flat):
+            if k + columns >= len(shown):
+                ax.set_xlabel("time, s" if traces.clock else "row")
+                ax.tick_params(labelbottom=True)
+        handles, labels = axes.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=4)
+        return svg(figure)
+
+
+def _residual(ax: Any, traces: Traces, c: int, keep: Array, level: float) -> None:
+    """One channel in a unit that reads well."""
+    before, after, name = traces.before[:, c], traces.after[:, c], traces.channels[c]
+    factor, unit = _scale(before, traces.units[c])
+    middle = float(np.nanmedian(after))
+    style: dict[str, Any] = {"lw": 0.7} if len(traces.time) > 200 else {"lw": 0.8, "marker": "o", "ms": 3}
+    if level:
+        ax.axhspan(-2 * factor * level, 2 * factor * level, color=FLOOR, lw=0, label="2 sigma of the noise", zorder=0)
+    for values, colour, label in ((before, BEFORE, "before"), (after, AFTER, "after")):
+        ax.plot(
+            traces.time[keep], factor * (values[keep] - middle), color=colour, rasterized=True, label=label, **style
+        )
+    _shade(ax, traces)
+    ax.set_title(f"{channel_words(name)}, {unit}")
+    fall = " to ".join(f"{factor * float(np.std(v)):.3g}" for v in (before, after))
+    ax.set_title(f"rms {fall} {unit}", loc="right", fontweight="normal", color=GREY)
+    ax.margins(x=0.005)
 
 
 def _shade(ax: Any, traces: Traces) -> None:
@@ -63,93 +91,179 @@ def _shade(ax: Any, traces: Traces) -> None:
     for k, (a, b) in enumerate(edges.reshape(-1, 2)):
         if b - a < len(traces.time):
             label = "held out" if k == 0 else None
-            ax.axvspan(traces.time[a], traces.time[min(b, last)], color="#f2efe6", lw=0, zorder=0, label=label)
+            ax.axvspan(traces.time[a], traces.time[min(b, last)], color=HELD, lw=0, zorder=-1, label=label)
 
 
 def bars(answer: Mapping[str, Any]) -> bytes:
     """Held-out rms of each channel over its noise floor, before and after, with the ceiling."""
     fit = answer["fit"]
     names = [c for c in fit["rmse_before"] if fit["noise_floor"].get(c)]
+    ratio = {k: np.array([(fit[k].get(c) or np.nan) / fit["noise_floor"][c] for c in names]) for k in fit}
     y = np.arange(len(names))
-    figure, ax = plt.subplots(figsize=(8, 0.45 * len(names) + 1.3), layout="constrained")
-    for offset, key, colour, label in ((0.18, "rmse_before", BEFORE, "before"), (-0.18, "rmse_after", AFTER, "after")):
-        ax.barh(y + offset, [fit[key][c] / fit["noise_floor"][c] for c in names], 0.34, color=colour, label=label)
-    ceiling = [fit["ceiling"].get(c) for c in names]
-    known = [(v / fit["noise_floor"][c], i) for i, (v, c) in enumerate(zip(ceiling, names, strict=True)) if v]
-    if known:
-        ax.plot(*zip(*known, strict=True), "|", color="k", ms=14, mew=1.6, label="ceiling: any function of the inputs")
-    ax.axvline(1.0, color=GREY, lw=0.9)
-    ax.set(yticks=y, xlabel="held-out rms / noise floor")
-    ax.set_yticklabels(names, fontsize=8)
-    ax.invert_yaxis()
-    ax.legend(frameon=False, fontsize=8)
-    return png(figure)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(11, 0.34 * len(names) + 1.0), layout="constrained")
+        ax = figure.subplots()
+        ax.axvspan(0.0, 1.0, color=FLOOR, lw=0, label="noise")
+        ax.hlines(y, ratio["rmse_after"], ratio["rmse_before"], color=GREY, lw=2.5, alpha=0.5)
+        if np.isfinite(ratio.get("ceiling", np.full(1, np.nan))).any():
+            ax.plot(ratio["ceiling"], y, "|", color=INK, ms=13, mew=1.8, label="ceiling: any function of the inputs")
+        ax.plot(ratio["rmse_before"], y, "o", color=BEFORE, ms=7, label="before")
+        ax.plot(ratio["rmse_after"], y, "o", color=AFTER, ms=7, label="after")
+        most = float(np.nanmax(ratio["rmse_before"]))
+        if most > 12.0:
+            ax.set_xscale("log")
+            ax.set_xlim(min(0.8, 0.9 * float(np.nanmin(ratio["rmse_after"]))), 1.2 * most)
+        else:
+            ax.set_xlim(0.0, 1.08 * max(most, 1.2))
+        ax.set(yticks=y, xlabel="held-out rms / noise floor", ylim=(len(names) - 0.5, -0.5))
+        ax.set_yticklabels([channel_words(c) for c in names])
+        figure.legend(loc="outside upper center", ncols=4)
+        return svg(figure)
 
 
-def where(traces: Traces) -> bytes | None:
-    """The size of the residual along each variable in which the excess sits; None where there is none to show."""
-    if not traces.maps:
+def plane(traces: Traces) -> bytes | None:
+    """Where in joint space: rms over the noise on the plane of the two joints that matter most, before and after."""
+    if traces.plane is None:
         return None
-    chosen = list(traces.maps)[:6]
-    columns = min(3, len(chosen))
-    rows = -(-len(chosen) // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(11, 2.6 * rows), squeeze=False, layout="constrained")
-    spread = np.maximum(np.nanstd(traces.after, axis=0), 1e-300)
-    for ax, (label, x) in zip(axes.flat, chosen, strict=False):
-        for values, colour, name in ((traces.before, BEFORE, "before"), (traces.after, AFTER, "after")):
-            size = np.sqrt(np.nanmean(((values - np.nanmean(values, axis=0)) / spread) ** 2, axis=1))
-            middle, level = _binned(x, size)
-            ax.plot(middle, level, "o-", color=colour, ms=3, lw=1.2, label=name)
-        ax.set_xlabel(label, fontsize=8)
-        ax.set_ylabel("rms, all channels", fontsize=8)
-        ax.tick_params(labelsize=8)
-        ax.grid(alpha=0.25)
-    for ax in list(axes.flat)[len(chosen) :]:
-        ax.set_visible(False)
-    axes.flat[0].legend(frameon=False, fontsize=8)
-    return png(figure)
+    (name_a, unit_a, a), (name_b, unit_b, b) = traces.plane
+    (fa, unit_a), (fb, unit_b) = _scale(a, unit_a), _scale(b, unit_b)
+    spread = np.maximum(np.std(traces.after, axis=0), 1e-300)
+    bins = int(np.clip(np.sqrt(len(a) / 12.0), 5, 26))
+    edges = np.linspace(fa * a.min(), fa * a.max(), bins + 1), np.linspace(fb * b.min(), fb * b.max(), bins + 1)
+    count = np.histogram2d(fa * a, fb * b, bins=edges)[0]
+    maps = []
+    for values in (traces.before, traces.after):
+        size = np.mean(((values - np.mean(values, axis=0)) / spread) ** 2, axis=1)
+        with np.errstate(invalid="ignore"):
+            maps.append(np.sqrt(np.histogram2d(fa * a, fb * b, bins=edges, weights=size)[0] / count))
+    top = float(np.nanquantile(maps[0], 0.98))
+    with mpl.rc_context(STYLE | {"axes.grid": False}):
+        figure = Figure(figsize=(11, 3.6), layout="constrained")
+        left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+        for ax, image, title in ((left, maps[0], "before"), (right, maps[1], "after")):
+            mesh = ax.pcolormesh(*edges, image.T, cmap="magma_r", vmin=0.8, vmax=max(top, 1.6), rasterized=True)
+            ax.set(title=title, xlabel=_named(name_a, unit_a))
+        left.set_ylabel(_named(name_b, unit_b))
+        figure.colorbar(mesh, ax=[left, right], label="rms over what is left, all channels", shrink=0.9)
+        return svg(figure)
+
+
+def along(traces: Traces) -> bytes | None:
+    """The residual along each variable that organises it: mean in bins before and after, the region shaded."""
+    if not traces.along:
+        return None
+    columns = min(3, len(traces.along))
+    rows = -(-len(traces.along) // columns)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(11, 2.5 * rows + 0.3), layout="constrained")
+        axes = figure.subplots(rows, columns, squeeze=False)
+        for ax, one in zip(axes.flat, traces.along, strict=False):
+            _along(ax, traces, one)
+        for ax in list(axes.flat)[len(traces.along) :]:
+            ax.set_visible(False)
+        handles, labels = axes.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=4)
+        return svg(figure)
+
+
+def _along(ax: Any, traces: Traces, one: Along) -> None:
+    (fx, unit_x), c = _scale(one.x, one.unit), one.channel
+    fy, unit = _scale(traces.before[:, c], traces.units[c])
+    if one.region is not None:
+        ax.axvspan(fx * one.region[0], fx * one.region[1], color=HELD, lw=0, label="where the excess sits", zorder=-1)
+    middle = float(np.median(traces.after[:, c]))
+    for values, colour, label in ((traces.before[:, c], BEFORE, "before"), (traces.after[:, c], AFTER, "after")):
+        x, mean, low, high = _binned(fx * one.x, fy * (values - middle))
+        ax.fill_between(x, low, high, color=colour, alpha=0.15, lw=0)
+        ax.plot(x, mean, "o-", color=colour, ms=2.5, lw=1.3, label=f"{label}, mean and middle two thirds")
+    ax.set(xlabel=_named(one.label, unit_x), ylabel=_named(channel_words(traces.channels[c]), unit))
+    ax.set_title(f"{100 * one.share:.0f} % of it is a function of this", fontweight="normal", fontsize=8.5)
 
 
 def curve(one: Curve) -> bytes:
     """The data with all other effects taken off, and what the effect says."""
-    figure, ax = plt.subplots(figsize=(5.4, 3.4), layout="constrained")
-    keep = _thin(len(one.x))
-    x, y, fit = one.x[keep], one.y[keep], one.fit[keep]
-    ax.plot(x, y, ".", color=GREY, ms=1.6, alpha=0.35, label="data, other effects taken off")
-    if not one.loop:
-        middle, level = _binned(x, y, mean=True)
-        ax.plot(middle, level, "o", color=BEFORE, ms=3.5, label="mean of the data")
-        order = np.argsort(x)
-        x, fit = x[order], fit[order]
-    ax.plot(x, fit, color=AFTER, lw=1.3 if one.loop else 0.9, label="the effect")
-    ax.set_title(one.title, loc="left", fontsize=10)
-    ax.set_xlabel(one.x_label, fontsize=9)
-    ax.set_ylabel(one.y_label, fontsize=9)
-    ax.tick_params(labelsize=8)
-    ax.grid(alpha=0.25)
-    ax.legend(frameon=False, fontsize=8, markerscale=2)
-    return png(figure)
+    (fx, unit_x), (fy, unit_y) = _scale(one.x, one.x_unit), _scale(one.y, one.y_unit)
+    x, y, fit = fx * one.x, fy * one.y, fy * one.fit
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(5.4, 3.2), layout="constrained")
+        ax = figure.subplots()
+        keep = _thin(len(x))
+        size = 1.6 if len(x) > 300 else 4.0
+        ax.plot(
+            x[keep], y[keep], ".", color=GREY, ms=size, alpha=0.35, rasterized=True, label="data, other effects off"
+        )
+        if one.loop:
+            time = one.x_label in ("time", "row")
+            ax.plot(x[keep], fit[keep], color=AFTER, lw=1.8 if time else 0.9, label="the effect", rasterized=not time)
+        else:
+            _function(ax, x, y, fit)
+        low, high = np.quantile(y, [0.002, 0.998])
+        margin = 0.08 * max(high - low, 1e-300)
+        ax.set_ylim(min(low, fit.min()) - margin, max(high, fit.max()) + margin)
+        ax.set(title=one.title, xlabel=_named(one.x_label, unit_x), ylabel=_named(one.y_label, unit_y))
+        ax.legend(fontsize=7.5, loc="best", handlelength=1.4)
+        return svg(figure)
+
+
+def _function(ax: Any, x: Array, y: Array, fit: Array) -> None:
+    """Means of the data in bins; the effect as a line where it is a function of x, else its mean and spread."""
+    at, mean, _, _ = _binned(x, y, bins=28)
+    middle, level, low, high = _binned(x, fit, bins=120)
+    if float(np.mean(high - low)) < 0.12 * max(float(np.ptp(fit)), 1e-300):
+        ax.plot(middle, level, color=AFTER, lw=2.0, label="the effect")
+    else:
+        ax.fill_between(middle, low, high, color=AFTER, alpha=0.2, lw=0)
+        ax.plot(middle, level, color=AFTER, lw=2.0, label="the effect, mean and middle two thirds")
+    ax.plot(at, mean, "o", color=BEFORE, ms=3.5, label="mean of the data")
+
+
+def options(chosen: list[Option]) -> bytes | None:
+    """Minutes until each recording settles the first open question, and the angle that it gives."""
+    if not chosen:
+        return None
+    y = np.arange(len(chosen))
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(11, 0.34 * len(chosen) + 0.8), layout="constrained")
+        ax = figure.subplots()
+        ax.barh(y, [o.minutes for o in chosen], 0.6, color=[AFTER, *[GREY] * (len(chosen) - 1)])
+        for k, o in enumerate(chosen):
+            ax.text(o.minutes, k, f"  {o.minutes:.1f} min, {o.angle:.0f} deg apart", va="center", fontsize=8.5)
+        ax.set(yticks=y, xlabel="minutes until the odds are a thousand to one", ylim=(len(chosen) - 0.5, -0.5))
+        ax.set_yticklabels([o.name for o in chosen])
+        ax.margins(x=0.22)
+        ax.grid(visible=False, axis="y")
+        return svg(figure)
 
 
 def _channels(traces: Traces) -> list[int]:
-    """At most twelve, those that changed most first kept in order."""
+    """At most fourteen, those that changed most, in their own order."""
     change = np.nanstd(traces.before - traces.after, axis=0) / np.maximum(np.nanstd(traces.after, axis=0), 1e-300)
-    return sorted(np.argsort(-change)[:12].tolist())
+    return sorted(np.argsort(-change)[:MOST_CHANNELS].tolist())
+
+
+def _scale(x: Array, unit: str) -> tuple[float, str]:
+    """Factor and unit in which values read well."""
+    base, slash, per = unit.partition("/")
+    size = float(np.nanmax(np.abs(x))) if len(x) else 1.0
+    shown = readable(size, 0.0, base)
+    factor = shown.value / size if size > 0.0 else 1.0
+    return (factor, f"{shown.unit}{slash}{per}") if base else (1.0, unit)
+
+
+def _named(label: str, unit: str) -> str:
+    return f"{label}, {unit}" if unit else label
 
 
 def _thin(n: int) -> Array:
     return np.unique(np.linspace(0, max(n - 1, 0), min(n, MOST_POINTS)).astype(int))
 
 
-def _centred(x: Array) -> Array:
-    return np.asarray(x - np.nanmedian(x))
-
-
-def _binned(x: Array, y: Array, bins: int = 24, *, mean: bool = False) -> tuple[Array, Array]:
-    """Middle and rms (or mean) of y in bins of equal count along x."""
+def _binned(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array, Array, Array]:
+    """Median of x, mean and middle two thirds of y in bins of equal count along x."""
     good = np.isfinite(x) & np.isfinite(y)
-    order = np.argsort(x[good])
-    parts = [p for p in np.array_split(order, bins) if len(p)]
+    order = np.argsort(x[good], kind="stable")
+    parts = [p for p in np.array_split(order, min(bins, max(int(good.sum()) // 4, 1))) if len(p)]
     xs, ys = x[good], y[good]
-    level = [np.mean(ys[p]) if mean else np.sqrt(np.mean(ys[p] ** 2)) for p in parts]
-    return np.array([np.median(xs[p]) for p in parts]), np.array(level)
+    spread = np.array([np.quantile(ys[p], [1.0 / 6.0, 5.0 / 6.0]) for p in parts]).reshape(-1, 2)
+    middle = np.array([np.median(xs[p]) for p in parts])
+    return middle, np.array([np.mean(ys[p]) for p in parts]), spread[:, 0], spread[:, 1]

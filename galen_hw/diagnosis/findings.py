@@ -63,7 +63,8 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
 def says(finding: Finding) -> str:
     """What physics and how much of it; why it is believed."""
     key, gain = finding.effect, finding.evidence["heldout_gain"]
-    place = ", ".join(finding.joints) or ", ".join(finding.channels[:3])
+    names = finding.joints or finding.channels
+    place = ", ".join(names) if len(names) < 4 else f"{', '.join(names[:3])} and {len(names) - 3} more"
     first = f"{SAYS[key][0].upper()}{SAYS[key][1:]} ({place}): {headline(finding)}."
     share = f"on data it did not learn from it takes {100 * gain:.0f} % of the excess"
     return f"{first} {BELIEVED[key][0].upper()}{BELIEVED[key][1:]}; {share}."
@@ -89,7 +90,7 @@ def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int)
     spread = np.sqrt(np.maximum(np.diag(model.covariance)[s], 0.0))
     named = zip(effect.parameters(bench.scene), model.final[s], spread, strict=True)
     mark = prefix or (f"{number + 1}: " if number else "")
-    out = {f"{mark}{p.name}": Value(float(v), float(d), p.unit) for p, v, d in named}
+    out = {f"{mark}{p.name}": Value(float(v), float(d), _unit(bench.scene, effect.joints, p.unit)) for p, v, d in named}
     for name, value in effect.searched().items():
         unit = _unit(bench.scene, effect.joints, effect.SEARCHED[name].unit)
         out[f"{mark}{name}"] = Value(value, _searched_spread(model, h, s, name, value), unit)
@@ -102,11 +103,13 @@ def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int)
 
 
 def _unit(scene: Scene, joints: tuple[str, ...], unit: str) -> str:
-    """Of "rad or m" and its like the one that the joint has."""
-    first, either, second = unit.partition(" or ")
-    if not either or not joints or joints[0] not in scene.joint_names:
+    """Of "rad or m" and its like, inside a unit too, the one that the joint has."""
+    if " or " not in unit or not joints or joints[0] not in scene.joint_names:
         return unit
-    return second if joint_units(scene, joints[0])[0] == "m" else first
+    slides = joint_units(scene, joints[0])[0] == "m"
+    inner = re.sub(r"\((\S+) or (\S+)\)", r"\2" if slides else r"\1", unit)
+    first, either, second = inner.partition(" or ")
+    return second if slides and either else first
 
 
 def _searched_spread(model: Model, h: Hypothesis, s: slice, name: str, value: float) -> float:

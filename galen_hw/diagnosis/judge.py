@@ -72,7 +72,8 @@ def judge(model: Model, holdout: Scene | None) -> Judged:
     """Errors before and after on the rows set aside, or on another recording."""
     bench = model.bench
     keys = list(dict.fromkeys(h.effect.KEY for h in model.effects if h.effect is not None))
-    baseline = Model(bench, model.nuisances, [], bench.whitened(bench.whole))
+    # The baseline fits its constants as anybody would, by plain least squares.
+    baseline = Model(bench, [Hypothesis(None, h.raw, h.raw) for h in model.nuisances], [], bench.whole)
     smaller = {
         key: model.without([h for h in model.effects if h.effect is not None and key == h.effect.KEY]) for key in keys
     }
@@ -108,7 +109,7 @@ def _undisturbed(model: Model, scene: Scene, rest: Array) -> tuple[Mask, tuple[t
     rows = Rows(tuple(scene.segments), model.bench.rows.stride)
     good = np.ones(len(rows), dtype=bool)
     if model.bench.dropped.any():
-        spoilt = seek.spikes(getattr(scene, "raw_residual", scene.residual), tuple(scene.segments), model.bench.steps)
+        spoilt = seek.spikes(scene.raw_residual, tuple(scene.segments))
         good &= ~rows.spread(np.asarray(spoilt.any(axis=1)))
     episodes: tuple[tuple[float, float], ...] = ()
     if any(isinstance(h.effect, Contact) for h in model.effects):

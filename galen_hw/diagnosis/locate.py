@@ -11,7 +11,7 @@ import numpy as np
 
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.judge import Judged, predict
+from galen_hw.diagnosis.judge import Judged
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.diagnosis.variables import Variable, variables
 from galen_hw.physics.event_effects import Contact, Glitches, Step
@@ -82,9 +82,13 @@ def where_of(model: Model) -> list[dict[str, Any]]:
 
 
 def baseline_rest(model: Model) -> Array:
-    """(M, C) what was recorded less the baseline, whose own nuisances are fitted."""
-    bench = model.bench
-    return np.asarray(bench.whole - predict(Model(bench, model.nuisances, [], bench.whitened(bench.whole))))
+    """(M, C) what was recorded less the baseline, whose own nuisances are fitted by least squares on the training rows."""
+    bench, parts = model.bench, model.nuisances
+    if not parts:
+        return bench.whole
+    columns = np.concatenate([h.raw.full(bench.width) for h in parts], axis=2)
+    X = columns[bench.train].reshape(-1, columns.shape[2])
+    return np.asarray(bench.whole - columns @ np.linalg.lstsq(X, bench.whole[bench.train].reshape(-1), rcond=1e-9)[0])
 
 
 def regions(bench: Bench, known: list[Variable], energy: Array) -> list[Region]:

@@ -1,7 +1,6 @@
 """The report as one self-contained HTML page."""
 
 import base64
-from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -9,44 +8,72 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 
 from galen_hw.diagnosis import figures
-from galen_hw.diagnosis.summary import VERDICTS, quantity
-from galen_hw.diagnosis.traces import Traces
+from galen_hw.diagnosis.result import Diagnosis, Value
+from galen_hw.diagnosis.sizes import headline, quantity, text
+from galen_hw.diagnosis.summary import VERDICTS, channel_words, lines, moment
+from galen_hw.diagnosis.traces import Curve, Traces
 from galen_hw.version import VERSION
 
+FEW = 6
+"""Parameters that are shown at once; of more the table folds."""
 
-def write_page(path: Path, answer: Mapping[str, Any], traces: Traces) -> None:
+
+def write_page(path: Path, answer: Diagnosis, traces: Traces) -> None:
     """Write the page; nothing is left behind if it cannot be made.
 
     Args:
-        path: of the HTML file; answer: the JSON of the specification; traces: what is drawn.
+        path: of the HTML file; answer: of the diagnosis; traces: what is drawn.
     """
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["quantity"] = lambda p: quantity(p["value"], p["std"], p["unit"])
+    environment.filters |= {
+        "plain": lambda key: key.replace("_", " "),
+        "short": channel_words,
+        "parameter": _parameter,
+        "size": headline,
+        "moment": lambda w: moment(*w),
+        "chance": lambda p: f"{p:.0e}" if p > 1e-300 else "< 1e-300",
+        "number": lambda x: f"{x:.3g}",
+    }
     template = environment.from_string(files("galen_hw.diagnosis").joinpath("page.html.j2").read_text("utf-8"))
-    text = template.render(
+    whole = path.with_name(path.name + ".part")
+    page = template.render(
         answer=answer,
-        verdict=VERDICTS[answer["verdict"]],
-        lines=answer.get("notes", ()),
+        verdict=VERDICTS[answer.verdict],
+        lines=lines(answer),
+        few=FEW,
         evidence=traces.evidence,
+        highest=max((e.score for e in traces.evidence), default=1.0),
+        alike=traces.alike,
         pictures=_pictures(answer, traces),
         version=VERSION,
     )
-    whole = path.with_name(path.name + ".part")
-    whole.write_text(text, encoding="utf-8")
+    whole.write_text(page, encoding="utf-8")
     whole.replace(path)
 
 
-def _pictures(answer: Mapping[str, Any], traces: Traces) -> dict[str, Any]:
-    """Data addresses of all pictures."""
-    floor = {k: v for k, v in answer["fit"]["noise_floor"].items() if v}
-    place = figures.where(traces)
+def _parameter(name: str, value: Value) -> str:
+    """A parameter in SI with its standard deviation, and in a unit that reads well where that is another."""
+    plain = quantity(value.value, value.std, "" if value.unit == "1" else value.unit)
+    shown = text(name.rsplit(": ", 1)[-1], value)
+    return plain if shown == plain else f"{plain} ({shown})"
+
+
+def _pictures(answer: Diagnosis, traces: Traces) -> dict[str, Any]:
+    """Data addresses of all pictures; curves by effect."""
+    json = answer.to_json()
+    floor = {k: v for k, v in json["fit"]["noise_floor"].items() if v}
+    curves: dict[str, list[tuple[Curve, str]]] = {}
+    for one in traces.curves:
+        curves.setdefault(one.effect, []).append((one, _data(figures.curve(one))))
     return {
         "residuals": _data(figures.residuals(traces, floor)),
-        "bars": _data(figures.bars(answer)) if floor else "",
-        "where": _data(place) if place else "",
-        "curves": [(c.effect, _data(figures.curve(c))) for c in traces.curves],
+        "bars": _data(figures.bars(json)) if floor else "",
+        "plane": _data(figures.plane(traces)),
+        "along": _data(figures.along(traces)),
+        "options": _data(figures.options(list(traces.options))),
+        "curves": curves,
     }
 
 
-def _data(picture: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(picture).decode("ascii")
+def _data(picture: bytes | None) -> str:
+    return "" if picture is None else "data:image/svg+xml;base64," + base64.b64encode(picture).decode("ascii")

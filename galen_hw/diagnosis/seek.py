@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
 from galen_hw.diagnosis.rows import Mask
@@ -11,6 +11,7 @@ from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Contact, Step, Vibration
 from galen_hw.physics.joint_effects import TorqueRipple
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.smoothing import isolated
 from galen_hw.physics.time_effects import joint_of
 from galen_hw.spatial import Array
 
@@ -23,25 +24,13 @@ class Sought:
     looked: int
 
 
-def spikes(residual: Array, segments: tuple[slice, ...], steps: Array) -> Mask:
-    """(N, C) isolated samples far from their neighbours on both sides (at most three in a row).
-
-    The distance from a running median of nine, against its own robust spread; nine spreads and more. A reading that is
-    rounded in `steps` (C,) may rest for long and then flip: its spread is at least half a step.
-    """
+def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
+    """(N, C) isolated samples, see `smoothing.isolated`; a channel with more than 3 % of them has another kind of noise."""
     out = np.zeros(residual.shape, dtype=bool)
     for part in segments:
-        r = residual[part]
-        if len(r) < 20:
-            continue
-        away = r - median_filter(r, size=(9, 1), mode="nearest")
-        spread = 1.4826 * np.median(np.abs(away), axis=0)
-        level = np.sqrt(np.mean(np.minimum(away**2, (6.0 * np.maximum(spread, 1e-300)) ** 2), axis=0))
-        level = np.maximum(level, 0.5 * steps)
-        found = np.abs(away) > 9.0 * np.maximum(level, 1e-12 * np.max(np.abs(r), axis=0))
-        out[part] = found & (level > 0)
-    share = out.mean(axis=0)
-    out[:, share > 0.03] = False
+        for c in range(residual.shape[1]):
+            out[part, c] = isolated(residual[part, c])
+    out[:, out.mean(axis=0) > 0.03] = False
     return out
 
 

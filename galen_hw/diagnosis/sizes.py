@@ -120,6 +120,11 @@ def _by_name(parameters: Mapping[str, Value]) -> dict[str, list[Value]]:
     out: dict[str, list[Value]] = {}
     for name, value in parameters.items():
         out.setdefault(name.rsplit(": ", 1)[-1], []).append(value)
+    if len(out.get("coulomb_forward", [])) + len(out.get("coulomb", [])) > 1:
+        # Of several joints the mean of both directions is named; the page has them one by one.
+        both = zip(out.pop("coulomb_forward", []), out.pop("coulomb_backward", []), strict=True)
+        means = [Value(0.5 * (a.value + b.value), 0.5 * math.hypot(a.std, b.std), a.unit) for a, b in both]
+        out["coulomb"] = [*out.get("coulomb", []), *means]
     return out
 
 

@@ -1,4 +1,4 @@
-"""What a report shows beside the answer: traces, curves and the table of evidence. Numbers only, no pictures."""
+"""What a report shows beside the answer: traces, curves, maps and tables. Numbers only, no pictures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ class Curve:
 
     Args:
         effect: key; title: of the picture, with joint or channel.
-        x_label, y_label: with units.
+        x_label, y_label: names; x_unit, y_unit: SI, "" where there is none.
         x, y: (M,) what the data show once all other effects are taken off.
         fit: (M,) what the effect says at the same rows.
         loop: the rows belong together in order (hysteresis, drift), else they are sorted along x (friction).
@@ -24,7 +24,9 @@ class Curve:
     effect: str
     title: str
     x_label: str
+    x_unit: str
     y_label: str
+    y_unit: str
     x: Array
     y: Array
     fit: Array
@@ -53,6 +55,52 @@ class Evidence:
 
 
 @dataclass(frozen=True)
+class Alike:
+    """How well a finding is told from another effect.
+
+    Args:
+        found, rival: keys.
+        angle: deg between the found signal and what the rival can make of it; nearest: deg, smallest principal angle.
+        odds: how much likelier the found one is, as a natural logarithm.
+        apart: this recording tells them apart.
+    """
+
+    found: str
+    rival: str
+    angle: float
+    nearest: float
+    odds: float
+    apart: bool
+
+
+@dataclass(frozen=True)
+class Along:
+    """The residual of one channel along one variable.
+
+    Args:
+        label, unit: of the variable; channel: name; x: (M,).
+        share: of the channel's held-out excess that is a function of the variable.
+        region: range in which the excess sits, None where there is none.
+    """
+
+    label: str
+    unit: str
+    channel: int
+    x: Array
+    share: float
+    region: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Option:
+    """A recording that could be made next: minutes until it settles the first open question, and the angle it gives, deg."""
+
+    name: str
+    minutes: float
+    angle: float
+
+
+@dataclass(frozen=True)
 class Traces:
     """The residual before and after, on the rows of the diagnosis.
 
@@ -62,7 +110,8 @@ class Traces:
         channels, units: C names and units.
         before, after: (M, C) recorded less simulated, without and with the effects found.
         held_out: (M,) rows that the effects were not fitted on.
-        maps: pictures of where the excess sits: (label of x, x (M,)), coloured by the residual before.
+        along: the variables that organise the excess best, strongest first.
+        plane: two variables of joint space, their values, for the map of the excess; None where fewer moved.
     """
 
     time: Array
@@ -72,6 +121,9 @@ class Traces:
     before: Array
     after: Array
     held_out: NDArray[np.bool_]
-    maps: Sequence[tuple[str, Array]] = ()
+    along: Sequence[Along] = ()
+    plane: tuple[tuple[str, str, Array], tuple[str, str, Array]] | None = None
     curves: Sequence[Curve] = ()
     evidence: Sequence[Evidence] = field(default_factory=tuple)
+    alike: Sequence[Alike] = ()
+    options: Sequence[Option] = ()

@@ -6,7 +6,9 @@ import numpy as np
 
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.kinematics import UrdfRobot
+from galen_hw.physics.rigid import gravity_in_sensor
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.scene_wrench import WrenchScene
 from galen_hw.spatial import Array
 
 EDGE = 0.02
@@ -65,7 +67,7 @@ def variables(bench: Bench) -> list[Variable]:
         load = scene.load(joint)
         if load is not None:
             out.append(Variable(f"joint.{joint}.load", load_unit, joint, average(load)))
-    out += _columns(bench)
+    out += _columns(bench) + ([] if scene.moved else _gravity(bench))
     return [v for v in out if np.isfinite(v.values).all() and np.ptp(v.values) > 0.0]
 
 
@@ -80,3 +82,12 @@ def _columns(bench: Bench) -> list[Variable]:
     if len(force) == 3 and np.isfinite(force).all():
         out.append(Variable("applied.force", "N", "applied.force", average(np.linalg.norm(force, axis=0))))
     return out
+
+
+def _gravity(bench: Bench) -> list[Variable]:
+    """Where only the sensor's orientation is known: gravity as the sensor sees it."""
+    scene = bench.scene
+    if not isinstance(scene, WrenchScene):
+        return []
+    seen = bench.rows.average(gravity_in_sensor(scene.R, scene.belief.gravity))
+    return [Variable(f"gravity.sensor.{a}", "m/s^2", "gravity", seen[:, i]) for i, a in enumerate("xyz")]

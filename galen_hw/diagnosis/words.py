@@ -1,6 +1,5 @@
 """What is said in plain words: of findings, why they are believed, and why look-alikes cannot be told apart."""
 
-from collections.abc import Sequence
 from typing import Final
 
 from galen_hw.physics.scene import Scene
@@ -185,17 +184,3 @@ def settled_by(found: str, rival: str) -> str:
     """What would tell two effects apart where it cannot be simulated."""
     plain = NEXT.get(rival, NEXT.get(found, "record a motion over a wider range, at two speeds"))
     return SETTLED_BY.get(frozenset((found, rival)), plain)
-
-
-def next_experiment(found: Sequence[str], rivals: Sequence[str], unknown: str) -> str:
-    """One recipe that settles what is open, by words alone: for recordings that cannot be simulated anew."""
-    if rivals:
-        pair = f"{found[0]} from {rivals[0]}"
-        return f"To tell {pair}: {NEXT.get(rivals[0], NEXT.get(found[0], 'record a richer motion'))}."
-    if unknown:
-        return (
-            f"Something is left in {unknown}: repeat the motion three times, at two speeds, one joint after the other."
-        )
-    if found:
-        return f"To confirm {found[0]}: {NEXT.get(found[0], 'repeat the recording on another motion')}."
-    return "Nothing is open; a longer recording with more motion would show smaller effects."

@@ -41,7 +41,7 @@ class Step(_Sought):
     def columns(self, scene: Scene) -> Columns:
         """One after the moment."""
         after = (scene.time >= self.moment).astype(float)
-        return _each(scene, self.channels, [after])
+        return _each(scene, self.channels, [scene.seen(after[:, None])[:, 0]])
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Vibration(_Sought):
     def columns(self, scene: Scene) -> Columns:
         """Sine and cosine of the clock."""
         phase = 2.0 * np.pi * self.frequency * scene.time
-        return _each(scene, self.channels, [np.sin(phase), np.cos(phase)])
+        return _each(scene, self.channels, list(scene.seen(np.stack([np.sin(phase), np.cos(phase)], axis=-1)).T))
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, in_channel
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_channel
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.time_effects import joint_of
+from galen_hw.spatial import skew
 
 if TYPE_CHECKING:
     from galen_hw.spatial import Array
-
-FORMS = ("coulomb", "viscous", "coulomb_viscous", "asymmetric", "stribeck", "load")
 
 
 @dataclass(frozen=True)
@@ -47,15 +46,17 @@ class Friction(Effect):
             speed = float(np.nanstd(scene.rates[0][:, scene.joint_index(joint)]))
             if joint not in compared or speed <= 0.0:
                 continue
+            yield cls(joint, "viscous", 0.05 * speed)
+            forms = ("coulomb", "coulomb_viscous", *(("asymmetric", "load") if _is_effort(scene) else ()))
             for sharp in (0.01, 0.05, 0.2):
-                yield from (cls(joint, form, sharp * speed) for form in FORMS if _fits(scene, form, sharp))
-                if scene.observations.predict == "effort" and sharp == 0.05:
-                    yield from (cls(joint, "stribeck", sharp * speed, vs * speed) for vs in (0.1, 0.3))
+                yield from (cls(joint, form, sharp * speed) for form in forms)
+            if _is_effort(scene):
+                yield from (cls(joint, "stribeck", 0.05 * speed, vs * speed) for vs in (0.1, 0.3))
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Coulomb in the channel's unit, viscous per speed."""
         unit = scene.units[_place(scene, self.joint)]
-        low, high = (0.0, np.inf) if scene.observations.predict == "effort" else (-np.inf, 0.0)
+        low, high = (0.0, np.inf) if _is_effort(scene) else (-np.inf, 0.0)
         c = Parameter("coulomb", unit, low, high)
         v = Parameter("viscous", f"{unit}/(rad/s)" if unit != "N" else "N s/m")
         if self.form == "asymmetric":
@@ -65,7 +66,7 @@ class Friction(Effect):
                 Parameter("coulomb_backward", unit, low, high),
                 Parameter("viscous_backward", v.unit),
             )
-        extra = {"stribeck": Parameter("stiction", unit), "load": Parameter("load_share", "1")}
+        extra = {"stribeck": Parameter("stiction", unit, low, high), "load": Parameter("load_share", "1", low, high)}
         return {"coulomb": (c,), "viscous": (v,), "coulomb_viscous": (c, v)}.get(self.form) or (c, v, extra[self.form])
 
     def columns(self, scene: Scene) -> Columns:
@@ -81,16 +82,11 @@ class Friction(Effect):
             "stribeck": lambda: [s, v, s * np.exp(-((v / (self.stribeck or 1.0)) ** 2))],
             "load": lambda: [s, v, s * np.abs(np.asarray(scene.load(self.joint), dtype=float))],
         }
-        return in_channel(_place(scene, self.joint), forms[self.form]())
+        return in_channel(_place(scene, self.joint), scene.seen(np.stack(forms[self.form](), axis=-1)).T)
 
 
-def _fits(scene: Scene, form: str, sharp: float) -> bool:
-    if form == "stribeck":
-        return False
-    if form in ("coulomb", "coulomb_viscous"):
-        return True
-    only_effort = scene.observations.predict == "effort" or form == "viscous"
-    return only_effort and sharp == 0.05
+def _is_effort(scene: Scene) -> bool:
+    return scene.observations.predict == "effort"
 
 
 def _place(scene: Scene, joint: str) -> int:
@@ -122,7 +118,7 @@ class TorqueRipple(Effect):
     def columns(self, scene: Scene) -> Columns:
         """Sine and cosine of the joint's position."""
         phase = self.wave_number * scene.q[:, scene.joint_index(self.joint)]
-        return in_channel(_place(scene, self.joint), [np.sin(phase), np.cos(phase)])
+        return in_channel(_place(scene, self.joint), scene.seen(np.stack([np.sin(phase), np.cos(phase)], axis=-1)).T)
 
 
 @dataclass(frozen=True)
@@ -194,16 +190,14 @@ class CableDrag(Effect):
             place, joint = scene.channels.index(self.channel), scene.joint_index(self.joint)
             q = scene.q[:, joint]
             rubs = [] if self.form == "joint" else [np.tanh(scene.rates[0][:, joint] / self.transition)]
-            return in_channel(place, [q, *rubs])
+            return in_channel(place, [q, *(scene.seen(rub[:, None])[:, 0] for rub in rubs)])
         Rt = np.swapaxes(scene.T[:, :3, :3], 1, 2)  # type: ignore[attr-defined]
         p = np.einsum("nij,nj->ni", Rt, scene.T[:, :3, 3])  # type: ignore[attr-defined]
-        unit_pulls = [Rt[:, :, i] for i in range(3)]
-        lever = [np.cross(np.eye(3)[i], f) for i in range(3) for f in unit_pulls]
-        zero = np.zeros((len(scene), 3))
-        force = [np.concatenate([f, zero], axis=1) for f in unit_pulls]
-        torque = [np.concatenate([zero, t], axis=1) for t in lever]
+        levers = skew(np.eye(3))
+        out = np.zeros((len(scene), 6, 16))
+        out[:, :3, 0], out[:, :3, 1:4] = -p, Rt
+        out[:, 3:, 4:7] = -np.einsum("iab,nb->nai", levers, p)
+        out[:, 3:, 7:] = np.einsum("iab,nbj->naij", levers, Rt).reshape(-1, 3, 9)
         if self.form == "pull":
-            return in_all([*force, *torque], 6)
-        spring = [np.concatenate([-p, zero], axis=1)]
-        spring_lever = [np.concatenate([zero, -np.cross(np.eye(3)[i], p)], axis=1) for i in range(3)]
-        return in_all([*spring, *force, *spring_lever, *torque], 6)
+            out = out[:, :, [1, 2, 3, *range(7, 16)]]
+        return Columns(tuple(range(6)), out)

@@ -81,16 +81,24 @@ class Hysteresis(Effect):
     """Rate-independent memory: Prandtl-Ishlinskii, r = sum_i a_i (P_{r_i}[x] - x), P_r the play operator of half width r.
 
     x is the simulated channel (a sensor's load, a joint's position) or a joint's position or load; widths r_i are shares
-    `widths` of the amplitude `scale`. The same sum is a set of Maxwell slip elements. Visible at reversals; confused
-    with backlash (one width), Coulomb friction (very small widths), and creep.
+    `widths` of the amplitude `scale`. The same sum is a set of Maxwell slip elements.
+
+    With `reach`: one element that sticks over +- reach and then slips, r = f e + g d(e), e = (x - P_reach[x]) / reach, with
+    play in series: d is a dead zone of +- `gap` (a share of the reach), scaled to 1 where it slips (Kuhnen 2003, modified
+    Prandtl-Ishlinskii). `linear` adds a spring and a damper, which stand for what a linear simulation made of the loop.
+
+    Visible at reversals; confused with backlash (one width), Coulomb friction (very small widths), and creep.
     """
 
     KEY = "hysteresis"
+    SEARCHED: ClassVar = {"reach": Searched(1e-7, 10.0, "rad or m"), "gap": Searched(0.02, 0.95, "1")}
     channel: str
     driver: str
     scale: float
     widths: tuple[float, ...] = (0.04, 0.12, 0.3, 0.6)
     linear: bool = False
+    reach: float | None = None
+    gap: float | None = None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -103,7 +111,14 @@ class Hysteresis(Effect):
                     yield cls(name, driver, scale, (0.12,))
                     if scene.observations.predict == "effort" and scene.belief.robot is None:
                         yield cls(name, driver, scale, linear=True)
+                        yield from cls._slipping(name, driver, scale)
             del place
+
+    @classmethod
+    def _slipping(cls, name: str, driver: str, scale: float) -> Iterator[Self]:
+        """One sticking and slipping element, without and with play in series."""
+        for reach in log_grid(0.03 * scale, 0.6 * scale, 5):
+            yield from (cls(name, driver, scale, (), linear=True, reach=reach, gap=gap) for gap in (None, 0.3, 0.6))
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -114,10 +129,11 @@ class Hysteresis(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Weights of the operators."""
         unit = "1" if self.driver == self.channel else f"{scene.units[scene.channels.index(self.channel)]}/unit"
-        names = [f"weight_{r * self.scale:.4g}" for r in self.widths] + (
-            ["stiffness", "damping"] if self.linear else []
-        )
-        return tuple(Parameter(name, unit) for name in names)
+        own = scene.units[scene.channels.index(self.channel)]
+        slip = [] if self.reach is None else [Parameter("stick_force", own)]
+        slip += [] if self.gap is None else [Parameter("closed_gap_force", own)]
+        rates = [Parameter("stiffness", unit), Parameter("damping", f"{unit} s")] if self.linear else []
+        return (*(Parameter(f"weight_{r * self.scale:.4g}", unit) for r in self.widths), *slip, *rates)
 
     def columns(self, scene: Scene) -> Columns:
         """Play less input, one column a width."""
@@ -125,10 +141,18 @@ class Hysteresis(Effect):
         r = np.asarray(self.widths) * self.scale
         wide = np.repeat(x, len(r), axis=1)
         out = list((scene.play("hysteresis", wide, r) - wide).T)
+        if self.reach is not None:
+            out += self._slip(scene, x, self.reach)
         if self.linear:
             joint = scene.joint_index(self.driver.split(":", 1)[1])
             out += [x[:, 0], scene.rates[0][:, joint]]
         return in_channel(scene.channels.index(self.channel), out)
+
+    def _slip(self, scene: Scene, x: Array, reach: float) -> list[Array]:
+        e = (x - scene.play("slip", x, reach))[:, 0] / reach
+        if self.gap is None:
+            return [e]
+        return [e, np.sign(e) * np.maximum(np.abs(e) - self.gap, 0.0) / (1.0 - self.gap)]
 
 
 def _drivers(scene: Scene, channel: str) -> list[str]:

@@ -7,7 +7,7 @@ An effect is then the same few lines whichever group is compared, and does nothi
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, wraps
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -62,6 +62,8 @@ class Scene:
     channels: tuple[str, ...] = ()
     rotational: tuple[bool, ...] = ()
     units: tuple[str, ...] = ()
+    whole: "Self | None" = None
+    """Of a single row: the recording that it belongs to, which knows what one row cannot show."""
 
     def __init__(
         self, observations: Observations, rates: tuple[Array, Array] | None = None, memory: Memory | None = None
@@ -77,6 +79,13 @@ class Scene:
     def __len__(self) -> int:
         """Number of rows."""
         return len(self.observations)
+
+    def row(self, k: int, memory: Memory) -> Self:
+        """Row k by itself, as a live sample; `memory` is handed on from row to row."""
+        at = slice(k, k + 1)
+        one = type(self)(self.observations.taken(at), rates=(self.rates[0][at], self.rates[1][at]), memory=memory)
+        one.whole = self
+        return one
 
     @cached_property
     def measured(self) -> Array:
@@ -103,6 +112,20 @@ class Scene:
         raise AssertionError("a scene without its own simulation needs a given one")
 
     @property
+    def grain(self) -> int:
+        """How many neighbouring rows hold one independent value: more than one where `measured` is filtered."""
+        return 1
+
+    def seen(self, x: Array) -> Array:
+        """(N, k) sharp signals as `measured` shows them: through the same filter, where it is filtered."""
+        return x
+
+    @property
+    def raw_residual(self) -> Array:
+        """(N, C) recorded as it is, minus simulated."""
+        return self.observations.matrix(*self.channels) - self.simulated
+
+    @property
     def residual(self) -> Array:
         """(N, C) recorded minus simulated."""
         return self.measured - self.simulated
@@ -119,18 +142,21 @@ class Scene:
             return self._rates
         if not self.clock or not self.joint_names:
             return np.zeros_like(self.q), np.zeros_like(self.q)
-        return self._derivatives(self._best_band())
+        return self._derivatives(self.band)
 
     def _derivatives(self, band: float | None) -> tuple[Array, Array]:
         velocity = self.observations.joints("velocity") if self.observations.predict != "position" else None
         return derivatives(self.time, self.q, self.segments, velocity, band)
 
-    def _best_band(self) -> float | None:
+    @cached_property
+    def band(self) -> float | None:
         """Of the low-passes (Hz) of the motion the one whose simulation meets the recording best; None: by the motion alone.
 
         A low-pass without phase can neither hide nor fake a delay; noise of measured motion that is differentiated
         would otherwise pass for forces.
         """
+        if self._rates is not None or not self.clock:
+            return None
         if self.observations.simulation is not None or not self._uses_rates():
             return None
         step = float(np.median(np.diff(self.time)))
@@ -147,12 +173,14 @@ class Scene:
         return False
 
     def error_with(self, band: float | None) -> float:
-        """Mean log rms of recorded minus simulated and of its changes by row, the motion low-passed at `band` Hz."""
-        scene = type(self)(self.observations, rates=self._derivatives(band))
-        rest = scene.measured - scene.simulated
+        """Mean log spread of recorded minus simulated and of its changes by row, the motion low-passed at `band` Hz.
+
+        The spread is the median's: jumps of force, which any low-pass smears, are few and must not decide.
+        """
+        rest = type(self)(self.observations, rates=self._derivatives(band)).raw_residual
         rest = rest[len(rest) // 20 : -max(len(rest) // 20, 1)]
         quick = np.diff(rest, axis=0)
-        return float(np.mean(np.log(np.nanstd(rest, axis=0) + 1e-300) + np.log(np.nanstd(quick, axis=0) + 1e-300)))
+        return float(np.mean(np.log(_spread(rest) + 1e-300) + np.log(_spread(quick) + 1e-300)))
 
     @cached_property
     def simulated_rate(self) -> Array:
@@ -231,6 +259,11 @@ class Scene:
     def delay(self, name: Any, x: Array, seconds: float) -> Array:
         """(N, m) inputs delayed by seconds, see `operators.delay`."""
         return self._carried(name, x, lambda part, state: delay(self.time[part], x[part], seconds, state))
+
+
+def _spread(x: Array) -> Array:
+    """(C,) robust spread of (N, C)."""
+    return np.asarray(np.nanmedian(np.abs(x - np.nanmedian(x, axis=0)), axis=0))
 
 
 def kind_of(name: str) -> str:

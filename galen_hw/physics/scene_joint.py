@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.scene import Scene, once
+from galen_hw.physics.smoothing import CUT, smoothed
 from galen_hw.spatial import Array
 
 COARSE = 4000
@@ -84,7 +85,29 @@ class JointScene(Scene):
 
 
 class EffortScene(JointScene):
-    """Compared: joint.NAME.effort against the rigid robot's inverse dynamics, or a given simulation."""
+    """Compared: joint.NAME.effort against the rigid robot's inverse dynamics, or a given simulation.
+
+    Where noisy motion is low-passed before it is differentiated, the measured efforts go through the same low-pass (the
+    parallel filter of dynamic identification: Gautier, Janot, Vandanjon 2013): a jump of force would else be smeared on
+    one side alone.
+    """
+
+    @cached_property
+    def measured(self) -> Array:
+        """(N, C) recorded efforts, as far as the motion can tell them."""
+        raw = self.observations.matrix(*self.channels)
+        return raw if self.band is None else smoothed(self.time, raw, self.segments, self.band, bridge=True)
+
+    def seen(self, x: Array) -> Array:
+        """Through the low-pass of the motion."""
+        return x if self.band is None else smoothed(self.time, x, self.segments, self.band)
+
+    @cached_property
+    def grain(self) -> int:
+        """Four rows a cycle of the cut-off."""
+        if self.band is None:
+            return 1
+        return max(1, int(1.0 / (4.0 * CUT * self.band * float(np.median(np.diff(self.time))))))
 
     def _simulate(self) -> Array:
         robot = self._urdf()
@@ -191,8 +214,8 @@ class PositionScene(JointScene):
     @once
     def load(self, joint: str) -> Array | None:
         """Effort with a sign, as measured; else the torque of the URDF's weight; else None."""
-        effort = self.observations.columns.get(f"joint.{joint}.effort")
+        effort = (self.whole or self).observations.columns.get(f"joint.{joint}.effort")
         if effort is not None and np.isfinite(effort).all() and np.min(effort) < 0.0 < np.max(effort):
-            return np.asarray(effort)
+            return np.asarray(self.observations.columns[f"joint.{joint}.effort"])
         weight = self.weight_torque()
         return None if weight is None else weight[:, self.joint_index(joint)]

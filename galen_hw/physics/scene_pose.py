@@ -61,7 +61,8 @@ class ArmScene(Scene):
     def load(self, joint: str) -> Array | None:
         """Applied force and the tool's weight together."""
         total = self.torque_from(joint, self.force, self.tip) + self.weight_load(joint)
-        return total if np.ptp(total) > 0.0 else None
+        bears = np.ptp(total) > 0.0 if self.whole is None else self.whole.load(joint) is not None
+        return total if bears else None
 
     @cached_property
     def bent(self) -> Array:
@@ -161,8 +162,10 @@ class TargetsScene(ArmScene):
         return ("m",) * len(self.channels)
 
     @cached_property
-    def _registration(self) -> tuple[Array, Array, Array]:
+    def registration(self) -> tuple[Array, Array, Array]:
         """R (3, 3), t (3,) base to tracker and points (K, 3) in the sensor frame, least squares by turns and screws."""
+        if self.whole is not None:
+            return self.whole.registration
         T = exponential(self.bent) @ self.T_sensor
         y = self.measured.reshape(len(self), -1, 3)
         good = np.isfinite(y).all(axis=(1, 2))
@@ -171,7 +174,7 @@ class TargetsScene(ArmScene):
     @cached_property
     def _points(self) -> Array:
         """(N, K, 3) the targets in the base as simulated."""
-        T, x = exponential(self.bent) @ self.T_sensor, self._registration[2]
+        T, x = exponential(self.bent) @ self.T_sensor, self.registration[2]
         return np.asarray(np.einsum("nij,kj->nki", T[:, :3, :3], x) + T[:, None, :3, 3])
 
     @cached_property
@@ -180,12 +183,12 @@ class TargetsScene(ArmScene):
         given = self.observations.simulation
         if given is not None:
             return np.stack([np.asarray(given[name]) for name in self.channels], axis=-1)
-        R, t, _ = self._registration
+        R, t, _ = self.registration
         return np.asarray(self._points @ R.T + t).reshape(len(self), -1)
 
     def _answer(self, screw: Array) -> Array:
         move = screw[:, None, :3] + np.cross(screw[:, None, 3:], self._points)
-        return np.asarray(move @ self._registration[0].T).reshape(len(self), -1)
+        return np.asarray(move @ self.registration[0].T).reshape(len(self), -1)
 
     def screw_port(self, screws: list[Array]) -> Array | None:
         """Exactly, by the product of exponentials."""
@@ -193,7 +196,7 @@ class TargetsScene(ArmScene):
         for screw in screws:
             Q = Q @ exponential(screw)
         moved = np.einsum("nij,nkj->nki", Q[:, :3, :3], self._points) + Q[:, None, :3, 3]
-        return np.asarray((moved - self._points) @ self._registration[0].T).reshape(len(self), -1)
+        return np.asarray((moved - self._points) @ self.registration[0].T).reshape(len(self), -1)
 
     def nuisances(self) -> list[Array]:
         """The tracker's frame (6) and each target's place on the body (3 each)."""
@@ -201,7 +204,7 @@ class TargetsScene(ArmScene):
             return []
         rows = (len(self), 1)
         out = [self._answer(np.tile(unit, rows)) for unit in np.eye(6)]
-        R = self._registration[0] @ self.T_sensor[:, :3, :3]
+        R = self.registration[0] @ self.T_sensor[:, :3, :3]
         for k in range(len(self.channels) // 3):
             for axis in range(3):
                 column = np.zeros((len(self), len(self.channels)))

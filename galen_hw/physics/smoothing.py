@@ -1,13 +1,17 @@
-"""Derivatives of recorded positions by local polynomials, after a low-pass that suits the noise."""
+"""Derivatives of recorded positions by local polynomials, after a low-pass that suits the noise; the same one for forces."""
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import percentile_filter
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from galen_hw.spatial import Array
 
 ORDER = 4
 NARROW = 5
+CUT = 1.5
+"""Cut-off of the low-pass over the band of the motion."""
 
 
 def _rates(x: Array, dt: float) -> tuple[Array, Array]:
@@ -36,11 +40,61 @@ def motion_band(x: Array, dt: float) -> float:
 
 
 def low_passed(x: Array, dt: float, band: float) -> Array:
-    """Signal (N,) without what lies above 1.5 times the band (Hz): a Butterworth filter forth and back, no phase."""
-    cut = 3.0 * band * dt
+    """Signal (N,) without what lies above `CUT` times the band (Hz): a Butterworth filter forth and back, no phase."""
+    cut = 2.0 * CUT * band * dt
     if cut >= 0.8 or len(x) < 30:
         return x
     return np.asarray(sosfiltfilt(butter(3, max(cut, 1e-4), output="sos"), x, padlen=min(len(x) - 1, int(6.0 / cut))))
+
+
+def smoothed(time: Array, x: Array, segments: list[slice], band: float, *, bridge: bool = False) -> Array:
+    """Signals (N, k) through the low-pass of `derivatives`, each segment by itself; what is not measured (NaN) stays so.
+
+    Uneven samples go over an even grid. With `bridge`, isolated samples far off their neighbours do not spread.
+    """
+    out = x.copy()
+    for part in segments:
+        t = time[part]
+        if len(t) < NARROW or t[-1] <= t[0] or np.any(np.diff(t) <= 0):
+            continue
+        dt = float(np.median(np.diff(t)))
+        grid = np.linspace(t[0], t[-1], max(round((t[-1] - t[0]) / dt) + 1, NARROW))
+        for j in range(x.shape[1]):
+            good = np.isfinite(x[part, j])
+            if bridge:
+                good &= ~isolated(x[part, j])
+            if good.sum() < NARROW:
+                continue
+            smooth = low_passed(np.interp(grid, t[good], x[part, j][good]), float(grid[1] - grid[0]), band)
+            out[part, j] = np.where(np.isfinite(x[part, j]), np.interp(t, grid, smooth), np.nan)
+    return out
+
+
+ALONE = 3
+"""So many samples in a row may be isolated; more are an event."""
+
+
+def isolated(x: Array) -> NDArray[np.bool_]:
+    """(N,) samples, at most three in a row, that stand out to one side of what lies before and after them.
+
+    How far a sample stands out is the smaller of its distances to the third one before and after, where both have one sign;
+    zero on slopes, steps and ramps. It must be six times what nine samples of ten around it stay below.
+    """
+    n = len(x)
+    none = np.zeros(n, dtype=bool)
+    if n < 20 or not np.isfinite(x).all():
+        return none
+    wide = np.pad(x, ALONE, mode="reflect")
+    before, after = x - wide[:n], x - wide[2 * ALONE :]
+    out = np.where(before * after > 0.0, np.minimum(np.abs(before), np.abs(after)), 0.0)
+    if not out.any():
+        return none
+    around = percentile_filter(out, 90, size=101, mode="nearest")
+    usual = np.maximum(around, max(float(np.quantile(out, 0.9)), float(out[out > 0.0].min())))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], out > 6.0 * usual, [False]]).astype(int)))
+    for a, b in edges.reshape(-1, 2):
+        none[a:b] = b - a <= ALONE
+    return none
 
 
 def derivatives(

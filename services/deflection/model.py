@@ -92,6 +92,8 @@ class ServedModel:
             self.problem = self._unknown
         elif file.robot != robot:
             self.problem = f"model {file.id} is of robot {file.robot!r}, this is {robot!r}"
+        elif file.virtual and self._context.virtual is False:
+            self.problem = f"model {file.id} was fitted on a virtual robot, this is a real one"
         elif file.tool and file.tool != self.tool:
             self.problem = f"model {file.id} is of tool {file.tool!r}, in hand is {self.tool or 'no tool'!r}"
         elif file.tip is not None and np.linalg.norm(np.subtract(file.tip, self.tip)) > TIP_TOLERANCE_M:

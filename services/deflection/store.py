@@ -29,6 +29,7 @@ class DeflectionFile(BaseModel):
     Args:
         model: name in the table of models; values: its own numbers.
         robot, tool, tip: what it was fitted on (tip in the sensor frame, m); it serves no other.
+        virtual: fitted on a virtual robot: it serves no real one.
         rmse_m: held-out error by kind of held-out set; std_m: one sigma of that error along each channel.
         data: names of the sets; reason: why it was recommended.
     """
@@ -41,6 +42,7 @@ class DeflectionFile(BaseModel):
     date: str = ""
     software: str = ""
     robot: str
+    virtual: bool = False
     tool: str = ""
     tip: tuple[float, float, float] | None = None
     model: str

@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RAW, DONE, BAND, INK, GOOD = "#c9764a", "#1f6f8b", "#9fc7d3", "#22313a", "#2e7d4f"
+LARGEST_RATIO: Final = 2.0
+"""Where the bars of the candidates' figure end: the good ones are to be told apart beside a hopeless one."""
 STYLE: Final[Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
@@ -88,7 +90,7 @@ def live_figure(check: LiveCheck, name: str) -> "Figure":
         check.time[few], check.raw[few], check.compensated[few], check.noise, dots=False, xlabel="time, s"
     )
     ratio = check.rms / check.noise
-    figure.suptitle(f"{name}: every sample in holds and slow motion; RMS at most {ratio.max():.3f} x the noise floor")
+    figure.suptitle(f"{name}: every sample in holds and slow motion; RMS at most {ratio.max():.3f} × the noise floor")
     return figure
 
 
@@ -162,10 +164,13 @@ def residual_figure(result: Result) -> "Figure":
 
 
 def candidates_figure(result: Result) -> "Figure":
-    """Mass and centre of mass by each candidate with its 95 % interval, and how each predicts left-out poses."""
+    """Mass and centre of mass by each candidate with its 95 % interval, and how each predicts left-out poses.
+
+    The report's own equations come without an interval: a hollow mark.
+    """
     import matplotlib.pyplot as plt
 
-    found = [c for c in result.comparison.candidates if c.estimate is not None]
+    found = result.comparison.candidates
     figure, axes = plt.subplots(1, 5, figsize=(12.0, 0.6 + 0.42 * (len(found) + 1)), sharey=True, layout="constrained")
     places = np.arange(len(found), dtype=float)[::-1]
     for ax, i, title in zip(axes, range(4), ("mass, g", "com x, mm", "com y, mm", "com z, mm"), strict=False):
@@ -175,22 +180,41 @@ def candidates_figure(result: Result) -> "Figure":
     reference = left_out_rms(result, result.best)
     for c, y in zip(found, places, strict=True):
         ratio = float(np.sqrt(np.mean((left_out_rms(result, c) / reference) ** 2)))
-        axes[4].barh(y, ratio, height=0.55, color=GOOD if c.key == result.comparison.recommended else BAND)
-        axes[4].text(ratio, y, f" {ratio:.3f}", va="center", fontsize=8.0, color=INK)
+        shown = min(ratio, LARGEST_RATIO)
+        axes[4].barh(y, shown, height=0.55, color=GOOD if c.key == result.comparison.recommended else BAND)
+        axes[4].text(
+            shown, y, f" {ratio:.3f}" if shown == ratio else f"  » {ratio:.3g}", va="center", fontsize=8.0, color=INK
+        )
     axes[4].set_title("relative left-out error", loc="left")
     axes[4].set_xlim(0.0, 1.35 * max(axes[4].get_xlim()[1] / 1.05, 1.0))
     return figure
 
 
-def _forest(ax: "Axes", found: list[Candidate], places: Array, i: int, recommended: str) -> None:
+def _forest(ax: "Axes", found: Sequence[Candidate], places: Array, i: int, recommended: str) -> None:
+    ends = 1e3 * np.array([(v - h, v + h) for v, h in (_interval(c, i) for c in found if c.estimate is not None)])
+    low, high = ends[:, 0].min(), ends[:, 1].max()
     for c, y in zip(found, places, strict=True):
-        assert c.estimate is not None
-        color = GOOD if c.key == recommended else "#8fa3ad"
-        half = 1e3 * c.estimate.t95 * c.estimate.std[i]
-        ax.errorbar(1e3 * c.estimate.values[i], y, xerr=half, fmt="o", color=color, markersize=5, capsize=3)
+        chosen = c.key == recommended
+        color = GOOD if chosen else "#8fa3ad"
+        value = 1e3 * (c.mass, *c.com)[i]
+        if c.estimate is None:
+            at = float(np.clip(value, low - (high - low) / 2, high + (high - low) / 2))  # far off: an arrow that way
+            marker = "D" if at == value else "<" if value < at else ">"
+            ax.plot(at, y, marker, markersize=5.5, markerfacecolor="white", markeredgecolor=RAW)
+            continue
+        half = 1e3 * _interval(c, i)[1]
+        if chosen:
+            ax.axvspan(value - half, value + half, color=GOOD, alpha=0.08, lw=0)
+        ax.errorbar(value, y, xerr=half, fmt="o", color=color, markersize=5, capsize=3)
     ax.ticklabel_format(axis="x", useOffset=False)
     ax.tick_params(axis="x", labelsize=7.5)
     ax.locator_params(axis="x", nbins=4)
+
+
+def _interval(c: Candidate, i: int) -> tuple[float, float]:
+    """Value and half-width of the 95 % interval of a candidate's i-th parameter, SI."""
+    assert c.estimate is not None
+    return float(c.estimate.values[i]), float(c.estimate.t95 * c.estimate.std[i])
 
 
 def poses_figure(result: Result) -> "Figure":
@@ -199,23 +223,49 @@ def poses_figure(result: Result) -> "Figure":
 
     rows = result.poses
     s = gravity_in_sensor(rows.R, rows.gravity) / np.linalg.norm(rows.gravity)
-    figure, axes = plt.subplots(1, 3, figsize=(12.0, 3.9), layout="constrained")
     clock = np.arange(len(rows)) if rows.time is None else rows.time
-    for ax, (i, j) in zip(axes, ((0, 1), (0, 2), (1, 2)), strict=True):
-        turn = np.linspace(0.0, 2.0 * np.pi, 100)
-        ax.plot(np.cos(turn), np.sin(turn), color="#c5ced3", lw=0.8)
-        ax.plot(s[:, i], s[:, j], color="#d5dce0", lw=0.6, zorder=1)
-        for mask, marker in ((rows.tool & ~rows.verify, "o"), (~rows.tool, "s"), (rows.verify, "^")):
-            if mask.any():
-                dots = ax.scatter(s[mask, i], s[mask, j], c=clock[mask], marker=marker, s=22, cmap="viridis", zorder=2)
-                dots.set_clim(float(clock.min()), float(clock.max()))
-        ax.set_aspect("equal")
-        ax.set_xlabel(f"sensor {'xyz'[i]}")
-        ax.set_ylabel(f"sensor {'xyz'[j]}")
-    label = "pose, in order" if rows.time is None else "time in the sweep, s"
-    figure.colorbar(dots, ax=list(axes), label=label, shrink=0.85)
-    figure.suptitle("Direction of gravity in the sensor (circle with tool, square without, triangle to verify with)")
+    figure = plt.figure(figsize=(12.0, 4.8), layout="constrained")
+    flat, globe = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2, projection="3d")
+    turn = np.linspace(0.0, 2.0 * np.pi, 100)
+    flat.plot(np.cos(turn), np.sin(turn), color="#c5ced3", lw=0.8)
+    flat.plot(s[:, 0], s[:, 1], color="#e3e8ea", lw=0.6, zorder=1)
+    _sphere(globe)
+    span = {"cmap": "viridis", "vmin": float(clock.min()), "vmax": float(clock.max())}
+    kinds = (
+        ("with the tool", rows.tool & ~rows.verify, "o"),
+        ("without the tool", ~rows.tool, "s"),
+        ("held out, to verify with", rows.verify, "^"),
+    )
+    for label, mask, marker in kinds:
+        if mask.any():
+            dots = flat.scatter(
+                s[mask, 0], s[mask, 1], c=clock[mask], marker=marker, s=26, label=label, zorder=2, **span
+            )
+            globe.scatter(*s[mask].T, c=clock[mask], marker=marker, s=22, depthshade=False, zorder=5, **span)
+    flat.set_aspect("equal")
+    flat.locator_params(nbins=5)
+    flat.set_xlabel("sensor x")
+    flat.set_ylabel("sensor y")
+    flat.set_title("seen along the sensor's z", loc="left")
+    globe.set_title("on the sphere of all directions", loc="left")
+    colors = figure.colorbar(dots, ax=[flat, globe], shrink=0.8, pad=0.02)
+    colors.set_label("pose, in order" if rows.time is None else "time in the sweep, s")
+    figure.legend(*flat.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.suptitle("Direction of gravity in the sensor, pose by pose")
     return figure
+
+
+def _sphere(ax: Any) -> None:
+    """The unit sphere as thin lines of latitude and longitude, without a box about it."""
+    ax.computed_zorder = False  # the poses lie before the lines
+    u, v = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 13))
+    ax.plot_wireframe(np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), color="#d5dce0", lw=0.5)
+    for axis, end in zip("xyz", np.eye(3), strict=True):
+        ax.plot(*np.outer(end, (0.0, 1.2)), color=INK, lw=0.9)
+        ax.text(*(1.32 * end), axis, color=INK, ha="center", va="center")
+    ax.set_box_aspect((1.0, 1.0, 1.0), zoom=1.6)
+    ax.view_init(elev=-38.0, azim=-62.0)  # from below, where gravity points
+    ax.set_axis_off()
 
 
 def _png(figure: "Figure") -> bytes:

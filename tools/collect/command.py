@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from galen_hw.errors import EXIT_OK, UsageError
+from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -16,10 +16,12 @@ if TYPE_CHECKING:
     from galen_hw.drivers.virtual.control import VirtualControl
     from galen_hw.kinematics import Robot
     from galen_hw.spatial import Array
+    from galen_hw.tools.collect.plan import Plan
     from galen_hw.tools.collect.session import CollectSession
 
 VIRTUAL_TOOL: Final = "pointer"
 LARGEST_N: Final = 30.0
+BLOCKS: Final = "▁▂▃▄▅▆▇█"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,6 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--configurations", type=int, default=4, metavar="N", help="places with two sets each (4)")
     parser.add_argument("--force", type=float, default=12.0, metavar="N", help="largest push, newtons (12)")
     parser.add_argument("--dwell", type=float, default=2.0, metavar="S", help="hold each push so long, for creep (2)")
+    parser.add_argument("--rise", type=float, default=1.0, metavar="S", help="seconds for a push to rise and fall (1)")
+    parser.add_argument("--rest", type=float, default=2.0, metavar="S", help="rest before and after pushes (2)")
+    parser.add_argument("--rounds", type=int, default=2, metavar="N", help="sets at each place (2)")
+    parser.add_argument("--places", type=int, default=8, metavar="N", help="places of a calibration set (8)")
+    parser.add_argument("--still", type=float, default=1.5, metavar="S", help="time at each of them (1.5)")
     parser.add_argument("--config", metavar="FILE", help="settings for --virtual")
     parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory of the daemon")
     parser.add_argument("--virtual", action="store_true", help="on a virtual robot that gives; a virtual hand pushes")
@@ -44,50 +51,75 @@ def run(args: argparse.Namespace) -> int:
     from galen_hw.config.paths import Addresses, client_runtime_dir
     from galen_hw.config.tool_store import ToolStore
     from galen_hw.daemon.session import own_daemon
-    from galen_hw.tools.collect.rows import TOPICS
+    from galen_hw.messages import TOPICS
     from galen_hw.tools.collect.session import CollectSession
+    from galen_hw.tools.record import session_context
 
-    if not 1.0 <= args.force <= LARGEST_N or not 0.2 <= args.dwell <= 60.0 or not 1 <= args.configurations <= 50:
-        raise UsageError("out of range", where="--force, --dwell, --configurations", todo="1-30 N, 0.2-60 s, 1-50")
-    console = Console()
-    with ExitStack() as stack:
-        if args.virtual:
-            addresses = stack.enter_context(own_daemon(config=args.config, runtime=args.dir))
-        else:
-            addresses = Addresses(args.dir or client_runtime_dir())
-            addresses.require_daemon()
-        client = stack.enter_context(CommandClient(addresses.command))
-        info = client.call("daemon", "info")
-        store = ToolStore(Path(info["state_dir"]))
-        name = args.tool or store.selected() or (VIRTUAL_TOOL if info["virtual"] else None)
-        if name is None:
-            raise UsageError("no tool is selected", where="--tool", todo=f"one of: {', '.join(store.names())}")
-        robot, tool = _robot(info), store.load(name)
-        plan = _plan(args, robot, name, console)
-        hand = _hand(addresses, name, stack) if info["virtual"] else _Operator()
-        subscriber = stack.enter_context(Subscriber(addresses.bus, TOPICS, queue=50_000))
-        live = stack.enter_context(_live(console))
-        session = CollectSession(
-            plan,
-            robot,
-            tool,
-            subscriber,
-            client,
-            hand,
-            lambda line: console.print(line, markup=False),
-            lambda now, text: live.update(_picture(now, text)),
-        )
-        session.run()
+    _check(args)
+    console, plan = Console(), None
+    try:
+        with ExitStack() as stack:
+            if args.virtual:
+                addresses = stack.enter_context(own_daemon(config=args.config, runtime=args.dir))
+            else:
+                addresses = Addresses(args.dir or client_runtime_dir())
+                addresses.require_daemon()
+            client = stack.enter_context(CommandClient(addresses.command))
+            info = client.call("daemon", "info")
+            store = ToolStore(Path(info["state_dir"]))
+            name = args.tool or store.selected() or (VIRTUAL_TOOL if info["virtual"] else None)
+            if name is None:
+                raise UsageError("no tool is selected", where="--tool", todo=f"one of: {', '.join(store.names())}")
+            robot, tool = _robot(info), store.load(name)
+            plan = _plan(args, robot, name)
+            hand = _hand(addresses, name, robot, stack) if info["virtual"] else _Operator()
+            subscriber = stack.enter_context(Subscriber(addresses.bus, TOPICS, queue=50_000))
+            live = stack.enter_context(_live(console))
+            CollectSession(
+                plan,
+                robot,
+                tool,
+                subscriber,
+                client,
+                hand,
+                lambda line: console.print(line, markup=False, soft_wrap=True),
+                lambda now, text: live.update(picture(now, text)),
+                session_context(Path(info["config"])) | {"virtual": bool(info["virtual"])},
+            ).run()
+    finally:
+        if plan is not None:
+            _left(plan)
+    return EXIT_FOUND if plan.left else EXIT_OK
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Numbers that make a session."""
+    limits = {
+        "force": (1.0, LARGEST_N),
+        "dwell": (0.2, 60.0),
+        "rise": (0.1, 10.0),
+        "rest": (0.5, 60.0),
+        "still": (0.5, 60.0),
+        "configurations": (1, 50),
+        "rounds": (1, 10),
+        "places": (4, 50),
+    }
+    for name, (low, high) in limits.items():
+        if not low <= getattr(args, name) <= high:
+            raise UsageError("is out of range", where=f"--{name}", todo=f"{low:g} to {high:g}")
+
+
+def _left(plan: "Plan") -> None:
+    """How far the session is, and what comes next."""
     left = len(plan.left)
-    console.print(f"{len(plan.steps) - left} of {len(plan.steps)} sets in {plan.folder}", markup=False)
+    print(f"{len(plan.steps) - left} of {len(plan.steps)} sets in {plan.folder}", flush=True)
     if left:
-        console.print(f"go on with: galen-hw collect deflection -o {plan.folder}", markup=False)
+        print(f"go on with: galen-hw collect deflection -o {plan.folder}", flush=True)
     else:
-        console.print(f"next: galen-hw deflection fit {plan.folder} --report out.html", markup=False)
-    return EXIT_OK
+        print(f"next: galen-hw deflection fit {plan.folder} --report out.html", flush=True)
 
 
-def _plan(args: argparse.Namespace, robot: "Robot", tool: str, console: "Console") -> Any:
+def _plan(args: argparse.Namespace, robot: "Robot", tool: str) -> "Plan":
     """A begun session's plan, or a new one."""
     from datetime import UTC, datetime
 
@@ -97,14 +129,15 @@ def _plan(args: argparse.Namespace, robot: "Robot", tool: str, console: "Console
     folder = args.output or Path(f"deflection-{now:%Y%m%d-%H%M%S}")
     plan = Plan.load(folder)
     if plan is not None:
-        if plan.tool != tool:
-            raise UsageError(
-                f"the session is of tool {plan.tool!r}, not {tool!r}", where=str(folder), todo="give a new folder"
-            )
-        console.print(f"going on: {len(plan.left)} of {len(plan.steps)} sets are left", markup=False)
+        for what, kept, here in (("tool", plan.tool, tool), ("robot", plan.robot, robot.name)):
+            if kept != here:
+                todo = "give a new folder"
+                raise UsageError(f"the session is of {what} {kept!r}, not {here!r}", where=str(folder), todo=todo)
+        print(f"going on: {len(plan.left)} of {len(plan.steps)} sets are left", flush=True)
         return plan
-    plan = Plan(folder, robot.name, tool, f"{now:%Y-%m-%d}", make_steps(robot, args.configurations, args.force))
-    plan.dwell_s = args.dwell
+    steps = make_steps(robot, args.configurations, args.force, rounds=args.rounds, places=args.places)
+    plan = Plan(folder, robot.name, tool, f"{now:%Y-%m-%d}", steps)
+    plan.dwell_s, plan.rise_s, plan.rest_s, plan.still_s = args.dwell, args.rise, args.rest, args.still
     plan.save()
     return plan
 
@@ -135,15 +168,25 @@ class _VirtualHand:
         self._control.push(force=force.tolist(), seconds=dwell_s, rise_s=rise_s)
 
 
-def _hand(addresses: "Addresses", tool: str, stack: ExitStack) -> _VirtualHand:
-    """A virtual arm that gives, with the tool in its holder."""
+def _hand(addresses: "Addresses", tool: str, robot: "Robot", stack: ExitStack) -> _VirtualHand:
+    """A virtual arm that gives, with the tool in its holder; the same arm again for the same seed of its world."""
     from galen_hw.drivers.virtual.control import VirtualControl
 
     control = stack.enter_context(VirtualControl(addresses.virtual))
     control.attach_tool(tool)
-    rng = np.random.default_rng()
-    joint = [*rng.uniform(1e-5, 5e-5, 3).tolist(), *rng.uniform(2e-3, 6e-3, 2).tolist()]
-    control.compliance(joint=joint, structure=[0.0] * 6)
+    middle = 0.5 * (robot.lower + robot.upper)
+    turns = np.any(np.abs(robot.sensor_jacobian(middle)[0, 3:]) > 0.0, axis=0)
+    rng = np.random.default_rng([control.state()["seed"], 4])
+    # As the generated robots of the benchmark: 0.1 to 1 mm/N at the tip, a bearing or two that stick, creep and stiffen.
+    ranges = np.where(turns, [[3.3e-3], [1.5e-2]], [[2e-5], [1e-4]])
+    joint = np.exp(rng.uniform(*np.log(ranges)))
+    control.compliance(
+        joint=joint.tolist(),
+        friction=np.where(turns, rng.uniform(0.05, 0.15), 0.0).tolist(),
+        creep=np.where(turns, rng.uniform(0.05, 0.15), 0.0).tolist(),
+        hardening=(np.where(turns, 3.0, 60.0) * joint).tolist(),
+        slope=np.where(turns, 0.0, rng.uniform(-0.5, 0.5)).tolist(),
+    )
     return _VirtualHand(control)
 
 
@@ -153,21 +196,38 @@ def _live(console: "Console") -> Any:
     return Live(console=console, refresh_per_second=8, transient=True)
 
 
-def _picture(session: "CollectSession", text: str) -> "RenderableType":
-    """What to do now, the force as it is, and the coverage so far."""
+def picture(session: "CollectSession", text: str) -> "RenderableType":
+    """What to do now, how hard, the force's trace, and the coverage so far."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
 
-    rows = session.rows
-    force = " ".join(f"{a} {f:+6.1f}" for a, f in zip("xyz", rows.force_now, strict=True))
+    rows, trace = session.rows, np.array(session.trace).reshape(-1, 3)
+    lines = [Text(text, style="bold")]
+    size = float(np.linalg.norm(session.target))
+    if size and len(trace):
+        along = float(trace[-1] @ session.target) / size
+        lines.append(Text(f"push {along:5.1f} of {size:.1f} N  {_bar(along / size)}"))
+    for i, axis in enumerate("xyz"):
+        now = f"{trace[-1, i]:+6.1f}" if len(trace) else "      "
+        lines.append(Text(f"force {axis} {now} N  {sparkline(trace[:, i])}"))
     table = Table(title="largest force, N", title_justify="left")
     for head in ("place", "+x", "+y", "+z", "-x", "-y", "-z"):
         table.add_column(head, justify="right")
     for place, peaks in session.peaks.items():
         table.add_row(place, *(f"{p:.0f}" for p in peaks))
     done = len(session.plan.steps) - len(session.plan.left)
-    line = f"raw force, sensor axes, N: {force}   markers seen {rows.seen:4.0%}"
-    line += f"   frames lost {rows.warnings['frames lost']}"
-    line += f"   sets {done} of {len(session.plan.steps)}"
-    return Group(Text(text, style="bold"), Text(line), table)
+    line = f"markers seen {rows.seen:4.0%}   frames lost {rows.warnings['frames lost']}"
+    lines.append(Text(f"{line}   sets {done} of {len(session.plan.steps)}"))
+    return Group(*lines, table)
+
+
+def sparkline(values: "Array", least: float = 2.0) -> str:
+    """Values as one line of blocks, zero in the middle; the scale is their largest size, `least` at least."""
+    scale = max(float(np.abs(values).max(initial=0.0)), least)
+    steps = np.clip(np.round(3.5 + 3.5 * values / scale), 0, len(BLOCKS) - 1).astype(int)
+    return "".join(BLOCKS[k] for k in steps)
+
+
+def _bar(share: float) -> str:
+    return "\N{FULL BLOCK}" * round(20 * min(max(share, 0.0), 1.2))

@@ -50,7 +50,7 @@ class Plan:
 
     Args:
         folder: of the sets; robot, tool: names; steps: in order; day: its date.
-        rise_s, dwell_s, rest_s: of each push; settle_s: at each place of a calibration set.
+        rise_s, dwell_s, rest_s: of each push; still_s: at each place of a calibration set.
     """
 
     folder: Path
@@ -61,6 +61,7 @@ class Plan:
     rise_s: float = 1.0
     dwell_s: float = 2.0
     rest_s: float = 2.0
+    still_s: float = 1.5
 
     @property
     def left(self) -> list[Step]:
@@ -91,16 +92,19 @@ class Plan:
             raise UsageError(f"is damaged ({error})", where=str(path), todo="begin in a new folder") from error
 
 
-def make_steps(robot: Robot, configurations: int, newtons: float, seed: int = 0) -> list[Step]:
-    """A calibration set, two rounds of one set of pushes at every configuration, a calibration set.
+def make_steps(
+    robot: Robot, configurations: int, newtons: float, *, rounds: int = 2, places: int = 8, seed: int = 0
+) -> list[Step]:
+    """A calibration set, `rounds` of one set of pushes at every configuration, a calibration set.
 
-    Every set pushes along all three axes and once askew, both ways, at different levels.
+    Every set pushes along all three axes and once askew, both ways, at different levels; a calibration set visits
+    `places`.
     """
     rng = np.random.default_rng(seed)
     held = _places(robot, configurations, 11)
-    calibration = _places(robot, 8, 101)
+    calibration = _places(robot, places, 101)
     steps = [Step("calibration-1", "calibration", [p.tolist() for p in calibration])]
-    for turn in (1, 2):
+    for turn in range(1, rounds + 1):
         for k, place in enumerate(held, start=1):
             pushes = [
                 (newtons * rng.uniform(0.5, 1.0) * rng.choice([-1.0, 1.0]) * e) for e in rng.permutation(np.eye(3))

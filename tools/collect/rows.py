@@ -2,18 +2,22 @@
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from galen_hw.clock import NS_PER_S
-from galen_hw.identification.deflection.registration import MarkerWatch
+from galen_hw.identification.deflection.registration import MarkerWatch, Places
 from galen_hw.kinematics import Robot
 from galen_hw.messages import JointsState, Message, TrackedPose, WrenchCompensated, WrenchRaw
-from galen_hw.spatial import Array, inverse, rotation_from_quaternion, transform
+from galen_hw.spatial import Array, inverse, quaternion_from_rotation, rotation_from_quaternion, transform
 
 TOPICS = ("wrench/raw", "wrench/compensated", "joints/state", "tracker/tool", "tracker/reference")
 HALF_FRAME_S = 1.0 / 120.0
+LOST, REPEATED = "frames lost", "frames repeated"
+LEAST_SEEN: Final = 0.5
+REGISTERED: Final = ("T_marker_base", "T_tip_tool", "position_std", "rotation_std")
+"""What a set keeps of the registration."""
 
 
 def _matrix(message: TrackedPose) -> Array:
@@ -40,7 +44,6 @@ class Rows:
     saturated: int = 0
     moving: bool = False
     force_now: Array = field(default_factory=lambda: np.zeros(3))
-    last_ns: int = 0
     q: Array | None = None
     _tool: list[tuple[int, int, Array]] = field(default_factory=list)
     _reference: dict[int, Array] = field(default_factory=dict)
@@ -50,7 +53,6 @@ class Rows:
 
     def take(self, topic: str, message: Message) -> None:
         """One message of `TOPICS`."""
-        self.last_ns = max(self.last_ns, message.t_ns)
         if isinstance(message, JointsState):
             q = np.array([message.position.get(name, np.nan) for name in self.robot.joint_names])
             self.moving = any(message.moving.values())
@@ -73,13 +75,39 @@ class Rows:
     def look(self) -> list[str]:
         """What the watch says of frames of which both markers have come since the last look."""
         lines: list[str] = []
-        while self._looked < len(self._tool) and self._tool[self._looked][1] in self._reference:
+        newest = max(self._reference, default=-1)
+        while self._looked < len(self._tool):
             t_ns, frame, T = self._tool[self._looked]
-            lines += self.watch.look(frame, t_ns / NS_PER_S, self._reference[frame], T)
+            if frame not in self._reference and frame >= newest:
+                break  # Its other half is still to come.
+            found = self.watch.look(frame, t_ns / NS_PER_S, self._reference.get(frame, T * np.nan), T)
+            if any("repeats" in line for line in found):
+                self._tool[self._looked] = t_ns, frame, T * np.nan
+            for line in found:
+                kind, count = _counted(line)
+                self.warnings[kind] += count
+            lines += found
             self._looked += 1
-        for line in lines:
-            lost = "lost" in line
-            self.warnings["frames lost" if lost else line] += int(line.split(" ", 1)[0]) if lost else 1
+        return lines
+
+    @property
+    def alarms(self) -> list[str]:
+        """What the watch has said apart from single frames."""
+        return [line for line in self.warnings if line not in (LOST, REPEATED)]
+
+    @property
+    def spoiled(self) -> list[str]:
+        """Why the set cannot be used, a line each with what to do; empty when it can."""
+        lines = self.alarms
+        missed = self.warnings[LOST] + self.warnings[REPEATED]
+        if self.seen < LEAST_SEEN:
+            lines.append(f"the tool was seen in {self.seen:.0%} of the frames: turn the markers to the tracker")
+        elif missed > LEAST_SEEN * len(self._tool):
+            lines.append(f"{missed} frames were lost or repeated: look after the tracker's line")
+        if self.saturated:
+            lines.append(f"the force was at its limit in {self.saturated} samples: push less")
+        if not self._wrench["raw"] and not self.saturated:
+            lines.append("no force was heard: galen-hw check")
         return lines
 
     @property
@@ -113,6 +141,13 @@ class Rows:
         return {"time": time, "q": at, "force": force, "M": M}
 
 
+def _counted(line: str) -> tuple[str, int]:
+    """A warning's kind and how many it stands for."""
+    if "lost" in line:
+        return LOST, int(line.split(" ", 1)[0])
+    return (REPEATED, 1) if "repeats" in line or "twice" in line else (line, 1)
+
+
 def middle(T: Array) -> Array:
     """(4, 4) median place and mean turn of a marker that was still, from (N, 4, 4)."""
     U, _, Vt = np.linalg.svd(T[:, :3, :3].mean(axis=0))
@@ -135,3 +170,18 @@ def _means(samples: Array, start: int, time: Array) -> Array:
     some = b > a
     out[some] = (sums[b[some]] - sums[a[some]]) / (b - a)[some, None]
     return out
+
+
+def tip_columns(robot: Robot, places: Places, found: dict[str, Any]) -> dict[str, Array]:
+    """Columns of a set: joints, force on the tip, and the tip in the base as the tracker sees it (report, 14)."""
+    T = inverse(places.T_marker_base) @ found["M"] @ inverse(places.T_tip_tool)
+    seen = np.isfinite(T[:, 0, 0])
+    xyzw = np.full((len(T), 4), np.nan)
+    xyzw[seen] = quaternion_from_rotation(T[seen, :3, :3])
+    columns = {"time": found["time"]}
+    if "segment" in found:
+        columns["segment"] = found["segment"]
+    columns |= {f"joint.{n}.position": found["q"][:, i] for i, n in enumerate(robot.joint_names)}
+    columns |= {f"applied.force.{a}": found["force"][:, i] for i, a in enumerate("xyz")}
+    columns |= {f"pose.position.{a}": T[:, i, 3] for i, a in enumerate("xyz")}
+    return columns | {f"pose.orientation.{a}": xyzw[:, i] for i, a in enumerate("xyzw")}

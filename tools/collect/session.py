@@ -1,7 +1,10 @@
 """A deflection session at work: moves, guides, records, registers and writes set after set."""
 
+import json
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
@@ -10,18 +13,24 @@ import numpy as np
 from galen_hw.bus import CommandClient, Subscriber
 from galen_hw.config.tool_file import ToolFile
 from galen_hw.errors import HardwareError, UsageError
-from galen_hw.identification.deflection.registration import MarkerWatch, register_both
+from galen_hw.identification.deflection.registration import MarkerWatch, Places, register_both
 from galen_hw.kinematics import Robot
 from galen_hw.recording import Recording, RecordingInfo, write_table
-from galen_hw.spatial import Array, inverse, quaternion_from_rotation, transform
+from galen_hw.recording.session import Session
+from galen_hw.services.recorder import open_new
+from galen_hw.spatial import Array, inverse, transform
 from galen_hw.tools.collect.plan import Plan, Push, Step
-from galen_hw.tools.collect.rows import Rows, middle
+from galen_hw.tools.collect.rows import REGISTERED, Rows, middle, tip_columns
 
 MOVE_WITHIN_S: Final = 60.0
 STILL_S: Final = 0.5
-LEAST_SEEN: Final = 0.5
-SPEED: Final = 0.3
-MOVED_M: Final = 5e-4
+LISTEN_S: Final = 1.0
+SHOW_S: Final = 0.1
+LEAST_FRAMES: Final = 20
+TRIES: Final = 4
+TRACE: Final = 60
+TAPE: Final = "{}.mcap"
+"""Everything that was on the bus during a set, beside its table's folder."""
 
 
 class Hand(Protocol):
@@ -37,6 +46,7 @@ class CollectSession:
 
     Args:
         plan: what to do; hand: who pushes; show: takes lines for people and the live state.
+        context: of the MCAP files, see `recording.session.Session`.
     """
 
     plan: Plan
@@ -47,11 +57,17 @@ class CollectSession:
     hand: Hand
     say: Callable[[str], None]
     show: Callable[["CollectSession", str], None] = lambda *_: None
+    context: dict[str, Any] = field(default_factory=dict)
     watch: MarkerWatch = field(default_factory=MarkerWatch)
     peaks: dict[str, Array] = field(default_factory=dict)
     """Largest force along +x +y +z -x -y -z of each place, N: the coverage."""
-    registration: tuple[Array, Array] | None = None
+    trace: deque[Array] = field(default_factory=lambda: deque(maxlen=TRACE))
+    """(3,) force on the tip, N, base axes, of the last seconds; `target`: the push that is wanted now."""
+    target: Array = field(default_factory=lambda: np.zeros(3))
+    registration: Places | None = None
     rows: Rows = field(init=False)
+    _tape: Session | None = None
+    _offset: Array = field(default_factory=lambda: np.zeros(3))
     _said: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
@@ -61,38 +77,62 @@ class CollectSession:
         """All steps that are left; each is on the disk before the next begins.
 
         Raises:
-            HardwareError: no tracker, the tool never visible, the arm does not move.
+            HardwareError: no tracker, the tool never visible, the arm does not move, base or marker moved.
         """
         self._need_tracker()
         self.motors.call("motors", "enable")
         for step in self.plan.left:
-            if step.purpose == "calibration":
-                self._calibrate(step)
-            else:
-                self._push(step)
+            with self._taped(step):
+                if step.purpose == "calibration":
+                    self._calibrate(step)
+                else:
+                    self._push(step)
 
     def _need_tracker(self) -> None:
-        self._listen(2.0)
-        if not self.rows.arrays()["time"].size:
-            raise HardwareError(
-                "no tracker", where="tracker/tool, tracker/reference", todo="connect it (galen-hw check), then go on"
-            )
+        self._listen(LISTEN_S)
+        where = "tracker/tool, tracker/reference"
+        found = self.rows.arrays()
+        if not found["time"].size:
+            raise HardwareError("no tracker", where=where, todo="connect it (galen-hw check), then go on")
+        if not self.rows.seen:
+            todo = "turn both marker bodies to the tracker, then go on"
+            raise HardwareError("the tool or the reference marker is never seen", where=where, todo=todo)
+
+    @contextmanager
+    def _taped(self, step: Step) -> Iterator[None]:
+        """Everything on the bus goes to a file of the set, whole whatever ends it."""
+        with open_new(self.plan.folder / TAPE.format(step.name), overwrite=True) as stream:
+            self._tape = Session(stream, **self.context)
+            try:
+                yield
+            finally:
+                self._tape.finish()
+                self._tape = None
 
     def _listen(self, seconds: float, text: str = "") -> None:
         """Take messages for so long."""
         until = time.monotonic() + seconds
         shown = 0.0
         while (left := until - time.monotonic()) > 0.0:
-            received = self.subscriber.receive(min(left, 0.1))
+            received = self.subscriber.receive(min(left, SHOW_S))
             if received is not None:
                 self.rows.take(*received)
-            if time.monotonic() - shown > 0.1:
+                if self._tape is not None:
+                    self._tape.add(*received, time.time_ns())
+            if time.monotonic() - shown > SHOW_S:
                 shown = time.monotonic()
-                for line in self.rows.look():
-                    if "lost" not in line and line not in self._said:
-                        self._said.add(line)
-                        self.say(f"tracker: {line}")
-                self.show(self, text)
+                self._look(text)
+
+    def _look(self, text: str) -> None:
+        """What the tracker's watch has to say, and the live picture."""
+        for line in self.rows.look():
+            if "frame" not in line and line not in self._said:
+                self._said.add(line)
+                self.say(f"tracker: {line}")
+        if self.rows.q is not None:
+            R = self.robot.sensor_pose(self.rows.q)[0, :3, :3]
+            self.trace.append(R @ (self.rows.force_now - self._offset))
+        self.show(self, text)
 
     def _move(self, place: list[float]) -> None:
         """Go there and wait until still."""
@@ -110,16 +150,28 @@ class CollectSession:
             if time.monotonic() > until:
                 raise HardwareError("the arm does not come to rest", where="motors", todo="galen-hw check, then go on")
 
+    def _begin(self) -> None:
+        """Rows of a new set or place; what was warned of before it has been said."""
+        self.rows.look()
+        self.rows = Rows(self.robot, self.watch)
+
     def _calibrate(self, step: Step) -> None:
         """Still at several places without force: where the markers sit."""
         parts = []
         for number, place in enumerate(step.places, start=1):
             self._move(place)
-            self.rows = Rows(self.robot, self.watch)
-            self._listen(1.5, f"{step.name}: place {number} of {len(step.places)}, do not touch the tool")
-            parts.append(self.rows.arrays())
+            self._begin()
+            text = f"{step.name}: place {number} of {len(step.places)}, do not touch the tool"
+            for _ in range(TRIES):  # Frames that are lost cost time only, while nothing moves.
+                self._listen(self.plan.still_s, text)
+                found = self.rows.arrays()
+                if np.count_nonzero(np.isfinite(found["M"][:, 0, 0])) >= LEAST_FRAMES:
+                    break
+            if self.rows.alarms:
+                raise HardwareError(self.rows.alarms[0], where=step.name, todo="put it right, then go on")
+            parts.append(found)
         poses = [(p["M"][np.isfinite(p["M"][:, 0, 0])], p["q"]) for p in parts]
-        usable = [(M, q) for M, q in poses if len(M) >= 20]
+        usable = [(M, q) for M, q in poses if len(M) >= LEAST_FRAMES]
         if len(usable) < 4:
             raise HardwareError(
                 f"the tool is seen at {len(usable)} of {len(poses)} places",
@@ -128,14 +180,7 @@ class CollectSession:
             )
         M = np.array([middle(m) for m, _ in usable])
         B = np.array([self._tip(np.median(q, axis=0)[None])[0] for _, q in usable])
-        found = register_both(M, B)
-        left = np.linalg.norm((found[0] @ B @ found[1] - M)[:, :3, 3], axis=1)
-        self.say(f"{step.name}: registered over {len(M)} places, {1e3 * float(np.sqrt(np.mean(left**2))):.2f} mm rms")
-        if self.registration is not None:
-            moved = float(np.linalg.norm((inverse(self.registration[0]) @ found[0])[:3, 3]))
-            if moved > MOVED_M:
-                self.say(f"since the first calibration set base or marker moved by {1e3 * moved:.2f} mm: record again")
-        self.registration = self.registration or found
+        self._compare(step, register_both(M, B), len(M))
         joined = {k: np.concatenate([p[k] for p in parts]) for k in ("q", "M", "force")}
         steps = np.cumsum([0.0] + [p["time"][-1] + 1.0 for p in parts[:-1]])
         joined["time"] = np.concatenate([p["time"] + t for p, t in zip(parts, steps, strict=True)])
@@ -143,45 +188,77 @@ class CollectSession:
         joined["force"] = np.zeros_like(joined["force"])
         self._write(step, joined)
 
+    def _compare(self, step: Step, found: Places, count: int) -> None:
+        """Say how good a registration is, and whether it agrees with the first one."""
+        sure = f", base +/- {1e3 * np.linalg.norm(found.position_std):.2f} mm"
+        sure = "" if np.isnan(found.position_std).any() else sure
+        self.say(f"{step.name}: registered over {count} places, {1e3 * found.scatter_m:.2f} mm rms{sure}")
+        if self.registration is None:
+            self.registration = found
+            return
+        moved = float(np.linalg.norm((inverse(self.registration.T_marker_base) @ found.T_marker_base)[:3, 3]))
+        unsure = 3.0 * float(np.nan_to_num(np.linalg.norm([self.registration.position_std, found.position_std])))
+        if moved > self.registration.limits[0] + unsure:
+            self.say(f"since the first calibration set the base moved by {1e3 * moved:.2f} mm: record again")
+
     def _push(self, step: Step) -> None:
         """One set of pushes at one place."""
         plan = self.plan
         self._register_again()
         self._move(step.places[0])
-        self.rows = Rows(self.robot, self.watch)
+        self._begin()
         self._listen(plan.rest_s, f"{step.name}: do not touch the tool")
+        self._need_registration(step)
         for number, force in enumerate(step.pushes, start=1):
             for sign in (1.0, -1.0):
                 push = Push(tuple(float(sign * f) for f in force))  # type: ignore[arg-type]
-                self.hand.push(np.array(push.force), plan.rise_s, plan.dwell_s)
+                self.target = np.array(push.force)
+                self.hand.push(self.target, plan.rise_s, plan.dwell_s)
                 text = f"{step.name}, push {number} of {len(step.pushes)}: {push.words()}, hold {plan.dwell_s:g} s"
                 self._listen(2.0 * plan.rise_s + plan.dwell_s, text)
+            self.target = np.zeros(3)
             self._listen(plan.rest_s, f"{step.name}: let go")
+        if self.rows.spoiled:
+            for line in self.rows.spoiled:
+                self.say(f"{step.name}: not kept, {line}")
+            return
         found = self.rows.arrays()
-        if self.rows.seen < LEAST_SEEN:
-            share = f"{self.rows.seen:.0%}"
-            self.say(f"{step.name}: the tool was seen in {share} of the frames: not kept, record it again")
-            return
-        if self.rows.saturated:
-            self.say(f"{step.name}: the force was at its limit in {self.rows.saturated} samples: push less; not kept")
-            return
         rest = found["time"] < 0.8 * plan.rest_s
         R = self.robot.sensor_pose(found["q"])[:, :3, :3]
         # At one place the tool's weight and the sensor's offset are constant: the rest before the pushes removes them.
         found["force"] = np.einsum("nij,nj->ni", R, found["force"] - np.nanmean(found["force"][rest], axis=0))
         self._cover(step, found["force"])
         self._write(step, found)
+        self.say(f"{step.name}: kept, {len(found['time'])} frames, {self.rows.seen:.0%} seen")
+
+    def _need_registration(self, step: Step) -> None:
+        """At rest the tool's marker must be where the registration says.
+
+        Raises:
+            HardwareError: base or marker has moved since.
+        """
+        assert self.registration is not None, "the first step is a calibration set"
+        found = self.rows.arrays()
+        seen = np.isfinite(found["M"][:, 0, 0])
+        self._offset = self.rows.force_now
+        if np.count_nonzero(seen) < LEAST_FRAMES:
+            return  # What is not seen is said at the end of the set.
+        T_base_tip = self._tip(np.median(found["q"], axis=0)[None])[0]
+        off, limits = self.registration.off(middle(found["M"][seen]), T_base_tip), self.registration.limits
+        if off[0] > limits[0] or off[1] > limits[1]:
+            what = f"the marker is {1e3 * off[0]:.1f} mm and {1e3 * off[1]:.0f} mrad from where it was registered"
+            todo = "put marker and base back and go on, or begin a new session folder"
+            raise HardwareError(what, where=step.name, todo=todo)
 
     def _register_again(self) -> None:
         """The registration of this session's first calibration set, when the session is taken up again."""
         if self.registration is not None:
             return
-        import json
-
         path = self.plan.folder / "calibration-1" / "recording.json"
         try:
             kept = json.loads(path.read_text(encoding="utf-8"))["registration"]
-            self.registration = np.array(kept["T_marker_base"]), np.array(kept["T_tip_tool"])
+            X, Z, position, rotation = (np.array(kept[k], dtype=float) for k in REGISTERED)
+            self.registration = Places(X, Z, position, rotation, kept["scatter_m"], kept["scatter_rad"])
         except (OSError, ValueError, KeyError):
             raise UsageError("no registration", where=str(path), todo="begin the session in a new folder") from None
 
@@ -196,19 +273,8 @@ class CollectSession:
     def _write(self, step: Step, found: dict[str, Any]) -> None:
         """The set as a table folder, tip in the base frame."""
         assert self.registration is not None, "the first step is a calibration set"
-        X, Z = self.registration
-        T = inverse(X) @ found["M"] @ inverse(Z)
-        seen = np.isfinite(T[:, 0, 0])
-        xyzw = np.full((len(T), 4), np.nan)
-        xyzw[seen] = quaternion_from_rotation(T[seen, :3, :3])
-        columns = {"time": found["time"]}
-        if "segment" in found:
-            columns["segment"] = found["segment"]
-        columns |= {f"joint.{n}.position": found["q"][:, i] for i, n in enumerate(self.robot.joint_names)}
-        columns |= {f"applied.force.{a}": found["force"][:, i] for i, a in enumerate("xyz")}
-        columns |= {f"pose.position.{a}": T[:, i, 3] for i, a in enumerate("xyz")}
-        columns |= {f"pose.orientation.{a}": xyzw[:, i] for i, a in enumerate("xyzw")}
-        tool = self.tool
+        places, tool = self.registration, self.tool
+        registered = {k: np.nan_to_num(getattr(places, k)).tolist() for k in REGISTERED}
         about = {"name": tool.name, "tip": tool.tip} | ({"mass": tool.mass, "com": tool.com} if tool.calibrated else {})
         info = {
             "schema": 1,
@@ -219,7 +285,9 @@ class CollectSession:
             "purpose": step.purpose,
             "session": self.plan.day,
             "configuration": step.name.partition("-")[0],
-            "registration": {"T_marker_base": X.tolist(), "T_tip_tool": Z.tolist()},
+            "virtual": bool(self.context.get("virtual")),
+            "registration": registered | {"scatter_m": places.scatter_m, "scatter_rad": places.scatter_rad},
             "tracker_warnings": dict(self.rows.warnings),
         }
+        columns = tip_columns(self.robot, places, found)
         write_table(Recording(columns, RecordingInfo.model_validate(info)), self.plan.folder / step.name)

@@ -68,7 +68,7 @@ def _fit(args: argparse.Namespace, store: "DeflectionStore") -> int:
     from galen_hw.tools.deflection.data import read_sets, split
     from galen_hw.tools.deflection.fit import compare, file_of, summary
 
-    sets, days = read_sets(args.data)
+    sets, days, virtual = read_sets(args.data)
     remarks = check(sets)
     for line in remarks:
         print(f"galen-hw deflection: {line}", file=sys.stderr)
@@ -91,7 +91,7 @@ def _fit(args: argparse.Namespace, store: "DeflectionStore") -> int:
     if not args.no_save:
         robot = sets[0].observations.belief.robot
         name = args.save or re.sub(r"[^a-z0-9_-]", "-", (sets[0].tool or "arm").lower())
-        saved = store.save(file_of(out, name, "" if robot is None else robot.name))
+        saved = store.save(file_of(out, name, "" if robot is None else robot.name, virtual=virtual))
         print(f"saved as {saved.id}; the service takes it up with: galen-hw command deflection reload", file=sys.stderr)
     return EXIT_OK
 

@@ -18,13 +18,15 @@ MOVED = 0.1
 KINDS = ("same configuration", "new configuration", "other day")
 
 
-def read_sets(paths: Sequence[Path]) -> tuple[list[DeflectionSet], dict[str, str]]:
-    """The sets of recordings with pushes, and the day of each by name; calibration sets without force are left out.
+def read_sets(paths: Sequence[Path]) -> tuple[list[DeflectionSet], dict[str, str], bool]:
+    """The sets of recordings with pushes, the day of each by name, and whether any is of a virtual robot.
+
+    Calibration sets without force are left out.
 
     Raises:
         UsageError: not a deflection recording, or sets of different tools; one line with what to record next.
     """
-    sets, days = [], {}
+    sets, days, virtual = [], {}, False
     for path in _folders(paths):
         recording = read_recording(path)
         extra = recording.info.model_extra or {}
@@ -37,11 +39,12 @@ def read_sets(paths: Sequence[Path]) -> tuple[list[DeflectionSet], dict[str, str
             name, observations_of(recording), configuration=str(extra.get("configuration", "")), tool=tool
         )
         days[name] = str(extra.get("session", ""))
+        virtual = virtual or extra.get("virtual") is True
         sets.append(made)
     if not sets:
         raise UsageError("no set with pushes", todo="record one: galen-hw collect deflection")
     check(sets)
-    return _labelled(sets), days
+    return _labelled(sets), days, virtual
 
 
 def _folders(paths: Sequence[Path]) -> list[Path]:

@@ -98,7 +98,7 @@ def _recommend(out: Comparison) -> tuple[str, str]:
     return best, reason
 
 
-def file_of(out: Comparison, name: str, robot: str) -> DeflectionFile:
+def file_of(out: Comparison, name: str, robot: str, *, virtual: bool = False) -> DeflectionFile:
     """The recommended model for the service."""
     first = out.learn[0]
     predicted = out.scores[out.best].predicted
@@ -110,6 +110,7 @@ def file_of(out: Comparison, name: str, robot: str) -> DeflectionFile:
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         software=VERSION,
         robot=robot,
+        virtual=virtual,
         tool=first.tool,
         tip=tuple(first.observations.belief.tip.tolist()),
         model=out.best,

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from galen_hw.identification.deflection.blocks import Blocks
+from galen_hw.identification.deflection.compare import first_rest
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.elastic_fit import DELAY, Decision, Search
 from galen_hw.identification.deflection.elastic_stream import ElasticStream
@@ -20,7 +21,8 @@ from galen_hw.identification.deflection.stream import GiveStream
 from galen_hw.physics.joint_memory_effects import Slip
 from galen_hw.spatial import Array
 
-SMOOTH_S = 1.0
+LEAST_REST = 10
+"""Rows of a first rest whose mean is worth taking for the unloaded tip."""
 
 
 def _none() -> Array:
@@ -127,18 +129,22 @@ class ElasticArm(DeflectionModel):
 
 
 def _floor(model: ElasticArm, sets: Sequence[DeflectionSet], blocks: Blocks) -> Array:
-    """(d,) what is left at held-out configurations in means over a second, beyond the tracker's noise in them."""
+    """(d,) one sigma of what is left at held-out configurations, from each set's first rest on, without the tracker's noise.
+
+    The tracker's noise is white and the model's error is slow: the mean product of neighbouring rows has the latter
+    alone.
+    """
     by_fold = {int(f): blocks.solve([*model.terms, DELAY], without=int(f))[:-1] for f in np.unique(blocks.fold)}
-    squares, noise2 = [], np.zeros(len(model.noise))
+    squares, rows = np.zeros(len(model.noise)), 0
     for number, s in enumerate(sets):
         give = model.columns(s) @ by_fold[int(blocks.fold[blocks.owner == number][0])]
         late = np.stack([np.interp(s.time - model.delay_s, s.time, c) for c in give.T], axis=1)
-        left = s.give - late
-        left = left[np.isfinite(left).all(axis=1)]
-        size = max(1, round(SMOOTH_S / max(float(np.median(np.diff(s.time))), 1e-6)))
-        whole = len(left) // size * size
-        means = left[:whole].reshape(-1, size, left.shape[1]).mean(axis=1)
-        squares.append((means - means.mean(axis=0)) ** 2)
-        noise2 = model.noise**2 / size
-    left2 = np.mean(np.concatenate(squares), axis=0) - noise2
-    return np.asarray(np.sqrt(np.maximum(left2, (0.05 * model.noise) ** 2)))
+        left, rest = s.give - late, np.asarray(first_rest(s), dtype=bool)
+        seen = np.isfinite(left).all(axis=1)
+        if np.count_nonzero(seen & rest) < LEAST_REST or np.count_nonzero(seen & ~rest) < LEAST_REST:
+            continue
+        zero = left[seen & rest].mean(axis=0)
+        after = left[seen & ~rest] - zero
+        products = np.mean(after[1:] * after[:-1], axis=0) - model.noise**2 / np.count_nonzero(seen & rest)
+        squares, rows = squares + len(after) * products, rows + len(after)
+    return np.asarray(np.sqrt(np.maximum(squares / max(rows, 1), (0.05 * model.noise) ** 2)))

@@ -54,6 +54,7 @@ class Search:
     noise: Array = field(init=False)
     weight: Weight = field(init=False)
     terms: list[Term] = field(default_factory=list)
+    values: dict[Term, float] = field(default_factory=dict)
     lever: dict[str, float] = field(default_factory=dict)
     slips: dict[str, list[Slip]] = field(default_factory=dict)
     decisions: dict[tuple[str, str], Decision] = field(default_factory=dict)
@@ -202,27 +203,24 @@ class Search:
             columns[t] = self._columns[t]
         if delay:
             columns[DELAY] = [
-                r.free(np.gradient(self._linear(b), s.time, axis=0) / self.noise)
-                for r, b, s in zip(self._rows, self._bare, self.sets, strict=True)
+                r.free(np.gradient(self._known(b, z), s.time, axis=0) / self.noise)
+                for r, b, z, s in zip(self._rows, self._bare, self._settled, self.sets, strict=True)
             ]
         return Blocks.of(self._rows, columns, self._folds)
 
-    def _linear(self, view: GivingScene) -> Array:
-        """(N, d) give by the compliances alone."""
-        out = np.zeros((len(view), len(view.channels)))
-        for port, c in self.lever.items():
-            along = view.joint_port(port)
-            assert along is not None, "giving scenes have all ports"
-            out += c * view.bare_load(port)[:, None] * along
-        return out
+    def _known(self, bare: GivingScene, settled: GivingScene) -> Array:
+        """(N, d) give by what is found so far: friction late against the load must not pass for a late tracker."""
+        columns = [value * term.column(bare, settled) for term, value in self.values.items()]
+        return np.asarray(sum(columns, np.zeros((len(bare), len(bare.channels)))))
 
     def _set_lever(self, blocks: Blocks, terms: Sequence[Term]) -> None:
         """Compliances bend the levers; friction's share is its weight over the compliance."""
         if not terms:
-            self.lever, self.slips = {}, {}
+            self.values, self.lever, self.slips = {}, {}, {}
             return
         keys: list[Hashable] = [*terms, *([DELAY] if DELAY in blocks.keys else [])]
         theta = dict(zip(keys, blocks.solve(keys), strict=True))
+        self.values = {t: float(theta[t]) for t in terms}
         self.lever = {t.port: float(theta[t]) for t in terms if t.kind == "compliance"}
         self.slips = {}
         for t in terms:

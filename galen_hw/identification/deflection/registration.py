@@ -1,12 +1,19 @@
 """Registration of the tracker: where the robot's base is for it, from moments without force (report, 13-14)."""
 
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.errors import UsageError
 from galen_hw.spatial import Array, inverse, quaternion_from_rotation, rotation_from_quaternion, rotation_log, transform
+
+MOVED_M: Final = 5e-4
+MOVED_RAD: Final = 2e-3
+JUMP_S: Final = 0.1
+LEAST_PLACES: Final = 4
 
 
 @dataclass(frozen=True)
@@ -111,14 +118,19 @@ class MarkerWatch:
     Args:
         rate_hz: the tracker's frame rate, its frame number is the clock.
         moved_m, moved_rad: how far the reference marker may wander before it counts as moved.
+        frames: so many first frames are averaged, and so many in a row must lie apart: noise alone moves nothing.
     """
 
     rate_hz: float = 60.0
-    moved_m: float = 5e-4
-    moved_rad: float = 2e-3
-    _first: Array | None = None
+    moved_m: float = MOVED_M
+    moved_rad: float = MOVED_RAD
+    frames: int = 12
+    _first: list[Array] = field(default_factory=list)
+    _home: Array | None = None
+    _away: int = 0
     _frame: int | None = None
     _time_s: float = 0.0
+    _last: Array | None = None
 
     def look(self, frame: int, time_s: float, T_tracker_marker: Array, T_tracker_tool: Array) -> list[str]:
         """One frame of both markers (4, 4), NaN where missing; what is wrong with it, a line each."""
@@ -126,6 +138,10 @@ class MarkerWatch:
         if self._frame is not None:
             lines += self._clock(frame, time_s)
         self._frame, self._time_s = frame, time_s
+        both = np.stack([T_tracker_marker, T_tracker_tool])
+        if self._last is not None and np.array_equal(both, self._last):
+            lines.append(f"frame {frame} repeats the poses of the one before")
+        self._last = both
         if np.isfinite(T_tracker_marker).all():
             lines += self._reference(T_tracker_marker, T_tracker_tool)
         return lines
@@ -136,28 +152,60 @@ class MarkerWatch:
         if step == 0:
             return [f"frame {frame} came twice"]
         if step < 0:
-            return [f"the frame number fell from {self._frame} to {frame}: the tracker was restarted, register again"]
+            return ["the frame number fell back: the tracker was restarted, record this set again"]
         lines = [f"{step - 1} frame(s) lost before {frame}"] if step > 1 else []
-        if abs((time_s - self._time_s) - step / self.rate_hz) > 0.1:
-            lines.append(f"the clock jumped by {time_s - self._time_s - step / self.rate_hz:+.2f} s at frame {frame}")
+        jump = (time_s - self._time_s) - step / self.rate_hz
+        if abs(jump) > JUMP_S:
+            lines.append(f"the clock jumped by {jump:+.2f} s, record this set again")
         return lines
 
     def _reference(self, T_tracker_marker: Array, T_tracker_tool: Array) -> list[str]:
-        if self._first is None:
-            self._first = T_tracker_marker
+        if self._home is None:
+            self._first.append(T_tracker_marker)
+            self._home = _mean(np.array(self._first)) if len(self._first) >= self.frames else None
             return []
-        p, r = _deviations(T_tracker_marker[None], self._first)
+        p, r = _deviations(T_tracker_marker[None], self._home)
         moved, turned = float(np.linalg.norm(p)), float(np.linalg.norm(r))
-        if moved <= self.moved_m and turned <= self.moved_rad:
+        self._away = self._away + 1 if moved > self.moved_m or turned > self.moved_rad else 0
+        if self._away < self.frames:
             return []
         if np.isfinite(T_tracker_tool).all():
-            q, _ = _deviations(T_tracker_tool[None], self._first)
+            q, _ = _deviations(T_tracker_tool[None], self._home)
             if float(np.linalg.norm(q)) <= self.moved_m:
                 return ["tool and reference marker have changed places: the handles are swapped"]
-        return [f"the reference marker moved by {1e3 * moved:.2f} mm and {1e3 * turned:.1f} mrad: register again"]
+        return ["the reference marker or the tracker was moved: put it back, or register again in a new session"]
 
 
-def register_both(T_marker_tool: Array, T_base_tip: Array) -> tuple[Array, Array]:
+@dataclass(frozen=True)
+class Places:
+    """Where both markers sit, found together.
+
+    Args:
+        T_marker_base: (4, 4) base in the reference marker's frame; T_tip_tool: (4, 4) tool marker in the tip's.
+        position_std: (3,) m and rotation_std: (3,) rad of the base, one sigma (jackknife over the configurations; NaN
+            for fewer than five of them).
+        scatter_m, scatter_rad: rms of what is left at one configuration.
+    """
+
+    T_marker_base: Array
+    T_tip_tool: Array
+    position_std: Array
+    rotation_std: Array
+    scatter_m: float
+    scatter_rad: float
+
+    def off(self, T_marker_tool: Array, T_base_tip: Array) -> tuple[float, float]:
+        """How far (m) and turned (rad) a tool marker (4, 4) is from where a tip (4, 4) says that it is."""
+        p, r = _deviations(T_marker_tool[None], self.T_marker_base @ T_base_tip @ self.T_tip_tool)
+        return float(np.linalg.norm(p)), float(np.linalg.norm(r))
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Beyond these m and rad a marker or the base has moved: the least that matters, and four of the scatter."""
+        return MOVED_M + 4.0 * self.scatter_m, MOVED_RAD + 4.0 * self.scatter_rad
+
+
+def register_both(T_marker_tool: Array, T_base_tip: Array) -> Places:
     """Base in the reference marker's frame and tool marker in the tip's, neither known beforehand: M_i = X B_i Z.
 
     Rotations from the turns between poses, the places by least squares (robot-world and hand-eye; Shah 2013 states the
@@ -167,18 +215,38 @@ def register_both(T_marker_tool: Array, T_base_tip: Array) -> tuple[Array, Array
         T_marker_tool: (N, 4, 4) tool marker as the reference marker sees it, one a configuration without force.
         T_base_tip: (N, 4, 4) tip as the robot reports it.
 
-    Returns:
-        T_marker_base, T_tip_tool: (4, 4) each.
-
     Raises:
         UsageError: fewer than four configurations, or all turned about one axis.
     """
     M, B = np.asarray(T_marker_tool), np.asarray(T_base_tip)
+    X, Z = _solve_both(M, B)
+    p, r = _each_deviation(M, X @ B @ Z)
+    scatter = [float(np.sqrt(np.mean(np.sum(v**2, axis=1)))) for v in (p, r)]
+    count, others = len(M), []
+    for left_out in range(count) if count > LEAST_PLACES else ():
+        keep = np.arange(count) != left_out
+        with suppress(UsageError):  # The rest may be turned about one axis only.
+            others.append(_solve_both(M[keep], B[keep])[0])
+    stds = np.full((2, 3), np.nan)
+    if len(others) == count:
+        spread = [v - v.mean(axis=0) for v in _deviations(np.array(others), X)]
+        stds = np.array([np.sqrt((count - 1) / count * np.sum(v**2, axis=0)) for v in spread])
+    return Places(X, Z, stds[0], stds[1], *scatter)
+
+
+def _each_deviation(each: Array, others: Array) -> tuple[Array, Array]:
+    """Positions (N, 3) m and rotation vectors (N, 3) rad of poses from one other each."""
+    turns = np.swapaxes(others[:, :3, :3], 1, 2) @ each[:, :3, :3]
+    return each[:, :3, 3] - others[:, :3, 3], rotation_log(turns)
+
+
+def _solve_both(M: Array, B: Array) -> tuple[Array, Array]:
+    """X and Z (4, 4) of `register_both`."""
     i, j = np.triu_indices(len(M), 1)
     a = rotation_log(M[i, :3, :3] @ np.swapaxes(M[j, :3, :3], 1, 2))
     b = rotation_log(B[i, :3, :3] @ np.swapaxes(B[j, :3, :3], 1, 2))
     spread = np.linalg.svd(b, compute_uv=False)
-    if len(M) < 4 or spread[1] < 0.1 * spread[0]:
+    if len(M) < LEAST_PLACES or spread[1] < 0.1 * spread[0]:
         raise UsageError(
             f"{len(M)} configurations do not tell where the markers sit",
             where="registration",

@@ -1,0 +1,290 @@
+"""`galen-hw diagnose` on what people really hand in: one line each, never a traceback, never a confident finding."""
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from galen_hw.cli import main
+from galen_hw.diagnosis.guards import premises
+from galen_hw.physics.table import scene_of
+from galen_hw.recording import read_recording
+from galen_hw.tools.diagnose_input import observations_of
+
+ROWS, RATE = 400, 10.0
+MASS, COM = 0.287, np.array([0.031, 0.004, -0.063])
+JOINTS = ("carriage1", "carriage2", "carriage3", "roll", "tilt")
+INFO: dict[str, Any] = {
+    "schema": 1,
+    "robot": "galen",
+    "predict": "wrench",
+    "tool": {"name": "retractor", "mass": MASS, "com": COM.tolist()},
+    "model": {"bias": "free", "dynamics": "static"},
+}
+FORCES = [f"wrench.force.{a}" for a in "xyz"]
+TORQUES = [f"wrench.torque.{a}" for a in "xyz"]
+Columns = dict[str, np.ndarray]
+
+
+def recording() -> Columns:
+    """A hanging weight in closed form, R = Rx(roll) Ry(tilt), by this test."""
+    rng = np.random.default_rng(8)
+    t = np.arange(ROWS) / RATE
+    roll = 0.5 * np.sin(2 * np.pi * 0.11 * t) + 0.3 * np.sin(2 * np.pi * 0.047 * t + 1.0)
+    tilt = 0.4 * np.sin(2 * np.pi * 0.083 * t + 0.5) + 0.2 * np.sin(2 * np.pi * 0.19 * t)
+    columns = {"time": t} | {f"joint.{n}.position": np.zeros(ROWS) for n in JOINTS}
+    columns |= {"joint.roll.position": roll, "joint.tilt.position": tilt}
+    weight = MASS * 9.80665
+    force = weight * np.stack([np.cos(roll) * np.sin(tilt), -np.sin(roll), -np.cos(roll) * np.cos(tilt)], axis=1)
+    torque = np.cross(COM, force)
+    force = force + 0.015 * rng.normal(size=force.shape)
+    torque = torque + 2.5e-4 * rng.normal(size=torque.shape)
+    return columns | dict(zip(FORCES, force.T, strict=True)) | dict(zip(TORQUES, torque.T, strict=True))
+
+
+def write(folder: Path, columns: Columns, info: dict[str, Any] | None = None) -> Path:
+    """A table folder; NaN cells stay empty."""
+    folder.mkdir(parents=True)
+    with (folder / "recording.csv").open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(columns)
+        table.writerows(
+            [["" if x != x else repr(float(x)) for x in row] for row in zip(*columns.values(), strict=True)]
+        )
+    if info is not None:
+        (folder / "recording.json").write_text(json.dumps(info))
+    return folder
+
+
+def diagnose(folder: Path, *words: str) -> tuple[int, dict[str, Any]]:
+    """Exit status and answer."""
+    out = folder.parent / "answer.json"
+    status = main(["diagnose", str(folder), "--json", str(out), *words])
+    return status, json.loads(out.read_text()) if out.exists() else {}
+
+
+def missing_joint(c: Columns, i: dict[str, Any]) -> None:
+    del c["joint.tilt.position"]
+
+
+def missing_channel(c: Columns, i: dict[str, Any]) -> None:
+    del c["wrench.torque.y"]
+
+
+def empty_channel(c: Columns, i: dict[str, Any]) -> None:
+    c["wrench.force.x"] = np.full(ROWS, np.nan)
+
+
+def too_short(c: Columns, i: dict[str, Any]) -> None:
+    c.update({k: v[:5] for k, v in c.items()})
+
+
+def backwards(c: Columns, i: dict[str, Any]) -> None:
+    c["time"] = np.concatenate([c["time"][: ROWS // 2], c["time"][: ROWS // 2] + 0.5])
+
+
+def standing(c: Columns, i: dict[str, Any]) -> None:
+    c["time"] = np.zeros(ROWS)
+
+
+def no_robot(c: Columns, i: dict[str, Any]) -> None:
+    i["robot"] = None
+
+
+def robot_not_there(c: Columns, i: dict[str, Any]) -> None:
+    i["robot"] = "arm.urdf"
+
+
+def nothing_to_compare(c: Columns, i: dict[str, Any]) -> None:
+    del i["predict"]
+
+
+def wrong_group(c: Columns, i: dict[str, Any]) -> None:
+    i["predict"] = "pose"
+
+
+def negative_mass(c: Columns, i: dict[str, Any]) -> None:
+    i["tool"] = {"mass": -1.0, "com": [0, 0, 0]}
+
+
+REFUSED = {
+    missing_joint: "joints have no position, first tilt",
+    missing_channel: "wrench.torque.y has no value",
+    empty_channel: "wrench.force.x has no value",
+    too_short: "only 5 of 5 rows can be compared",
+    backwards: "of 400 rows; sort the rows, or number the runs",
+    standing: "only 1 of 1 rows",
+    no_robot: "there is nothing to simulate from",
+    robot_not_there: "the robot's file is not there",
+    nothing_to_compare: "nothing is named to compare",
+    wrong_group: "pose.position.x has no value",
+    negative_mass: "tool.mass",
+}
+
+
+@pytest.mark.parametrize("spoil", REFUSED, ids=lambda f: f.__name__)
+def test_what_cannot_be_compared_is_refused_in_one_line(spoil, tmp_path, capsys):
+    """Exit status 2; the line says what, where and what to do; no answer is written."""
+    columns, info = recording(), json.loads(json.dumps(INFO))
+    spoil(columns, info)
+    status, answer = diagnose(write(tmp_path / "run", columns, info))
+    lines = capsys.readouterr().err.splitlines()
+    assert (status, answer) == (2, {})
+    assert len(lines) == 1
+    assert lines[0].startswith("galen-hw diagnose: ")
+    assert REFUSED[spoil] in lines[0]
+    assert ";" in lines[0]
+
+
+def test_files_that_are_not_there_or_broken(tmp_path, capsys):
+    """Missing paths, broken JSON, no JSON, another kind of file, an unknown tool, a share that is none, an output folder
+    that is not there: one line each."""
+    good = write(tmp_path / "good", recording(), INFO)
+    broken = write(tmp_path / "broken", recording(), INFO)
+    (broken / "recording.json").write_text('{"schema": 1,')
+    alone = write(tmp_path / "alone", recording())
+    junk = tmp_path / "junk.mcap"
+    junk.write_bytes(b"\x00\x01 not a recording")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "damaged.json").write_text("[]")
+    cases = {
+        ("nowhere",): "there is no such recording",
+        (str(broken),): "not JSON",
+        (str(alone),): "there is no recording.json",
+        (str(junk),): "not an MCAP file",
+        (str(tmp_path / "empty"),): "there is no recording.csv",
+        (str(good), "--holdout", "nowhere"): "there is no such recording",
+        (str(good), "--holdout", "1.5"): "not a share",
+        (str(good), "--simulation", "nowhere"): "nowhere",
+        (str(good), "--tool", "hammer"): "no tool 'hammer'",
+        (str(good), "--tool", str(tmp_path / "damaged.json")): "not a tool's file",
+        (str(good), "--json", str(tmp_path / "no" / "where.json")): "no such folder",
+        (str(good), "--report", str(tmp_path / "no" / "where.html")): "no such folder",
+        (str(good), "--save-model", str(tmp_path / "empty")): "is a folder",
+    }
+    for words, text in cases.items():
+        assert main(["diagnose", *words]) == 2, words
+        lines = capsys.readouterr().err.splitlines()
+        assert len(lines) == 1, (words, lines)
+        assert text in lines[0], words
+
+
+def test_a_simulation_that_does_not_overlap_is_refused(tmp_path, capsys):
+    """Another time altogether; half of it is a note."""
+    columns = recording()
+    folder = write(tmp_path / "run", columns, INFO)
+    simulated = {"time": columns["time"] + 1e4} | {n: columns[n] for n in (*FORCES, *TORQUES)}
+    write(folder / "simulation", simulated, INFO)
+    assert diagnose(folder)[0] == 2
+    assert "does not overlap" in capsys.readouterr().err
+
+
+def swapped(c: Columns) -> None:
+    c["wrench.force.x"], c["wrench.force.y"] = c["wrench.force.y"], c["wrench.force.x"]
+
+
+def wrong_sign(c: Columns) -> None:
+    c.update({n: -c[n] for n in (*FORCES, *TORQUES)})
+
+
+def newton_millimetres(c: Columns) -> None:
+    c.update({n: 1000.0 * c[n] for n in TORQUES})
+
+
+def degrees(c: Columns) -> None:
+    c.update({f"joint.{n}.position": np.degrees(c[f"joint.{n}.position"]) for n in ("roll", "tilt")})
+
+
+def dead_channel(c: Columns) -> None:
+    c["wrench.force.y"] = np.full(ROWS, 0.25)
+
+
+def degrees_per_second(c: Columns) -> None:
+    c["joint.roll.velocity"] = np.degrees(np.gradient(c["joint.roll.position"], c["time"]))
+
+
+def milliseconds(c: Columns) -> None:
+    c["joint.roll.velocity"] = np.gradient(c["joint.roll.position"], c["time"])
+    c["time"] = 1000.0 * c["time"]
+
+
+WRONG: dict[Callable[[Columns], None], str] = {
+    wrong_sign: "wrench.force: x, y, z read like -x, -y, -z",
+    newton_millimetres: "is it in N mm?",
+    degrees: "far beyond the joint's limits",
+    degrees_per_second: "joint.roll.velocity is 57",
+    milliseconds: "or time in ms?",
+}
+
+
+@pytest.mark.parametrize("spoil", WRONG, ids=lambda f: f.__name__)
+def test_a_wrong_premise_is_said_and_nothing_else_claimed(spoil, tmp_path, capsys):
+    """Exit status 1, unexplained, the reason in one line, `unknown` the only finding."""
+    columns = recording()
+    spoil(columns)
+    status, answer = diagnose(write(tmp_path / "run", columns, INFO))
+    assert status == 1
+    assert answer["verdict"] == "unexplained"
+    said = capsys.readouterr().out
+    assert WRONG[spoil] in said
+    assert [f["effect"] for f in answer["findings"]] == ["unknown"]
+
+
+SEEN: dict[Callable[[Columns], None], str] = WRONG | {
+    swapped: "wrench.force: x, y, z read like y, x, z of the simulation",
+    dead_channel: "wrench.force.y stands still at 0.25 while its simulation moves",
+}
+
+
+@pytest.mark.parametrize("spoil", SEEN, ids=lambda f: f.__name__)
+def test_the_guards_see_it_before_any_fitting(spoil, tmp_path):
+    """One line a mix-up, and the channels that it concerns; a clean recording has none."""
+    columns = recording()
+    clean = premises(scene_of(observations_of(read_recording(write(tmp_path / "clean", columns, INFO)))))
+    assert clean.wrong == []
+    spoil(columns)
+    seen = premises(scene_of(observations_of(read_recording(write(tmp_path / "run", columns, INFO)))))
+    assert any(SEEN[spoil] in line for line in seen.wrong), seen.wrong
+    assert seen.channels
+
+
+def repeated_and_backward(c: Columns) -> None:
+    c["time"][[50, 120]] = c["time"][[49, 119]]
+    c["time"][200] = c["time"][190]
+
+
+def one_leap(c: Columns) -> None:
+    c["time"][100] += 1e6
+
+
+def gap(c: Columns) -> None:
+    c["time"][200:] += 3600.0
+
+
+def empty_cells(c: Columns) -> None:
+    c["wrench.force.z"][[10, 11, 300]] = np.nan
+    c["joint.roll.position"][[40, 41]] = np.nan
+
+
+NOTED: dict[Callable[[Columns], None], tuple[str, ...]] = {
+    repeated_and_backward: ("repeats or runs backwards in 3 rows",),
+    one_leap: ("repeats or runs backwards in 1 rows",),
+    gap: ("1 gaps, the longest of 3.6e+03 s",),
+    empty_cells: ("2 rows have no joint position", "3 rows have no value to compare"),
+}
+
+
+@pytest.mark.parametrize("spoil", NOTED, ids=lambda f: f.__name__)
+def test_small_faults_are_noted_and_the_rest_agrees(spoil, tmp_path, capsys):
+    """Exit status 0, one note for each kind of fault, no finding."""
+    columns = recording()
+    spoil(columns)
+    status, answer = diagnose(write(tmp_path / "run", columns, INFO))
+    assert (status, answer["verdict"], answer["findings"]) == (0, "agrees", [])
+    said = capsys.readouterr().out
+    for text in NOTED[spoil]:
+        assert text in said

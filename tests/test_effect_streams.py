@@ -1,0 +1,59 @@
+"""Every effect of the table, row by row with its memory carried along, against the whole batch; in every group."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from physics_scenes import scene
+
+from galen_hw.physics.effect import Effect
+from galen_hw.physics.event_effects import Contact, Step, Vibration
+from galen_hw.physics.joint_effects import TorqueRipple
+from galen_hw.physics.scene import Scene
+from galen_hw.physics.table import EFFECTS, effect_class, scene_of
+
+GROUPS = ("wrench", "pose", "targets", "effort", "position")
+ROWS = 120
+
+
+def made(group: str) -> Scene:
+    """A scene that already knows its simulation, so that a single row has the same one."""
+    first = scene(group, np.random.default_rng(5), rows=ROWS)
+    given = dict(zip(first.channels, first.simulated.T, strict=True))
+    return scene_of(replace(first.observations, simulation=given)) if group == "position" else first
+
+
+def hypotheses(whole: Scene) -> list[Effect]:
+    """One of each kind and form; of what has a joint or a channel, the last one."""
+    first, last = whole.channels[0], whole.channels[-1]
+    found = [e for key in EFFECTS for e in effect_class(key).propose(whole)]
+    found += [Step((first,), 5.0), Vibration((first, last), 3.0), Contact((first,), ((2.0, 4.0), (7.0, 8.0)))]
+    if whole.observations.predict == "effort":
+        found.append(TorqueRipple("elbow", 9.0))
+    return list({(e.KEY, getattr(e, "form", ""), getattr(e, "part", "")): e for e in found}.values())
+
+
+def row_by_row(whole: Scene, effect: Effect, theta: np.ndarray) -> np.ndarray:
+    """The effect on scenes of one row that hand their memory on."""
+    memory: dict = {}
+    return np.array([effect.change(whole.row(k, memory), theta)[0] for k in range(len(whole))])
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_row_by_row_gives_what_the_batch_gives(group):
+    """To rounding, for every hypothesis of every key that shows in the group, memory carried along."""
+    whole = made(group)
+    seen = set()
+    for effect in hypotheses(whole):
+        theta = np.full(len(effect.parameters(whole)), 0.013)
+        batch = effect.change(whole, theta)
+        rows = row_by_row(whole, effect, theta)
+        size = max(float(np.abs(batch).max()), 1e-12)
+        np.testing.assert_allclose(rows, batch, atol=1e-9 * size, err_msg=str(effect))
+        seen.add(effect.KEY)
+    assert len(seen) > 8, seen
