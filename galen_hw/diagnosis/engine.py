@@ -204,7 +204,7 @@ def merit_of(model: Model, y: Array) -> float:
 
 def _glitches(bench: Bench) -> list[Glitches]:
     """Marks isolated samples and leaves them out of everything."""
-    marked = seek.spikes(bench.scene.raw_residual, tuple(bench.scene.segments), bench.steps)
+    marked = seek.spikes(bench.scene.raw_residual, tuple(bench.scene.segments))
     spoilt = np.asarray(marked.any(axis=1))
     rows = np.flatnonzero(spoilt)
     if len(rows) < 3 and not _far(marked):
