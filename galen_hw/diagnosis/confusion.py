@@ -63,7 +63,12 @@ def rivals(selection: Selection, finding: Finding, *, everyone: bool = False) ->
     misfit = scorer.misfit(selection.chosen)
     for i in _places(selection, finding):
         # Where physics is missing, differences of a few hundredths are that physics.
-        margin = CLOSE + 0.05 * min(1.0, misfit - 1.0) * _beside(scorer, selection.chosen, i)[1]
+        # The price of one parameter decides between ties by simplicity, not by what was measured.
+        margin = (
+            CLOSE
+            + float(np.log(scorer.bench.noise.effective))
+            + 0.05 * min(1.0, misfit - 1.0) * _beside(scorer, selection.chosen, i)[1]
+        )
         for rival in _in_place(scorer, selection.chosen, i):
             if (
                 rival.key != finding.effect

@@ -12,7 +12,7 @@ from galen_hw.diagnosis.experiment import next_experiment
 from galen_hw.diagnosis.final import Model, merit, offsets, settle_model
 from galen_hw.diagnosis.findings import findings_of, unknown_finding
 from galen_hw.diagnosis.guards import Premise, premises
-from galen_hw.diagnosis.judge import ELSEWHERE, Judged, judge
+from galen_hw.diagnosis.judge import Judged, judge
 from galen_hw.diagnosis.locate import channels_of, episodes_of, where_of
 from galen_hw.diagnosis.result import Diagnosis, Finding, Verdict
 from galen_hw.diagnosis.rows import Mask
@@ -150,14 +150,10 @@ def _searched(
 
 
 def _earned(model: Model, holdout: Scene | None) -> tuple[Model, Judged]:
-    """The model without what held-out data do not support; what belongs to moments cannot show in another recording."""
+    """The model without what held-out data do not support; what belongs to moments shows nowhere else."""
     while True:
         judged = judge(model, holdout)
-        support = {
-            key: judged.support(key)
-            for key in judged.without
-            if not (judged.name == ELSEWHERE and effect_class(key).EPISODIC)
-        }
+        support = {key: judged.support(key) for key in judged.without if not effect_class(key).EPISODIC}
         worst = min(support, key=lambda key: support[key], default=None)
         if worst is None or support[worst] >= LEAST_SUPPORT:
             return model, judged
@@ -267,7 +263,7 @@ def _strong(left: list[adequacy.Left], judged: Judged, bench: Bench) -> list[ade
         before = float(judged.before[one.channel] - bench.noise.sigma[one.channel] ** 2)
         # A rounded reading follows its signal in part: a fifth of the rounding's variance is no physics.
         rounding = 0.2 * float(bench.steps[one.channel]) ** 2 / 12.0
-        if size > max(0.01 * bench.noise.sigma[one.channel] ** 2, rounding) and size > 0.03 * before:
+        if size > max(0.03 * bench.noise.sigma[one.channel] ** 2, rounding) and size > 0.03 * before:
             out.append(one)
     return out
 

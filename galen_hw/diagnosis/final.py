@@ -27,7 +27,8 @@ class Model:
     Args:
         bench: on which it was found.
         nuisances: what the baseline itself fits; effects: what was found.
-        theta: parameters learnt on the training rows, nuisances first; final: on all rows, covariance: of these.
+        theta: parameters learnt on the training rows (those of moments on all), nuisances first; final: on all rows,
+            covariance: of these.
     """
 
     bench: Bench
@@ -44,6 +45,10 @@ class Model:
         self.theta = fit(self.parts, self.white, train, self.bench.width)
         self.final = fit(self.parts, self.white, everything, self.bench.width)
         self.covariance = self._covariance(everything)
+        # What belongs to moments has no rows to be learnt on but its own.
+        for h, s in zip(self.parts, self.slices(), strict=True):
+            if h.effect is not None and h.effect.EPISODIC:
+                self.theta[s] = self.final[s]
 
     @property
     def parts(self) -> list[Hypothesis]:

@@ -16,6 +16,8 @@ from galen_hw.physics.time_effects import Timing
 from galen_hw.spatial import Array
 
 CHANCE = 0.002
+PIECES = 400
+"""Of so many pieces of a recording every fifth is left out to judge what belongs to moments."""
 MOST = 16
 WORTH = 0.25
 """An effect must take at least this share of the excess that is left in some channel, on data it did not learn from."""
@@ -402,11 +404,14 @@ def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, 
     The best channel counts. Five folds of contiguous blocks inside the training rows, errors in raw units, excess over the
     noise of the rich fit.
     """
-    before = crossed(bench, scorer, out.chosen)
-    after = crossed(bench, scorer, [*out.chosen, i])
+    effect = scorer.library[i].effect
+    # A contact of three seconds lies in one block: only pieces shorter than it can say whether it is there.
+    fine = effect is not None and effect.EPISODIC
+    before = crossed(bench, scorer, out.chosen, fine=fine)
+    after = crossed(bench, scorer, [*out.chosen, i], fine=fine)
     floor = bench.noise.sigma**2
     if not len(out.start):
-        out.start = before
+        out.start = crossed(bench, scorer, out.chosen)
     weight = _where_it_acts(scorer, out.chosen, i, bench)
     left = (before - after) / np.maximum(before - floor, 0.02 * floor)
     whole = (before - after) / np.maximum(out.start - floor, 0.02 * floor)
@@ -443,11 +448,14 @@ def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
     )
 
 
-def crossed(bench: Bench, scorer: Scorer, chosen: list[int], folds: int = 5) -> Array:
-    """(C,) mean squared error of a model on training blocks left out in turn."""
+def crossed(bench: Bench, scorer: Scorer, chosen: list[int], folds: int = 5, *, fine: bool = False) -> Array:
+    """(C,) mean squared error of a model on training blocks left out in turn; `fine`: on short pieces left out in turn."""
     at = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
     train = np.flatnonzero(bench.train)
-    fold = np.unique(bench.block[train], return_inverse=True)[1] % folds
+    if fine:
+        fold = train // max(len(bench.rows) // PIECES, 8) % folds
+    else:
+        fold = np.unique(bench.block[train], return_inverse=True)[1] % folds
     total = np.zeros(bench.width)
     for k in range(folds):
         learn, judge = train[fold != k], train[fold == k]
