@@ -235,7 +235,7 @@ def _answer(part: _Part, load: float, left: float, dt: float) -> float:
         part.unsure *= (1.0 - share) ** 2
         return part.slow - left
     if kind == "hardening":
-        return left * abs(left) ** (part.number - 1.0)
+        return left * float(abs(left) ** (part.number - 1.0))
     return tanh(left / part.number)
 
 
