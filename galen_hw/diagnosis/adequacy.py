@@ -7,14 +7,16 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from galen_hw.diagnosis.algebra import orthonormal, scaled
+from galen_hw.diagnosis.algebra import orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis, rich_basis
-from galen_hw.diagnosis.rows import Mask
+from galen_hw.diagnosis.rows import Index
 from galen_hw.physics.effect import Columns
 from galen_hw.spatial import Array
 
 Z_NEEDED = 4.5
 CHANCE = 2e-4
+T_NEEDED = 3.0
+"""Standard errors by which generic functions must win on blocks that they were not fitted on."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,8 @@ class Left:
         channel: place.
         kind: what the generic functions were of.
         z: (T - k) / sqrt(2 k) on the training rows.
-        share: of the rest's mean square, on rows set aside (training rows where none are).
-        predicted: (M,) in raw units.
+        share: of the rest's mean square.
+        predicted: (M,) in raw units; basis: (M, k) the functions.
     """
 
     channel: int
@@ -34,6 +36,7 @@ class Left:
     z: float
     share: float
     predicted: Array
+    basis: Array
 
 
 def dictionaries(bench: Bench) -> Iterator[tuple[str, Array]]:
@@ -41,13 +44,10 @@ def dictionaries(bench: Bench) -> Iterator[tuple[str, Array]]:
     inputs = _inputs(bench)
     if not inputs.size:
         return
-    rng = np.random.default_rng(7)
-    z = (inputs - inputs.mean(axis=0)) / np.maximum(inputs.std(axis=0), 1e-12)
+    z = _standard(inputs)
     for scale, name in ((0.7, "the joint positions"), (2.0, "the joint positions, finely")):
-        w, phase = rng.normal(size=(z.shape[1], 24)) * scale, rng.uniform(0, 2 * np.pi, 24)
-        yield name, np.cos(z @ w + phase)
-    pairs = [z[:, i] * z[:, j] for i in range(z.shape[1]) for j in range(i, z.shape[1])]
-    yield "products of joint positions", np.stack(pairs[:40], axis=-1)
+        yield name, _waves(z, scale)
+    yield "products of joint positions", _products(z, z)
     for j in range(min(z.shape[1], 8)):
         reach = max(float(np.ptp(z[:, j])), 1e-9)
         numbers = np.arange(1, 31) * 2.0 * np.pi / reach / 1.3
@@ -55,13 +55,23 @@ def dictionaries(bench: Bench) -> Iterator[tuple[str, Array]]:
             f"periodic in input {j + 1}",
             np.concatenate([f(np.outer(z[:, j], numbers)) for f in (np.sin, np.cos)], axis=1),
         )
+    load = _standard(bench.rows.average(np.nan_to_num(bench.scene.simulated)))
+    if bench.scene.observations.predict != "position" and load.shape[1]:
+        yield "products of the simulated channels", _products(load, load)
+        yield "the simulated channels times the joint positions", _products(load, z)
+        yield "cubes of the simulated channels", np.concatenate([load**2, load**3, np.abs(load)], axis=1)
     if bench.scene.clock:
-        rate, second = (np.gradient(x, axis=0) for x in (z, np.gradient(z, axis=0)))
-        rate, second = (x / np.maximum(x.std(axis=0), 1e-12) for x in (rate, second))
+        rate = _standard(np.gradient(z, axis=0))
+        second = _standard(np.gradient(rate, axis=0))
         yield (
             "speeds and accelerations",
             np.concatenate([rate, np.abs(rate), np.tanh(4.0 * rate), second, rate * np.abs(rate)], axis=1),
         )
+        yield "products of speeds", np.concatenate([_products(rate, rate), _products(rate, np.abs(rate))], axis=1)
+        yield "positions times speeds", _products(z, rate)
+        yield "positions and speeds together", _waves(np.concatenate([z, rate], axis=1), 0.7)
+        if load.shape[1]:
+            yield "the simulated channels times speeds", _products(load, rate)
         for low in (0.004, 0.012, 0.035, 0.1):
             yield "a resonance that motion excites", _resonators(second, low)
         lagged = [
@@ -72,16 +82,40 @@ def dictionaries(bench: Bench) -> Iterator[tuple[str, Array]]:
         yield "the past of the inputs", np.concatenate(lagged, axis=1)
 
 
-def compact(bench: Bench) -> list[Columns]:
+MOST_PRODUCTS = 40
+
+
+def _standard(x: Array) -> Array:
+    """Columns of zero mean and unit variance; constant ones are left out."""
+    spread = x.std(axis=0)
+    good = spread > 1e-9 * np.maximum(np.abs(x).max(axis=0), 1e-12)
+    return np.asarray((x[:, good] - x[:, good].mean(axis=0)) / spread[good])
+
+
+def _products(a: Array, b: Array) -> Array:
+    """(M, k) products of columns, each pair once."""
+    pairs = [(i, j) for i in range(a.shape[1]) for j in range(b.shape[1]) if a is not b or j >= i]
+    return np.stack([a[:, i] * b[:, j] for i, j in pairs[:MOST_PRODUCTS]], axis=-1) if pairs else a[:, :0]
+
+
+def _waves(z: Array, scale: float) -> Array:
+    """Random Fourier features (Rahimi and Recht 2007): smooth functions of all inputs together."""
+    rng = np.random.default_rng(7)
+    w, phase = rng.normal(size=(z.shape[1], 24)) * scale, rng.uniform(0, 2 * np.pi, 24)
+    return np.asarray(np.cos(z @ w + phase))
+
+
+def families(bench: Bench) -> list[tuple[str, Array]]:
+    """The generic functions of a bench as orthonormal bases (M, k), a constant first, the strongest directions next."""
+    ones, most = np.ones((len(bench.rows), 1)), max(int((~bench.dropped).sum()) // 6, 3)
+    return [(kind, rich_basis(ones, [X], 12 * min(most, X.shape[1]))) for kind, X in dictionaries(bench) if X.shape[1]]
+
+
+def compact(bench: Bench, generic: list[tuple[str, Array]]) -> list[Columns]:
     """The leading directions of every family, in all channels: what they explain must not pass for noise."""
     if len(bench.rows) < 2000:
         return []
-    out, ones = [], np.ones((len(bench.rows), 1))
-    for _, X in dictionaries(bench):
-        if X.shape[1]:
-            values = rich_basis(ones, [X], 12 * 8)[:, 1:]
-            out += [Columns((c,), values[:, None, :]) for c in range(bench.width)]
-    return out
+    return [Columns((c,), X[:, None, 1:9]) for _, X in generic for c in range(bench.width)]
 
 
 def _inputs(bench: Bench) -> Array:
@@ -108,51 +142,73 @@ def _resonators(x: Array, frequency: float) -> Array:
     return np.concatenate(out, axis=1) if out else x[:, :0]
 
 
-def leftovers(bench: Bench, model: list[Hypothesis], rest: Array, white: Array) -> list[Left]:
-    """Structure in the rest (M, C) of a model, strongest first; only what also predicts rows set aside.
+def leftovers(
+    bench: Bench, generic: list[tuple[str, Array]], model: list[Hypothesis], rest: Array, white: Array
+) -> list[Left]:
+    """Structure in the rest (M, C) of a model, strongest first; only what also predicts blocks it was not fitted on.
 
     Args:
+        generic: `families` of the bench.
         model: nuisances and effects, so that generic functions get no credit for what these could do.
         rest, white: the model's rest, raw and whitened.
     """
-    train, judged = bench.train, bench.judged
+    good = ~bench.dropped
+    block = bench.block[good]
     out: list[Left] = []
-    families = [
-        (kind, rich_basis(np.ones((len(X), 1)), [X], 12 * min(max(int(train.sum()) // 6, 3), X.shape[1])))
-        for kind, X in dictionaries(bench)
-        if X.shape[1]
-    ]
+    transformed = [bench.noise.transformed(X) for _, X in generic]
     for c in range(bench.width):
         own = [h.white.values[:, h.white.channels.index(c)] for h in model if c in h.white.channels and h.count]
-        base = orthonormal(scaled(np.concatenate([*own, np.zeros((len(rest), 0))], axis=1)[train]), weakest=1e-12)
-        for kind, X in families:
-            Xw = bench.noise.whiten(X, c)
-            found = _test(Xw, X, base, white[:, c], rest[:, c], train, judged)
-            if found is not None:
-                z, share, predicted, k = found
-                needed = CHANCE / (len(families) * bench.width)
-                if z > Z_NEEDED and chi2.sf(z * np.sqrt(2.0 * k) + k, k) < needed:
-                    out.append(Left(c, kind, z, share, predicted))
+        base = orthonormal(scaled(np.concatenate([*own, np.zeros((len(rest), 0))], axis=1)[good]), weakest=1e-12)
+        y = white[good, c] - base @ (base.T @ white[good, c])
+        for (kind, X), known in zip(generic, transformed, strict=True):
+            Xw = bench.noise.whitened(known, c)[good]
+            V, A = _beside(Xw, base)
+            k = V.shape[1]
+            if not k:
+                continue
+            projected = V.T @ (A.T @ y)
+            T = float(projected @ projected)
+            z = (T - k) / np.sqrt(2.0 * k)
+            if z < Z_NEEDED or chi2.sf(T, k) > CHANCE / (len(generic) * bench.width):
+                continue
+            if _crossed(A @ V, y, block, shrink=1.0 - k / T) < T_NEEDED:
+                continue
+            predicted = X @ (V @ projected)
+            power = max(float(np.sum(rest[good, c] ** 2)), 1e-300)
+            share = 1.0 - float(np.sum((rest[good, c] - predicted[good]) ** 2)) / power
+            out.append(Left(c, kind, z, share, predicted, X))
     return sorted(out, key=lambda left: -left.z)
 
 
-def _test(
-    Xw: Array, X: Array, Q: Array, white: Array, rest: Array, train: Mask, judged: Mask
-) -> tuple[float, float, Array, int] | None:
-    learn = Xw[train]
-    A = learn - Q @ (Q.T @ learn)
-    size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
-    value, vector = np.linalg.eigh((A.T @ A) / np.outer(size, size))
+def _beside(Xw: Array, base: Array) -> tuple[Array, Array]:
+    """Columns less what the model can do, A (n, k), and V so that A V is orthonormal."""
+    A = Xw - base @ (base.T @ Xw)
+    size = np.linalg.norm(A, axis=0)
+    own = size > 1e-3 * np.linalg.norm(Xw, axis=0)
+    if not own.any():
+        return np.zeros((A.shape[1], 0)), A
+    value, vector = np.linalg.eigh((A[:, own].T @ A[:, own]) / np.outer(size[own], size[own]))
     good = value > 1e-6 * max(float(value[-1]), 1e-300)
-    k = int(good.sum())
-    V = vector[:, good] / np.sqrt(value[good]) / size[:, None]
-    y = white[train] - Q @ (Q.T @ white[train])
-    projected = V.T @ (A.T @ y)
-    z = (float(projected @ projected) - k) / np.sqrt(2.0 * k)
-    theta = V @ projected
-    where = judged if judged.any() else train
-    predicted_white = Xw @ theta
-    gain = float(np.sum(white[where] ** 2 - (white[where] - predicted_white[where]) ** 2))
-    predicted = X @ theta
-    share = 1.0 - float(np.sum((rest[where] - predicted[where]) ** 2) / max(np.sum(rest[where] ** 2), 1e-300))
-    return (z, share, predicted, k) if (gain > 8.0 and share > 0.0) or not judged.any() else None
+    V = np.zeros((A.shape[1], int(good.sum())))
+    V[own] = vector[:, good] / np.sqrt(value[good]) / size[own, None]
+    return V, A
+
+
+def _crossed(U: Array, y: Array, block: Index, *, shrink: float, folds: int = 5) -> float:
+    """How surely orthonormal functions U (n, k) predict blocks that they were not fitted on: mean gain over its error.
+
+    The fit is shrunk towards nothing as James and Stein have it (1961), so that many functions of which few matter may win.
+    Blocks are the unit: slow noise inside a block is one piece of luck.
+    """
+    fold = np.unique(block, return_inverse=True)[1] % folds
+    gain = np.zeros(len(y))
+    for f in range(folds):
+        learn, judge = fold != f, fold == f
+        if not judge.any() or not learn.any():
+            continue
+        theta = shrink * solve_sym(U[learn].T @ U[learn], (U[learn].T @ y[learn])[:, None])[:, 0]
+        predicted = U[judge] @ theta
+        gain[judge] = predicted * (2.0 * y[judge] - predicted)
+    each = np.bincount(block, gain)[np.unique(block)]
+    spread = float(np.std(each, ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else np.inf
+    return float(np.mean(each)) / max(spread, 1e-300)

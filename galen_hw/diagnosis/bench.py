@@ -18,9 +18,10 @@ from galen_hw.spatial import Array
 
 MOST_ROWS = 12500
 SURROGATES = 48
+MOST_OF_MOTION = 0.995
 
 
-@dataclass
+@dataclass(eq=False)
 class Hypothesis:
     """One effect on the bench.
 
@@ -53,11 +54,13 @@ class Bench:
         scene: what was measured and simulated.
         held: share of blocks set aside.
         seed: of the choice of blocks and of surrogates.
+        most: rows that it may have; neighbours are averaged until there are no more.
     """
 
     scene: Scene
     held: float = 0.3
     seed: int = 0
+    most: int = MOST_ROWS
     rows: Rows = field(init=False)
     block: Index = field(init=False)
     aside: Mask = field(init=False)
@@ -68,15 +71,27 @@ class Bench:
     def __post_init__(self) -> None:
         """Averages the residual and marks the rows set aside."""
         n = len(self.scene)
-        self.rows = Rows(tuple(self.scene.segments), max(1, -(-n // MOST_ROWS)))
+        # A scene that low-passes what it compares says how many neighbouring rows hold nothing new.
+        self.rows = Rows(tuple(self.scene.segments), max(1, self.scene.grain, -(-n // self.most)))
         count = 40 if len(self.rows) >= 400 else max(min(len(self.rows) // 4, 14), 4)
         self.block = blocks(self.rows.runs, count)
         self.aside = set_aside(self.block, self.held, self.seed) if self.held > 0 else np.zeros(len(self.rows), bool)
+        self.spoilt = np.zeros(n, dtype=bool)
         self.dropped = np.zeros(len(self.rows), dtype=bool)
         self.whole = self.rows.average(self.scene.residual)
         self.y = self.whole
         self.steps = quantisation(self.scene.measured)
         self.width = len(self.scene.channels)
+
+    def leave_out(self, spoilt: Mask) -> None:
+        """Rows (N,) of the recording that no fit may see; the averaged rows that hold one are bridged."""
+        self.spoilt = spoilt
+        self.dropped = self.rows.spread(spoilt)
+        good = np.flatnonzero(~self.dropped)
+        if self.dropped.any() and len(good):
+            at = np.arange(len(self.dropped))
+            self.whole = np.stack([np.interp(at, good, self.whole[good, c]) for c in range(self.width)], axis=-1)
+        self.y = self.whole
 
     @property
     def train(self) -> Mask:
@@ -105,9 +120,10 @@ class Bench:
 
     def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
         """A hypothesis of given averaged columns."""
+        flat = self.noise.transformed(raw.values.reshape(len(raw.values), -1)).reshape(raw.values.shape)
         white = np.empty_like(raw.values)
         for i, channel in enumerate(raw.channels):
-            white[:, i] = self.noise.whiten(raw.values[:, i], channel)
+            white[:, i] = self.noise.whitened(flat[:, i], channel)
         return Hypothesis(effect, raw, Columns(raw.channels, white), looked, name)
 
     def constants(self) -> list[Columns]:
@@ -117,21 +133,38 @@ class Bench:
         everywhere = tuple(range(self.width))
         return out + [Columns(everywhere, self.rows.average(n)[:, :, None]) for n in self.scene.nuisances()]
 
-    def learn_noise(self, hypotheses: Iterable[Columns], extra: Iterable[Columns] = ()) -> None:
-        """Noise from the rest of a rich fit: principal directions of all columns, channel by channel, and `extra` whole."""
+    def learn_noise(self, hypotheses: Iterable[Columns], extra: Iterable[Columns] = (), *, above: float = 0.0) -> None:
+        """Noise from the rest of a fit: principal directions of all columns, channel by channel, and `extra` whole.
+
+        Below `above` (cycles a row) it is not measured but taken as at that frequency.
+        """
         constants, library, rest, basis = self.constants(), list(hypotheses), [], []
-        M = len(self.rows)
+        always = [*constants, *extra]
+        M, good = len(self.rows), ~self.dropped
         for c in range(self.width):
-            whole = [_of(col, c) for col in [*constants, *extra] if c in col.channels]
+            whole = [_of(col, c) for col in always if c in col.channels]
             rich = [_of(col, c) for col in library if c in col.channels]
             Q = rich_basis(np.concatenate(whole, axis=1), rich, M)
-            good = ~self.dropped
-            fit = Q @ solve_sym(Q[good].T @ Q[good], Q[good].T @ self.y[good, [c]][:, None])[:, 0]
-            left = np.where(good, self.y[:, c] - fit, 0.0)
-            rest.append(left)
+            fit = Q @ solve_sym(Q[good].T @ Q[good], Q[good].T @ self.y[good, c][:, None])[:, 0]
+            rest.append(np.where(good, self.y[:, c] - fit, 0.0))
             basis.append(Q)
-        self.noise = estimate(np.stack(rest, axis=-1), basis, self.rows, clock=self.scene.clock, steps=self.steps)
-        self.rich_rest = np.stack(rest, axis=-1)
+        self.noise = estimate(
+            np.stack(rest, axis=-1), basis, self.rows, clock=self.scene.clock, steps=self.steps, above=above
+        )
+
+    def motion_band(self) -> float:
+        """Cycles a row below which nearly all of the motion and of its products lies; 0 where nothing moves."""
+        scene = self.scene
+        moving = [scene.joint_index(joint) for joint in scene.moved]
+        run = max(self.rows.runs, key=lambda r: r.stop - r.start)
+        n = run.stop - run.start
+        if not scene.clock or not moving or n < 64:
+            return 0.0
+        x = self.rows.average(scene.rates[0][:, moving])[run]
+        power = np.abs(np.fft.rfft(x * np.hanning(n)[:, None], axis=0)) ** 2
+        share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
+        reach = int(np.max(np.argmax(share > MOST_OF_MOTION, axis=0)))
+        return float(min(2.0 * reach / n, 0.2))
 
     def whitened(self, y: Array) -> Array:
         """(M, C) residual whitened; dropped rows are bridged first."""

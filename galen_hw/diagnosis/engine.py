@@ -12,16 +12,22 @@ from galen_hw.diagnosis.experiment import next_experiment
 from galen_hw.diagnosis.final import Model, merit, offsets, settle_model
 from galen_hw.diagnosis.findings import findings_of, unknown_finding
 from galen_hw.diagnosis.guards import Premise, premises
-from galen_hw.diagnosis.judge import Judged, judge
+from galen_hw.diagnosis.judge import ELSEWHERE, Judged, judge
 from galen_hw.diagnosis.locate import channels_of, episodes_of, where_of
 from galen_hw.diagnosis.result import Diagnosis, Finding, Verdict
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import Selection, at_first_sight, library, select
+from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.event_effects import Glitches
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.table import effect_class
 from galen_hw.spatial import Array
+
+COARSE = 3000
+"""Rows of the first look: motion is slow beside a force sensor's samples."""
+LEAST_SUPPORT = 0.05
+"""An effect must take this share of what would be left above the noise of the channels in which it acts without it."""
 
 
 @dataclass
@@ -66,25 +72,96 @@ def diagnose(
     tell("checking the recording", 0.0)
     premise = premises(scene)
     scene = premise.scene
-    bench = Bench(scene, 0.0 if holdout is not None else share, seed)
+    held = 0.0 if holdout is not None else share
+    bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, COARSE)
     glitch = _glitches(bench)
+    coarse.leave_out(bench.spoilt)
     tell("simulating every effect", 0.1)
     effects = library(bench)
-    columns = [bench.raw(effect) for effect in effects]
-    generic = adequacy.compact(bench)
-    tell("learning the noise", 0.25)
-    bench.learn_noise(columns, [*generic, *(bench.raw(s.effect) for s in at_first_sight(bench))])
-    hypotheses = [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)]
-    tell("choosing effects", 0.4)
-    selection, model = _chosen(bench, hypotheses, blind=bool(premise.wrong))
-    tell("judging on held-out data", 0.8)
-    judged = judge(model, holdout)
-    tell("looking at what is left", 0.85)
-    left = adequacy.leftovers(bench, model.parts, model.rest(), model.rest(white=True))
+    columns, coarser = _columns(effects, bench, coarse)
+    tell("a first look", 0.25)
+    known = _first_look(bench, coarse, effects, coarser, blind=bool(premise.wrong))
+    # What moves with the robot cannot be told from noise before it is known what is there: the first noise was too small
+    # rather than too large. Now it is learnt from what the first model leaves, and everything is asked again.
+    tell("learning the noise", 0.4)
+    generic = adequacy.families(bench)
+    bench.learn_noise((), known.columns(bench, generic))
+    tell("choosing effects", 0.5)
+    selection, model, left = _searched(bench, effects, columns, generic, blind=bool(premise.wrong))
+    tell("judging on held-out data", 0.9)
+    chosen = model
+    model, judged = _earned(chosen, holdout)
+    if model is not chosen:
+        left = adequacy.leftovers(bench, generic, model.parts, model.rest(), model.rest(white=True))
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
     diagnosis.holdout = judged.name
     tell("done", 1.0)
     return Work(bench, selection, model, judged, left, diagnosis)
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What a first look has found: effects (with parameters where these are not linear), generic functions by channel."""
+
+    effects: list[tuple[Effect, Array]]
+    left: dict[int, str]
+
+    def columns(self, bench: Bench, generic: list[tuple[str, Array]]) -> list[Columns]:
+        """On the rows of a bench: what must not pass for noise."""
+        out = [bench.raw(effect) for effect, _ in self.effects]
+        everywhere = tuple(range(bench.width))
+        for effect, theta in self.effects:
+            change = effect.exact(bench.scene, theta)
+            if change is not None:
+                out.append(Columns(everywhere, bench.rows.average(change)[:, :, None]))
+        for channel, kind in self.left.items():
+            out += [Columns((channel,), X[:, None, :]) for name, X in generic if name == kind]
+        return out
+
+
+def _columns(effects: list[Effect], *benches: Bench) -> tuple[list[Columns], ...]:
+    """Columns of all effects on the rows of several benches of one scene, computed once."""
+    out: tuple[list[Columns], ...] = tuple([] for _ in benches)
+    for effect in effects:
+        columns = effect.columns(benches[0].scene)
+        for bench, mine in zip(benches, out, strict=True):
+            mine.append(bench.averaged(columns, timed=False))
+    return out
+
+
+def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list[Columns], *, blind: bool) -> _Known:
+    """Effects and leftovers under a noise that is too small rather than too large, on few rows."""
+    generic = adequacy.families(coarse)
+    seen = [coarse.raw(s.effect) for s in at_first_sight(bench)]
+    coarse.learn_noise(columns, [*adequacy.compact(coarse, generic), *seen], above=coarse.motion_band())
+    _, model, left = _searched(coarse, effects, columns, generic, blind=blind)
+    parts = zip(model.parts, model.slices(), strict=True)
+    chosen = [(h.effect, model.final[s]) for h, s in parts if h.effect is not None]
+    return _Known(chosen, {x.channel: x.kind for x in reversed(left)})
+
+
+def _searched(
+    bench: Bench, effects: list[Effect], columns: list[Columns], generic: list[tuple[str, Array]], *, blind: bool
+) -> tuple[Selection, Model, list[adequacy.Left]]:
+    """The chosen model under the present noise, and what it leaves."""
+    hypotheses = [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)]
+    selection, model = _chosen(bench, hypotheses, blind=blind)
+    return selection, model, adequacy.leftovers(bench, generic, model.parts, model.rest(), model.rest(white=True))
+
+
+def _earned(model: Model, holdout: Scene | None) -> tuple[Model, Judged]:
+    """The model without what held-out data do not support; what belongs to moments cannot show in another recording."""
+    while True:
+        judged = judge(model, holdout)
+        support = {
+            key: judged.support(key)
+            for key in judged.without
+            if not (judged.name == ELSEWHERE and effect_class(key).EPISODIC)
+        }
+        worst = min(support, key=lambda key: support[key], default=None)
+        if worst is None or support[worst] >= LEAST_SUPPORT:
+            return model, judged
+        model = model.without([h for h in model.effects if h.effect is not None and worst == h.effect.KEY])
 
 
 def _silent(stage: str, share: float) -> None:
@@ -127,17 +204,12 @@ def merit_of(model: Model, y: Array) -> float:
 
 def _glitches(bench: Bench) -> list[Glitches]:
     """Marks isolated samples and leaves them out of everything."""
-    marked = seek.spikes(bench.scene.residual, tuple(bench.scene.segments))
+    marked = seek.spikes(bench.scene.raw_residual, tuple(bench.scene.segments))
     spoilt = np.asarray(marked.any(axis=1))
     rows = np.flatnonzero(spoilt)
     if len(rows) < 3 and not _far(marked):
         return []
-    bench.dropped = bench.rows.spread(spoilt)
-    bench.whole = np.where(bench.dropped[:, None], np.nan, bench.whole)
-    for c in range(bench.width):
-        good = np.isfinite(bench.whole[:, c])
-        bench.whole[:, c] = np.interp(np.arange(len(good)), np.flatnonzero(good), bench.whole[good, c])
-    bench.y = bench.whole
+    bench.leave_out(spoilt)
     names = tuple(n for n, m in zip(bench.scene.channels, np.asarray(marked.any(axis=0)), strict=True) if m)
     return [Glitches(names, tuple(int(r) for r in rows))]
 
@@ -156,7 +228,7 @@ def _said(
     name: str,
 ) -> Diagnosis:
     bench = model.bench
-    findings = [f for f in findings_of(model, selection, judged, glitch) if _supported(f, judged)]
+    findings = findings_of(model, selection, judged, glitch)
     for finding in findings:
         finding.confounded_with = confusions(model, selection, finding)
     rest = _strong(left, judged, bench)
@@ -187,24 +259,10 @@ def _said(
     )
 
 
-LEAST_GAIN = 0.002
-
-
-def _supported(finding: Finding, judged: Judged) -> bool:
-    """Nothing is claimed that held-out data do not support; what belongs to moments cannot show in another recording."""
-    if finding.effect == "glitches":
-        return True
-    gain = finding.evidence["heldout_gain"]
-    elsewhere = judged.name == "another recording" and effect_class(finding.effect).EPISODIC
-    return gain > (-LEAST_GAIN if elsewhere else LEAST_GAIN)
-
-
 def _strong(left: list[adequacy.Left], judged: Judged, bench: Bench) -> list[adequacy.Left]:
     """Leftovers that are worth saying: above chance, and not a trifle beside what was found or the noise."""
     out = []
     for one in left:
-        if not 0.0 < one.share <= 1.0:
-            continue  # it does not explain the rows that it was judged on
         size = float(np.mean(one.predicted**2))
         before = float(judged.before[one.channel] - bench.noise.sigma[one.channel] ** 2)
         # A rounded reading follows its signal in part: a fifth of the rounding's variance is no physics.

@@ -15,6 +15,8 @@ from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
+ELSEWHERE = "another recording"
+
 
 @dataclass
 class Judged:
@@ -41,6 +43,13 @@ class Judged:
         lost = float(np.sum((self.without[key] - self.after) / self.floor))
         return float(np.clip(lost / excess, -1.0, 1.0)) if excess > 0 else 0.0
 
+    def support(self, key: str) -> float:
+        """Share of the held-out excess that would be left without an effect, in the channels where it acts, that it takes."""
+        own = np.abs(self.without[key] - self.after) > 1e-9 * self.floor
+        lost = float(np.sum(((self.without[key] - self.after) / self.floor)[own]))
+        rest = float(np.sum((np.maximum(self.without[key] - self.floor, 0.0) / self.floor)[own]))
+        return lost / rest if rest > 0.0 else float(np.sign(lost))
+
     def fit(self, bench: Bench, left: list[Left]) -> dict[str, dict[str, float]]:
         """The `fit` part of the answer."""
         names = bench.scene.channels
@@ -63,7 +72,8 @@ def judge(model: Model, holdout: Scene | None) -> Judged:
     """Errors before and after on the rows set aside, or on another recording."""
     bench = model.bench
     keys = list(dict.fromkeys(h.effect.KEY for h in model.effects if h.effect is not None))
-    baseline = Model(bench, model.nuisances, [], bench.whitened(bench.whole))
+    # The baseline fits its constants as anybody would, by plain least squares.
+    baseline = Model(bench, [Hypothesis(None, h.raw, h.raw) for h in model.nuisances], [], bench.whole)
     smaller = {
         key: model.without([h for h in model.effects if h.effect is not None and key == h.effect.KEY]) for key in keys
     }
@@ -80,7 +90,15 @@ def judge(model: Model, holdout: Scene | None) -> Judged:
     after = np.mean(rest[good] ** 2, axis=0)
     without = {key: np.mean(apply(part, holdout)[good] ** 2, axis=0) for key, part in smaller.items()}
     before = np.mean(apply(baseline, holdout)[good] ** 2, axis=0)
-    return Judged("another recording", before, after, without, floor, episodes, float(1.0 - good.mean()))
+    floor = floor * _noisier(model, rest[good])
+    return Judged(ELSEWHERE, before, after, without, floor, episodes, float(1.0 - good.mean()))
+
+
+def _noisier(model: Model, rest: Array) -> Array:
+    """(C,) noise of another recording over that of the first, from second differences: they hold hardly any motion."""
+    here, there = (np.mean(np.diff(x, n=2, axis=0) ** 2, axis=0) for x in (model.rest()[~model.bench.dropped], rest))
+    good = model.bench.scene.clock & (here > 0.0) & (there > 0.0)
+    return np.where(good, there / np.where(good, here, 1.0), 1.0)
 
 
 def _undisturbed(model: Model, scene: Scene, rest: Array) -> tuple[Mask, tuple[tuple[float, float], ...]]:
@@ -91,7 +109,8 @@ def _undisturbed(model: Model, scene: Scene, rest: Array) -> tuple[Mask, tuple[t
     rows = Rows(tuple(scene.segments), model.bench.rows.stride)
     good = np.ones(len(rows), dtype=bool)
     if model.bench.dropped.any():
-        good &= ~rows.spread(np.asarray(seek.spikes(scene.residual, tuple(scene.segments)).any(axis=1)))
+        spoilt = seek.spikes(scene.raw_residual, tuple(scene.segments))
+        good &= ~rows.spread(np.asarray(spoilt.any(axis=1)))
     episodes: tuple[tuple[float, float], ...] = ()
     if any(isinstance(h.effect, Contact) for h in model.effects):
         for found in seek.contacts(scene, rest, rest):

@@ -54,25 +54,38 @@ class Noise:
 
     def whiten(self, x: Array, channel: int) -> Array:
         """(M, k) columns of one channel, scaled and filtered so that its noise becomes white with unit variance."""
-        out = np.empty_like(x, dtype=float)
-        for run in self.rows.runs:
-            out[run] = self._filtered(x[run], channel, -0.5)
-        return out
+        return self.whitened(self.transformed(x), channel)
 
     def colour(self, z: Array, channel: int) -> Array:
         """White noise (M, k) turned into noise like the channel's."""
-        out = np.empty_like(z, dtype=float)
+        return self._filtered(self.transformed(z), channel, 0.5)
+
+    def transformed(self, x: Array) -> Array:
+        """(M, k) columns as `whitened` takes them: the part of the work that is the same for all channels.
+
+        The cosine transform of a run is that of the signal with its mirror image behind it: the two ends stay apart.
+        """
+        out = np.empty_like(x, dtype=float)
         for run in self.rows.runs:
-            out[run] = self._filtered(z[run], channel, 0.5)
+            out[run] = dct(x[run], axis=0) if self._coloured(run) else x[run]
         return out
 
-    def _filtered(self, x: Array, channel: int, power: float) -> Array:
-        n = len(x)
-        if not len(self.edges) or n < SHORTEST:
-            return np.asarray(x * self.sigma[channel] ** (2 * power))
-        # The cosine transform is that of the signal with its mirror image behind it: the two ends stay apart.
-        level = self._levels(n)[:, channel] ** power
-        return np.asarray(idct(dct(x, axis=0) * level[:, None], axis=0))
+    def whitened(self, transformed: Array, channel: int) -> Array:
+        """(M, k) white columns from transformed ones."""
+        return self._filtered(transformed, channel, -0.5)
+
+    def _filtered(self, transformed: Array, channel: int, power: float) -> Array:
+        out = np.empty_like(transformed)
+        for run in self.rows.runs:
+            if self._coloured(run):
+                level = self._levels(run.stop - run.start)[:, channel] ** power
+                out[run] = idct(transformed[run] * level[:, None], axis=0)
+            else:
+                out[run] = transformed[run] * self.sigma[channel] ** (2.0 * power)
+        return out
+
+    def _coloured(self, run: slice) -> bool:
+        return len(self.edges) > 0 and run.stop - run.start >= SHORTEST
 
     def _levels(self, n: int) -> Array:
         """The spectrum at the frequencies of a cosine transform of length n, kept."""
@@ -106,8 +119,13 @@ def _slope(x: Array, y: Array) -> float:
     return slope - float(np.sqrt(rest @ rest / max(len(x) - 2, 1) / (x @ x)))
 
 
-def estimate(rest: Array, basis: list[Array], rows: Rows, *, clock: bool, steps: Array) -> Noise:
-    """Noise from what is left (M, C) after a fit with an orthonormal basis (M, r) in each channel."""
+def estimate(rest: Array, basis: list[Array], rows: Rows, *, clock: bool, steps: Array, above: float = 0.0) -> Noise:
+    """Noise from what is left (M, C) after a fit with an orthonormal basis (M, r) in each channel.
+
+    Args:
+        rest, basis: of the fit; rows: of the bench; clock: without one, noise is white; steps: of rounded readings.
+        above: cycles a row below which physics may still be in the rest: there the noise is taken as at that frequency.
+    """
     M, C = rest.shape
     freedom = np.array([max(M - b.shape[1], 2) for b in basis], dtype=float)
     sigma = np.sqrt(np.sum(rest**2, axis=0) / freedom)
@@ -118,10 +136,10 @@ def estimate(rest: Array, basis: list[Array], rows: Rows, *, clock: bool, steps:
     if not clock or not long:
         return Noise(rows, np.empty(0), np.empty((0, C)), sigma, float(freedom.sum()), correlation, steps)
     edges = _bands(max(run.stop - run.start for run in long))
-    levels = np.stack([_levels(rest[:, c], basis[c], long, edges) for c in range(C)], axis=-1)
+    levels = np.stack([_levels(rest[:, c], basis[c], long, edges, above) for c in range(C)], axis=-1)
     noise = Noise(rows, edges, levels, sigma, float(freedom.sum()), correlation, steps)
-    # What the bands say the variance is, so that one sample's sigma holds the slow part too.
-    f = (np.arange(4096) + 0.5) / 8192
+    # What the bands say the variance is, so that one sample's sigma holds the slow part too, as far as it was measured.
+    f = np.maximum((np.arange(4096) + 0.5) / 8192, np.sqrt(edges[0] * edges[1]))
     total = np.sqrt(np.mean(noise.spectrum(f), axis=0))
     return Noise(rows, edges, levels, total, float(freedom.sum()), correlation, steps)
 
@@ -136,29 +154,53 @@ def _bands(n: int) -> Array:
     return np.array([*edges[:-1], 0.5])
 
 
-def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array) -> Array:
-    power, share = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
+LEAST_FREEDOM = 5.0
+"""A band of which the rich fit has left fewer lines is not measured, but read off its neighbours."""
+
+
+def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array, above: float) -> Array:
+    """(B,) level a band: what the rich fit has left there over the share of the band that it could not reach.
+
+    The rest of a fit with an orthonormal basis Q has at frequency f the expected power (1 - t) S, t the basis' own power
+    there (residual likelihood; Patterson and Thompson 1971, in the frequency domain).
+    """
+    lines, free, place = [], [], []
     for run in runs:
         n = run.stop - run.start
         window = np.hanning(n + 2)[1:-1]
         window /= np.sqrt(np.mean(window**2))
         f = np.fft.rfftfreq(n)
-        band = np.clip(np.searchsorted(edges, f, side="right") - 1, -1, len(edges) - 2)
-        line = np.abs(np.fft.rfft(rest[run] * window)) ** 2 / n
+        lines.append(np.abs(np.fft.rfft(rest[run] * window)) ** 2 / n)
         taken = np.zeros(len(f))
         for start in range(0, basis.shape[1], 32):
             part = basis[run, start : start + 32] * window[:, None]
             taken += np.sum(np.abs(np.fft.rfft(part, axis=0)) ** 2, axis=1) / n
-        for b in range(len(edges) - 1):
-            inside = (band == b) & (f > 0)
-            if inside.any():
-                # Between mean and median: a single line (mains, a periodic motion) must not pass for noise.
-                values = line[inside] / np.maximum(1.0 - np.minimum(taken[inside], 0.9), 0.1)
-                robust = np.median(values) / 0.74 if inside.sum() >= 12 else np.mean(values)
-                power[b] += inside.sum() * min(float(np.mean(values)), 1.3 * float(robust))
-                share[b] += inside.sum()
-    filled = share > 0
-    level = np.interp(np.arange(len(power)), np.flatnonzero(filled), power[filled] / share[filled])
+        free.append(np.clip(1.0 - taken, 0.0, 1.0))
+        place.append(np.where(f > 0, np.searchsorted(edges, f, side="right") - 1, -1).clip(-1, len(edges) - 2))
+    line, left, band = np.concatenate(lines), np.concatenate(free), np.concatenate(place)
+    level = np.full(len(edges) - 1, np.nan)
+    for b in range(len(level)):
+        inside = (band == b) & (left > 0.02)
+        if np.sum(left[inside]) < LEAST_FREEDOM or edges[b] < above:
+            continue
+        # A single line (mains, a periodic motion) must not pass for noise.
+        single = line[inside] / left[inside]
+        usual = np.median(single[left[inside] > 0.3]) / 0.69 if np.sum(left[inside] > 0.3) >= 12 else np.inf
+        good = single < 8.0 * usual
+        level[b] = np.sum(line[inside][good]) / np.sum(left[inside][good])
+    return _filled(level, edges)
+
+
+def _filled(level: Array, edges: Array) -> Array:
+    """Bands that could not be measured: between their neighbours in logarithms, as the nearest one at the ends.
+
+    At the slow end this may be too little noise: what is then chosen too boldly goes when the noise is learnt again from
+    what the first model leaves.
+    """
+    centres, known = np.log(np.sqrt(edges[1:] * edges[:-1])), np.isfinite(level) & (level > 0.0)
+    if not known.any():
+        return np.full(len(level), 1e-30)
+    level = np.exp(np.interp(centres, centres[known], np.log(level[known])))
     return np.asarray(np.maximum(level, 1e-7 * level.max() + 1e-30))
 
 

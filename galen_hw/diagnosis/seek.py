@@ -3,13 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import chi2
 
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Contact, Step, Vibration
 from galen_hw.physics.joint_effects import TorqueRipple
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.smoothing import isolated
 from galen_hw.physics.time_effects import joint_of
 from galen_hw.spatial import Array
 
@@ -23,22 +25,12 @@ class Sought:
 
 
 def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
-    """(N, C) isolated samples far from their neighbours on both sides (at most three in a row).
-
-    The distance from a running median of seven, against its own robust spread; nine spreads and more.
-    """
+    """(N, C) isolated samples, see `smoothing.isolated`; a channel with more than 3 % of them has another kind of noise."""
     out = np.zeros(residual.shape, dtype=bool)
     for part in segments:
-        r = residual[part]
-        if len(r) < 20:
-            continue
-        away = r - median_filter(r, size=(9, 1), mode="nearest")
-        spread = 1.4826 * np.median(np.abs(away), axis=0)
-        level = np.sqrt(np.mean(np.minimum(away**2, (6.0 * np.maximum(spread, 1e-300)) ** 2), axis=0))
-        found = np.abs(away) > 9.0 * np.maximum(level, 1e-12 * np.max(np.abs(r), axis=0))
-        out[part] = found & (level > 0)
-    share = out.mean(axis=0)
-    out[:, share > 0.03] = False
+        for c in range(residual.shape[1]):
+            out[part, c] = isolated(residual[part, c])
+    out[:, out.mean(axis=0) > 0.03] = False
     return out
 
 
@@ -56,7 +48,11 @@ def steps(scene: Scene, rest: Array, white: Array) -> list[Sought]:
     names = scene.channels
     found = [Sought(Step((names[c],), _at(scene, int(np.argmax(gain[:, c])) + 1, N)), N // 4) for c in range(C)]
     if C > 1:
-        found.append(Sought(Step(tuple(names), _at(scene, int(np.argmax(gain.sum(axis=1))) + 1, N)), N // 4))
+        row = int(np.argmax(gain.sum(axis=1)))
+        found.append(Sought(Step(tuple(names), _at(scene, row + 1, N)), N // 4))
+        some = tuple(n for n, g in zip(names, gain[row], strict=True) if g > 0.1 * gain[row].max())
+        if 1 < len(some) < C:
+            found.append(Sought(Step(some, _at(scene, row + 1, N)), N // 4))
     return found
 
 
@@ -142,27 +138,41 @@ def ripples(scene: Scene, rest: Array) -> list[Sought]:
 
 
 def contacts(scene: Scene, white: Array, rest: Array) -> list[Sought]:
-    """Episodes in which the whitened rest is far above its usual level: at most a third of the time, and rest between them."""
-    N, _C = white.shape
+    """Episodes in which the rest stays far above its usual level: at most a third of the time, rest before and after each.
+
+    Running means over three lengths, all channels together, in units of their own robust spread (so slow noise counts as
+    noise). An episode that begins with the recording or ends with it is a step.
+    """
+    N, C = white.shape
     if not scene.clock or N < 200:
         return []
-    length = max(int(0.004 * N), 5)
-    level = np.maximum(1.4826 * np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), 1e-300)
-    z = uniform_filter1d((rest - np.median(rest, axis=0)) / level, length, axis=0)
-    usual = 1.4826 * np.median(np.abs(z), axis=0)
-    loud = np.max(np.abs(z) / np.maximum(usual, 1e-300), axis=1) > 6.0
-    episodes = _episodes(loud, length)
+    away = rest - np.median(rest, axis=0)
+    level = np.maximum(1.4826 * np.median(np.abs(away), axis=0), 1e-300)
+    out: dict[Effect, Sought] = {}
+    for share in (0.004, 0.01, 0.02):
+        length = max(int(share * N), 5)
+        z = uniform_filter1d(away / level, length, axis=0)
+        z = z / np.maximum(1.4826 * np.median(np.abs(z), axis=0), 1e-300)
+        loud = np.sum(z**2, axis=1) > chi2.isf(1e-3 * length / N, C)
+        found = _contact(scene, loud, length, away)
+        if found is not None:
+            out.setdefault(found.effect, found)
+    return list(out.values())
+
+
+def _contact(scene: Scene, loud: Mask, length: int, away: Array) -> Sought | None:
+    N = len(loud)
+    episodes = [(a, b) for a, b in _episodes(loud, length) if a > 0 and b < N]
     covered = sum(b - a for a, b in episodes) / N
     if not episodes or covered > 0.35 or len(episodes) > 12:
-        return []
+        return None
     inside = np.zeros(N, dtype=bool)
     for a, b in episodes:
         inside[a:b] = True
-    z2 = (rest - np.median(rest, axis=0)) ** 2
-    share = z2[inside].sum(axis=0) / z2.sum(axis=0)
-    names = tuple(n for n, s in zip(scene.channels, share, strict=True) if s > 2.0 * covered + 0.05)
+    share = np.sum(away[inside] ** 2, axis=0) / np.sum(away**2, axis=0)
+    names = tuple(n for n, s in zip(scene.channels, share, strict=True) if s > 1.2 * covered + 0.02)
     times = tuple((_at(scene, a, N), _at(scene, b - 1, N)) for a, b in episodes)
-    return [Sought(Contact(names, times), N // length)] if names else []
+    return Sought(Contact(names, times), N // length) if names else None
 
 
 def _episodes(loud: Mask, length: int) -> list[tuple[int, int]]:

@@ -329,7 +329,8 @@ def _enrich(bench: Bench, scorer: Scorer, out: Selection) -> bool:
             trial = [*out.chosen[:place], j, *out.chosen[place + 1 :]]
             before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, trial)
             floor = bench.noise.sigma**2
-            if float(np.max((before - after) / np.maximum(before - floor, 0.02 * floor))) >= RICHER:
+            richer = float(np.max((before - after) / np.maximum(before - floor, 0.02 * floor)))
+            if richer >= RICHER and plausible(bench, scorer, trial[:place] + trial[place + 1 :], j):
                 out.chosen, changed = trial, True
                 break
     return changed
