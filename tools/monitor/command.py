@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -42,6 +43,10 @@ def run(args: argparse.Namespace) -> int:
         view = View()
         if args.once:
             view.listen(subscriber, args.seconds)
+            if not view.topics and not args.json:
+                bus, todo = addresses.bus.removeprefix("ipc://"), "galen-hw check names what is wrong"
+                print(f"galen-hw monitor: {bus}: nothing heard for {args.seconds:g} s; {todo}", file=sys.stderr)
+                return EXIT_FOUND
             _print_once(view, subscriber, about, as_json=args.json)
             return EXIT_OK if view.topics else EXIT_FOUND
         if args.json:
