@@ -58,6 +58,11 @@ class Addresses:
         """File that one daemon locks."""
         return self.runtime / "lock"
 
+    def remove_sockets(self) -> None:
+        """Take away what is left of a daemon that has ended; only for whom holds the lock."""
+        for address in (self.bus, self.command, self.inward, self.control):
+            Path(address.removeprefix("ipc://")).unlink(missing_ok=True)
+
     def require_daemon(self) -> None:
         """Return if a daemon's command socket is here.
 

@@ -94,7 +94,7 @@ def _problem(model: type[BaseModel], error: dict[str, Any], at: Key, places: Pla
     if error["type"] == "extra_forbidden":
         known = list(parent.model_fields) if parent else []
         return Problem("no such key", where, unknown(str(loc[-1]), known) if known else "")
-    example = _example(field, str(loc[-1]) if loc else "")
+    example = _example(field, next((part for part in reversed(loc) if isinstance(part, str)), ""))
     if error["type"] == "missing":
         return Problem("this key is missing", where, example)
     text = str(error["msg"]).removeprefix("Value error, ").removeprefix("Input ")

@@ -13,7 +13,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     # name: (module with `add_arguments(parser)` and `run(args) -> int`, help)
     "run": ("galen_hw.tools.run", "run the daemon beside the robot"),
     "check": ("galen_hw.tools.check", "check the set-up and name every problem at once"),
-    "monitor": ("galen_hw.tools.monitor", "show live topics: rates, ages, losses, wrench"),
+    "monitor": ("galen_hw.tools.monitor.command", "show live topics: rates, ages, losses, wrench"),
     "virtual": ("galen_hw.tools.virtual", "run the virtual robot: the other ends of the wires"),
     "calibrate": (
         "galen_hw.tools.calibration.command",

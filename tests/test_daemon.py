@@ -246,6 +246,15 @@ def test_device_that_never_answers_is_named(tree: Tree) -> None:
     assert tree.motors.hear(b"REST")
 
 
+def test_nothing_is_left_that_a_client_could_take_for_a_daemon(tree: Tree) -> None:
+    """After the end there is no socket, so that a command says at once that no daemon runs."""
+    tree.start_ready()
+    assert tree.end()[0] == 0
+    assert [path.name for path in (tree.folder / "run").iterdir()] == ["lock"]
+    with pytest.raises(HardwareError, match="no daemon runs here"):
+        tree.addresses.require_daemon()
+
+
 def test_what_a_service_has_learnt_outlives_the_daemon(tree: Tree) -> None:
     """Kept at once, read at the next start; a damaged file is said and passed over."""
     tree.start_ready()

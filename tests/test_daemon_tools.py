@@ -17,7 +17,7 @@ from galen_hw.cli import main
 from galen_hw.errors import UsageError
 from galen_hw.messages import TOPICS
 from galen_hw.tools.command import parse_arguments
-from galen_hw.tools.monitor import BAR_WIDTH, bar
+from galen_hw.tools.monitor.screen import BAR_WIDTH, bar
 from tests.daemon_tree import Tree, daemon_tree
 
 ROOT = Path(__file__).parents[1]
@@ -135,6 +135,8 @@ def test_impossible_arguments_are_refused(words: list[str]) -> None:
 def test_bars_grow_from_the_middle() -> None:
     """Negative to the left, positive to the right, never wider than the table, NaN empty."""
     assert bar(5.0, 10.0) == " " * 10 + "│" + "█" * 5 + " " * 5
+    assert bar(2.5, 10.0) == " " * 10 + "│" + "██▌" + " " * 7
+    assert bar(-0.5, 10.0) == " " * 9 + "▐│" + " " * 10
     assert bar(-99.0, 10.0) == "█" * 10 + "│" + " " * 10
     assert bar(float("nan"), 10.0).strip() == "│"
     assert all(len(bar(v, 1.0)) == BAR_WIDTH for v in (-2.0, -0.3, 0.0, 0.3, 2.0))

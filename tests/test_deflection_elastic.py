@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from galen_hw.identification.deflection.elastic import ElasticArm
+from galen_hw.identification.deflection.elastic_terms import Term, Weight
 from galen_hw.identification.deflection.stream import Place
+from galen_hw.physics.elastic_effects import Compliance
+from galen_hw.physics.joint_memory_effects import JointHysteresis
+from galen_hw.tools.deflection import robots
 from galen_hw.tools.deflection.robots import NOISE_M, GivingRobot
 
 FULL = {"hysteresis": True, "creep": True, "hardening": True, "play": True}
@@ -37,6 +41,25 @@ def test_the_tip_is_predicted_at_a_configuration_never_seen(robot: GivingRobot, 
     error = new.give - arm.predict(new)
     error -= error[: int(1.8 * 60)].mean(axis=0)
     assert np.sqrt(np.mean(error**2)) < 1.2 * NOISE_M
+
+
+def test_a_soft_arm_bends_as_in_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the true springs and friction of an arm that gives by some millimetres, loads and motions of the bent arm are MuJoCo's
+    to 4 um, at configurations far from zero."""
+    monkeypatch.setattr(robots, "FORCE_NOISE_N", 0.0)
+    soft = GivingRobot.drawn(500)
+    assert soft.present == {"hysteresis": True, "creep": False, "hardening": False, "play": False}
+    springs = dict(zip(("structure.z", "roll", "tilt"), soft.give.compliance.tolist(), strict=True))
+    slips = {p: [(float(f), 1.0)] for p, f in zip(springs, soft.give.friction, strict=True)}
+    terms = [Term("compliance", p, Compliance("joint", p)) for p in springs]
+    terms += [Term("hysteresis", p, JointHysteresis(p, (slips[p][0][0],))) for p in springs]
+    values = np.array([*springs.values()] * 2)
+    for data in soft.sets(2, each=1, first=5):
+        arm = ElasticArm(tuple(terms), values, np.zeros((6, 6)), slips, Weight.of(data))
+        true = np.stack([data.observations.columns[f"covariate.true.{a}"] for a in "xyz"], axis=1)
+        error = (true - true[0]) - (arm.predict(data) - arm.predict(data)[0])
+        assert np.linalg.norm(true - true[0], axis=1).max() > 3e-3
+        assert np.linalg.norm(error, axis=1).max() < 4e-6
 
 
 def test_the_stream_gives_the_numbers_of_the_batch(robot: GivingRobot, arm: ElasticArm) -> None:

@@ -36,7 +36,7 @@ def arm(**changes: Any) -> ElasticArm:
     ]
     terms += [Term("hardening", "tilt", Hardening("tilt", 2)), Term("play", "roll", BearingPlay("roll", 0.02))]
     values = np.array([*SPRINGS.values(), 2.5e-3, 3e-4, -1e-4, 2e-4])
-    made = ElasticArm(tuple(terms), values, np.diag((0.02 * values) ** 2), dict(SPRINGS), {"tilt": [(0.2, 0.8)]})
+    made = ElasticArm(tuple(terms), values, np.diag((0.02 * values) ** 2), {"tilt": [(0.2, 0.8)]})
     made.floor, made.weight = np.full(3, 1e-5), Weight(0.3, (0.009, 0.0012, -0.018))
     return replace(made, **changes)
 

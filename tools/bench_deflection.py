@@ -80,7 +80,8 @@ def _errors(held: dict[str, list[DeflectionSet]], gives: dict[str, list[Array]])
         out["tracked"][kind] = rms(np.concatenate([from_rest(s, s.give) - from_rest(s, g) for s, g in pairs]))
         out["true"][kind] = rms(np.concatenate([true_give(s) - from_rest(s, g) for s, g in pairs]))
     pairs = list(zip(held[NEW], gives[NEW], strict=True))
-    left = np.concatenate([residual_give(s, g) for s, g in pairs])
+    # Against the true tip: beside a residual of 0.03 mm the tracker's noise alone would be a quarter of it.
+    left = np.concatenate([residual_give(replace(s, give=true_give(s)), g) for s, g in pairs])
     if rms(left[:, 0]) > SEEN_RESIDUAL_M:
         out["residual"] = rms(left[:, 0] - left[:, 1]) / rms(left[:, 0])
     shares = [wall_shares(replace(s, give=true_give(s)), g) for s, g in pairs]
@@ -192,7 +193,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run the robots; results are kept as lines of JSON, so that a run can be taken up again."""
     parser = argparse.ArgumentParser(description="deflection models on generated robots")
     parser.add_argument("--robots", type=int, default=20)
-    parser.add_argument("--first", type=int, default=3000, help="first seed")
+    parser.add_argument("--first", type=int, default=4000, help="first seed")
     parser.add_argument("--without", nargs="*", default=[], choices=list(MODELS), help="leave models out")
     parser.add_argument("--results", type=Path, help="file of JSON lines to go on with")
     parser.add_argument("--write", type=Path, metavar="FILE.md", help="put the tables between the marks of this page")

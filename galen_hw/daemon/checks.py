@@ -82,7 +82,11 @@ def check_device(name: str, setup: Setup, seen: Seen) -> Finding:
     finding.below.append(Finding("port", "open"))
     if not seen.ready:
         faults = list(seen.faults.values())
-        what, todo = (faults[-1].what, faults[-1].todo) if faults else (seen.detail, "")
+        what, todo = seen.detail, ""
+        if faults:
+            what, todo = faults[-1].what, faults[-1].todo
+        elif seen.error is not None:
+            what, todo = seen.error[0], seen.error[2]
         text = what or "does not answer"
         todo = todo or "is it switched on, connected, and the right device?"
         finding.below.append(Finding("answer", text, trouble, todo, EXIT_HARDWARE))

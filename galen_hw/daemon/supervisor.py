@@ -200,10 +200,11 @@ class Supervisor:
             what, where, todo = state.problem or ("does not answer", "", "is it switched on, and the right device?")
             place = where if name in where else f"devices.{name}{f' ({where})' if where else ''}"
             print(f"galen-hw run: {place}: {what}{f'; {todo}' if todo else ''}", file=sys.stderr)
-        for name in missing:
-            print(f"galen-hw run: process {name}: has not started; is the machine overloaded?", file=sys.stderr)
-        if not states and not missing:
-            print("galen-hw run: no samples flow; see galen-hw check", file=sys.stderr)
+        if not states:
+            for name in missing:
+                print(f"galen-hw run: process {name}: has not started; is the machine overloaded?", file=sys.stderr)
+            if not missing:
+                print("galen-hw run: no samples flow; see galen-hw check", file=sys.stderr)
         return EXIT_HARDWARE
 
     def _device_states(self) -> dict[str, DeviceState]:
@@ -254,6 +255,8 @@ class Supervisor:
                     popen.wait()
         self._broker.close()
         self._waker.close()
+        # ZeroMQ leaves them when a process ends fast; a client would take them for a daemon that does not answer.
+        self._addresses.remove_sockets()
         os.close(self._lock)
 
 

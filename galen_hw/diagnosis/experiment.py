@@ -193,11 +193,12 @@ def _settling(pair: Pair, advice: Advice) -> str:
     often = f", {runs} times" if runs > 1 else ""
     odds = np.exp(min(0.5 * advice.distance * runs, 60.0))
     likely = "more than a million to one" if odds > SURE_ODDS else f"about {_round(odds)} to one"
-    now = f"{pair.now:.0f} deg apart in this recording" if np.isfinite(pair.now) else "the same in this recording"
-    return (
-        f"To tell {names}: {advice.recipe.says}{often} ({_minutes(advice.minutes)}). The two, {now}, would be "
-        f"{advice.angle:.0f} deg apart there, and the odds between them {likely}."
-    )
+    if np.isfinite(pair.now) and advice.angle < pair.now + 3.0:
+        seen = f"The two stay {advice.angle:.0f} deg apart there, but the odds between them would be {likely}."
+    else:
+        now = f"{pair.now:.2g} deg apart in this recording" if np.isfinite(pair.now) else "the same in this recording"
+        seen = f"The two, {now}, would be {advice.angle:.0f} deg apart there, and the odds between them {likely}."
+    return f"To tell {names}: {advice.recipe.says}{often} ({_minutes(advice.minutes)}). {seen}"
 
 
 def _minutes(minutes: float) -> str:

@@ -59,7 +59,7 @@ def require_excitation(R: Array, gravity: Array, where: str) -> Excitation:
         UsageError: too few poses, or gravity hardly turns in the sensor.
     """
     if len(R) < LEAST_POSES:
-        what = f"{len(R)} poses for the fit, {LEAST_POSES} are the least"
+        what = f"{len(R)} pose{'s' if len(R) != 1 else ''} for the fit, {LEAST_POSES} are the least"
         raise UsageError(what, where=where, todo="measure more orientations")
     found = excitation(R, gravity)
     weak = [name for name, value in found.spread.items() if value < LEAST_SPREAD]

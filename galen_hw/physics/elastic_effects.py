@@ -20,7 +20,8 @@ class Compliance(Effect):
 
     A joint by c times its load, q' = q + c tau ("joint"); the structure along the base's axes ("structure") or the tool
     along the sensor's ("tool") by c times the applied force; in positions without a model of the weights, the sag
-    of a chain of links under its own weight, sum of a_l sin + b_l cos of the links' angles ("weight").
+    of what hangs on the joint under its own weight, a sin + b cos of the angle against the vertical of the link beyond it, the
+    sum of the joints from `first` on that turn about parallel axes; `links` more of the chain each with their own ("weight").
 
     Visible when the load changes otherwise than with motion. Confused with time_delay where load follows speed, with
     joint_offset for a constant load, with creep, hardening and payload.
@@ -31,6 +32,7 @@ class Compliance(Effect):
     joint: str = ""
     source: str = "all"
     first: str = ""
+    links: int = 1
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -53,7 +55,9 @@ class Compliance(Effect):
         for i, joint in enumerate(names):
             for first in names[max(0, i - 2) : i + 1]:
                 if not _bears(scene, joint) and len(names) >= 3:
-                    yield cls("weight", joint, "all", first)
+                    yield from (
+                        cls("weight", joint, "all", first, links) for links in (1, 2) if i + links <= len(names)
+                    )
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Give per load."""
@@ -65,7 +69,7 @@ class Compliance(Effect):
 
     def _links(self, scene: Scene) -> list[str]:
         names = [joint_of(name) for name in scene.channels]
-        return names[names.index(self.joint) :][:3]
+        return names[names.index(self.joint) :][: self.links]
 
     def columns(self, scene: Scene) -> Columns:
         """Load through the joint's port, or force along axes."""
@@ -91,7 +95,7 @@ class Compliance(Effect):
         start, out = names.index(self.first), []
         for link in self._links(scene):
             angle = sum(scene.q[:, scene.joint_index(name)] for name in names[start : names.index(link) + 1])
-            out += [np.sin(angle), np.cos(angle) - 1.0]
+            out += [np.sin(angle), np.cos(angle)]
         values = np.stack(out, axis=-1)[:, None, :]
         return Columns((names.index(self.joint),), values)
 

@@ -57,9 +57,9 @@ class GivingScene(PoseScene):
         self.__dict__.setdefault("_once", {}).update(screws)
         return self
 
-    def play(self, name: Any, x: Array, half_width: Any) -> Array:
+    def play(self, name: Any, x: Array, half_width: Any, start: Array | None = None) -> Array:
         """As `operators.play`, a column at a time in plain floats: many times quicker for few columns."""
-        del name
+        del name, start
         out, widths = np.empty_like(x), np.broadcast_to(np.asarray(half_width, dtype=float), x.shape[1:])
         for part in self.segments:
             for i, r in enumerate(widths.tolist()):

@@ -140,7 +140,10 @@ class Hysteresis(Effect):
         x = _signal(scene, self.driver)[:, None]
         r = np.asarray(self.widths) * self.scale
         wide = np.repeat(x, len(r), axis=1)
-        out = list((scene.play("hysteresis", wide, r) - wide).T)
+        start = scene.resting(self.channel) if self.driver == self.channel else None
+        out = list(
+            (scene.play("hysteresis", wide, r, None if start is None else np.repeat(start, len(r), axis=1)) - wide).T
+        )
         if self.reach is not None:
             out += self._slip(scene, x, self.reach)
         if self.linear:
@@ -208,4 +211,5 @@ class Backlash(Effect):
         port = scene.joint_port(self.joint)
         assert port is not None, "proposed only where there is a port"
         x = scene.q[:, [scene.joint_index(self.joint)]]
-        return in_all([port * (scene.play("play", x, self.half_width) - x)], len(scene.channels))
+        start = scene.resting(f"joint.{self.joint}.position")
+        return in_all([port * (scene.play("play", x, self.half_width, start) - x)], len(scene.channels))

@@ -237,19 +237,23 @@ class Scene:
 
     # -- operators ----------------------------------------------------------------------------------------------------
 
-    def _carried(self, name: Any, x: Array, run: Callable[[slice, Any], tuple[Array, Any]]) -> Array:
+    def _carried(self, name: Any, x: Array, run: Callable[[slice, Any], tuple[Array, Any]], start: Any = None) -> Array:
         if self.memory is not None:
-            out, self.memory[name] = run(slice(None), self.memory.get(name))
+            out, self.memory[name] = run(slice(None), self.memory.get(name, None if start is None else start[0]))
             return out
         out = np.empty_like(x)
-        for part in self.segments:
-            out[part] = run(part, None)[0]
+        for number, part in enumerate(self.segments):
+            out[part] = run(part, None if start is None else start[number])[0]
         return out
 
-    def play(self, name: Any, x: Array, half_width: Any) -> Array:
-        """Play of (N, m) inputs, carried along the rows, see `operators.play`."""
+    def play(self, name: Any, x: Array, half_width: Any, start: Array | None = None) -> Array:
+        """Play of (N, m) inputs, carried along the rows, see `operators.play`; `start` (segments, m): its first outputs."""
         r = np.broadcast_to(np.asarray(half_width, dtype=float), x.shape[1:])
-        return self._carried(name, x, lambda part, state: play(x[part], r, state))
+        return self._carried(name, x, lambda part, state: play(x[part], r, state), start)
+
+    def resting(self, channel: str) -> Array | None:
+        """(segments, 1) where the far side of a play in a channel stands at the start of every segment; None: at its input."""
+        return None
 
     def lag(self, name: Any, x: Array, constant: Any) -> Array:
         """First-order lag of (N, m) inputs over the clock, see `operators.lag`."""

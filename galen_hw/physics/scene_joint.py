@@ -13,6 +13,8 @@ from galen_hw.physics.scene import Scene, once
 from galen_hw.physics.smoothing import CUT, smoothed
 from galen_hw.spatial import Array
 
+FEW = 20
+"""Rows on the way up, and as many on the way down, from which an offset between them is told."""
 COARSE = 4000
 """Ports of a URDF are smooth along the motion: they are evaluated on about so many rows and interpolated."""
 
@@ -39,7 +41,7 @@ class JointScene(Scene):
         robot = self.belief.robot
         if not isinstance(robot, UrdfRobot):
             return channel.startswith("joint.carriage")
-        model = robot.model.joints[self.joint_index(channel.split(".", 1)[1].rsplit(".", 1)[0]) + 1]
+        model = robot.model.joints[self.joint_index(_joint(channel)) + 1]
         return bool(model.shortname().startswith("JointModelP"))
 
     def channel_of(self, joint: str) -> int | None:
@@ -63,7 +65,7 @@ class JointScene(Scene):
 
     def _along(self, values: Array) -> Array:
         """Columns of compared joints, coarse rows brought to all rows."""
-        order = [self.joint_index(name.split(".", 1)[1].rsplit(".", 1)[0]) for name in self.channels]
+        order = [self.joint_index(_joint(name)) for name in self.channels]
         return np.asarray(values[:, order])
 
     @once
@@ -203,8 +205,27 @@ class PositionScene(JointScene):
         """(N, n) simulated positions; measured ones for joints that are not compared."""
         out = self.observations.joints("position")
         for place, name in enumerate(self.channels):
-            out[:, self.joint_index(name.split(".", 1)[1].rsplit(".", 1)[0])] = self.simulated[:, place]
+            out[:, self.joint_index(_joint(name))] = self.simulated[:, place]
         return out
+
+    @once
+    def resting(self, channel: str) -> Array | None:
+        """The first measured position of every segment, less the offset at which the joint follows both ways.
+
+        A joint that sticks inside its play stays where the last motion left it, which no later input tells. The offset is
+        the middle between what is left over on the way up and on the way down, so that play and delay fall out.
+        """
+        if self.whole is not None:
+            return self.whole.resting(channel)
+        if channel not in self.channels:
+            return None
+        place = self.channels.index(channel)
+        v = self.rates[0][:, self.joint_index(_joint(channel))]
+        quick = 0.3 * float(np.std(v))
+        ways = [self.residual[way, place] for way in (v > quick, v < -quick)]
+        known = quick > 0.0 and all(np.isfinite(way).sum() >= FEW for way in ways)
+        offset = 0.5 * float(sum(np.nanmedian(way) for way in ways)) if known else 0.0
+        return np.array([[self.measured[part.start, place] - offset] for part in self.segments])
 
     @once
     def joint_port(self, joint: str) -> Array | None:
@@ -219,3 +240,8 @@ class PositionScene(JointScene):
             return np.asarray(self.observations.columns[f"joint.{joint}.effort"])
         weight = self.weight_torque()
         return None if weight is None else weight[:, self.joint_index(joint)]
+
+
+def _joint(channel: str) -> str:
+    """NAME of joint.NAME.kind."""
+    return channel.split(".", 1)[1].rsplit(".", 1)[0]

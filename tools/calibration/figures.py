@@ -230,7 +230,7 @@ def poses_figure(result: Result) -> "Figure":
     flat.plot(np.cos(turn), np.sin(turn), color="#c5ced3", lw=0.8)
     flat.plot(s[:, 0], s[:, 1], color="#e3e8ea", lw=0.6, zorder=1)
     _sphere(globe)
-    span = {"cmap": "viridis", "vmin": float(clock.min()), "vmax": float(clock.max())}
+    span: dict[str, Any] = {"cmap": "viridis", "vmin": float(clock.min()), "vmax": float(clock.max())}
     kinds = (
         ("with the tool", rows.tool & ~rows.verify, "o"),
         ("without the tool", ~rows.tool, "s"),

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 VIRTUAL_TOOL: Final = "pointer"
 LARGEST_N: Final = 30.0
-BLOCKS: Final = "▁▂▃▄▅▆▇█"
+BLOCKS: Final = " ▁▂▃▄▅▆▇█"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -225,7 +225,7 @@ def picture(session: "CollectSession", text: str) -> "RenderableType":
 def sparkline(values: "Array", least: float = 2.0) -> str:
     """Values as one line of blocks, zero in the middle; the scale is their largest size, `least` at least."""
     scale = max(float(np.abs(values).max(initial=0.0)), least)
-    steps = np.clip(np.round(3.5 + 3.5 * values / scale), 0, len(BLOCKS) - 1).astype(int)
+    steps = np.clip(np.round(4.0 + 4.0 * values / scale), 0, len(BLOCKS) - 1).astype(int)
     return "".join(BLOCKS[k] for k in steps)
 
 

@@ -111,7 +111,10 @@ def check(sets: Sequence[DeflectionSet]) -> list[str]:
             lines.append(
                 f"pushes along {name} go one way only: pull back through zero as well, or hysteresis stays unseen"
             )
-    lines += [f"{s.name}: the force sits at its limit in {_saturated(s):.0%} of the rows" for s in sets if _clips(s)]
+    clipped = [s for s in sets if _clips(s)]
+    if clipped:
+        share, names = max(map(_saturated, clipped)), ", ".join(s.name for s in clipped)
+        lines.append(f"the force sits at its limit in {share:.0%} of the rows: push less, and record again: {names}")
     return lines
 
 

@@ -21,6 +21,7 @@ from galen_hw.identification.deflection.stream import GiveStream
 from galen_hw.physics.joint_memory_effects import Slip
 from galen_hw.spatial import Array
 
+SMOOTH_S = 0.25
 LEAST_REST = 10
 """Rows of a first rest whose mean is worth taking for the unloaded tip."""
 
@@ -35,7 +36,7 @@ class ElasticArm(DeflectionModel):
 
     Args:
         terms, values: effects and their parameters (k,); covariance: (k, k) of these.
-        lever: port to compliance that bends the levers; slips: port to friction that the other effects lie behind.
+        slips: port to friction that the other effects lie behind.
         weight: what hangs beyond the sensor.
         floor: (d,) one sigma of what the model leaves at configurations that it has not seen, tracker's noise apart.
         noise: (d,) one sigma of the tracker; delay_s: of the tracker behind the force.
@@ -47,7 +48,6 @@ class ElasticArm(DeflectionModel):
     terms: tuple[Term, ...] = ()
     values: Array = field(default_factory=lambda: np.zeros(0))
     covariance: Array = field(default_factory=_none)
-    lever: dict[str, float] = field(default_factory=dict)
     slips: dict[str, list[Slip]] = field(default_factory=dict)
     weight: Weight = field(default_factory=Weight)
     floor: Array = field(default_factory=lambda: np.zeros(3))
@@ -63,7 +63,7 @@ class ElasticArm(DeflectionModel):
         theta, covariance = blocks.solve(keys), blocks.robust_covariance(keys)
         self.terms, self.values = tuple(search.terms), theta[:-1]
         self.covariance, self.delay_s = covariance[:-1, :-1], -float(theta[-1])
-        self.lever, self.slips, self.weight, self.noise = search.lever, search.slips, search.weight, search.noise
+        self.slips, self.weight, self.noise = search.slips, search.weight, search.noise
         self.decisions = tuple(search.decisions.values())
         self.floor = _floor(self, sets, blocks)
         return self
@@ -75,12 +75,9 @@ class ElasticArm(DeflectionModel):
 
     def columns(self, data: DeflectionSet) -> Array:
         """(N, d, k) give per unit of each parameter."""
-        bare, settled = self._scenes(data)
+        known = dict(zip(self.terms, self.values.tolist(), strict=True))
+        ((bare, settled),) = scenes([data], self.weight, known, self.slips)
         return np.stack([t.column(bare, settled) for t in self.terms], axis=2)
-
-    def _scenes(self, data: DeflectionSet) -> Any:
-        bare = scenes([data], self.weight, self.lever)[0]
-        return bare, scenes([data], self.weight, self.lever, self.slips)[0] if self.slips else bare
 
     def predict(self, data: DeflectionSet) -> Array:
         """Give (N, d), from the load of the first row on (its weight's sag is in the tracker's frame)."""
@@ -96,7 +93,6 @@ class ElasticArm(DeflectionModel):
         return {
             "terms": [t.to_json(float(v)) for t, v in zip(self.terms, self.values, strict=True)],
             "covariance": self.covariance.tolist(),
-            "lever": self.lever,
             "slips": {port: [list(slip) for slip in slips] for port, slips in self.slips.items()},
             "weight": {"mass": self.weight.mass, "moment": list(self.weight.moment)},
             "floor": self.floor.tolist(),
@@ -113,7 +109,6 @@ class ElasticArm(DeflectionModel):
             tuple(Term.from_json(t) for t in values["terms"]),
             np.array([float(t["value"]) for t in values["terms"]]),
             np.array(values["covariance"], dtype=float).reshape(len(values["terms"]), -1),
-            {str(k): float(v) for k, v in values["lever"].items()},
             {str(k): [(float(r), float(s)) for r, s in v] for k, v in values["slips"].items()},
             Weight(float(weight["mass"]), tuple(map(float, weight["moment"]))),  # type: ignore[arg-type]
             np.array(values["floor"], dtype=float),
@@ -131,20 +126,31 @@ class ElasticArm(DeflectionModel):
 def _floor(model: ElasticArm, sets: Sequence[DeflectionSet], blocks: Blocks) -> Array:
     """(d,) one sigma of what is left at held-out configurations, from each set's first rest on, without the tracker's noise.
 
-    The tracker's noise is white and the model's error is slow: the mean product of neighbouring rows has the latter
-    alone.
+    The tracker's noise is white and falls in short means, the model's error is slow and stays. What the force's noise
+    makes of the prediction is white too, and is added. One standard error over the sets comes on top: few
+    configurations have been seen, and a floor that is too low is the worse mistake.
     """
     by_fold = {int(f): blocks.solve([*model.terms, DELAY], without=int(f))[:-1] for f in np.unique(blocks.fold)}
-    squares, rows = np.zeros(len(model.noise)), 0
+    squares = []
     for number, s in enumerate(sets):
         give = model.columns(s) @ by_fold[int(blocks.fold[blocks.owner == number][0])]
         late = np.stack([np.interp(s.time - model.delay_s, s.time, c) for c in give.T], axis=1)
         left, rest = s.give - late, np.asarray(first_rest(s), dtype=bool)
         seen = np.isfinite(left).all(axis=1)
-        if np.count_nonzero(seen & rest) < LEAST_REST or np.count_nonzero(seen & ~rest) < LEAST_REST:
+        size = max(1, round(SMOOTH_S / max(float(np.median(np.diff(s.time))), 1e-6)))
+        whole = np.count_nonzero(seen & ~rest) // size * size
+        if np.count_nonzero(seen & rest) < LEAST_REST or not whole:
             continue
-        zero = left[seen & rest].mean(axis=0)
-        after = left[seen & ~rest] - zero
-        products = np.mean(after[1:] * after[:-1], axis=0) - model.noise**2 / np.count_nonzero(seen & rest)
-        squares, rows = squares + len(after) * products, rows + len(after)
-    return np.asarray(np.sqrt(np.maximum(squares / max(rows, 1), (0.05 * model.noise) ** 2)))
+        after = left[seen & ~rest][:whole].reshape(-1, size, left.shape[1]).mean(axis=1)
+        after = after - left[seen & rest].mean(axis=0)
+        noise = model.noise**2 * (1.0 / size + 1.0 / np.count_nonzero(seen & rest))
+        squares.append(np.mean(after**2, axis=0) - noise + _white(give))
+    each = np.array(squares or [np.zeros(len(model.noise))])
+    total = each.mean(axis=0) + each.std(axis=0, ddof=min(1, len(each) - 1)) / np.sqrt(len(each))
+    return np.asarray(np.sqrt(np.maximum(total, (0.05 * model.noise) ** 2)))
+
+
+def _white(give: Array) -> Array:
+    """(d,) variance of the white part of a prediction (N, d), by second differences; the corners of a push left out."""
+    second = np.diff(give, n=2, axis=0) ** 2 / 6.0
+    return np.asarray(np.mean(np.where(second <= np.quantile(second, 0.95, axis=0), second, 0.0), axis=0) / 0.95)

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from galen_hw.identification.deflection.bent import BentScene
 from galen_hw.identification.deflection.blocks import Blocks, Rows, noise_of
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.elastic_terms import (
@@ -21,7 +22,7 @@ from galen_hw.identification.deflection.elastic_terms import (
     settled_candidates,
     zoomed,
 )
-from galen_hw.physics.joint_memory_effects import GivingScene, JointHysteresis, Slip
+from galen_hw.physics.joint_memory_effects import JointHysteresis, Slip
 from galen_hw.spatial import Array
 
 DELAY: Final = "delay"
@@ -55,15 +56,14 @@ class Search:
     weight: Weight = field(init=False)
     terms: list[Term] = field(default_factory=list)
     values: dict[Term, float] = field(default_factory=dict)
-    lever: dict[str, float] = field(default_factory=dict)
     slips: dict[str, list[Slip]] = field(default_factory=dict)
     decisions: dict[tuple[str, str], Decision] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.noise, self.weight = noise_of(self.sets), Weight.of(self.sets[0])
         self._folds = _folds(self.sets)
-        self._bare: list[GivingScene] = []
-        self._settled: list[GivingScene] = []
+        self._bare: list[BentScene] = []
+        self._settled: list[BentScene] = []
         self._columns: Columns = {}
         self._rows: list[Rows] = []
 
@@ -84,14 +84,14 @@ class Search:
     # -- stages -------------------------------------------------------------------------------------------------------
 
     def _elastic(self) -> None:
-        """Compliances, on levers of the rigid arm first and then of the bent one."""
+        """Compliances, on the rigid arm first and then on the bent one."""
         for _ in range(2):
             self._view()
             found = list(elastic_candidates(self._bare))
             blocks = self._blocks(found, delay=False)
             self.terms = []
             self._forward(blocks, found, [])
-            self._set_lever(blocks, self.terms)
+            self._take(blocks, self.terms)
 
     def _grow(self) -> None:
         """Memory, hardening and play, the best first; friction changes the load that the others see."""
@@ -104,7 +104,7 @@ class Search:
             blocks = self._blocks([*self.terms, *compliances, *slipping, *others])
             frictions = [t for t in self.terms if t.kind == "hysteresis"]
             self._forward(blocks, [*compliances, *slipping, *others], [DELAY])
-            self._set_lever(blocks, self.terms)
+            self._take(blocks, self.terms)
             if len([t for t in self.terms if t.kind == "hysteresis"]) == len(frictions):
                 return
 
@@ -123,7 +123,7 @@ class Search:
                     return float(np.average(blocks.held_out(keys), weights=blocks.rows))
 
                 self.terms[place] = min([term, *near], key=loss)
-            self._set_lever(blocks, self.terms)
+            self._take(blocks, self.terms)
 
     def _prune(self) -> None:
         """Terms whose loss the held-out sets do not mind."""
@@ -140,7 +140,7 @@ class Search:
             if not weak:
                 break
             self.terms.remove(min(weak, key=lambda t: falls[t][0]))
-        self._set_lever(blocks, self.terms)
+        self._take(blocks, self.terms)
 
     def _final(self) -> Blocks:
         self._view()
@@ -170,12 +170,10 @@ class Search:
             now = best[3]
 
     def _view(self) -> None:
-        """Scenes for the present lever and friction."""
+        """Scenes of the arm as it is known so far."""
         self._columns = {}
-        self._bare = scenes(self.sets, self.weight, self.lever, like=self._bare)
-        self._settled = self._bare
-        if self.slips:
-            self._settled = scenes(self.sets, self.weight, self.lever, self.slips, like=self._bare)
+        views = scenes(self.sets, self.weight, self.values, self.slips, self._bare)
+        self._bare, self._settled = [bare for bare, _ in views], [settled for _, settled in views]
         pairs = zip(self.sets, self._bare, strict=True)
         self._rows = self._rows or [Rows.of(s, b.tip, self.noise) for s, b in pairs]
 
@@ -208,24 +206,24 @@ class Search:
             ]
         return Blocks.of(self._rows, columns, self._folds)
 
-    def _known(self, bare: GivingScene, settled: GivingScene) -> Array:
+    def _known(self, bare: BentScene, settled: BentScene) -> Array:
         """(N, d) give by what is found so far: friction late against the load must not pass for a late tracker."""
         columns = [value * term.column(bare, settled) for term, value in self.values.items()]
         return np.asarray(sum(columns, np.zeros((len(bare), len(bare.channels)))))
 
-    def _set_lever(self, blocks: Blocks, terms: Sequence[Term]) -> None:
-        """Compliances bend the levers; friction's share is its weight over the compliance."""
+    def _take(self, blocks: Blocks, terms: Sequence[Term]) -> None:
+        """What is found bends the arm; friction's share is its weight over the compliance."""
         if not terms:
-            self.values, self.lever, self.slips = {}, {}, {}
+            self.values, self.slips = {}, {}
             return
         keys: list[Hashable] = [*terms, *([DELAY] if DELAY in blocks.keys else [])]
         theta = dict(zip(keys, blocks.solve(keys), strict=True))
         self.values = {t: float(theta[t]) for t in terms}
-        self.lever = {t.port: float(theta[t]) for t in terms if t.kind == "compliance"}
+        springs = {t.port: float(theta[t]) for t in terms if t.kind == "compliance"}
         self.slips = {}
         for t in terms:
             if t.kind == "hysteresis" and isinstance(t.effect, JointHysteresis):
-                share = float(theta[t]) / self.lever[t.port] if self.lever.get(t.port) else 0.0
+                share = float(theta[t]) / springs[t.port] if springs.get(t.port) else 0.0
                 self.slips[t.port] = [(t.effect.widths[0], float(np.clip(share, 0.0, 1.0)))]
 
 

@@ -1,14 +1,14 @@
 """The elastic arm sample by sample, in plain floats: what the effects of `galen_hw.physics` give for all rows."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import expm1, tanh
 from typing import Any, Protocol
 
 import numpy as np
 
+from galen_hw.identification.deflection.bent import chain_order
 from galen_hw.identification.deflection.elastic_terms import Term, Weight
-from galen_hw.identification.deflection.stream import NONE, GiveStream, Place, Six, Triple
+from galen_hw.identification.deflection.stream import GiveStream, Place, Six, Triple
 from galen_hw.kinematics import NOMINAL_GRAVITY
 from galen_hw.physics.elastic_effects import Hardening
 from galen_hw.physics.joint_memory_effects import FRAMES, BearingPlay, JointHysteresis, Slip
@@ -22,7 +22,6 @@ class Arm(Protocol):
     terms: tuple[Term, ...]
     values: Array
     covariance: Array
-    lever: dict[str, float]
     slips: dict[str, list[Slip]]
     weight: Weight
     floor: Array
@@ -66,17 +65,24 @@ class _Part:
     value: float = 0.0
 
 
-class _Port:
-    """A place that gives: its screw and weight for the present joints, its friction and its terms."""
+@dataclass(slots=True)
+class _Side:
+    """A port's friction and terms with their memory; each port has one for the rigid arm and one for the bent one."""
 
-    def __init__(self, name: str, lever: float, slips: Sequence[Slip]) -> None:
-        self.name, self.lever = name, lever
-        self.slips = [_Slip(r, share) for r, share in slips]
-        self.parts: list[_Part] = []
-        self.coefficients: list[float] = []
-        self.screw: Six = NONE
-        self.along: Triple = (0.0, 0.0, 0.0)
-        self.weight = 0.0
+    slips: list[_Slip]
+    parts: list[_Part]
+    coefficients: list[float]
+
+    def give(self, load: float, dt: float) -> float:
+        """Give of the port under a load, and what it remembers."""
+        left = load
+        for slip in self.slips:
+            left += slip.share * (slip.take(load) - load)
+        out = 0.0
+        for part, coefficient in zip(self.parts, self.coefficients, strict=True):
+            part.value = _answer(part, load, left, dt)
+            out += coefficient * part.value
+        return out
 
 
 class ElasticStream(GiveStream):
@@ -88,119 +94,107 @@ class ElasticStream(GiveStream):
 
     def __init__(self, arm: Arm, gravity: Array = NOMINAL_GRAVITY) -> None:
         self._weight, self._gravity = arm.weight, gravity
-        names = list(dict.fromkeys([*arm.lever, *(t.port for t in arm.terms)]))
-        self._ports = [_Port(name, arm.lever.get(name, 0.0), arm.slips.get(name, ())) for name in names]
-        self._parts: list[_Part] = []
-        self._owner: list[int] = []
-        for term, value in zip(arm.terms, arm.values.tolist(), strict=True):
-            port = self._ports[names.index(term.port)]
-            part = _part(term)
-            port.parts.append(part)
-            port.coefficients.append(value)
-            self._parts.append(part)
-            self._owner.append(names.index(term.port))
+        self._names = list(dict.fromkeys(t.port for t in arm.terms))
+        self._owner = [self._names.index(t.port) for t in arm.terms]
+        self._rigid, self._bent = ([_side(arm, name) for name in self._names] for _ in range(2))
+        each = [iter(side.parts) for side in self._bent]
+        self._parts = [next(each[number]) for number in self._owner]
         self._values, self._parameters, floor = arm.values, arm.covariance, arm.floor
         full = np.zeros(6)
         full[: len(floor)] = floor
         self._floor = np.diag(full**2)
-        self._answers = np.zeros((6, len(self._ports)))
-        self._tip: Triple = (0.0, 0.0, 0.0)
-        self._half: Triple = (0.0, 0.0, 0.0)
+        count = len(self._names)
+        self._answers = np.zeros((count, 6))
+        self._second = np.zeros((count, count, 3))
+        self._columns = np.zeros((count, 6 * count))
+        self._weights, self._bent_weights = np.zeros(count), np.zeros((count, count))
+        self._screws = np.zeros((count, 6))
         self._t: float | None = None
 
     def place(self, place: Place) -> None:
-        """Screws and weights of the ports for these joints."""
-        weight = self._weight.mass * self._gravity
-        moment = np.cross(place.R @ self._weight.moment, self._gravity) + np.cross(place.sensor, weight)
-        self._tip = tuple(place.tip.tolist())
-        for i, port in enumerate(self._ports):
-            screw = _screw(place, port.name)
-            along = screw[:3] + np.cross(screw[3:], place.tip)
-            port.screw, port.along = tuple(screw.tolist()), tuple(along.tolist())
-            port.weight = float(screw[:3] @ weight + screw[3:] @ moment)
-            self._answers[:3, i], self._answers[3:, i] = along, screw[3:]
+        """Screws of the ports for these joints, their answers, and how each changes with the others' gives."""
+        weight, count = self._weight.mass * self._gravity, len(self._names)
+        point = place.sensor + place.R @ (np.asarray(self._weight.moment) / (self._weight.mass or 1.0))
+        order = {name: k for k, name in enumerate(chain_order(self._names, place.names))}
+        screws = np.array([_screw(place, name) for name in self._names]).reshape(count, 6)
+        along, held = (screws[:, :3] + np.cross(screws[:, 3:], p) for p in (place.tip, point))
+        second, turns = np.empty((count, count, 3)), np.empty((count, count, 3))
+        for i in range(count):
+            for j in range(count):
+                p, d = (i, j) if order[self._names[i]] <= order[self._names[j]] else (j, i)
+                second[i, j] = _cross(screws[p, 3:], along[d])
+                turns[i, j] = _cross(screws[p, 3:], screws[d, 3:])
+                self._bent_weights[i, j] = weight @ _cross(screws[p, 3:], held[d])
+        self._screws, self._second, self._weights = screws, second, held @ weight
+        self._answers = np.concatenate([along, screws[:, 3:]], axis=1)
+        self._columns = np.concatenate([0.5 * second, 0.25 * turns], axis=2).reshape(count, 6 * count)
 
     def step(self, t_s: float, force: Triple, moment: Triple) -> Six:
-        """Loads on the bent arm, friction, then each port's give through its screw."""
-        fx, fy, fz = force
-        mx, my, mz = self._bent_moment(force, moment)
+        """Gives of the rigid arm, which bend it; loads on the bent arm; gives, each through the bent port."""
         dt = 0.0 if self._t is None else max(t_s - self._t, 0.0)
         self._t = t_s
-        hx, hy, hz = self._half
-        x, y, z = self._tip
-        x, y, z = x + hx, y + hy, z + hz
-        a = b = c = d = e = f = 0.0
-        for port in self._ports:
-            sx, sy, sz, wx, wy, wz = port.screw
-            load = sx * fx + sy * fy + sz * fz + wx * mx + wy * my + wz * mz + port.weight
-            give = _give(port, load, dt)
-            a += give * (sx + wy * z - wz * y)
-            b += give * (sy + wz * x - wx * z)
-            c += give * (sz + wx * y - wy * x)
-            d, e, f = d + give * wx, e + give * wy, f + give * wz
-        return (a, b, c, d, e, f)
-
-    def _bent_moment(self, force: Triple, moment: Triple) -> Triple:
-        """The moment about the base's origin when the tip has moved with the arm; half of the move is kept."""
-        fx, fy, fz = force
-        mx, my, mz = moment
-        u = v = w = 0.0
-        for port in self._ports:
-            if port.lever:
-                sx, sy, sz, wx, wy, wz = port.screw
-                g = port.lever * (sx * fx + sy * fy + sz * fz + wx * mx + wy * my + wz * mz + port.weight)
-                ax, ay, az = port.along
-                u, v, w = u + g * ax, v + g * ay, w + g * az
-        self._half = (0.5 * u, 0.5 * v, 0.5 * w)
-        return mx + v * fz - w * fy, my + w * fx - u * fz, mz + u * fy - v * fx
+        loads = self._screws @ (*force, *moment) + self._weights
+        bent = np.array([side.give(load, dt) for side, load in zip(self._rigid, loads.tolist(), strict=True)])
+        loads = loads + (self._second @ force + self._bent_weights) @ bent
+        gives = np.array([side.give(load, dt) for side, load in zip(self._bent, loads.tolist(), strict=True)])
+        # The second-order parts are the same either way round, so that the first index may be summed over.
+        answers = self._answers + (bent @ self._columns).reshape(self._answers.shape)
+        return tuple((gives @ answers).tolist())
 
     def covariance(self) -> list[float]:
         """Parameters, what the model leaves, and memory that is not sure."""
-        X = self._answers[:, self._owner] * [p.value for p in self._parts]
+        X = self._answers[self._owner].T * [p.value for p in self._parts]
         total = X @ self._parameters @ X.T + self._floor
         for part, owner, value in zip(self._parts, self._owner, self._values, strict=True):
             slip = part.slip
             width = part.unsure if slip is None else (slip.high - slip.low) ** 2 / 12.0
             if width > 0.0:
-                column = self._answers[:, owner] * float(value)
+                column = self._answers[owner] * float(value)
                 total += width * np.outer(column, column)
         return total.ravel().tolist()
 
     def gap(self) -> None:
         """The load between is not known."""
-        for port in self._ports:
-            for slip in port.slips:
-                slip.gap()
+        for slip in self._slips():
+            slip.gap()
         for part in self._parts:
-            if part.slip is not None:
-                part.slip.gap()
-            elif part.kind == "creep":
+            if part.kind == "creep":
                 part.unsure += (part.slow or 0.0) ** 2 + part.value**2
 
     def reset(self) -> None:
         """As at rest under the next load."""
         self._t = None
-        for part in self._parts:
+        for part in self._all():
             part.slow, part.unsure = None, 0.0
         for slip in self._slips():
             slip.output = None
 
+    def _all(self) -> list[_Part]:
+        return [part for side in (*self._rigid, *self._bent) for part in side.parts]
+
     def _slips(self) -> list[_Slip]:
-        inside = [p.slip for p in self._parts if p.slip is not None]
-        return [s for port in self._ports for s in port.slips] + inside
+        outside = [slip for side in (*self._rigid, *self._bent) for slip in side.slips]
+        return outside + [p.slip for p in self._all() if p.slip is not None]
 
     def memory(self) -> dict[str, Any]:
         """Outputs of the operators."""
-        return {"slips": [s.output for s in self._slips()], "slow": [p.slow for p in self._parts]}
+        return {"slips": [s.output for s in self._slips()], "slow": [p.slow for p in self._all()]}
 
     def remember(self, memory: dict[str, Any]) -> None:
         """Outputs of the operators, their bands as after a gap."""
         slips, slow = memory["slips"], memory["slow"]
         for slip, output in zip(self._slips(), slips, strict=True):
             slip.output = None if output is None else float(output)
-        for part, value in zip(self._parts, slow, strict=True):
+        for part, value in zip(self._all(), slow, strict=True):
             part.slow = None if value is None else float(value)
         self.gap()
+
+
+def _side(arm: Arm, name: str) -> _Side:
+    """A port's memory, as at the start."""
+    mine = [(t, v) for t, v in zip(arm.terms, arm.values.tolist(), strict=True) if t.port == name]
+    slips = [_Slip(r, share) for r, share in arm.slips.get(name, ())]
+    return _Side(slips, [_part(t) for t, _ in mine], [v for _, v in mine])
 
 
 def _part(term: Term) -> _Part:
@@ -225,30 +219,26 @@ def _screw(place: Place, name: str) -> Array:
     return screw
 
 
-def _give(port: _Port, load: float, dt: float) -> float:
-    """Give of a port under a load, and what it remembers."""
-    left = load
-    for slip in port.slips:
-        left += slip.share * (slip.take(load) - load)
-    out = 0.0
-    for part, coefficient in zip(port.parts, port.coefficients, strict=True):
-        kind = part.kind
-        if kind == "compliance":
-            value = load
-        elif kind == "hysteresis":
-            assert part.slip is not None, "made with one"
-            value = part.slip.take(load) - load
-        elif kind == "creep":
-            if part.slow is None:
-                part.slow = left
-            share = -expm1(-dt / part.number)
-            part.slow += share * (left - part.slow)
-            part.unsure *= (1.0 - share) ** 2
-            value = part.slow - left
-        elif kind == "hardening":
-            value = left * abs(left) ** (part.number - 1.0)
-        else:
-            value = tanh(left / part.number)
-        part.value = value
-        out += coefficient * value
-    return out
+def _answer(part: _Part, load: float, left: float, dt: float) -> float:
+    """A term's regressor for a load, and for what the friction leaves of it."""
+    kind = part.kind
+    if kind == "compliance":
+        return load
+    if kind == "hysteresis":
+        assert part.slip is not None, "made with one"
+        return part.slip.take(load) - load
+    if kind == "creep":
+        if part.slow is None:
+            part.slow = left
+        share = -expm1(-dt / part.number)
+        part.slow += share * (left - part.slow)
+        part.unsure *= (1.0 - share) ** 2
+        return part.slow - left
+    if kind == "hardening":
+        return left * float(abs(left) ** (part.number - 1.0))
+    return tanh(left / part.number)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Of two vectors (3,); numpy's own is ten times slower for a single pair."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from galen_hw.errors import UsageError
+from galen_hw.identification.deflection.bent import BentScene, GiveScene
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.elastic_effects import Compliance, Hardening
@@ -86,13 +87,30 @@ class Term:
 def scenes(
     sets: Sequence[DeflectionSet],
     weight: Weight,
-    lever: Mapping[str, float],
-    slips: Mapping[str, Sequence[Slip]] | None = None,
-    like: Sequence[GivingScene] = (),
-) -> list[GivingScene]:
-    """One scene a set; `like`: scenes of the same sets, whose geometry is taken over."""
-    made = [GivingScene(s.observations, mass=weight.mass, moment=weight.moment, lever=lever, slips=slips) for s in sets]
-    return [scene.sharing(old) for scene, old in zip(made, like, strict=True)] if like else made
+    known: Mapping[Term, float],
+    slips: Mapping[str, Sequence[Slip]],
+    like: Sequence[BentScene] = (),
+) -> list[tuple[BentScene, BentScene]]:
+    """Two scenes a set, of the whole load and of what the friction leaves of it.
+
+    Args:
+        known: terms and their values, which bend the arm; like: scenes whose geometry is taken over.
+    """
+    out = []
+    for number, s in enumerate(sets):
+
+        def scene(kind: type[BentScene], number: int = number, s: DeflectionSet = s, **more: Any) -> BentScene:
+            made = kind(s.observations, mass=weight.mass, moment=weight.moment, **more)
+            return made.sharing(like[number]) if like else made
+
+        gives: dict[str, Array] = {}
+        if known:
+            rigid, behind = scene(GiveScene), scene(GiveScene, slips=slips)
+            for term, value in known.items():
+                gives[term.port] = gives.get(term.port, 0.0) + value * term.column(rigid, behind)[:, 0]
+        bare = scene(BentScene, gives=gives)
+        out.append((bare, scene(BentScene, gives=gives, slips=slips).sharing(bare) if slips else bare))
+    return out
 
 
 def amplitude(views: Sequence[GivingScene], port: str) -> float:

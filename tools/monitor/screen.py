@@ -1,0 +1,166 @@
+"""What `galen-hw monitor` shows: topics, wrench, joints and tip, and how everything is doing; side by side if it fits."""
+
+import math
+import time
+from collections.abc import Mapping
+from typing import Any, Final
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.markup import escape
+from rich.panel import Panel
+from rich.rule import Rule
+from rich.table import Table
+
+from galen_hw.messages import JointsState, Pose, WrenchCompensated, WrenchRaw
+from galen_hw.tools.monitor.view import WINDOW_S, View
+
+BAR_WIDTH: Final = 21
+FULL_SCALE: Final = {"force": 10.0, "torque": 1.0}
+WIDE: Final = 138
+"""Columns from which on two panels stand side by side."""
+COLOURS: Final = {"ready": "green", "fault": "red", "degraded": "yellow", "starting": "cyan"}
+ACCENT: Final = "deep_sky_blue3"
+
+
+def screen(view: View, lost: Mapping[str, int], about: str, width: int) -> RenderableType:
+    """Everything, for a terminal of this width.
+
+    Args:
+        lost: messages that never came, by topic; about: which daemon, one line.
+    """
+    upper = [_topics(view, lost), _wrench(view)]
+    lower = [_joints(view), _pose(view)]
+    parts: list[RenderableType] = [Rule(f"[bold]galen-hw monitor[/]  {escape(about)}", align="left", style=ACCENT)]
+    for panels in (upper, lower):
+        found = [panel for panel in panels if panel is not None]
+        parts += [_beside(found)] if width >= WIDE and len(found) > 1 else found
+    parts.append(_states(view))
+    return Group(*parts)
+
+
+def _beside(panels: list[Panel]) -> Table:
+    grid = Table.grid(expand=True)
+    for _ in panels:
+        grid.add_column(ratio=1)
+    grid.add_row(*panels)
+    return grid
+
+
+def _panel(title: str, content: RenderableType, style: str = "grey50") -> Panel:
+    return Panel(content, title=f"[bold]{title}[/]", title_align="left", border_style=style, box=box.ROUNDED)
+
+
+def _table(*heads: str, numbers: tuple[int, ...] = ()) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="dim", expand=False)
+    for i, head in enumerate(heads):
+        table.add_column(head, justify="right" if i in numbers else "left", no_wrap=True)
+    return table
+
+
+def _topics(view: View, lost: Mapping[str, int]) -> Panel:
+    now, now_ns = time.monotonic(), time.monotonic_ns()
+    table = _table("topic", "source", "rate Hz", "age ms", "lost", "valid", numbers=(2, 3, 4))
+    for name, seen in sorted(view.topics.items()):
+        age_s, rate = (now_ns - seen.message.t_ns) / 1e9, view.rate_hz(name, now)
+        missing = lost.get(name, 0)
+        silent = not rate and name != "fault"
+        table.add_row(
+            f"[dim]{name}[/]" if silent else name,
+            seen.message.source,
+            f"[yellow]none for {WINDOW_S:g} s[/]" if silent else f"{rate:.1f}",
+            f"{1e3 * age_s:.1f}",
+            f"[red]{missing}[/]" if missing else "[dim]0[/]",
+            "[green]yes[/]" if seen.message.valid else "[red]no[/]",
+        )
+    return _panel("topics", table)
+
+
+def _wrench(view: View) -> Panel | None:
+    """Compensated (or raw) force and torque as numbers and bars, and beside it the raw reading."""
+    raw, done = _message(view, "wrench/raw", WrenchRaw), _message(view, "wrench/compensated", WrenchCompensated)
+    shown = done or raw
+    if shown is None:
+        return None
+    table = _table("", "raw", "compensated" if done else "", "", "", numbers=(1, 2))
+    for kind, unit in (("force", "N"), ("torque", "N m")):
+        for axis in "xyz":
+            value = getattr(getattr(shown, kind), axis)
+            before = getattr(getattr(raw, kind), axis) if raw else math.nan
+            text = f"[bold]{value:9.3f}[/]" if done else ""
+            colour = "green" if shown.valid else "red"
+            cells = (f"{before:9.3f}", text, unit, f"[{colour}]{bar(value, FULL_SCALE[kind])}[/]")
+            table.add_row(f"{kind} {axis}", *cells)
+    scale = f"bars: {FULL_SCALE['force']:g} N, {FULL_SCALE['torque']:g} N m"
+    by = "no tool: nothing is taken off" if not done or not done.calibration else f"with {done.calibration}"
+    return _panel("wrench", Group(table, f"[dim]{scale}; {by}[/]"), "green" if shown.valid else "red")
+
+
+def _joints(view: View) -> Panel | None:
+    state = _message(view, "joints/state", JointsState)
+    if state is None:
+        return None
+    table = _table("joint", "m or rad", "per s", "", numbers=(1, 2))
+    for name, position in state.position.items():
+        velocity = state.velocity.get(name, math.nan)
+        table.add_row(name, f"{position:.5f}", f"{velocity:.4f}", _limits(state, name))
+    return _panel("joints", table, "red" if state.estop else "grey50")
+
+
+def _limits(state: JointsState, name: str) -> str:
+    words = [
+        word
+        for word, flags in (("at lower limit", state.at_lower), ("at upper limit", state.at_upper))
+        if flags.get(name)
+    ]
+    words += ["moving"] if state.moving.get(name) else []
+    return "[red]emergency stop[/]" if state.estop else ", ".join(words)
+
+
+def _pose(view: View) -> Panel | None:
+    """Tip as the joints tell it, and what the arm's give adds."""
+    reported, corrected = _message(view, "pose/reported", Pose), _message(view, "pose/corrected", Pose)
+    if reported is None:
+        return None
+    table = _table("tip, mm", "x", "y", "z", "", numbers=(1, 2, 3))
+    table.add_row("reported", *(f"{1e3 * v:.2f}" for v in _xyz(reported)), reported.tool or "no tool")
+    if corrected is not None:
+        table.add_row("corrected", *(f"{1e3 * v:.2f}" for v in _xyz(corrected)), corrected.model)
+        gap = [1e3 * (c - r) for c, r in zip(_xyz(corrected), _xyz(reported), strict=True)]
+        table.add_row("[bold]give[/]", *(f"[bold]{v:.3f}[/]" for v in gap), f"{math.hypot(*gap):.3f} mm in all")
+    return _panel("tip in the base", table)
+
+
+def _xyz(pose: Pose) -> tuple[float, float, float]:
+    return pose.position.x, pose.position.y, pose.position.z
+
+
+def _states(view: View) -> Panel:
+    table = _table("source", "state", "detail")
+    table.columns[2].no_wrap = False
+    for name, status in sorted(view.statuses.items()):
+        colour = COLOURS.get(status.state, "default")
+        table.add_row(name, f"[{colour}]{status.state}[/]", escape(status.detail))
+    worst = next((c for s, c in (("fault", "red"), ("degraded", "yellow")) if s in _all(view)), "grey50")
+    if not view.last_fault:
+        return _panel("state", table, worst)
+    ago = time.monotonic() - view.last_fault_s
+    return _panel("state", Group(table, f"[yellow]last fault, {ago:.0f} s ago[/]  {escape(view.last_fault)}"), worst)
+
+
+def _all(view: View) -> set[str]:
+    return {status.state for status in view.statuses.values()}
+
+
+def _message(view: View, topic: str, kind: type[Any]) -> Any:
+    seen = view.topics.get(topic)
+    return seen.message if seen is not None and isinstance(seen.message, kind) else None
+
+
+def bar(value: float, full_scale: float) -> str:
+    """A bar from the middle: left negative, right positive, to half a cell; full at `full_scale`."""
+    half = BAR_WIDTH // 2
+    steps = min(2 * half, round(2 * half * abs(value) / full_scale)) if math.isfinite(value) else 0
+    cells, rest = divmod(steps, 2)
+    left, right = ("▐" * rest + "█" * cells, "") if value < 0 else ("", "█" * cells + "▌" * rest)
+    return f"{left:>{half}}│{right:<{half}}"
