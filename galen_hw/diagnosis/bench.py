@@ -120,7 +120,7 @@ class Bench:
 
     def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
         """A hypothesis of given averaged columns."""
-        flat = self.noise.transformed(raw.values.reshape(len(raw.values), -1)).reshape(raw.values.shape)
+        flat = self.noise.transformed(raw.values.reshape(len(raw.values), raw.values[0].size)).reshape(raw.values.shape)
         white = np.empty_like(raw.values)
         for i, channel in enumerate(raw.channels):
             white[:, i] = self.noise.whitened(flat[:, i], channel)

@@ -30,8 +30,11 @@ class Parameter:
 
     def plausible(self, value: float, std: float) -> bool:
         """Within the bounds and, where one value is expected, near it: two fifths or three standard deviations."""
-        inside = self.low - 3.0 * std <= value <= self.high + 3.0 * std
-        return inside and (self.expected is None or abs(value - self.expected) <= max(0.4, min(3.0 * std, 0.9)))
+        return self.low - 3.0 * std <= value <= self.high + 3.0 * std and self.near(value, std)
+
+    def near(self, value: float, std: float) -> bool:
+        """Near the one value that is expected, if any: two fifths or three standard deviations."""
+        return self.expected is None or abs(value - self.expected) <= max(0.4, min(3.0 * std, 0.9))
 
 
 @dataclass(frozen=True, slots=True)

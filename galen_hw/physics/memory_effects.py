@@ -54,6 +54,9 @@ class Creep(Effect):
         if self.channel:
             place = scene.channels.index(self.channel)
             return in_channel(place, [self._slow(scene, scene.simulated[:, place])])
+        if not self.joint:
+            slow = scene.lag("creep", scene.simulated, self.constant)
+            return in_all([slow if self.form == "more" else slow - scene.simulated], len(scene.channels))
         port, load = scene.joint_port(self.joint), scene.load(self.joint)
         assert port is not None, "proposed only where there is a port"
         if load is None or scene.observations.predict == "position":
@@ -66,12 +69,14 @@ class Creep(Effect):
 
 
 def _bearing(scene: Scene) -> Iterator[tuple[str, str]]:
-    """(channel, "") of what bears load itself, or ("", joint)."""
+    """(channel, "") of what bears load itself, ("", "") for a sensor's body as a whole, or ("", joint)."""
     if scene.observations.predict in ("pose", "targets"):
         yield from (("", joint) for joint in scene.joint_names if scene.load(joint) is not None)
     elif scene.observations.predict in ("wrench", "effort"):
         spread = np.nanstd(scene.simulated, axis=0)
         yield from ((name, "") for name, s in zip(scene.channels, spread, strict=True) if s > 0.0)
+        if scene.observations.predict == "wrench" and np.all(spread > 0.0):
+            yield "", ""
     else:
         yield from (("", joint_of(name)) for name in scene.channels)
 
@@ -181,35 +186,53 @@ def _signal(scene: Scene, driver: str) -> Array:
 
 @dataclass(frozen=True)
 class Backlash(Effect):
-    """Play: the joint's far side rests until the near side has crossed a dead band, q' = P_r[q].
+    """Play in a joint. Where friction holds the far side ("motion") it rests until the near side has crossed the dead band.
 
-    Half width r; the parameter is the share of it that is seen (1 for plain play). Visible at reversals as a shift
-    of fixed width that does not depend on amplitude. Confused with hysteresis (of which it is one element), with Coulomb
-    friction of a servo, and with joint_offset where a joint turns only once.
+    Then q' = P_r[q] with half width r, and the parameter is the share of it that is seen (1 for plain play). Where weight or a
+    push holds it ("load") it lies on the side that the load says, q' = q + r tanh(load / l), and the parameter is r itself.
+    Visible at reversals, of the motion or of the load, as a shift of fixed width that does not depend on amplitude. Confused
+    with hysteresis (of which it is one element), with Coulomb friction of a servo, with joint_offset where a joint turns only
+    once or its load keeps its sign, and with hardening.
     """
 
     KEY = "backlash"
-    SEARCHED: ClassVar = {"half_width": Searched(1e-7, 10.0, "rad or m")}
+    SEARCHED: ClassVar = {
+        "half_width": Searched(1e-7, 10.0, "rad or m"),
+        "transition": Searched(1e-9, 1e6, "N m or N"),
+    }
     joint: str
-    half_width: float
+    half_width: float | None = None
+    transition: float | None = None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Half widths from a two-hundredth of the joint's range to most of it."""
-        for joint in scene.moved:
+        """Half widths from far below the joint's range to most of it; sharp and soft crossings for each joint with a load."""
+        for joint in scene.joint_names:
             if scene.joint_port(joint) is None:
                 continue
-            half_range = 0.5 * float(np.ptp(scene.q[:, scene.joint_index(joint)]))
-            yield from (cls(joint, r) for r in log_grid(half_range * 0.005, half_range * 0.7, 8))
+            if joint in scene.moved:
+                half_range = 0.5 * float(np.ptp(scene.q[:, scene.joint_index(joint)]))
+                yield from (cls(joint, r) for r in log_grid(half_range * 1e-4, half_range * 0.7, 14))
+            load = scene.load(joint) if scene.observations.predict in ("pose", "targets", "position") else None
+            if load is not None and np.min(load) < 0.0 < np.max(load):
+                size = float(np.sqrt(np.mean(load**2)))
+                yield from (cls(joint, None, share * size) for share in (0.01, 0.05))
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """The share of the play."""
+        """The share of the play, or half of it."""
+        if self.half_width is None:
+            return (Parameter("half_width", "rad or m"),)
         return (Parameter("share", "1", 0.0, expected=1.0),)
 
     def columns(self, scene: Scene) -> Columns:
         """The lost motion through the joint's port."""
         port = scene.joint_port(self.joint)
         assert port is not None, "proposed only where there is a port"
+        if self.half_width is None:
+            load = scene.load(self.joint)
+            assert load is not None, "proposed only where there is a load"
+            assert self.transition is not None, "proposed with one"
+            return in_all([port * np.tanh(load / self.transition)[:, None]], len(scene.channels))
         x = scene.q[:, [scene.joint_index(self.joint)]]
         start = scene.resting(f"joint.{self.joint}.position")
         return in_all([port * (scene.play("play", x, self.half_width, start) - x)], len(scene.channels))

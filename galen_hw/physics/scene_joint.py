@@ -234,12 +234,18 @@ class PositionScene(JointScene):
 
     @once
     def load(self, joint: str) -> Array | None:
-        """Effort with a sign, as measured; else the torque of the URDF's weight; else None."""
+        """Effort with a sign, as measured; else what the URDF needs for weight and motion; else None."""
         effort = (self.whole or self).observations.columns.get(f"joint.{joint}.effort")
         if effort is not None and np.isfinite(effort).all() and np.min(effort) < 0.0 < np.max(effort):
             return np.asarray(self.observations.columns[f"joint.{joint}.effort"])
-        weight = self.weight_torque()
-        return None if weight is None else weight[:, self.joint_index(joint)]
+        torque = self.motion_torque()
+        return None if torque is None else torque[:, self.joint_index(joint)]
+
+    @once
+    def motion_torque(self) -> Array | None:
+        """(N, n) efforts that weight and motion need; None without a URDF."""
+        robot = self._urdf()
+        return None if robot is None else np.asarray(robot.inverse_dynamics(self.q, *self.rates))
 
 
 def _joint(channel: str) -> str:
