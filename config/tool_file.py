@@ -159,6 +159,12 @@ class ToolFile(_Part):
         """Identity of the calibration, empty for a nominal file."""
         return self.origin.id if self.origin else ""
 
+    def on_virtual(self) -> Self:
+        """The same calibration as one of a virtual robot; a nominal file stays as it is."""
+        if self.origin is None:
+            return self
+        return self.model_copy(update={"origin": self.origin.model_copy(update={"virtual": True})})
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if (self.mass is None) != (self.com is None):

@@ -296,9 +296,7 @@ def test_an_impossible_command_says_why_and_changes_nothing(
 
 def test_a_virtual_calibration_is_never_served_to_a_real_sensor(tmp_path: Path) -> None:
     """Neither selected by command nor, with the pointers changed by hand, at the start; on a virtual robot it is."""
-    tool = tool_file(serial="FT1")
-    assert tool.origin is not None
-    ToolStore(tmp_path).save(tool.model_copy(update={"origin": tool.origin.model_copy(update={"virtual": True})}))
+    ToolStore(tmp_path).save(tool_file(serial="FT1").on_virtual())
     with pytest.raises(CommandRejectedError, match="never calibrated"):
         service_at(tmp_path).request(ask("select_tool", tool="retractor"), 0)
 

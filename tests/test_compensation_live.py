@@ -47,10 +47,7 @@ def test_led_by_hand_recorded_and_repeated(tmp_path: Path, capsys: pytest.Captur
     """Without compensation the tool drifts by centimetres after it is let go, with it by nothing; and the recording of
     all that, ended by SIGKILL, gives the same compensated wrench bit for bit."""
     (tmp_path / "galen.toml").write_text(CONFIG)
-    tool = calibrated()
-    assert tool.origin is not None
-    tool = tool.model_copy(update={"origin": tool.origin.model_copy(update={"virtual": True})})
-    ToolStore(tmp_path / "state").save(tool)
+    ToolStore(tmp_path / "state").save(calibrated().on_virtual())
     config, file = str(tmp_path / "galen.toml"), tmp_path / "run.mcap"
     moved = {}
     with own_daemon(config=config, state=tmp_path / "state") as addresses:

@@ -80,8 +80,8 @@ class HandOverHand:
         self.robot = GalenRobot()
         self.world = World(self.robot, seed=self.seed)
         with tempfile.TemporaryDirectory() as folder:
-            store = ToolStore(Path(folder))
-            store.save(self.tool)
+            store = ToolStore(Path(folder), virtual=True)
+            store.save(self.tool.on_virtual())
             store.select(self.tool.name)
             context = ServiceContext(self.robot, BASE, Path(folder), identity="simulated", virtual=True)
             self.compensation = CompensationService("compensation", CompensationSettings(), context)

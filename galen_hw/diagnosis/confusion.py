@@ -51,7 +51,7 @@ class Rival:
 def confusions(model: Model, selection: Selection, finding: Finding) -> list[Confusion]:
     """Other effects that, put in the finding's place, would do as well; and those that are the same by structure."""
     out = {rival.key: Confusion(rival.key, _why(finding.effect, rival)) for rival in rivals(selection, finding)}
-    for key in structural(finding.effect, model.bench.scene):
+    for key in structural(finding.effect, model.bench.scene, finding.parameters):
         out.setdefault(key, Confusion(key, why(finding.effect, key)))
     return list(out.values())[:MOST]
 

@@ -74,7 +74,7 @@ def axis_of(work: Work, effect: Effect, channel: int, change: Array, known: list
     if key in ("hysteresis", "backlash"):
         axis = _driver(work, effect, channel)
     elif key in (*OVER_SPEED, *OVER_LOAD):
-        axis = _of_joint(work, effect)
+        axis = _of_joint(work, effect) or _of_force(work, channel)
     elif key in (*OVER_SIGNAL, *OVER_RATE, "cross_talk", "temperature"):
         axis = _of_channel(work, effect, channel)
     if axis is None and not over_time and known:
@@ -110,6 +110,15 @@ def _of_joint(work: Work, effect: Effect) -> Axis | None:
         return Axis(f"{joint} speed", f"{unit}/s", average(scene.rates[0][:, scene.joint_index(joint)]))
     load = scene.load(joint)
     return None if load is None else Axis(f"{joint} load", load_unit, average(load))
+
+
+def _of_force(work: Work, channel: int) -> Axis | None:
+    """The structure's give over the force along the channel's axis."""
+    name = f"applied.force.{work.bench.scene.channels[channel].rsplit('.', 1)[-1]}"
+    force = work.bench.scene.observations.columns.get(name)
+    if force is None or not np.isfinite(force).all():
+        return None
+    return Axis(name.replace(".", " "), "N", work.bench.rows.average(np.asarray(force)))
 
 
 def _of_channel(work: Work, effect: Effect, channel: int) -> Axis | None:

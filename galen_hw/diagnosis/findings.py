@@ -37,13 +37,13 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
     signal = np.zeros((len(bench.rows), bench.width))
     variance = np.zeros(bench.width)
     parameters: dict[str, Value] = {}
+    free = _free(model)
     for n, h in enumerate(parts):
         s = where[id(h)]
         signal[:, list(h.raw.channels)] += h.raw.values @ model.final[s]
-        variance[list(h.raw.channels)] += _rms_variance(h, model.final[s], model.covariance[s, s])
+        variance[list(h.raw.channels)] += _rms_variance(h, model.final[s], model.covariance[s, s], free)
         parameters |= _parameters(model, h, s, prefix=_prefix(h) if len(parts) > 1 else "", number=n)
-    constant = key in ("bias", "joint_offset")
-    power = np.mean((signal - (0.0 if constant else 1.0) * signal.mean(axis=0)) ** 2, axis=0)
+    power = np.mean((signal - free * signal.mean(axis=0)) ** 2, axis=0)
     energy = power / bench.noise.sigma**2
     channels = [bench.scene.channels[c] for c in np.argsort(-energy) if energy[c] > 0.02 * energy.max()]
     strongest = int(np.argmax(energy))
@@ -70,9 +70,18 @@ def says(finding: Finding) -> str:
     return f"{first} {BELIEVED[key][0].upper()}{BELIEVED[key][1:]}; {share}."
 
 
-def _rms_variance(h: Hypothesis, theta: Array, covariance: Array) -> Array:
+def _free(model: Model) -> Array:
+    """(C,) 1 where the baseline fits a constant offset, which is then no part of an effect's size."""
+    out = np.zeros(model.bench.width)
+    for h in model.nuisances:
+        if len(h.raw.channels) == 1:
+            out[h.raw.channels[0]] = 1.0
+    return out
+
+
+def _rms_variance(h: Hypothesis, theta: Array, covariance: Array, free: Array) -> Array:
     """Variance of the rms of a signal in each of its channels, to first order in its parameters."""
-    centred = h.raw.values - h.raw.values.mean(axis=0)
+    centred = h.raw.values - free[list(h.raw.channels)][:, None] * h.raw.values.mean(axis=0)
     signal = centred @ theta
     size = np.sqrt(np.maximum(np.mean(signal**2, axis=0), 1e-300))
     slope = np.einsum("nc,nck->ck", signal, centred) / (len(signal) * size[:, None])

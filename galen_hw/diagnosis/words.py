@@ -1,5 +1,6 @@
 """What is said in plain words: of findings, why they are believed, and why look-alikes cannot be told apart."""
 
+from collections.abc import Iterable
 from typing import Final
 
 from galen_hw.physics.scene import Scene
@@ -116,11 +117,18 @@ def why(found: str, rival: str) -> str:
     return WHY.get(frozenset((found, rival)), ALIKE)
 
 
-def structural(found: str, scene: Scene) -> list[str]:
-    """Effects that no recording of this kind can tell from the one found, whatever the likelihood says."""
+def structural(found: str, scene: Scene, parameters: Iterable[str] = ()) -> list[str]:
+    """Effects that no recording of this kind can tell from the one found, whatever the likelihood says.
+
+    Args:
+        found: key; parameters: names of the finding's parameters.
+    """
     group, out = scene.observations.predict, []
     if found == "drift" and not scene.observations.has("temperature."):
         out.append("temperature")
+    bare = [name.rsplit(": ", 1)[-1] for name in parameters if name != "rms_signal"]
+    if found == "link_geometry" and group == "pose" and bare and all(name.startswith("frame_shift") for name in bare):
+        out.append("bias")
     if group == "position":
         same = {
             "joint_offset": ["bias"],

@@ -34,7 +34,7 @@ def write_report(out: Comparison, page: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     pictures = []
     for name, title, figure in figures(out):
-        data = _png(figure)
+        data = png(figure)
         (folder / f"{name}.png").write_bytes(data)
         pictures.append({"title": title, "data": base64.b64encode(data).decode()})
     page.write_text(_render(out, pictures), encoding="utf-8")
@@ -123,7 +123,7 @@ def _over_force(axes: Any, data: DeflectionSet, give: Array, title: str) -> None
 
 def _over_time(ax: "Axes", data: DeflectionSet, out: Comparison, name: str) -> None:
     predicted = out.scores[name].predicted[data.name]
-    axis = int(np.argmax(np.ptp(data.give[:, :3], axis=0)))
+    axis = 0  # Along x, as in the report.
     measured, model = _centred(data, data.give)[:, axis], _centred(data, predicted)[:, axis]
     ax.plot(data.time, measured, color=RAW, lw=0.7, label="tracked")
     arm = out.models[name]
@@ -153,7 +153,8 @@ def _wall(out: Comparison) -> "Figure":
     return figure
 
 
-def _png(figure: "Figure") -> bytes:
+def png(figure: "Figure") -> bytes:
+    """The figure as a PNG file."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=130)
     return stream.getvalue()
