@@ -2,17 +2,15 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_channel
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, in_channel
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.scene_joint import EffortScene
 from galen_hw.physics.time_effects import joint_of
-from galen_hw.spatial import skew
-
-if TYPE_CHECKING:
-    from galen_hw.spatial import Array
+from galen_hw.spatial import Array, skew
 
 
 @dataclass(frozen=True)
@@ -125,7 +123,7 @@ class TorqueRipple(Effect):
 class CableDrag(Effect):
     """A cable or hose pulls.
 
-    "spring": from a point of the sensor's body to a point of the base, f = R^T (F0 - k p), torque
+    "spring": from a point of the sensor's body (or the last link, in efforts) to a point of the base, f = R^T (F0 - k p), torque
     c x f for an unknown lever c (linear relaxation: 15 numbers); "joint": one channel along with one joint, r = k q_j, with the
     cable's own dry friction r = k q_j + c s(dq_j) in "joint_dry".
 
@@ -146,6 +144,8 @@ class CableDrag(Effect):
         if group == "wrench" and scene.belief.robot is not None:
             yield cls("spring")
             yield cls("pull")
+        if isinstance(scene, EffortScene) and scene.tip() is not None:
+            yield cls("spring")
         if group not in ("wrench", "effort"):
             return
         for joint in scene.moved:
@@ -177,12 +177,10 @@ class CableDrag(Effect):
         if self.form == "pull":
             return tuple(pulls + [Parameter(f"torque_{i}{j}", "N m") for i in "xyz" for j in "xyz"])
         levers = [Parameter(f"torque_{i}{j}", "N m") for i in "xyz" for j in "xyz"]
-        return (
-            Parameter("stiffness", "N/m"),
-            *pulls,
-            *(Parameter(f"stiffness_lever_{a}", "N") for a in "xyz"),
-            *levers,
-        )
+        arms = tuple(Parameter(f"stiffness_lever_{a}", "N") for a in "xyz")
+        turned = tuple(Parameter(f"turned_lever_{a}", "N") for a in "xyz")
+        more = turned if isinstance(scene, EffortScene) else ()
+        return (Parameter("stiffness", "N/m"), *pulls, *arms, *levers, *more)
 
     def columns(self, scene: Scene) -> Columns:
         """Positions of the joint, or pulls along the base's axes seen from the sensor."""
@@ -191,6 +189,8 @@ class CableDrag(Effect):
             q = scene.q[:, joint]
             rubs = [] if self.form == "joint" else [np.tanh(scene.rates[0][:, joint] / self.transition)]
             return in_channel(place, [q, *(scene.seen(rub[:, None])[:, 0] for rub in rubs)])
+        if isinstance(scene, EffortScene):
+            return self._in_efforts(scene)
         Rt = np.swapaxes(scene.T[:, :3, :3], 1, 2)  # type: ignore[attr-defined]
         p = np.einsum("nij,nj->ni", Rt, scene.T[:, :3, 3])  # type: ignore[attr-defined]
         levers = skew(np.eye(3))
@@ -201,3 +201,21 @@ class CableDrag(Effect):
         if self.form == "pull":
             out = out[:, :, [1, 2, 3, *range(7, 16)]]
         return Columns(tuple(range(6)), out)
+
+    def _in_efforts(self, scene: "EffortScene") -> Columns:
+        """The same spring on the last link, by virtual work: stiffness, pulls, and what an unknown lever adds."""
+        known = scene.tip()
+        assert known is not None, "proposed only with a URDF"
+        pose, answer = known
+        R, p = pose[:, :3, :3], pose[:, :3, 3]
+        push, turn = answer[:, :, :3], answer[:, :, 3:]
+
+        def of(ports: Array, vectors: Array) -> Array:
+            return np.asarray(np.einsum("nci,ni->nc", ports, vectors))
+
+        axes = [R[:, :, i] for i in range(3)]
+        out = [of(push, -p), *(push[:, :, i] for i in range(3))]
+        out += [of(turn, np.cross(a, -p)) for a in axes]
+        out += [of(turn, np.cross(a, np.eye(3)[j])) for a in axes for j in range(3)]
+        out += [of(push, -a) for a in axes]
+        return in_all(out, len(scene.channels))

@@ -176,6 +176,20 @@ class EffortScene(JointScene):
         return self._along(robot.inverse_dynamics(self.q, *self.rates)) - self.simulated
 
     @once
+    def tip(self) -> tuple[Array, Array] | None:
+        """Pose (N, 4, 4) of the last link in the base, and efforts (N, C, 6) per unit of a wrench on it there, base axes.
+
+        Virtual work: the motors hold against it, tau = -J^T F.
+        """
+        robot = self._urdf()
+        if robot is None:
+            return None
+        pose = self._coarse(lambda rows: robot.sensor_pose(self.q[rows]))
+        jacobian = self._coarse(lambda rows: np.swapaxes(robot.sensor_jacobian(self.q[rows]), 1, 2))
+        order = [self.joint_index(_joint(name)) for name in self.channels]
+        return pose, -jacobian[:, order]
+
+    @once
     def load(self, joint: str) -> Array | None:
         """The simulated effort itself."""
         place = self.channel_of(joint)
