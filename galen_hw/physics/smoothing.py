@@ -89,12 +89,12 @@ def isolated(x: Array) -> NDArray[np.bool_]:
     sixth, third, next_third, next_sixth = (wide[k * ALONE : k * ALONE + n] for k in (0, 1, 3, 4))
     before, after = x - third, x - next_third
     out = np.where(before * after > 0.0, np.minimum(np.abs(before), np.abs(after)), 0.0)
-    out[out < 2.0 * np.maximum(np.abs(third - sixth), np.abs(next_third - next_sixth))] = 0.0
     if not out.any():
         return none
     around = percentile_filter(out, 90, size=101, mode="nearest")
     usual = np.maximum(around, max(float(np.quantile(out, 0.9)), float(out[out > 0.0].min())))
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], out > 6.0 * usual, [False]]).astype(int)))
+    needed = np.maximum(6.0 * usual, 2.0 * np.maximum(np.abs(third - sixth), np.abs(next_third - next_sixth)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], out > needed, [False]]).astype(int)))
     for a, b in edges.reshape(-1, 2):
         none[a:b] = b - a <= ALONE
     return none
