@@ -9,7 +9,7 @@ from galen_hw.diagnosis import adequacy, seek
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.confusion import confusions
 from galen_hw.diagnosis.experiment import next_experiment
-from galen_hw.diagnosis.final import Model, merit, offsets, settle_model
+from galen_hw.diagnosis.final import Model, merit, offsets, settle_model, weighed
 from galen_hw.diagnosis.findings import findings_of, unknown_finding
 from galen_hw.diagnosis.guards import Premise, premises
 from galen_hw.diagnosis.judge import Judged, judge
@@ -89,10 +89,10 @@ def diagnose(
     tell("choosing effects", 0.5)
     selection, model, left = _searched(bench, effects, columns, generic, blind=bool(premise.wrong))
     tell("judging on held-out data", 0.9)
-    chosen = model
+    chosen = weighed(model)
     model, judged = _earned(chosen, holdout)
     if model is not chosen:
-        left = adequacy.leftovers(bench, generic, model.parts, model.rest(), model.rest(white=True))
+        left = _left(bench, generic, model)
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
     diagnosis.holdout = judged.name
     tell("done", 1.0)
@@ -135,6 +135,12 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
     seen = [coarse.raw(s.effect) for s in at_first_sight(bench)]
     coarse.learn_noise(columns, [*adequacy.compact(coarse, generic), *seen], above=coarse.motion_band())
     _, model, left = _searched(coarse, effects, columns, generic, blind=blind)
+    if not left and len(coarse.noise.edges):
+        # What is finely structured passes for quick noise. Only blocks that it was not fitted on can tell, whatever the noise.
+        coarse.noise = coarse.noise.flat()
+        left = adequacy.leftovers(
+            coarse, generic, [h.raw for h in model.parts], model.rest(), model.rest() / coarse.noise.sigma
+        )
     parts = zip(model.parts, model.slices(), strict=True)
     chosen = [(h.effect, model.final[s]) for h, s in parts if h.effect is not None]
     return _Known(chosen, {x.channel: x.kind for x in reversed(left)})
@@ -146,7 +152,11 @@ def _searched(
     """The chosen model under the present noise, and what it leaves."""
     hypotheses = [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)]
     selection, model = _chosen(bench, hypotheses, blind=blind)
-    return selection, model, adequacy.leftovers(bench, generic, model.parts, model.rest(), model.rest(white=True))
+    return selection, model, _left(bench, generic, model)
+
+
+def _left(bench: Bench, generic: list[tuple[str, Array]], model: Model) -> list[adequacy.Left]:
+    return adequacy.leftovers(bench, generic, [h.white for h in model.parts], model.rest(), model.rest(white=True))
 
 
 def _earned(model: Model, holdout: Scene | None) -> tuple[Model, Judged]:

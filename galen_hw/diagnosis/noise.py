@@ -4,7 +4,7 @@ The spectrum is a level per logarithmic band, corrected for what the rich fit it
 power law below the slowest band that a recording of this length can tell from drift (slopes up to that of flicker noise).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -59,6 +59,11 @@ class Noise:
     def colour(self, z: Array, channel: int) -> Array:
         """White noise (M, k) turned into noise like the channel's."""
         return self._filtered(self.transformed(z), channel, 0.5)
+
+    def flat(self) -> "Noise":
+        """White noise at the lowest level of the spectrum: the least that the noise can be."""
+        sigma = np.sqrt(np.min(self.levels, axis=0))
+        return replace(self, edges=np.empty(0), levels=np.empty((0, len(sigma))), sigma=sigma, kept={})
 
     def transformed(self, x: Array) -> Array:
         """(M, k) columns as `whitened` takes them: the part of the work that is the same for all channels.

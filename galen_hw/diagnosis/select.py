@@ -451,9 +451,13 @@ def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
     return all(p.near(t, s) and (misfit < PROVED or p.plausible(t, s)) for p, t, s in named)
 
 
-def crossed(bench: Bench, scorer: Scorer, chosen: list[int], folds: int = 5, *, fine: bool = False) -> Array:
-    """(C,) mean squared error of a model on training blocks left out in turn; `fine`: on short pieces left out in turn."""
-    at = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
+def crossed(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False) -> Array:
+    """(C,) mean squared error of a model on training blocks left out in turn, see `left_out`."""
+    return left_out(bench, [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]], scorer.white, fine=fine)
+
+
+def left_out(bench: Bench, model: list[Hypothesis], white: Array, *, folds: int = 5, fine: bool = False) -> Array:
+    """(C,) mean squared error, raw, on training blocks left out in turn; `fine`: on short pieces left out in turn."""
     train = np.flatnonzero(bench.train)
     if fine:
         fold = train // max(len(bench.rows) // PIECES, 8) % folds
@@ -464,8 +468,8 @@ def crossed(bench: Bench, scorer: Scorer, chosen: list[int], folds: int = 5, *, 
         learn, judge = train[fold != k], train[fold == k]
         if not len(judge) or not len(learn):
             continue
-        theta = fit(at, scorer.white, learn, bench.width)
-        error = bench.y[judge] - predicted(at, theta, judge, bench.width)
+        theta = fit(model, white, learn, bench.width)
+        error = bench.y[judge] - predicted(model, theta, judge, bench.width)
         total += np.sum(error**2, axis=0)
     return total / len(train)
 
