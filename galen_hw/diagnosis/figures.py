@@ -73,6 +73,8 @@ def _residual(ax: Any, traces: Traces, c: int, keep: Array, level: float) -> Non
     style: dict[str, Any] = {"lw": 0.7} if len(traces.time) > 200 else {"lw": 0.8, "marker": "o", "ms": 3}
     if level:
         ax.axhspan(-2 * factor * level, 2 * factor * level, color=FLOOR, lw=0, label="2 sigma of the noise", zorder=0)
+        for edge in (-2 * factor * level, 2 * factor * level):
+            ax.axhline(edge, color=FLOOR, lw=0.9, zorder=4)
     for values, colour, label in ((before, BEFORE, "before"), (after, AFTER, "after")):
         ax.plot(
             traces.time[keep], factor * (values[keep] - middle), color=colour, rasterized=True, label=label, **style

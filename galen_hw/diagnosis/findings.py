@@ -188,7 +188,7 @@ def unknown_finding(bench: Bench, left: list[Left], premise: Premise) -> Finding
         share, z = best.share, best.z
         says = (
             f"Structure is left in {names[best.channel]} that no named effect explains: {dependence(best.kind, bench.scene)}, "
-            f"which accounts for {100 * share:.0f} % of what is left on data not learnt from."
+            f"which makes up {100 * share:.2g} % of what is left and holds on blocks that it was not fitted on."
         )
     evidence = {"heldout_gain": 0.0, "score": float(z), "false_alarm_probability": 2e-4}
     return Finding("unknown", channels, [], says, {"share_left": Value(float(share), 0.0, "1")}, evidence)

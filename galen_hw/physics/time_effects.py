@@ -1,8 +1,8 @@
 """Effects of the clock: one stream late against the other, and slow filters."""
 
 from abc import abstractmethod
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -80,24 +80,29 @@ class Lag(Timing):
     """A first-order response: T dy/dt = w - y; y - w is `share` times that (1 for a plain first order).
 
     `joint` restricts it to one joint. Visible where the channels move quickly; nested with time_delay, to which it is the
-    same for slow motion.
+    same for slow motion: a constant below `shortest` (two samples) is none.
     """
 
     KEY = "lag"
     SEARCHED: ClassVar = {"constant": Searched(1e-4, 1e3, "s")}
     constant: float
     joint: str = ""
+    shortest: float = 0.0
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """From half a sample to seconds."""
+        """From two samples to seconds."""
         if not scene.clock or not np.any(scene.simulated_rate):
             return
-        dt = spacing(scene)
-        for constant in log_grid(max(dt / 2.0, 1e-4), max(1.0, 4.0 * dt), 8):
-            yield cls(constant)
+        shortest = 2.0 * spacing(scene)
+        for constant in log_grid(shortest, max(1.0, 4.0 * shortest), 7):
+            yield cls(constant, "", shortest)
             if scene.observations.predict == "position" and len(scene.channels) > 1:
-                yield from (cls(constant, joint_of(name)) for name in scene.channels)
+                yield from (cls(constant, joint_of(name), shortest) for name in scene.channels)
+
+    def with_searched(self, values: Mapping[str, float]) -> Self:
+        """Another constant, not below the shortest that can be told from a delay."""
+        return replace(self, constant=max(values["constant"], self.shortest))
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """How much of the stream goes through the lag."""

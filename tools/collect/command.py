@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 VIRTUAL_TOOL: Final = "pointer"
 LARGEST_N: Final = 30.0
+BESIDE: Final = ("compensation/state", "status", "fault")
+"""What is recorded beside the topics that the rows are made of; poses and contact can be had from these again."""
 BLOCKS: Final = " ▁▂▃▄▅▆▇█"
 
 
@@ -51,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     from galen_hw.config.paths import Addresses, client_runtime_dir
     from galen_hw.config.tool_store import ToolStore
     from galen_hw.daemon.session import own_daemon
-    from galen_hw.messages import TOPICS
+    from galen_hw.tools.collect.rows import TOPICS
     from galen_hw.tools.collect.session import CollectSession
     from galen_hw.tools.record import session_context
 
@@ -73,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
             robot, tool = _robot(info), store.load(name)
             plan = _plan(args, robot, name)
             hand = _hand(addresses, name, robot, stack) if info["virtual"] else _Operator()
-            subscriber = stack.enter_context(Subscriber(addresses.bus, TOPICS, queue=50_000))
+            subscriber = stack.enter_context(Subscriber(addresses.bus, [*TOPICS, *BESIDE], queue=50_000))
             live = stack.enter_context(_live(console))
             CollectSession(
                 plan,

@@ -30,7 +30,7 @@ LEAST_FRAMES: Final = 20
 TRIES: Final = 4
 TRACE: Final = 60
 TAPE: Final = "{}.mcap"
-"""Everything that was on the bus during a set, beside its table's folder."""
+"""The messages of a set, beside its table's folder."""
 
 
 class Hand(Protocol):
@@ -100,7 +100,7 @@ class CollectSession:
 
     @contextmanager
     def _taped(self, step: Step) -> Iterator[None]:
-        """Everything on the bus goes to a file of the set, whole whatever ends it."""
+        """All messages go to a file of the set, whole whatever ends it."""
         with open_new(self.plan.folder / TAPE.format(step.name), overwrite=True) as stream:
             self._tape = Session(stream, **self.context)
             try:
