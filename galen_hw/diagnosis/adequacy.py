@@ -29,15 +29,15 @@ class Left:
         channel: place.
         kind: what the generic functions were of.
         z: (T - k) / sqrt(2 k) on the training rows.
-        share: of the rest's mean square.
-        predicted: (M,) in raw units; basis: (M, k) the functions.
+        share: of the whitened rest's mean square, on blocks left out.
+        size: rms in raw units; basis: (M, k) the functions.
     """
 
     channel: int
     kind: str
     z: float
     share: float
-    predicted: Array
+    size: float
     basis: Array
 
 
@@ -173,12 +173,11 @@ def leftovers(
             z = (T - k) / np.sqrt(2.0 * k)
             if z < Z_NEEDED or chi2.sf(T, k) > CHANCE / (len(generic) * bench.width):
                 continue
-            if _crossed(A @ V, y, block, ridge=LEAST_RIDGE + k / T) < T_NEEDED:
-                continue
-            predicted = X @ (V @ projected)
-            power = max(float(np.sum(rest[good, c] ** 2)), 1e-300)
-            share = 1.0 - float(np.sum((rest[good, c] - predicted[good]) ** 2)) / power
-            out.append(Left(c, kind, z, share, predicted, X))
+            sure, gain = _crossed(A @ V, y, block, ridge=LEAST_RIDGE + k / T)
+            if sure >= T_NEEDED:
+                share = gain / max(float(y @ y), 1e-300)
+                size = float(bench.noise.sigma[c]) * float(np.sqrt(gain / len(y)))
+                out.append(Left(c, kind, z, share, size, X))
     return sorted(out, key=lambda left: -left.z)
 
 
@@ -196,8 +195,8 @@ def _beside(Xw: Array, base: Array) -> tuple[Array, Array]:
     return V, A
 
 
-def _crossed(U: Array, y: Array, block: Index, *, ridge: float, folds: int = 5) -> float:
-    """How surely orthonormal functions U (n, k) predict blocks that they were not fitted on: mean gain over its error.
+def _crossed(U: Array, y: Array, block: Index, *, ridge: float, folds: int = 5) -> tuple[float, float]:
+    """How surely orthonormal functions U (n, k) predict blocks that they were not fitted on: mean gain over its error; gain.
 
     Ridge regression, so that many functions of which few matter may win and none is trusted that mostly lives in the blocks
     left out. Blocks are the unit: slow noise inside a block is one piece of luck.
@@ -213,4 +212,4 @@ def _crossed(U: Array, y: Array, block: Index, *, ridge: float, folds: int = 5) 
         gain[judge] = predicted * (2.0 * y[judge] - predicted)
     each = np.bincount(block, gain)[np.unique(block)]
     spread = float(np.std(each, ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else np.inf
-    return float(np.mean(each)) / max(spread, 1e-300)
+    return float(np.mean(each)) / max(spread, 1e-300), float(gain.sum())

@@ -76,6 +76,7 @@ def diagnose(
     bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, COARSE)
     glitch = _glitches(bench)
     coarse.leave_out(bench.spoilt)
+    glitch = [] if premise.wrong else glitch  # nothing is claimed of a recording that is not what it says it is
     tell("simulating every effect", 0.1)
     effects = library(bench)
     columns, coarser = _columns(effects, bench, coarse)
@@ -237,7 +238,7 @@ def _said(
     findings = findings_of(model, selection, judged, glitch)
     for finding in findings:
         finding.confounded_with = confusions(model, selection, finding)
-    rest = _strong(left, judged, bench)
+    rest = _strong(left, judged, bench) or _beyond(judged, bench)
     if premise.wrong or rest:
         findings.append(unknown_finding(bench, rest, premise))
     verdict = _verdict(findings, rest, premise)
@@ -265,11 +266,33 @@ def _said(
     )
 
 
+BEYOND = 1.5
+"""Held-out mean square over the noise's above which something is left, whether or not any function tried has caught it."""
+
+
+def _beyond(judged: Judged, bench: Bench) -> list[adequacy.Left]:
+    """Channels in which the model does not hold on data that it did not learn from."""
+    ratio = judged.after / judged.floor
+    none = np.zeros((len(bench.rows), 0))
+    return [
+        adequacy.Left(
+            int(c),
+            "nothing that was recorded",
+            float(ratio[c]),
+            float(1.0 - 1.0 / ratio[c]),
+            float(np.sqrt(judged.after[c] - judged.floor[c])),
+            none,
+        )
+        for c in np.argsort(-ratio)
+        if ratio[c] > BEYOND
+    ]
+
+
 def _strong(left: list[adequacy.Left], judged: Judged, bench: Bench) -> list[adequacy.Left]:
     """Leftovers that are worth saying: above chance, and not a trifle beside what was found or the noise."""
     out = []
     for one in left:
-        size = float(np.mean(one.predicted**2))
+        size = one.size**2
         before = float(judged.before[one.channel] - bench.noise.sigma[one.channel] ** 2)
         # A rounded reading follows its signal in part: a fifth of the rounding's variance is no physics.
         rounding = 0.2 * float(bench.steps[one.channel]) ** 2 / 12.0

@@ -1,7 +1,7 @@
 """The noise of every channel: its spectrum from what a rich fit leaves, whitening by it, and surrogates that look like it.
 
 The spectrum is a level per logarithmic band, corrected for what the rich fit itself took out of each band, and continued as a
-power law below the slowest band that a recording of this length can tell from drift (slopes up to that of flicker noise).
+power law below the slowest band that a recording of this length can tell from drift.
 """
 
 from dataclasses import dataclass, field, replace
@@ -16,6 +16,9 @@ from galen_hw.spatial import Array
 BANDS_PER_DECADE = 6
 LINES = 18
 SHORTEST = 96
+STEEPEST = -0.5
+"""Slope (power of the frequency) along which the spectrum is continued below the slowest band at most: half of flicker noise.
+Slower wander than a recording can tell from drift is called drift."""
 SLOW_CYCLES = 7.0
 """Below so many cycles in a segment the spectrum is continued, not measured."""
 
@@ -106,11 +109,11 @@ class Noise:
 
 
 def _line(at: Array, centres: Array, level: Array) -> Array:
-    """Linear interpolation; below the first centre, on along the slope of the slowest decade (0 to flicker)."""
+    """Linear interpolation; below the first centre, on along the slope of the slowest decade (at most `STEEPEST`)."""
     out = np.interp(at, centres, level)
     reach = centres < centres[0] + 1.5 * np.log(10.0)
     slope = _slope(centres[reach], level[reach]) if reach.sum() >= 3 else 0.0
-    slope = min(max(slope, -1.25), 0.0)
+    slope = min(max(slope, STEEPEST), 0.0)
     below = at < centres[0]
     out[below] = level[0] + slope * (at[below] - centres[0])
     return out

@@ -1,6 +1,6 @@
 """Which effects: forward by likelihood with a held-out guard, then drop-one and swaps; searched values polished."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -164,12 +164,35 @@ def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int,
     fresh = []
     for i in list(leaders.values())[:4]:
         effect = scorer.library[i].effect
-        if effect is not None and effect.searched() and len(leaders) > 1:
+        if effect is not None and effect.exact(bench.scene, np.zeros(scorer.library[i].count)) is not None:
+            scores[i] = bent(bench, scorer, chosen, i, scores[i])
+        elif effect is not None and effect.searched() and len(leaders) > 1:
             better = polished(bench, scorer, chosen, i)
             if better != i:
                 scores.update(scorer.scores(chosen, [better])[0])
                 fresh.append(better)
     return sorted([*able, *(i for i in fresh if i in scores)], key=lambda i: -scores[i].rank)
+
+
+def bent(bench: Bench, scorer: Scorer, chosen: list[int], i: int, score: Score) -> Score:
+    """The score of a nonlinear effect at its own optimum (Gauss and Newton) instead of by its slope at zero."""
+    h, y, theta = scorer.library[i], bench.y, scorer.solve([*chosen, i])[0][-scorer.library[i].count :]
+    base = [scorer.library[j] for j in [*range(len(scorer.base)), *chosen]]
+    rows = np.flatnonzero(bench.train)
+    _, white = rests(bench, scorer, chosen)
+    before, best = float(np.sum(white[rows] ** 2)), score.gain
+    for _ in range(2):
+        new, offset = tangent(bench, h, theta)
+        target = bench.whitened(y - offset)
+        model = [*base, new]
+        solved = fit(model, target, rows, bench.width)
+        rest, done = target[rows].copy(), 0
+        for part in model:
+            rest[:, list(part.white.channels)] -= part.white.values[rows] @ solved[done : done + part.count]
+            done += part.count
+        theta = solved[-h.count :]
+        best = max(best, before - float(np.sum(rest**2)))
+    return replace(score, gain=best, rank=score.rank + best - score.gain)
 
 
 SLACK = 0.25

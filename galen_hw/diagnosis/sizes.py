@@ -19,7 +19,7 @@ HEAD: Final[dict[str, tuple[str, ...]]] = {
     "time_delay": ("delay",),
     "lag": ("constant",),
     "creep": ("share", "compliance", "constant"),
-    "backlash": ("half_width",),
+    "backlash": ("half_width", "half_play"),
     "vibration": ("frequency",),
     "payload": ("mass", "moment_."),
     "base_tilt": ("tilt_.",),

@@ -221,7 +221,7 @@ class Backlash(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """The share of the play, or half of it."""
         if self.half_width is None:
-            return (Parameter("half_width", "rad or m"),)
+            return (Parameter("half_play", "rad or m"),)
         return (Parameter("share", "1", 0.0, expected=1.0),)
 
     def columns(self, scene: Scene) -> Columns:
