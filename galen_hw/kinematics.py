@@ -294,5 +294,5 @@ def _rows(one: Callable[..., Array], shape: tuple[int, ...], *inputs: Array) -> 
     """Apply pinocchio's one-sample functions row by row."""
     out = np.empty((len(inputs[0]), *shape))
     for i, row in enumerate(zip(*inputs, strict=True)):
-        out[i] = one(*row)
+        out[i] = np.reshape(one(*row), shape)  # pinocchio gives a vector for a matrix of one column
     return out

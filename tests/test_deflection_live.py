@@ -98,7 +98,7 @@ def test_without_a_tracker_or_with_a_hidden_tool_one_line_says_what_to_do(
 def test_a_session_that_was_stopped_goes_on_and_ends_in_a_corrected_pose(
     daemon: tuple[Addresses, Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Ctrl-C after the first set, a marker that slips, then the rest; the model that is fitted halves the tip's error."""
+    """Ctrl-C after the registration, a marker that slips, then the rest; the model that is fitted halves the tip's error."""
     addresses, state = daemon
     folder = tmp_path / "session"
     command = [sys.executable, "-u", "-m", "galen_hw.cli", *collect(addresses, folder)]
@@ -107,11 +107,12 @@ def test_a_session_that_was_stopped_goes_on_and_ends_in_a_corrected_pose(
         lines = []
         for line in stopped.stdout:
             lines.append(line)
-            if "place1-1: kept" in line:
+            if "calibration-1: kept" in line:
                 stopped.send_signal(2)
         assert stopped.wait(20) == 130
     assert any("go on with" in line for line in lines)
-    before = (folder / "place1-1" / "recording.csv").read_bytes()
+    kept = folder / "calibration-1" / "recording.csv"
+    before = kept.read_bytes()
 
     with VirtualControl(addresses.virtual) as world:
         world.fault("tracker.moved_marker")
@@ -122,7 +123,7 @@ def test_a_session_that_was_stopped_goes_on_and_ends_in_a_corrected_pose(
 
     # A busy machine can lose so many frames of a set that it is not kept: then the command is given again, as one would.
     assert any(main(collect(addresses, folder)) == 0 for _ in range(TRIES))
-    assert (folder / "place1-1" / "recording.csv").read_bytes() == before, "what was kept is not touched"
+    assert kept.read_bytes() == before, "what was kept is not touched"
     names = {"calibration-1", "place1-1", "place2-1", "place3-1", "calibration-2"}
     assert {p.parent.name for p in folder.glob("*/recording.json")} == names
     tape = McapFile(folder / "place2-1.mcap")

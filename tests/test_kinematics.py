@@ -111,3 +111,14 @@ def _pendulum(rpy: str) -> str:
     <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
     <joint name="hinge" type="revolute"><parent link="base"/><child link="bob"/><axis xyz="0 1 0"/>
     <limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
+
+
+def test_a_robot_of_one_joint_has_a_jacobian_of_one_column():
+    """A beam of 0.5 m about a level axis: its end moves across it, one metre a second for two radians."""
+    urdf = """<robot name="beam"><link name="base"/><link name="arm"/><link name="end"/>
+    <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" velocity="5" effort="9"/></joint>
+    <joint name="tip" type="fixed"><parent link="arm"/><child link="end"/><origin xyz="0.5 0 0"/></joint></robot>"""
+    J = UrdfRobot(urdf).sensor_jacobian([[0.0], [0.4]])
+    assert J.shape == (2, 6, 1)
+    np.testing.assert_allclose(J[0, :, 0], [0.0, 0.0, -0.5, 0.0, 1.0, 0.0], atol=1e-12)

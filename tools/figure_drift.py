@@ -8,17 +8,19 @@ import numpy as np
 
 from galen_hw.config.tool_file import ToolFile
 from galen_hw.services.admittance import AdmittanceSettings
+from galen_hw.tools.calibration.figures import DONE, RAW, styled
 from galen_hw.tools.hand_over_hand import HandOverHand, Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Panel
+    from matplotlib.figure import Figure
 
     Axes = np.ndarray[tuple[int], np.dtype[np.object_]] | list[Panel]
 
 TURN: Final = (0.7, 0.45, 0.0)
 """The hand turns the tool so (rotation vector, rad, base axes)."""
 BEFORE_S, TAKE_S, MOVE_S, LET_GO_S, END_S = 1.0, 0.5, 2.0, 4.0, 7.5
-ORANGE, BLUE, GREY = "#d55e00", "#0072b2", "#777777"
+GREY: Final = "#777777"
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,20 @@ def measure_drift(tool: ToolFile, *, held: str = "retractor", seed: int = 0) -> 
     return Drift(off, on, *travel, *speed)
 
 
+def drift_figure(drift: Drift) -> "Figure":
+    """Force that the control sees, speed of the tip, and how far it goes once it is let go."""
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(1, 3, figsize=(12.0, 3.5), sharex=True, layout="constrained")
+    for trace, colour, name in ((drift.off, RAW, "tared at home only"), (drift.on, DONE, "compensated")):
+        _draw_run(axes, trace, colour, name)
+    _label(axes, drift)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    figure.suptitle("Hand over hand: the tool is turned by the hand and let go")
+    return figure
+
+
 def draw_drift(path_png: Path, tool: ToolFile, *, held: str = "retractor", seed: int = 0) -> Drift:
     """Simulate both runs and draw them.
 
@@ -78,18 +94,12 @@ def draw_drift(path_png: Path, tool: ToolFile, *, held: str = "retractor", seed:
         tool: the tool's calibrated file, e.g. the one that the demonstration has just found.
         held: the tool in the virtual robot's hand.
     """
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
     drift = measure_drift(tool, held=held, seed=seed)
-    with mpl.rc_context({"font.size": 9.0}):
-        figure, axes = plt.subplots(3, 1, figsize=(6.3, 6.0), sharex=True, layout="constrained")
-        for trace, colour, name in ((drift.off, ORANGE, "tared at home only"), (drift.on, BLUE, "compensated")):
-            _draw_run(axes, trace, colour, name)
-        _label(axes, drift)
-        figure.savefig(path_png, dpi=200)
+    with styled():
+        from matplotlib import pyplot as plt
+
+        figure = drift_figure(drift)
+        figure.savefig(path_png, dpi=140)
         plt.close(figure)
     return drift
 
@@ -101,27 +111,24 @@ def _draw_run(axes: "Axes", trace: Trace, colour: str, name: str) -> None:
     whole = len(trace.time) // every
     force = trace.contact[: whole * every, :3].reshape(whole, every, 3).mean(axis=1)
     free = trace.after(LET_GO_S)
-    axes[0].plot(t[:whole] + 0.5 * (t[1] - t[0]), np.linalg.norm(force, axis=1), color=colour, lw=1.3, label=name)
-    axes[1].plot(t[1:], 1e3 * speed, color=colour, lw=1.3)
-    axes[2].plot(free.time, 1e3 * free.travel, color=colour, lw=1.3)
+    axes[0].plot(t[:whole] + 0.5 * (t[1] - t[0]), np.linalg.norm(force, axis=1), color=colour, lw=1.4, label=name)
+    axes[1].plot(t[1:], 1e3 * speed, color=colour, lw=1.4)
+    axes[2].plot(free.time, 1e3 * free.travel, color=colour, lw=1.8)
 
 
 def _label(axes: "Axes", drift: Drift) -> None:
-    axes[0].set_ylabel("force that the control\nsees, N")
-    axes[1].set_ylabel("speed of the tip,\nmm/s")
-    axes[2].set_ylabel("distance of the tip from\nwhere it was let go, mm")
-    axes[2].set_xlabel("time, s")
-    axes[0].legend(frameon=False, loc="upper left")
+    titles = ("force that the control sees, N", "speed of the tip, mm/s", "way of the tip after it is let go, mm")
     deadband = AdmittanceSettings().force_deadband
     axes[0].axhline(deadband, color=GREY, lw=0.8, ls="--")
-    axes[0].text(END_S, deadband, "dead band", color=GREY, ha="right", va="bottom")
-    for axis in axes:
-        axis.axvspan(TAKE_S, LET_GO_S, color="#eeeeee", lw=0)
+    axes[0].text(END_S, deadband, "dead band", color=GREY, ha="right", va="bottom", fontsize=8.0)
+    for axis, title in zip(axes, titles, strict=True):
+        axis.set_title(title, loc="left")
+        axis.set_xlabel("time, s")
+        axis.axvspan(TAKE_S, LET_GO_S, color="#eef1f2", lw=0, zorder=0)
         axis.set_xlim(0.0, END_S)
         axis.set_ylim(bottom=0.0, top=1.12 * axis.get_ylim()[1])
-        axis.spines[["top", "right"]].set_visible(False)
-    axes[1].text(0.5 * (TAKE_S + LET_GO_S), axes[1].get_ylim()[1], "the hand turns the tool", ha="center", va="top")
-    for value, colour in ((drift.drift_off, ORANGE), (drift.drift_on, BLUE)):
-        text = f"{1e3 * value:.1f} mm"
-        place = (END_S, 1e3 * value)
-        axes[2].annotate(text, place, (-4, 5), textcoords="offset points", ha="right", color=colour)
+        middle, top = 0.5 * (TAKE_S + LET_GO_S), 0.97 * axis.get_ylim()[1]
+        axis.text(middle, top, "in the hand", ha="center", va="top", color=GREY, fontsize=8.0)
+    for value, colour in ((drift.drift_off, RAW), (drift.drift_on, DONE)):
+        text, place = f"{1e3 * value:.1f} mm", (END_S, 1e3 * value)
+        axes[2].annotate(text, place, (-4, 5), textcoords="offset points", ha="right", color=colour, weight="bold")

@@ -173,6 +173,7 @@ def _import(args: argparse.Namespace, store: "ToolStore") -> int:
         text = args.file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"cannot be read ({error})", where=str(args.file), todo="give a tool's file") from None
+    _refuse_bare_terms(text, args.file)
     tool = parse_tool(text, str(args.file))
     problems = [] if args.force else _foreign(args, tool)
     if problems:
@@ -187,6 +188,17 @@ def _import(args: argparse.Namespace, store: "ToolStore") -> int:
     text = f"imported {saved.calibration_id}" + (f" with {effects}" if effects else "")
     text += "; the daemon uses it now" if live else ""
     return _done(args, {"name": saved.name, "calibration": saved.calibration_id}, text)
+
+
+def _refuse_bare_terms(text: str, file: Path) -> None:
+    """Terms that a diagnosis saved without knowing the tool."""
+    try:
+        data = json.loads(text)
+    except ValueError:
+        return
+    if isinstance(data, dict) and "terms" in data and "name" not in data:
+        todo = "galen-hw diagnose ... --tool NAME --save-model writes a whole one"
+        raise UsageError("holds effects, but no tool that they belong to", where=str(file), todo=todo)
 
 
 def _foreign(args: argparse.Namespace, tool: "ToolFile") -> list[str]:

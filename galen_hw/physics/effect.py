@@ -193,8 +193,12 @@ def in_channel(channel: int, columns: Iterable[Array]) -> Columns:
 
 
 def in_all(columns: Iterable[Array], width: int) -> Columns:
-    """Columns (N, C) of all channels."""
-    return Columns(tuple(range(width)), np.stack(list(columns), axis=-1))
+    """Columns (N, C) of all channels; those in which all are zero are left out, where any is not."""
+    values = np.stack(list(columns), axis=-1)
+    live = np.flatnonzero(values.any(axis=(0, 2)))
+    if 0 < len(live) < width:
+        return Columns(tuple(live.tolist()), values[:, live])
+    return Columns(tuple(range(width)), values)
 
 
 def unit_of(scene: Scene, channel: str) -> str:

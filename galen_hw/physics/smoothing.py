@@ -78,20 +78,23 @@ def isolated(x: Array) -> NDArray[np.bool_]:
     """(N,) samples, at most three in a row, that stand out to one side of what lies before and after them.
 
     How far a sample stands out is the smaller of its distances to the third one before and after, where both have one sign;
-    zero on slopes, steps and ramps. It must be six times what nine samples of ten around it stay below.
+    zero on slopes, steps and ramps. It must be six times what nine samples of ten around it stay below, and twice what the
+    signal itself changes there from the sixth sample to the third (a cusp is no spike).
     """
     n = len(x)
     none = np.zeros(n, dtype=bool)
     if n < 20 or not np.isfinite(x).all():
         return none
-    wide = np.pad(x, ALONE, mode="reflect")
-    before, after = x - wide[:n], x - wide[2 * ALONE :]
+    wide = np.pad(x, 2 * ALONE, mode="reflect")
+    sixth, third, next_third, next_sixth = (wide[k * ALONE : k * ALONE + n] for k in (0, 1, 3, 4))
+    before, after = x - third, x - next_third
     out = np.where(before * after > 0.0, np.minimum(np.abs(before), np.abs(after)), 0.0)
     if not out.any():
         return none
     around = percentile_filter(out, 90, size=101, mode="nearest")
     usual = np.maximum(around, max(float(np.quantile(out, 0.9)), float(out[out > 0.0].min())))
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], out > 6.0 * usual, [False]]).astype(int)))
+    needed = np.maximum(6.0 * usual, 2.0 * np.maximum(np.abs(third - sixth), np.abs(next_third - next_sixth)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], out > needed, [False]]).astype(int)))
     for a, b in edges.reshape(-1, 2):
         none[a:b] = b - a <= ALONE
     return none

@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, log_grid, spacing
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, log_grid, spacing
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
@@ -23,10 +23,14 @@ class Timing(Effect):
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
         """(N, m) signals as this stream delivers them, whatever they are."""
 
+    def places(self, scene: Scene) -> tuple[int, ...]:
+        """The channels that it makes late: the named joint's, or all."""
+        return tuple(i for i, name in enumerate(scene.channels) if self.joint in ("", joint_of(name)))
+
     def delivered(self, scene: Scene, columns: Columns, theta: Array) -> Columns:
         """What another effect does, as it arrives through this stream: the channels of `joint` alone where one is named."""
-        names = [joint_of(scene.channels[c]) for c in columns.channels]
-        mine = [i for i, name in enumerate(names) if self.joint in ("", name)]
+        places = self.places(scene)
+        mine = [i for i, c in enumerate(columns.channels) if c in places]
         if not mine or not columns.count:
             return columns
         values = columns.values.copy()
@@ -61,18 +65,19 @@ class TimeDelay(Timing):
 
     def columns(self, scene: Scene) -> Columns:
         """Minus the simulated rate."""
-        return in_all([-self._mine(scene, scene.simulated_rate)], len(scene.channels))
+        places = self.places(scene)
+        return Columns(places, -scene.simulated_rate[:, places, None])
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
         """The simulated channels shifted, less themselves."""
-        return self._mine(scene, self.retimed(scene, scene.simulated, theta) - scene.simulated)
+        places, out = self.places(scene), np.zeros_like(scene.simulated)
+        mine = scene.simulated[:, places]
+        out[:, places] = self.retimed(scene, mine, theta) - mine
+        return out
 
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
         """(N, m) signals as this stream delivers them."""
         return scene.delay("delay", x, float(theta[0]))
-
-    def _mine(self, scene: Scene, values: Array) -> Array:
-        return values if not self.joint else values * _mask(scene, self.joint)
 
 
 @dataclass(frozen=True)
@@ -110,8 +115,9 @@ class Lag(Timing):
 
     def columns(self, scene: Scene) -> Columns:
         """Lagged less simulated."""
-        change = self._lagged(scene, scene.simulated) - scene.simulated
-        return in_all([change if not self.joint else change * _mask(scene, self.joint)], len(scene.channels))
+        places = self.places(scene)
+        mine = scene.simulated[:, places]
+        return Columns(places, (self._lagged(scene, mine) - mine)[:, :, None])
 
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
         """(N, m) signals as this stream delivers them."""
@@ -124,7 +130,3 @@ class Lag(Timing):
 def joint_of(channel: str) -> str:
     """NAME of joint.NAME.kind."""
     return channel.split(".", 1)[1].rsplit(".", 1)[0] if channel.startswith("joint.") else ""
-
-
-def _mask(scene: Scene, joint: str) -> Array:
-    return np.array([joint_of(name) == joint for name in scene.channels], dtype=float)

@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Any
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, GalenError, UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from matplotlib.figure import Figure
     from rich.console import Console
 
     from galen_hw.config.paths import Addresses
@@ -250,9 +253,25 @@ def _report(
     leaf = f"{tool.name}-{number:04d}" if accepted else f"{tool.name}-not-accepted"
     folder = session.args.report or session.store.state_dir / "reports" / leaf
     state = f"accepted as {tool.calibration_id}" if accepted else "not accepted"
-    page = write_report(result, folder, tool, check, state)
+    more = _drift(session, tool) if check is not None else ()
+    page = write_report(result, folder, tool, check, state, more)
     session.console.print(f"figures and page: {page}")
     return page
+
+
+def _drift(session: _Session, tool: "ToolFile") -> "tuple[tuple[str, Callable[[], Figure]], ...]":
+    """On a virtual robot: what the compensation is for, shown with the calibration that was just found."""
+    from galen_hw.drivers.virtual.truth import TOOLS
+
+    if tool.origin is None or not tool.origin.virtual or tool.name not in TOOLS:
+        return ()
+    from galen_hw.tools.figure_drift import drift_figure, measure_drift
+
+    session.console.print("turning the tool by hand and letting go, without and with the compensation")
+    drift = measure_drift(tool, held=tool.name)
+    text = f"  drifts {1e3 * drift.drift_off:.1f} mm in 3.5 s without, {1e3 * drift.drift_on:.1f} mm with it"
+    session.console.print(text, style="bold", highlight=False)
+    return (("hand_over_hand", lambda: drift_figure(drift)),)
 
 
 def _as_json(

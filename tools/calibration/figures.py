@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
@@ -46,15 +46,23 @@ STYLE: Final[Any] = {
 }
 
 
-def write_report(result: Result, folder: Path, tool: ToolFile, check: LiveCheck | None, state: str) -> Path:
+def write_report(
+    result: Result,
+    folder: Path,
+    tool: ToolFile,
+    check: LiveCheck | None,
+    state: str,
+    more: Iterable[tuple[str, Callable[[], "Figure"]]] = (),
+) -> Path:
     """Write the figures as PNG and `report.html` into a folder; the page's path.
 
     Args:
         tool: the tool's file that results; check: the live check, once it has run.
         state: one line: accepted as what, or not.
+        more: further figures by name, made in the same style.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    pictures = {name: _png(figure) for name, figure in figures(result, check)}
+    pictures = {name: _png(figure) for name, figure in figures(result, check, more)}
     for name, data in pictures.items():
         (folder / f"{name}.png").write_bytes(data)
     page = folder / "report.html"
@@ -62,11 +70,15 @@ def write_report(result: Result, folder: Path, tool: ToolFile, check: LiveCheck 
     return page
 
 
-def figures(result: Result, check: LiveCheck | None) -> Iterator[tuple[str, "Figure"]]:
+def figures(
+    result: Result, check: LiveCheck | None, more: Iterable[tuple[str, Callable[[], "Figure"]]] = ()
+) -> Iterator[tuple[str, "Figure"]]:
     """Name and figure, one after the other."""
-    with _style():
+    with styled():
         if check is not None:
             yield "compensation_live", live_figure(check, result.name)
+        for name, make in more:
+            yield name, make()
         yield "compensation", verification_figure(result)
         yield "residuals", residual_figure(result)
         yield "candidates", candidates_figure(result)
@@ -74,7 +86,8 @@ def figures(result: Result, check: LiveCheck | None) -> Iterator[tuple[str, "Fig
 
 
 @contextmanager
-def _style() -> Iterator[None]:
+def styled() -> Iterator[None]:
+    """Figures made inside look alike."""
     import matplotlib as mpl
 
     mpl.use("Agg")

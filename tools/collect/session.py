@@ -229,7 +229,6 @@ class CollectSession:
         found["force"] = np.einsum("nij,nj->ni", R, found["force"] - np.nanmean(found["force"][rest], axis=0))
         self._cover(step, found["force"])
         self._write(step, found)
-        self.say(f"{step.name}: kept, {len(found['time'])} frames, {self.rows.seen:.0%} seen")
 
     def _need_registration(self, step: Step) -> None:
         """At rest the tool's marker must be where the registration says.
@@ -291,3 +290,5 @@ class CollectSession:
         }
         columns = tip_columns(self.robot, places, found)
         write_table(Recording(columns, RecordingInfo.model_validate(info)), self.plan.folder / step.name)
+        seen = np.isfinite(found["M"][:, 0, 0])
+        self.say(f"{step.name}: kept, {len(seen)} frames, {seen.mean():.0%} seen")

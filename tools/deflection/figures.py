@@ -83,10 +83,7 @@ def _errors(out: Comparison, figure: "Figure") -> "Figure":
         heights = [1e3 * out.scores[name].rmse[kind] for kind in kinds]
         bars = axes.bar(np.arange(len(kinds)) + i * width, heights, 0.9 * width, label=name, color=colours[i % 5])
         axes.bar_label(bars, fmt="%.2f", fontsize=7)
-    axes.axhline(1e3 * out.noise_m, color=INK, lw=1, ls=":")
-    axes.annotate(
-        "tracker noise", (0.42, 1e3 * out.noise_m), xycoords=("axes fraction", "data"), ha="right", va="bottom"
-    )
+    axes.axhline(1e3 * out.noise_m, color=INK, lw=1, ls=":", label="tracker noise")
     axes.set_xticks(np.arange(len(kinds)) + 0.4 - 0.5 * width, kinds)
     axes.set_ylabel("rms error of the tip, mm")
     axes.grid(visible=False, axis="x")

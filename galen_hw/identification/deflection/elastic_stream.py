@@ -1,10 +1,12 @@
 """The elastic arm sample by sample, in plain floats: what the effects of `galen_hw.physics` give for all rows."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import expm1, tanh
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from galen_hw.identification.deflection.bent import chain_order
 from galen_hw.identification.deflection.elastic_terms import Term, Weight
@@ -115,19 +117,24 @@ class ElasticStream(GiveStream):
         """Screws of the ports for these joints, their answers, and how each changes with the others' gives."""
         weight, count = self._weight.mass * self._gravity, len(self._names)
         point = place.sensor + place.R @ (np.asarray(self._weight.moment) / (self._weight.mass or 1.0))
-        order = {name: k for k, name in enumerate(chain_order(self._names, place.names))}
+        proximal, distal = self._pairs(place.names)
         screws = np.array([_screw(place, name) for name in self._names]).reshape(count, 6)
-        along, held = (screws[:, :3] + np.cross(screws[:, 3:], p) for p in (place.tip, point))
-        second, turns = np.empty((count, count, 3)), np.empty((count, count, 3))
-        for i in range(count):
-            for j in range(count):
-                p, d = (i, j) if order[self._names[i]] <= order[self._names[j]] else (j, i)
-                second[i, j] = _cross(screws[p, 3:], along[d])
-                turns[i, j] = _cross(screws[p, 3:], screws[d, 3:])
-                self._bent_weights[i, j] = weight @ _cross(screws[p, 3:], held[d])
+        turn = screws[:, 3:]
+        along, held = (screws[:, :3] + _cross(turn, p) for p in (place.tip, point))
+        second = _cross(turn[proximal], along[distal])
+        turns = _cross(turn[proximal], turn[distal])
+        self._bent_weights = _cross(turn[proximal], held[distal]) @ weight
         self._screws, self._second, self._weights = screws, second, held @ weight
-        self._answers = np.concatenate([along, screws[:, 3:]], axis=1)
+        self._answers = np.concatenate([along, turn], axis=1)
         self._columns = np.concatenate([0.5 * second, 0.25 * turns], axis=2).reshape(count, 6 * count)
+
+    def _pairs(self, joints: Sequence[str]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """(n, n) which of two ports is nearer to the base, and which is farther."""
+        order = chain_order(self._names, joints)
+        rank = np.array([order.index(name) for name in self._names], dtype=np.intp)
+        number = np.arange(len(rank), dtype=np.intp)
+        nearer = rank[:, None] <= rank[None]
+        return np.where(nearer, number[:, None], number), np.where(nearer, number, number[:, None])
 
     def step(self, t_s: float, force: Triple, moment: Triple) -> Six:
         """Gives of the rigid arm, which bend it; loads on the bent arm; gives, each through the bent port."""
@@ -240,5 +247,6 @@ def _answer(part: _Part, load: float, left: float, dt: float) -> float:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Of two vectors (3,); numpy's own is ten times slower for a single pair."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    """Of vectors (..., 3); numpy's own is several times slower for few pairs."""
+    (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)

@@ -1,0 +1,208 @@
+"""The diagnosis against concealed effects: each by itself, nulls, pairs, what has no name, and a tilted axis in a sweep."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import diagnosis_cases as cases
+from diagnosis_cases import IN_EFFORT, IN_POSITION, IN_WRENCH, SIGMA, Beam, Bench, Servo
+
+from galen_hw.diagnosis.engine import diagnose
+from galen_hw.diagnosis.result import Diagnosis
+from galen_hw.physics.observations import Observations
+from galen_hw.physics.table import scene_of
+
+
+def answer(observations: Observations) -> Diagnosis:
+    """What the program says of a recording."""
+    return diagnose(scene_of(observations)).diagnosis
+
+
+def named(d: Diagnosis) -> list[str]:
+    """The effects found, first things first."""
+    return [finding.effect for finding in d.findings]
+
+
+def parameter(d: Diagnosis, effect: str, name: str) -> float:
+    """One number of a finding; where a finding has several places, of the first."""
+    found = next(f.parameters for f in d.findings if f.effect == effect)
+    return next(v.value for k, v in found.items() if k == name or k.endswith(f": {name}"))
+
+
+CHANNELS = {
+    "bias": "wrench.force.x",
+    "step": "wrench.force.y",
+    "drift": "wrench.force.x",
+    "temperature": "wrench.force.z",
+    "gain": "wrench.force.x",
+    "cross_talk": "wrench.torque.y",
+    "saturation": "wrench.force.y",
+    "creep": "wrench.force.x",
+    "hysteresis": "wrench.force.y",
+    "vibration": "wrench.force.z",
+    "glitches": "wrench.force.x",
+}
+NUMBERS = {
+    "bias": ("offset", 0.1),
+    "step": ("jump_wrench.force.y", 0.08),
+    "drift": ("change", 0.15),
+    "temperature": ("coefficient", 0.03),
+    "gain": ("gain_error", 0.08),
+    "cross_talk": ("leak", 2e-3),
+    "saturation": ("limit", 0.7),
+    "time_delay": ("delay", 0.12),
+    "lag": ("constant", 0.6),
+    "creep": ("share", 0.15),
+    "vibration": ("frequency", 3.7),
+    "payload": ("mass", 0.02),
+    "inertial": ("share", 1.0),
+    "joint_offset": ("offset", 0.03),
+    "joint_scale": ("scale_error", 0.05),
+    "sensor_mounting": ("turn_z", 0.04),
+    "cable_drag": ("stiffness", 2.0),
+}
+
+
+@pytest.mark.parametrize("key", [*CHANNELS, "joint_offset", "joint_scale", "sensor_mounting", "contact"])
+def test_an_effect_in_a_wrench_is_named_alone_with_its_number_and_place(key):
+    """One finding, the right one; its number within 8 % (five standard deviations of all of them at this size), its channel
+    first; everything explained."""
+    bench = Bench()
+    IN_WRENCH[key](bench)
+    d = answer(bench.observations())
+    assert named(d) == [key]
+    assert d.verdict == "explained"
+    if key in NUMBERS:
+        name, value = NUMBERS[key]
+        assert parameter(d, key, name) == pytest.approx(value, rel=0.08)
+    if key in CHANNELS:
+        assert d.findings[0].channels[0] == CHANNELS[key]
+
+
+@pytest.mark.parametrize("name", ["friction", "torque_ripple"])
+def test_an_effect_in_an_effort_is_named_alone(name):
+    """One finding, in the joint where it sits."""
+    key, conceal = IN_EFFORT[name]
+    beam = Beam()
+    conceal(beam)
+    d = answer(beam.observations())
+    assert (named(d), d.verdict) == ([key], "explained")
+    assert d.findings[0].channels == ["joint.shoulder.effort"]
+
+
+@pytest.mark.parametrize("name", ["backlash", "lag", "joint_offset", "joint_scale", "compliance"])
+def test_an_effect_in_a_position_is_named_alone(name):
+    """One finding, in the joint where it sits, or in both where the whole stream is late."""
+    key, conceal = IN_POSITION[name]
+    servo = Servo()
+    conceal(servo)
+    d = answer(servo.observations())
+    assert (named(d), d.verdict) == ([key], "explained")
+
+
+@pytest.mark.parametrize(("compliance", "cubic"), [(2e-3, 0.0), (0.0, 1e-3), (2e-3, 5e-4)])
+def test_give_of_a_joint_under_a_known_force_is_named_with_its_number(compliance, cubic):
+    """A spring, a spring that softens, or both, from the tracked tip."""
+    d = answer(cases.tracked(compliance, cubic))
+    expected = {"compliance": compliance, "hardening": cubic}
+    assert set(named(d)) == {k for k, v in expected.items() if v}
+    for key, value in expected.items():
+        if value:
+            name = "compliance" if key == "compliance" else "coefficient"
+            assert parameter(d, key, name) == pytest.approx(value, rel=0.08)
+
+
+@pytest.mark.parametrize(("axis", "error"), [((0.03, 1.0, 0.0), "axis_tilt.z"), ((0.0, 1.0, 0.03), "axis_tilt.x")])
+def test_a_tilt_axis_that_points_elsewhere_shows_in_one_sweep_of_56_poses(axis, error):
+    """`link_geometry` by name, the size to 3 %, and nothing beside it; the right axis agrees."""
+    d = answer(cases.sweep(np.array(axis)))
+    assert named(d) == ["link_geometry"]
+    assert abs(parameter(d, "link_geometry", error)) == pytest.approx(0.03, rel=0.03)
+    assert d.verdict == "explained"
+    assert answer(cases.sweep(np.array([0.0, 1.0, 0.0]))).verdict == "agrees"
+
+
+def coloured() -> Observations:
+    bench = Bench(3)
+    bench.noise = np.stack([4.0 * cases.lagged(bench.t, c, 1.0) for c in bench.noise.T], axis=1)
+    return bench.observations()
+
+
+def quantised() -> Observations:
+    bench = Bench(4)
+    step = 3.0 * SIGMA
+    bench.wrench, bench.noise = np.round((bench.wrench + bench.noise) / step) * step, 0.0 * bench.noise
+    return bench.observations()
+
+
+NULLS = {
+    "white": lambda: Bench(2).observations(),
+    "coloured": coloured,
+    "quantised": quantised,
+    "effort": lambda: Beam(1).observations(),
+    "position": lambda: Servo(1).observations(),
+    "pose": cases.tracked,
+    "poses without a clock": lambda: cases.tracked(clock=False),
+    "sweep without a clock": lambda: cases.sweep(np.array([0.0, 1.0, 0.0]), seed=2),
+}
+
+
+@pytest.mark.parametrize("name", NULLS)
+def test_where_nothing_is_concealed_nothing_is_found(name):
+    """`agrees`, no finding, and the smallest effect that would have been seen is said."""
+    d = answer(NULLS[name]())
+    assert (d.verdict, named(d)) == ("agrees", [])
+    assert any("would have been seen" in note for note in d.notes)
+
+
+def test_pairs_are_named_together_and_nothing_else():
+    """Two effects at once: scale and drift in one channel, hysteresis under a heavier tool, a leak and a step, friction
+    and ripple."""
+    both = Bench(5)
+    cases.drift(both)
+    cases.gain(both)
+    assert set(named(answer(both.observations()))) == {"drift", "gain"}
+    both = Bench(5)
+    cases.hysteresis(both)
+    both.wrench = both.wrench + cases.hanging(both.R, 0.02, np.zeros(3))
+    assert set(named(answer(both.observations()))) == {"hysteresis", "payload"}
+    both = Bench(6)
+    cases.step(both)
+    cases.cross_talk(both)
+    assert set(named(answer(both.observations()))) == {"step", "cross_talk"}
+    beam = Beam(2)
+    cases.friction(beam)
+    cases.torque_ripple(beam)
+    assert set(named(answer(beam.observations()))) == {"friction", "torque_ripple"}
+
+
+def test_structure_without_a_name_is_not_given_one():
+    """An offset that flips to and fro by itself: `unknown` in its channel; a torque of acceleration and place: partly."""
+    bench = Bench(7)
+    bench.wrench[:, 0] += 0.05 * np.sign(np.sin(2.0 * np.pi * bench.t / 9.7))
+    d = answer(bench.observations())
+    assert (named(d), d.verdict) == (["unknown"], "unexplained")
+    assert d.findings[0].channels == ["wrench.force.x"]
+    beam = Beam(7)
+    beam.effort = beam.effort + 0.15 * np.tanh(3.0 * beam.ddq) * np.cos(5.0 * beam.q)
+    assert answer(beam.observations()).verdict in ("partly_explained", "unexplained")
+
+
+def test_a_clock_offset_is_a_delay_or_worse_and_nothing_else():
+    """The wrench was stamped 1.7 s early: never a tool, a tilt or a cable."""
+    bench = Bench(8)
+    bench.wrench = np.stack([np.interp(bench.t + 1.7, bench.t, c) for c in bench.wrench.T], axis=1)
+    d = answer(bench.observations())
+    assert d.verdict == "unexplained" or named(d)[0] == "time_delay"
+
+
+def test_weight_turns_with_the_sensor():
+    """A check of the generator: upside down the weight reads the other way."""
+    over = cases.turned(np.array([1.0, 0.0, 0.0]), np.array([0.0, np.pi]))
+    up, down = cases.hanging(over)
+    np.testing.assert_allclose(up[2], -down[2])
+    assert up[2] < 0.0

@@ -1,0 +1,217 @@
+"""Recordings of joints as real machines give them: several runs as one, noisy encoders, sticking joints, loose dampers."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from galen_hw.cli import main
+from galen_hw.errors import UsageError
+from galen_hw.kinematics import UrdfRobot
+from galen_hw.physics.elastic_effects import Compliance
+from galen_hw.physics.joint_effects import Friction
+from galen_hw.physics.memory_effects import Backlash, Hysteresis
+from galen_hw.physics.observations import Belief, Observations
+from galen_hw.physics.smoothing import isolated
+from galen_hw.physics.table import scene_of
+from galen_hw.physics.time_effects import Lag, TimeDelay
+from galen_hw.physics.together import PAUSE, joined
+
+SLIDE = """<robot name="slide"><link name="base"/><link name="carriage"><inertial><mass value="95"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="axis" type="prismatic"><parent link="base"/><child link="carriage"/><axis xyz="1 0 0"/>
+<limit lower="-1" upper="1" velocity="1" effort="500"/></joint></robot>"""
+
+
+def run(rows: int, start: float = 0.0, **columns: np.ndarray) -> Observations:
+    t = start + np.arange(rows) * 0.01
+    named = {"time": t, "joint.a.position": np.sin(t), "joint.a.command": np.sin(t)}
+    return Observations("position", named | columns)
+
+
+def test_runs_laid_end_to_end_stay_apart():
+    """The clock goes on after a pause, every run is a segment of its own, a column that one run lacks is not measured."""
+    first = run(50, 7.0)
+    second = run(30, **{"segment": np.repeat([0.0, 1.0], 15), "temperature.motor": np.full(30, 31.0)})
+    whole, begins = joined([first, second], ["first", "second"])
+    assert [(s.start, s.stop) for s in whole.segments] == [(0, 50), (50, 65), (65, 80)]
+    assert begins == [7.0, pytest.approx(7.49 + PAUSE)]
+    assert np.all(np.diff(whole.columns["time"]) > 0.0)
+    assert np.isnan(whole.columns["temperature.motor"][:50]).all()
+    assert (whole.columns["temperature.motor"][50:] == 31.0).all()
+
+
+def test_runs_of_different_machines_are_refused():
+    """One line that says in what they differ."""
+    other = Observations("position", {k.replace(".a.", ".b."): v for k, v in run(30).columns.items()})
+    with pytest.raises(UsageError, match=r"together with first: they differ in the joints"):
+        joined([run(30), other], ["first", "second"])
+    clockless = Observations("position", {k: v for k, v in run(30).columns.items() if k != "time"})
+    with pytest.raises(UsageError, match="presence of a time column"):
+        joined([run(30), clockless], ["first", "second"])
+
+
+def servo(folder: Path, seed: int, rows: int = 900) -> Path:
+    """Two joints at 50 Hz that answer a smooth command, from rest, 40 ms late; read with 0.2 mrad of noise."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(rows) * 0.02
+    lines = [t]
+    for _ in "ab":
+        f, phase = rng.uniform(0.1, 0.9, 4), rng.uniform(0.0, 6.28, 4)
+        command, late = (
+            0.2 * np.clip(x / 3.0, 0.0, 1.0) ** 2 * np.sin(2 * np.pi * np.outer(x, f) + phase).sum(axis=1)
+            for x in (t, t - 0.04)
+        )
+        lines += [command, late + 2e-4 * rng.normal(size=rows)]
+    folder.mkdir()
+    names = ["time", *(f"joint.{j}.{k}" for j in "ab" for k in ("command", "position"))]
+    np.savetxt(folder / "recording.csv", np.stack(lines, axis=1), "%.7f", ",", header=",".join(names), comments="")
+    (folder / "recording.json").write_text(json.dumps({"schema": 1, "robot": None, "predict": "position"}))
+    return folder
+
+
+def test_several_runs_fitted_as_one_and_judged_on_several(tmp_path, capsys):
+    """One answer for all runs, which says where each begins, judged on both others together."""
+    runs = [servo(tmp_path / name, seed) for seed, name in enumerate(("one", "two", "three", "four"))]
+    out = tmp_path / "answer.json"
+    asked = ["diagnose", "--together", *map(str, runs[:2]), "--holdout", str(runs[2]), "--holdout", str(runs[3])]
+    assert main([*asked, "--json", str(out)]) == 1
+    answer = json.loads(out.read_text())
+    assert [f["effect"] for f in answer["findings"]] == ["time_delay"]
+    assert answer["findings"][0]["parameters"]["delay"]["value"] == pytest.approx(0.04, abs=5e-4)
+    assert answer["holdout"] == f"{runs[2]}, {runs[3]}"
+    assert f"{runs[1]} begins at 18.98 s" in capsys.readouterr().out
+
+
+def test_a_holdout_of_other_channels_is_refused(tmp_path, capsys):
+    """Naming what does not fit, before anything is fitted."""
+    one, other = servo(tmp_path / "one", 1), servo(tmp_path / "other", 2)
+    text = (other / "recording.csv").read_text()
+    (other / "recording.csv").write_text(text.replace("joint.b", "joint.c"))
+    assert main(["diagnose", str(one), "--holdout", str(other)]) == 2
+    assert "does not compare the channels of" in capsys.readouterr().err
+
+
+def slide(rng: np.random.Generator) -> Observations:
+    """Bang-bang force on a mass with dry friction, 1 kHz, integrated here; the encoder has 2 um of noise."""
+    dt, rows = 1e-3, 12000
+    t = np.arange(rows) * dt
+    force = 80.0 * np.sign(np.sin(2 * np.pi * 0.7 * t)) * (np.sin(2 * np.pi * 0.11 * t) > -0.6)
+    x = v = 0.0
+    place = np.empty(rows)
+    for k, f in enumerate(force.tolist()):
+        place[k] = x
+        rest = -v / dt * 95.0 - f
+        friction = float(np.clip(rest, -20.0, 20.0)) - 200.0 * v
+        v += (f + friction) / 95.0 * dt
+        x += v * dt
+    columns = {"time": t, "joint.axis.position": place + 2e-6 * rng.normal(size=rows), "joint.axis.effort": force}
+    return Observations("effort", columns, None, Belief(robot=UrdfRobot(SLIDE)))
+
+
+def test_jumps_of_force_are_not_smeared_on_one_side_alone():
+    """With the motion low-passed, measured forces pass the same filter: what is left beside the true friction is small."""
+    scene = scene_of(slide(np.random.default_rng(0)))
+    friction = Friction("axis", "coulomb_viscous", 1e-3).change(scene, np.array([20.0, 200.0]))
+    inner = slice(500, -500)
+    filtered = (scene.residual - friction)[inner]
+    plain = (scene.raw_residual - friction)[inner]
+    assert scene.band is not None
+    assert scene.grain > 1
+    assert np.std(filtered) < 0.5 * np.std(plain)
+    assert np.max(np.abs(filtered)) < 0.4 * np.max(np.abs(plain))
+
+
+def test_isolated_samples_and_what_only_looks_like_them():
+    """Single spikes and pairs are found exactly; white noise, walks, steps, slopes and rounded readings hold none."""
+    rng = np.random.default_rng(1)
+    t = np.arange(20000) / 100.0
+    spiked = np.sin(t) + 0.01 * rng.normal(size=len(t))
+    spiked[[500, 501, 9000]] += 0.3
+    assert np.flatnonzero(isolated(spiked)).tolist() == [500, 501, 9000]
+    clean = [
+        rng.normal(size=len(t)),
+        np.cumsum(rng.normal(size=len(t))),
+        np.sign(np.sin(t)) + 0.02 * rng.normal(size=len(t)),
+    ]
+    clean += [0.1 * np.abs(np.sin(t)), np.round(np.sin(t) / 0.002) * 0.002]
+    assert not any(isolated(x).any() for x in clean)
+
+
+def test_a_joint_that_sticks_starts_where_it_stood():
+    """A servo with play: two runs that begin on either side of the band and first move inside it are met to the end."""
+    half, offset, runs = 0.03, 0.02, []
+    for side in (-0.8, 0.7):
+        t = np.arange(1500) * 0.02
+        u = 0.4 * np.sin(0.9 * t) * np.minimum(t / 10.0, 1.0) * (t > 1.0)
+        q, out = side * half, np.empty(len(t))
+        for k, command in enumerate(u.tolist()):
+            q = min(max(q, command - half), command + half)
+            out[k] = q + offset
+        runs.append(Observations("position", {"time": t, "joint.a.position": out, "joint.a.command": u}))
+    scene = scene_of(joined(runs, ["left", "right"])[0])
+    rest = scene.residual - offset - Backlash("a", half).change(scene, np.ones(1))
+    assert np.sqrt(np.mean(scene.residual**2)) > half / 2.0
+    assert np.max(np.abs(rest)) < 1e-3
+
+
+def test_a_damper_that_sticks_slips_and_has_a_gap():
+    """A spring that takes hold beyond a gap and slips at a force, stepped here by itself, lies in the element's columns."""
+    t = np.arange(4000) * 0.005
+    x = 0.02 * np.sin(2.0 * t) * np.minimum(t / 5.0, 1.0)
+    reach, gap, slip = 0.004, 0.5, 9000.0
+    anchor, force = 0.0, np.empty(len(t))
+    for k, place in enumerate(x.tolist()):
+        anchor = min(max(anchor, place - reach), place + reach)
+        beyond = max(abs(place - anchor) - gap * reach, 0.0)
+        force[k] = slip * np.sign(place - anchor) * beyond / (reach - gap * reach)
+    columns = {"time": t, "joint.d.position": x, "joint.d.effort": force}
+    scene = scene_of(Observations("effort", columns, {"joint.d.effort": np.zeros(len(t))}))
+    effects = list(Hysteresis.propose(scene))
+    assert any(e.reach is not None and e.gap is not None for e in effects)
+    element = Hysteresis("joint.d.effort", "joint:d", 0.02, (), linear=True, reach=reach, gap=gap)
+    X = element.columns(scene).values[:, 0]
+    theta = np.linalg.lstsq(X, force, rcond=None)[0]
+    np.testing.assert_allclose(X @ theta, force, atol=1e-6 * slip)
+    named = {p.name: v for p, v in zip(element.parameters(scene), theta, strict=True)}
+    assert named["closed_gap_force"] == pytest.approx(slip, rel=1e-6)
+
+
+def test_sag_holds_the_weight_of_the_link_beyond_a_joint():
+    """The moment of a mass at any place on the link lies in the columns, constant part included."""
+    t = np.arange(400) * 0.05
+    columns = {"time": t}
+    for k, name in enumerate("abc"):
+        columns |= {f"joint.{name}.{kind}": np.sin((0.3 + 0.1 * k) * t + k) for kind in ("position", "command")}
+    scene = scene_of(Observations("position", columns))
+    sag = next(
+        e
+        for e in Compliance.propose(scene)
+        if e.form == "weight" and e.joint == "b" and e.first == "a" and e.links == 1
+    )
+    angle = scene.q[:, 0] + scene.q[:, 1]
+    X = sag.columns(scene).values[:, 0]
+    moment = 0.3 * np.cos(angle + 0.7)
+    np.testing.assert_allclose(X @ np.linalg.lstsq(X, moment, rcond=None)[0], moment, atol=1e-9)
+
+
+def test_a_late_joint_delivers_everything_late():
+    """What other effects do in a channel passes through its delay or lag; other channels stay as they are."""
+    t = np.arange(300) * 0.02
+    columns = {"time": t}
+    for name in "ab":
+        columns |= {f"joint.{name}.{kind}": np.sin(t) for kind in ("position", "command")}
+    scene = scene_of(Observations("position", columns))
+    play = Backlash("a", 0.1).columns(scene)
+    late = TimeDelay("a").delivered(scene, play, np.array([0.1]))
+    np.testing.assert_allclose(late.values[5:, 0], play.values[:-5, 0], atol=1e-12)
+    np.testing.assert_array_equal(
+        TimeDelay("b").delivered(scene, play, np.array([0.1])).values[:, 0], play.values[:, 0]
+    )
+    lagged = Lag(0.2, "a").delivered(scene, play, np.ones(1)).values[:, 0, 0]
+    slow, expected = play.values[0, 0, 0], []
+    for k, value in enumerate(play.values[:, 0, 0].tolist()):
+        slow += (0.0 if k == 0 else -np.expm1(-0.02 / 0.2)) * (value - slow)
+        expected.append(slow)
+    np.testing.assert_allclose(lagged, expected, atol=1e-12)
