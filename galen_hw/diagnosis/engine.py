@@ -268,11 +268,15 @@ def _said(
 
 BEYOND = 1.5
 """Held-out mean square over the noise's above which something is left, whether or not any function tried has caught it."""
+SURE = 6.0
+"""And standard errors of that mean square, slow noise having few independent values."""
 
 
 def _beyond(judged: Judged, bench: Bench) -> list[adequacy.Left]:
     """Channels in which the model does not hold on data that it did not learn from."""
     ratio = judged.after / judged.floor
+    rows = int(bench.judged.sum() or bench.train.sum())
+    enough = 1.0 + np.maximum(BEYOND - 1.0, SURE * np.sqrt(2.0 / bench.noise.independent(rows)))
     none = np.zeros((len(bench.rows), 0))
     return [
         adequacy.Left(
@@ -284,7 +288,7 @@ def _beyond(judged: Judged, bench: Bench) -> list[adequacy.Left]:
             none,
         )
         for c in np.argsort(-ratio)
-        if ratio[c] > BEYOND
+        if ratio[c] > enough[c]
     ]
 
 

@@ -16,8 +16,8 @@ from galen_hw.spatial import Array
 BANDS_PER_DECADE = 6
 LINES = 18
 SHORTEST = 96
-STEEPEST = -0.5
-"""Slope (power of the frequency) along which the spectrum is continued below the slowest band at most: half of flicker noise.
+STEEPEST = -1.0
+"""Slope (power of the frequency) along which the spectrum is continued below the slowest band at most: flicker noise.
 Slower wander than a recording can tell from drift is called drift."""
 SLOW_CYCLES = 7.0
 """Below so many cycles in a segment the spectrum is continued, not measured."""
@@ -100,6 +100,11 @@ class Noise:
         if n not in self.kept:
             self.kept[n] = self.spectrum(np.arange(n) / (2.0 * n))
         return self.kept[n]
+
+    def independent(self, rows: int) -> Array:
+        """(C,) independent values among so many rows, for the error of a mean square."""
+        level = self.spectrum((np.arange(2048) + 0.5) / 4096)
+        return np.asarray(rows * np.mean(level, axis=0) ** 2 / np.mean(level**2, axis=0))
 
     @cached_property
     def effective(self) -> float:
