@@ -15,7 +15,7 @@ from galen_hw.physics.table import scene_of
 from tests import physics_scenes
 
 SIGMA = np.array([0.01, 0.01, 0.01, 2e-4, 2e-4, 2e-4])
-ROWS, RATE = 1200, 20.0
+ROWS, RATE = 2000, 100.0
 
 
 def nominal(seed: int = 1, rows: int = ROWS) -> Scene:

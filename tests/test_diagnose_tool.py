@@ -16,10 +16,14 @@ from diagnosis_cases import COM, JOINTS, MASS, Bench
 from galen_hw.cli import main
 from galen_hw.config.tool_store import ToolStore
 from galen_hw.errors import UsageError
+from galen_hw.identification.deflection.data import DeflectionSet
+from galen_hw.identification.deflection.table import model_of
 from galen_hw.kinematics import GalenRobot
+from galen_hw.physics.scene_pose import APPLIED
 from galen_hw.physics.streams import build_streams
 from galen_hw.physics.table import scene_of
 from galen_hw.recording import Recording, RecordingInfo, write_table
+from galen_hw.services.deflection.store import DeflectionStore
 from tests.compensation_parts import tool_file
 
 INFO = {
@@ -149,3 +153,33 @@ def test_live_services_refuse_what_they_cannot_predict(effect):
     """One line that says why; a tool is never compensated by half."""
     with pytest.raises(UsageError, match=f"terms: {effect}: cannot be predicted live: .{{10}}"):
         build_streams([{"effect": effect, "parameters": {}}], joint_names=JOINTS, robot=GalenRobot())
+
+
+def test_a_joint_that_gives_is_served_by_the_deflection(store, tmp_path, capsys):
+    """A soft tilt joint that also hardens, found from the tracked tip: the saved file is taken up by one command, and its
+    model foretells the give of another recording to the tracker's noise."""
+    info = RecordingInfo.model_validate(
+        {
+            "schema": 1,
+            "robot": "galen",
+            "predict": "pose",
+            "tool": {"tip": [0.045, 0.0, -0.14]},
+            "model": {"bias": "free"},
+        }
+    )
+    seen = Recording(dict(cases.tracked(2e-3, 5e-4).columns), info)
+    run = write_table(seen, tmp_path / "pose")
+    assert main(["diagnose", str(run), "--save-model", "arm.json"]) == 1
+    assert "galen-hw deflection import arm.json takes it up" in capsys.readouterr().out
+    assert main(["deflection", "--state", str(tmp_path / "state"), "import", "arm.json"]) == 0
+    file = DeflectionStore(tmp_path / "state").load("arm")
+    another = cases.tracked(2e-3, 5e-4, seed=2)
+    scene = scene_of(another)
+    data = DeflectionSet("other", "", another, scene.time, scene.q, another.matrix(*APPLIED), scene.residual)
+    left = data.give - model_of(file.model, file.values).predict(data)
+    spread = np.std(left, axis=0)
+    assert np.std(data.give, axis=0).max() > 3e-4
+    np.testing.assert_array_less(spread, 1.15 * 7e-5)
+    Path("arm.json").write_text('{"schema": 1, "terms": []}')
+    assert main(["deflection", "--state", str(tmp_path / "state"), "import", "arm.json"]) == 2
+    assert "is no deflection model" in capsys.readouterr().err

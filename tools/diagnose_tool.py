@@ -86,6 +86,8 @@ def model_to_save(work: "Work", recording: Recording, target: Path) -> Saved:
     A tool's file is complete: it holds what the old one held, the effects that can be served live, and the constant
     offset fitted again beside them. Everything that is left out is said.
     """
+    if work.diagnosis.predict == "pose":
+        return _arm_to_save(work, recording, target)
     group, named = work.diagnosis.predict, {finding.effect for finding in work.diagnosis.findings}
     found = [term for term in work.diagnosis.terms if term["effect"] in named]
     whole = bool(recording.tool_file) and group == "wrench"
@@ -101,6 +103,18 @@ def model_to_save(work: "Work", recording: Recording, target: Path) -> Saved:
     tool = _extended(parse_tool(recording.tool_file, str(recording.path)), work, keep)
     lines.append(f"{tool.name} with {names} saved in {target}; galen-hw tool import {target} takes it up")
     return Saved(tool.to_json() + "\n", tuple(lines))
+
+
+def _arm_to_save(work: "Work", recording: Recording, target: Path) -> Saved:
+    """The give of the arm as a model of the deflection service."""
+    from galen_hw.tools.diagnose_arm import deflection_file
+
+    file, lines = deflection_file(work, recording)
+    if file is None:
+        why = "; ".join(lines) or "no give of the arm was found"
+        return Saved("", (f"{target} is not written: {why}",))
+    lines.append(f"deflection model {file.name} saved in {target}; galen-hw deflection import {target} takes it up")
+    return Saved(json.dumps(file.model_dump(mode="json", by_alias=True), indent=1) + "\n", tuple(lines))
 
 
 def _servable(

@@ -7,22 +7,31 @@ spans of A and B (Bjoerck and Golub 1973) says whether any signal of one could b
 angles say why.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import subspace_angles
+from scipy.optimize import minimize_scalar
 
-from galen_hw.diagnosis.algebra import WEAK, solve_sym
+from galen_hw.diagnosis.algebra import WEAK, orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.bench import Hypothesis
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.result import Confusion, Finding
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import Selection
 from galen_hw.diagnosis.words import structural, why
+from galen_hw.physics.effect import Effect
 from galen_hw.spatial import Array
 
 CLOSE = 7.0
 """Twice a log likelihood below which two effects count as equal: odds of about thirty to one."""
 MOST = 5
+SHARPENED = 2
+"""So many rivals of each effect are looked at between the points of their grids."""
+ALREADY, NEAR = 0.5, 40.0
+"""Degrees: nearer ones need no sharpening, farther ones will not be alike."""
+REACH = 8.0
+"""Factor up and down within which the searched value of a rival is sought."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +45,7 @@ class Rival:
         angle: deg between the found signal and what the rival can make of it.
         nearest: deg, smallest principal angle between the two spans.
         theta: (k,) the rival's parameters in the found one's place; own: the found one's.
+        effect: the rival, its searched value where it is most like the found one.
     """
 
     place: int
@@ -46,6 +56,7 @@ class Rival:
     nearest: float
     theta: Array
     own: Array
+    effect: Effect
 
 
 def confusions(model: Model, selection: Selection, finding: Finding) -> list[Confusion]:
@@ -63,20 +74,77 @@ def rivals(selection: Selection, finding: Finding, *, everyone: bool = False) ->
     misfit = scorer.misfit(selection.chosen)
     for i in _places(selection, finding):
         # Where physics is missing, differences of a few hundredths are that physics.
-        # The price of one parameter decides between ties by simplicity, not by what was measured.
-        margin = (
-            CLOSE
-            + float(np.log(scorer.bench.noise.effective))
-            + 0.05 * min(1.0, misfit - 1.0) * _beside(scorer, selection.chosen, i)[1]
-        )
+        margin = CLOSE + 0.05 * min(1.0, misfit - 1.0) * _beside(scorer, selection.chosen, i)[1]
+        best: dict[str, Rival] = {}
         for rival in _in_place(scorer, selection.chosen, i):
-            if (
-                rival.key != finding.effect
-                and (everyone or rival.lead < margin)
-                and rival.lead < found.get(rival.key, rival).lead + 1e-9
-            ):
-                found[rival.key] = rival
+            if rival.key != finding.effect and rival.lead < best.get(rival.key, rival).lead + 1e-9:
+                best[rival.key] = rival
+        near = sorted(best.values(), key=lambda rival: rival.angle)
+        sharp = Sharpener(scorer, selection.chosen, i) if any(_coarse(r) for r in near[:SHARPENED]) else None
+        for k, rival in enumerate(near):
+            one = sharp.sharpened(rival) if sharp and k < SHARPENED and _coarse(rival) else rival
+            if (everyone or one.lead < margin) and one.lead < found.get(one.key, one).lead + 1e-9:
+                found[one.key] = one
     return sorted(found.values(), key=lambda rival: rival.lead)
+
+
+def _coarse(rival: Rival) -> bool:
+    """Whether a searched value between the points of its grid could make a near rival nearer."""
+    return len(rival.effect.searched()) == 1 and ALREADY < rival.angle < NEAR
+
+
+class Sharpener:
+    """Rivals of one chosen effect between the points of their grids: the library's grid must not decide what is alike.
+
+    Args:
+        scorer, chosen: the model; i: the effect in whose place the rivals stand.
+    """
+
+    def __init__(self, scorer: Scorer, chosen: list[int], i: int) -> None:
+        self.scorer, self.i = scorer, i
+        rest = [j for j in [*range(len(scorer.base)), *chosen] if j != i]
+        self.base = orthonormal(scaled(np.concatenate([self._rows(scorer.library[j]) for j in rest], axis=1)))
+        _, self.gain, self.theta = _beside(scorer, chosen, i)
+        self.own = self._left(self._rows(scorer.library[i]))
+        self.signal = self.own @ self.theta
+        self.white = self._left(scorer.white[scorer.bench.train].reshape(-1, 1))[:, 0]
+
+    def _rows(self, h: Hypothesis) -> Array:
+        """(n C, k) whitened columns on the training rows."""
+        bench = self.scorer.bench
+        return h.white.full(bench.width)[bench.train].reshape(-1, h.count)
+
+    def _left(self, X: Array) -> Array:
+        return np.asarray(X - self.base @ (self.base.T @ X))
+
+    def sharpened(self, rival: Rival) -> Rival:
+        """The rival with its searched value where it makes most of the found signal."""
+        ((name, value),) = rival.effect.searched().items()
+        bound = rival.effect.SEARCHED[name]
+        low, high = max(np.log(value / REACH), np.log(bound.low)), min(np.log(value * REACH), np.log(bound.high))
+
+        def missed(at: float) -> float:
+            return self._rest(rival.effect.with_searched({name: float(np.exp(at))}))[0]
+
+        best = minimize_scalar(missed, bounds=(low, high), method="bounded", options={"xatol": 0.02, "maxiter": 14})
+        effect = rival.effect.with_searched({name: float(np.exp(best.x))})
+        rest, X = self._rest(effect)
+        share = 1.0 - rest / float(self.signal @ self.signal)
+        if _angle(np.sqrt(max(share, 0.0))) >= rival.angle:
+            return rival
+        theta = solve_sym(X.T @ X, (X.T @ self.white)[:, None])[:, 0]
+        worth = float(theta @ (X.T @ self.white))
+        library = self.scorer.library
+        paid = price(self.scorer, library[rival.place]) - price(self.scorer, library[self.i])
+        nearest = float(np.degrees(np.min(subspace_angles(self.own, X))))
+        angle = _angle(np.sqrt(share))
+        return replace(rival, lead=self.gain - worth + paid, angle=angle, nearest=nearest, theta=theta, effect=effect)
+
+    def _rest(self, effect: Effect) -> tuple[float, Array]:
+        """Squares of the found signal that an effect does not make, and its columns beside the model."""
+        X = self._left(self._rows(self.scorer.bench.add(effect)))
+        answer = X @ solve_sym(X.T @ X, (X.T @ self.signal)[:, None])[:, 0]
+        return float(np.sum((self.signal - answer) ** 2)), X
 
 
 def _places(selection: Selection, finding: Finding) -> list[int]:
@@ -134,7 +202,9 @@ def _in_place(scorer: Scorer, chosen: list[int], i: int) -> list[Rival]:
         lead = (gain - price(scorer, scorer.library[i])) - (worth - price(scorer, h))
         U = _whitening(A, np.diag(scorer.G)[own])
         nearest = float(np.linalg.norm(W.T @ cross @ U, 2)) if U.shape[1] else 0.0
-        out.append(Rival(j, i, h.effect.KEY, lead, _angle(np.sqrt(share)), _angle(nearest), W @ (W.T @ r), theta))
+        out.append(
+            Rival(j, i, h.effect.KEY, lead, _angle(np.sqrt(share)), _angle(nearest), W @ (W.T @ r), theta, h.effect)
+        )
     return out
 
 

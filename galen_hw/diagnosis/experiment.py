@@ -23,6 +23,7 @@ from galen_hw.diagnosis.staging import Eye, Stage, beside, stacked, stage
 from galen_hw.diagnosis.words import NEXT, settled_by
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.sensor_effects import Temperature
+from galen_hw.physics.table import effect_class
 from galen_hw.spatial import Array
 
 SETTLED = 2.0 * np.log(1000.0)
@@ -70,8 +71,10 @@ class Pair:
 
 def next_experiment(model: Model, selection: Selection, findings: list[Finding], left: list[Left]) -> str:
     """One or two sentences: what to record next, and what that would show."""
+    if any(f.effect == "unknown" and not f.parameters["share_left"].value for f in findings):
+        return "First put right what is said of the recording itself; nothing else is worth an experiment before."
     said = [_settled(model, selection, f) for f in findings if f.confounded_with][:1]
-    if left or any(f.effect == "unknown" for f in findings):
+    if left:
         said.append(_unexplained(model, left))
     if not said:
         said.append(_sharper(model, findings) if findings else _smaller(model))
@@ -97,10 +100,10 @@ def pair_of(selection: Selection, finding: Finding, rival: str, model: Model) ->
     if near:
         one = near[0]
         # A constant that is always fitted has no name on the bench; the model gives it one.
-        found, other = scorer.library[one.instead].effect or part.effect, scorer.library[one.place].effect
-        assert other is not None, "rivals are effects"
-        kin = tuple(h.effect for h in scorer.library if h.effect is not None and h.effect.family == other.family)
-        return Pair(found, one.own, other, one.theta, kin[:8], one.angle)
+        found = scorer.library[one.instead].effect or part.effect
+        effects = (h.effect for h in scorer.library if h.effect is not None)
+        kin = tuple(effect for effect in effects if effect.family == one.effect.family)
+        return Pair(found, one.own, one.effect, one.theta, kin[:8], one.angle)
     if rival != "temperature":
         return None
     theta = model.final[dict(zip(map(id, model.parts), model.slices(), strict=True))[id(part)]]
@@ -215,8 +218,6 @@ def _plain(key: str) -> str:
 
 def _unexplained(model: Model, left: list[Left]) -> str:
     """Where no name fits: whether it is of place, of time or of speed."""
-    if not left:
-        return "First put right what is said of the recording itself; nothing else is worth an experiment before."
     place = f" in {model.bench.scene.channels[left[0].channel]}"
     if not model.bench.scene.clock:
         return (
@@ -231,6 +232,11 @@ def _unexplained(model: Model, left: list[Left]) -> str:
 
 def _sharper(model: Model, findings: list[Finding]) -> str:
     """With every name settled: the effect whose size is least certain and the recipe that halves its error soonest."""
+    if all(effect_class(f.effect).EPISODIC for f in findings):
+        first = findings[0].effect
+        return (
+            f"Nothing is left to tell apart. To confirm the {_plain(first)}: {NEXT.get(first, 'repeat the recording')}."
+        )
     loose = sorted(findings, key=lambda f: -_error(f))
     part = next((h for h in model.effects if h.effect is not None and loose[0].effect == h.effect.KEY), None)
     if part is None or part.effect is None or _error(loose[0]) < LOOSE or part.effect.EPISODIC:

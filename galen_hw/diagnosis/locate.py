@@ -94,7 +94,7 @@ def baseline_rest(model: Model) -> Array:
 def regions(bench: Bench, known: list[Variable], energy: Array) -> list[Region]:
     """The best region of every variable, those that say the same as a better one left out."""
     learn, check = halves(bench)
-    if len(energy) < 60 or energy[learn].sum() <= 0.0 or energy[check].sum() <= 0.0:
+    if len(energy) < 60 or not (_sure(bench, energy, learn) and _sure(bench, energy, check)):
         return []
     everywhere = np.ones(len(energy), dtype=bool)
     single = [one for v in known if (one := _region((), everywhere, v, energy, bench, learn, check))]
@@ -135,8 +135,7 @@ def _region(
         return None
     # Blocks are what is independent: a region that one loud block makes is none.
     surplus = np.where(check & inside, energy * (mask - rows), 0.0)
-    by_block = np.bincount(bench.block, surplus)[np.unique(bench.block[check & inside])]
-    if len(by_block) < 4 or by_block.sum() < SURE * np.std(by_block, ddof=1) * np.sqrt(len(by_block)):
+    if not _sure(bench, surplus, check & inside):
         return None
     share = float(energy[check & mask].sum() / total)
     if share < rows + 0.15:
@@ -145,6 +144,13 @@ def _region(
     return Region(
         (*parts, (variable, *found)), float(energy[check & mask].sum() / whole), float(mask[check].mean()), mask
     )
+
+
+def _sure(bench: Bench, surplus: Array, rows: Mask) -> bool:
+    """Whether the sum over some rows lies above zero by more than blocks of them differ."""
+    by_block = np.bincount(bench.block[rows], surplus[rows])[np.unique(bench.block[rows])]
+    spread = float(np.std(by_block, ddof=1)) * np.sqrt(len(by_block)) if len(by_block) > 3 else np.inf
+    return float(by_block.sum()) > SURE * spread
 
 
 def _scan(values: Array, energy: Array) -> tuple[float, float] | None:

@@ -33,7 +33,8 @@ def lines(d: Diagnosis) -> list[tuple[str, str]]:
         if len(d.findings) > len(shown):
             out.append(("", "and " + ", ".join(f.effect for f in d.findings[len(shown) :])))
     out += [("fit", _fit(d)), ("next", d.next_experiment)]
-    return out + [("note", note) for note in d.notes]
+    told = " ".join(f.says for f in d.findings)
+    return out + [("note", note) for note in d.notes if note not in told]
 
 
 def channel_words(channel: str) -> str:
@@ -71,7 +72,7 @@ def _where(d: Diagnosis) -> str:
     out = ", ".join(parts) or "too small to share out among the channels"
     out += "".join(f"; {w['says']}" for w in d.where[:1])
     if d.when and any(f.effect in ("contact", "step", "glitches") for f in d.findings):
-        more = f" and {len(d.when) - FEW} times more" if len(d.when) > FEW else ""
+        more = f" and {len(d.when) - FEW} more" if len(d.when) > FEW else ""
         out += f"; at {', '.join(moment(a, b) for a, b in d.when[:FEW])}{more}"
     return out
 

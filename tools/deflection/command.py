@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
 
 if TYPE_CHECKING:
-    from galen_hw.services.deflection.store import DeflectionStore
+    from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore
     from galen_hw.tools.deflection.fit import Comparison
 
 
@@ -29,6 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     sub.add_parser("list", help="saved models")
     for name, text in (("show", "one saved model"), ("select", "serve this model ('none': none)")):
         sub.add_parser(name, help=text).add_argument("name")
+    take = sub.add_parser("import", help="take up a model's file, as galen-hw diagnose --save-model writes it")
+    take.add_argument("file", type=Path, metavar="FILE")
     back = sub.add_parser("rollback", help="go back to an earlier generation")
     back.add_argument("name")
     back.add_argument("generation", nargs="?", type=int)
@@ -54,12 +56,38 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "show":
         file = store.load(args.name)
         print(json.dumps(file.model_dump(mode="json", by_alias=True), indent=1))
+    elif args.action == "import":
+        saved = store.save(read_model(args.file))
+        print(f"imported {saved.id}; the service takes it up with: galen-hw command deflection reload")
     elif args.action == "select":
         store.select(None if args.name == "none" else args.name)
         print("the service takes it up with: galen-hw command deflection reload")
     else:
         print(f"{store.rollback(args.name, args.generation).id} is in use again")
     return EXIT_OK
+
+
+def read_model(path: Path) -> "DeflectionFile":
+    """A model's file, read and its numbers tried.
+
+    Raises:
+        UsageError: it cannot be read, or is no model.
+    """
+    from pydantic import ValidationError
+
+    from galen_hw.identification.deflection.table import model_of
+    from galen_hw.services.deflection.store import DeflectionFile
+
+    try:
+        file = DeflectionFile.model_validate_json(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"cannot be read ({error})", where=str(path), todo="give a deflection model's file") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        text = f"is no deflection model ({'.'.join(map(str, first['loc']))}: {first['msg']})"
+        raise UsageError(text, where=str(path), todo="galen-hw deflection fit DATA... makes one") from None
+    model_of(file.model, file.values)
+    return file
 
 
 def _fit(args: argparse.Namespace, store: "DeflectionStore") -> int:
