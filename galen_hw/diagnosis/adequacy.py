@@ -7,14 +7,16 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from galen_hw.diagnosis.algebra import orthonormal, scaled, solve_sym
-from galen_hw.diagnosis.bench import Bench, Hypothesis, rich_basis
+from galen_hw.diagnosis.algebra import orthonormal, scaled
+from galen_hw.diagnosis.bench import Bench, rich_basis
 from galen_hw.diagnosis.rows import Index
 from galen_hw.physics.effect import Columns
 from galen_hw.spatial import Array
 
 Z_NEEDED = 4.5
 CHANCE = 2e-4
+LEAST_RIDGE = 0.1
+"""Of a function a tenth at least must lie in the blocks that it is learnt on before it is half believed in the others."""
 T_NEEDED = 3.0
 """Standard errors by which generic functions must win on blocks that they were not fitted on."""
 
@@ -27,15 +29,15 @@ class Left:
         channel: place.
         kind: what the generic functions were of.
         z: (T - k) / sqrt(2 k) on the training rows.
-        share: of the rest's mean square.
-        predicted: (M,) in raw units; basis: (M, k) the functions.
+        share: of the whitened rest's mean square, on blocks left out.
+        size: rms in raw units; basis: (M, k) the functions.
     """
 
     channel: int
     kind: str
     z: float
     share: float
-    predicted: Array
+    size: float
     basis: Array
 
 
@@ -143,13 +145,13 @@ def _resonators(x: Array, frequency: float) -> Array:
 
 
 def leftovers(
-    bench: Bench, generic: list[tuple[str, Array]], model: list[Hypothesis], rest: Array, white: Array
+    bench: Bench, generic: list[tuple[str, Array]], model: list[Columns], rest: Array, white: Array
 ) -> list[Left]:
     """Structure in the rest (M, C) of a model, strongest first; only what also predicts blocks it was not fitted on.
 
     Args:
         generic: `families` of the bench.
-        model: nuisances and effects, so that generic functions get no credit for what these could do.
+        model: whitened columns of nuisances and effects, so that generic functions get no credit for what these could do.
         rest, white: the model's rest, raw and whitened.
     """
     good = ~bench.dropped
@@ -157,7 +159,7 @@ def leftovers(
     out: list[Left] = []
     transformed = [bench.noise.transformed(X) for _, X in generic]
     for c in range(bench.width):
-        own = [h.white.values[:, h.white.channels.index(c)] for h in model if c in h.white.channels and h.count]
+        own = [x.values[:, x.channels.index(c)] for x in model if c in x.channels and x.count]
         base = orthonormal(scaled(np.concatenate([*own, np.zeros((len(rest), 0))], axis=1)[good]), weakest=1e-12)
         y = white[good, c] - base @ (base.T @ white[good, c])
         for (kind, X), known in zip(generic, transformed, strict=True):
@@ -171,12 +173,11 @@ def leftovers(
             z = (T - k) / np.sqrt(2.0 * k)
             if z < Z_NEEDED or chi2.sf(T, k) > CHANCE / (len(generic) * bench.width):
                 continue
-            if _crossed(A @ V, y, block, shrink=1.0 - k / T) < T_NEEDED:
-                continue
-            predicted = X @ (V @ projected)
-            power = max(float(np.sum(rest[good, c] ** 2)), 1e-300)
-            share = 1.0 - float(np.sum((rest[good, c] - predicted[good]) ** 2)) / power
-            out.append(Left(c, kind, z, share, predicted, X))
+            sure, gain = _crossed(A @ V, y, block, ridge=LEAST_RIDGE + k / T)
+            if sure >= T_NEEDED:
+                share = gain / max(float(y @ y), 1e-300)
+                size = float(bench.noise.sigma[c]) * float(np.sqrt(gain / len(y)))
+                out.append(Left(c, kind, z, share, size, X))
     return sorted(out, key=lambda left: -left.z)
 
 
@@ -194,11 +195,11 @@ def _beside(Xw: Array, base: Array) -> tuple[Array, Array]:
     return V, A
 
 
-def _crossed(U: Array, y: Array, block: Index, *, shrink: float, folds: int = 5) -> float:
-    """How surely orthonormal functions U (n, k) predict blocks that they were not fitted on: mean gain over its error.
+def _crossed(U: Array, y: Array, block: Index, *, ridge: float, folds: int = 5) -> tuple[float, float]:
+    """How surely orthonormal functions U (n, k) predict blocks that they were not fitted on: mean gain over its error; gain.
 
-    The fit is shrunk towards nothing as James and Stein have it (1961), so that many functions of which few matter may win.
-    Blocks are the unit: slow noise inside a block is one piece of luck.
+    Ridge regression, so that many functions of which few matter may win and none is trusted that mostly lives in the blocks
+    left out. Blocks are the unit: slow noise inside a block is one piece of luck.
     """
     fold = np.unique(block, return_inverse=True)[1] % folds
     gain = np.zeros(len(y))
@@ -206,9 +207,9 @@ def _crossed(U: Array, y: Array, block: Index, *, shrink: float, folds: int = 5)
         learn, judge = fold != f, fold == f
         if not judge.any() or not learn.any():
             continue
-        theta = shrink * solve_sym(U[learn].T @ U[learn], (U[learn].T @ y[learn])[:, None])[:, 0]
-        predicted = U[judge] @ theta
+        G = U[learn].T @ U[learn] + ridge * np.eye(U.shape[1])
+        predicted = U[judge] @ np.linalg.solve(G, U[learn].T @ y[learn])
         gain[judge] = predicted * (2.0 * y[judge] - predicted)
     each = np.bincount(block, gain)[np.unique(block)]
     spread = float(np.std(each, ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else np.inf
-    return float(np.mean(each)) / max(spread, 1e-300)
+    return float(np.mean(each)) / max(spread, 1e-300), float(gain.sum())

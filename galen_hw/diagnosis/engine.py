@@ -9,7 +9,7 @@ from galen_hw.diagnosis import adequacy, seek
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.confusion import confusions
 from galen_hw.diagnosis.experiment import next_experiment
-from galen_hw.diagnosis.final import Model, merit, offsets, settle_model
+from galen_hw.diagnosis.final import Model, merit, offsets, settle_model, weighed
 from galen_hw.diagnosis.findings import findings_of, unknown_finding
 from galen_hw.diagnosis.guards import Premise, premises
 from galen_hw.diagnosis.judge import Judged, judge
@@ -76,6 +76,7 @@ def diagnose(
     bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, COARSE)
     glitch = _glitches(bench)
     coarse.leave_out(bench.spoilt)
+    glitch = [] if premise.wrong else glitch  # nothing is claimed of a recording that is not what it says it is
     tell("simulating every effect", 0.1)
     effects = library(bench)
     columns, coarser = _columns(effects, bench, coarse)
@@ -89,10 +90,10 @@ def diagnose(
     tell("choosing effects", 0.5)
     selection, model, left = _searched(bench, effects, columns, generic, blind=bool(premise.wrong))
     tell("judging on held-out data", 0.9)
-    chosen = model
+    chosen = weighed(model)
     model, judged = _earned(chosen, holdout)
     if model is not chosen:
-        left = adequacy.leftovers(bench, generic, model.parts, model.rest(), model.rest(white=True))
+        left = _left(bench, generic, model)
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
     diagnosis.holdout = judged.name
     tell("done", 1.0)
@@ -135,6 +136,12 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
     seen = [coarse.raw(s.effect) for s in at_first_sight(bench)]
     coarse.learn_noise(columns, [*adequacy.compact(coarse, generic), *seen], above=coarse.motion_band())
     _, model, left = _searched(coarse, effects, columns, generic, blind=blind)
+    if not left and len(coarse.noise.edges):
+        # What is finely structured passes for quick noise. Only blocks that it was not fitted on can tell, whatever the noise.
+        coarse.noise = coarse.noise.flat()
+        left = adequacy.leftovers(
+            coarse, generic, [h.raw for h in model.parts], model.rest(), model.rest() / coarse.noise.sigma
+        )
     parts = zip(model.parts, model.slices(), strict=True)
     chosen = [(h.effect, model.final[s]) for h, s in parts if h.effect is not None]
     return _Known(chosen, {x.channel: x.kind for x in reversed(left)})
@@ -146,7 +153,11 @@ def _searched(
     """The chosen model under the present noise, and what it leaves."""
     hypotheses = [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)]
     selection, model = _chosen(bench, hypotheses, blind=blind)
-    return selection, model, adequacy.leftovers(bench, generic, model.parts, model.rest(), model.rest(white=True))
+    return selection, model, _left(bench, generic, model)
+
+
+def _left(bench: Bench, generic: list[tuple[str, Array]], model: Model) -> list[adequacy.Left]:
+    return adequacy.leftovers(bench, generic, [h.white for h in model.parts], model.rest(), model.rest(white=True))
 
 
 def _earned(model: Model, holdout: Scene | None) -> tuple[Model, Judged]:
@@ -227,7 +238,7 @@ def _said(
     findings = findings_of(model, selection, judged, glitch)
     for finding in findings:
         finding.confounded_with = confusions(model, selection, finding)
-    rest = _strong(left, judged, bench)
+    rest = _strong(left, judged, bench) or _beyond(judged, bench)
     if premise.wrong or rest:
         findings.append(unknown_finding(bench, rest, premise))
     verdict = _verdict(findings, rest, premise)
@@ -255,11 +266,37 @@ def _said(
     )
 
 
+BEYOND = 1.5
+"""Held-out mean square over the noise's above which something is left, whether or not any function tried has caught it."""
+SURE = 6.0
+"""And standard errors of that mean square, slow noise having few independent values."""
+
+
+def _beyond(judged: Judged, bench: Bench) -> list[adequacy.Left]:
+    """Channels in which the model does not hold on data that it did not learn from."""
+    ratio = judged.after / judged.floor
+    rows = int(bench.judged.sum() or bench.train.sum())
+    enough = 1.0 + np.maximum(BEYOND - 1.0, SURE * np.sqrt(2.0 / bench.noise.independent(rows)))
+    none = np.zeros((len(bench.rows), 0))
+    return [
+        adequacy.Left(
+            int(c),
+            "nothing that was recorded",
+            float(ratio[c]),
+            float(1.0 - 1.0 / ratio[c]),
+            float(np.sqrt(judged.after[c] - judged.floor[c])),
+            none,
+        )
+        for c in np.argsort(-ratio)
+        if ratio[c] > enough[c]
+    ]
+
+
 def _strong(left: list[adequacy.Left], judged: Judged, bench: Bench) -> list[adequacy.Left]:
     """Leftovers that are worth saying: above chance, and not a trifle beside what was found or the noise."""
     out = []
     for one in left:
-        size = float(np.mean(one.predicted**2))
+        size = one.size**2
         before = float(judged.before[one.channel] - bench.noise.sigma[one.channel] ** 2)
         # A rounded reading follows its signal in part: a fifth of the rounding's variance is no physics.
         rounding = 0.2 * float(bench.steps[one.channel]) ** 2 / 12.0

@@ -1,7 +1,7 @@
 """The chosen model, settled: what is held constant, its parameters with honest errors, and how it does on held-out rows."""
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +10,8 @@ from galen_hw.diagnosis.algebra import solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.rows import Chosen
 from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.select import Selection, fit, predicted
+from galen_hw.diagnosis.select import PROVED, Selection, fit, left_out, predicted
+from galen_hw.physics.effect import Columns
 from galen_hw.physics.geometry_effects import JointOffset
 from galen_hw.physics.sensor_effects import Bias
 from galen_hw.physics.time_effects import joint_of
@@ -20,6 +21,10 @@ if TYPE_CHECKING:
     from galen_hw.physics.effect import Effect
 
 
+BETTER = 0.98
+"""Error on blocks left out, over that of the weighed fit, below which the plain one is taken."""
+
+
 @dataclass
 class Model:
     """Nuisances and effects with parameters.
@@ -27,6 +32,7 @@ class Model:
     Args:
         bench: on which it was found.
         nuisances: what the baseline itself fits; effects: what was found.
+        plain: all frequencies weighed alike, for a model that leaves physics over.
         theta: parameters learnt on the training rows (those of moments on all), nuisances first; final: on all rows,
             covariance: of these.
     """
@@ -35,6 +41,7 @@ class Model:
     nuisances: list[Hypothesis]
     effects: list[Hypothesis]
     white: Array
+    plain: bool = False
     theta: Array = field(init=False)
     final: Array = field(init=False)
     covariance: Array = field(init=False)
@@ -42,9 +49,10 @@ class Model:
     def __post_init__(self) -> None:
         """Fits."""
         train, everything = np.flatnonzero(self.bench.train), np.flatnonzero(~self.bench.dropped)
-        self.theta = fit(self.parts, self.white, train, self.bench.width)
-        self.final = fit(self.parts, self.white, everything, self.bench.width)
-        self.covariance = self._covariance(everything)
+        parts, y = self.flat() if self.plain else (self.parts, self.white)
+        self.theta = fit(parts, y, train, self.bench.width)
+        self.final = fit(parts, y, everything, self.bench.width)
+        self.covariance = self._covariance(parts, y, everything)
         # What belongs to moments has no rows to be learnt on but its own.
         for h, s in zip(self.parts, self.slices(), strict=True):
             if h.effect is not None and h.effect.EPISODIC:
@@ -62,7 +70,17 @@ class Model:
 
     def without(self, out: list[Hypothesis]) -> "Model":
         """The same with some effects left out, fitted again."""
-        return Model(self.bench, self.nuisances, [h for h in self.effects if h not in out], self.white)
+        return Model(self.bench, self.nuisances, [h for h in self.effects if h not in out], self.white, self.plain)
+
+    def flat(self) -> tuple[list[Hypothesis], Array]:
+        """Parts and residual with all frequencies weighed alike."""
+        sigma = self.bench.noise.sigma
+
+        def plain(h: Hypothesis) -> Hypothesis:
+            values = h.raw.values / sigma[list(h.raw.channels)][:, None]
+            return replace(h, white=Columns(h.raw.channels, values))
+
+        return [plain(h) for h in self.parts], self.bench.y / sigma
 
     def rest(self, *, white: bool = False) -> Array:
         """(M, C) what the model learnt on the training rows leaves."""
@@ -78,17 +96,17 @@ class Model:
         """(C,) mean squared error on rows."""
         return np.asarray(np.mean(self.rest()[rows] ** 2, axis=0))
 
-    def _covariance(self, rows: Chosen) -> Array:
+    def _covariance(self, parts: list[Hypothesis], white: Array, rows: Chosen) -> Array:
         """Sandwich over contiguous blocks: valid when the whitening is not perfect; never below the classical one."""
         size = len(self.final)
         G, meat = np.zeros((size, size)), np.zeros((size, size))
         scores = np.zeros((int(self.bench.block.max()) + 1, size))
-        left = self.white.copy()
-        for h, s in zip(self.parts, self.slices(), strict=True):
+        left = white.copy()
+        for h, s in zip(parts, self.slices(), strict=True):
             left[:, list(h.white.channels)] -= h.white.values @ self.final[s]
         total = 0.0
         for c in range(self.bench.width):
-            mine = [(h, s) for h, s in zip(self.parts, self.slices(), strict=True) if c in h.white.channels]
+            mine = [(h, s) for h, s in zip(parts, self.slices(), strict=True) if c in h.white.channels]
             if not mine:
                 continue
             at = np.concatenate([np.arange(s.start, s.stop) for _, s in mine])
@@ -128,6 +146,22 @@ def settle_model(bench: Bench, scorer: Scorer, selection: Selection) -> Model:
         if z[s][0] > np.sqrt(2.0 * selection.needed * misfit) and matters:
             keep.append(h)
     return Model(bench, allowed, [*keep, *chosen], scorer.white)
+
+
+def weighed(model: Model) -> Model:
+    """The model by plain least squares where physics is missing and that predicts blocks left out better.
+
+    Generalised least squares is best when only noise is left. When the rest is physics, the weights of the noise favour
+    frequencies at which the model is wrong.
+    """
+    bench = model.bench
+    if not model.effects or float(np.mean(model.rest(white=True)[bench.train] ** 2)) < PROVED:
+        return model
+    parts, y = model.flat()
+    ours, plain = left_out(bench, model.parts, model.white), left_out(bench, parts, y)
+    if float(np.mean(plain / ours)) >= BETTER:
+        return model
+    return Model(bench, model.nuisances, model.effects, model.white, plain=True)
 
 
 def merit(model: Model) -> float:

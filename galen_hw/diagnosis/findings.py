@@ -186,10 +186,17 @@ def unknown_finding(bench: Bench, left: list[Left], premise: Premise) -> Finding
     else:
         best = left[0]
         share, z = best.share, best.z
-        says = (
-            f"Structure is left in {names[best.channel]} that no named effect explains: {dependence(best.kind, bench.scene)}, "
-            f"which makes up {100 * share:.2g} % of what is left and holds on blocks that it was not fitted on."
-        )
+        where = names[best.channel]
+        if best.basis.shape[1]:
+            says = (
+                f"Structure is left in {where} that no named effect explains: {dependence(best.kind, bench.scene)}, "
+                f"which makes up {100 * share:.2g} % of what is left and holds on blocks that it was not fitted on."
+            )
+        else:
+            says = (
+                f"On held-out data the error in {where} is {z**0.5:.2g} times the noise, and nothing that was recorded "
+                "explains what is left."
+            )
     evidence = {"heldout_gain": 0.0, "score": float(z), "false_alarm_probability": 2e-4}
     return Finding("unknown", channels, [], says, {"share_left": Value(float(share), 0.0, "1")}, evidence)
 

@@ -1,10 +1,10 @@
 """The noise of every channel: its spectrum from what a rich fit leaves, whitening by it, and surrogates that look like it.
 
 The spectrum is a level per logarithmic band, corrected for what the rich fit itself took out of each band, and continued as a
-power law below the slowest band that a recording of this length can tell from drift (slopes up to that of flicker noise).
+power law below the slowest band that a recording of this length can tell from drift.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,9 @@ from galen_hw.spatial import Array
 BANDS_PER_DECADE = 6
 LINES = 18
 SHORTEST = 96
+STEEPEST = -1.0
+"""Slope (power of the frequency) along which the spectrum is continued below the slowest band at most: flicker noise.
+Slower wander than a recording can tell from drift is called drift."""
 SLOW_CYCLES = 7.0
 """Below so many cycles in a segment the spectrum is continued, not measured."""
 
@@ -60,6 +63,11 @@ class Noise:
         """White noise (M, k) turned into noise like the channel's."""
         return self._filtered(self.transformed(z), channel, 0.5)
 
+    def flat(self) -> "Noise":
+        """White noise at the lowest level of the spectrum: the least that the noise can be."""
+        sigma = np.sqrt(np.min(self.levels, axis=0))
+        return replace(self, edges=np.empty(0), levels=np.empty((0, len(sigma))), sigma=sigma, kept={})
+
     def transformed(self, x: Array) -> Array:
         """(M, k) columns as `whitened` takes them: the part of the work that is the same for all channels.
 
@@ -93,6 +101,11 @@ class Noise:
             self.kept[n] = self.spectrum(np.arange(n) / (2.0 * n))
         return self.kept[n]
 
+    def independent(self, rows: int) -> Array:
+        """(C,) independent values among so many rows, for the error of a mean square."""
+        level = self.spectrum((np.arange(2048) + 0.5) / 4096)
+        return np.asarray(rows * np.mean(level, axis=0) ** 2 / np.mean(level**2, axis=0))
+
     @cached_property
     def effective(self) -> float:
         """Number of independent values that a slow regressor meets, over all channels."""
@@ -101,11 +114,11 @@ class Noise:
 
 
 def _line(at: Array, centres: Array, level: Array) -> Array:
-    """Linear interpolation; below the first centre, on along the slope of the slowest decade (0 to flicker)."""
+    """Linear interpolation; below the first centre, on along the slope of the slowest decade (at most `STEEPEST`)."""
     out = np.interp(at, centres, level)
     reach = centres < centres[0] + 1.5 * np.log(10.0)
     slope = _slope(centres[reach], level[reach]) if reach.sum() >= 3 else 0.0
-    slope = min(max(slope, -1.25), 0.0)
+    slope = min(max(slope, STEEPEST), 0.0)
     below = at < centres[0]
     out[below] = level[0] + slope * (at[below] - centres[0])
     return out

@@ -1,6 +1,6 @@
 """Which effects: forward by likelihood with a held-out guard, then drop-one and swaps; searched values polished."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -164,12 +164,35 @@ def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int,
     fresh = []
     for i in list(leaders.values())[:4]:
         effect = scorer.library[i].effect
-        if effect is not None and effect.searched() and len(leaders) > 1:
+        if effect is not None and effect.exact(bench.scene, np.zeros(scorer.library[i].count)) is not None:
+            scores[i] = bent(bench, scorer, chosen, i, scores[i])
+        elif effect is not None and effect.searched() and len(leaders) > 1:
             better = polished(bench, scorer, chosen, i)
             if better != i:
                 scores.update(scorer.scores(chosen, [better])[0])
                 fresh.append(better)
     return sorted([*able, *(i for i in fresh if i in scores)], key=lambda i: -scores[i].rank)
+
+
+def bent(bench: Bench, scorer: Scorer, chosen: list[int], i: int, score: Score) -> Score:
+    """The score of a nonlinear effect at its own optimum (Gauss and Newton) instead of by its slope at zero."""
+    h, y, theta = scorer.library[i], bench.y, scorer.solve([*chosen, i])[0][-scorer.library[i].count :]
+    base = [scorer.library[j] for j in [*range(len(scorer.base)), *chosen]]
+    rows = np.flatnonzero(bench.train)
+    _, white = rests(bench, scorer, chosen)
+    before, best = float(np.sum(white[rows] ** 2)), score.gain
+    for _ in range(2):
+        new, offset = tangent(bench, h, theta)
+        target = bench.whitened(y - offset)
+        model = [*base, new]
+        solved = fit(model, target, rows, bench.width)
+        rest, done = target[rows].copy(), 0
+        for part in model:
+            rest[:, list(part.white.channels)] -= part.white.values[rows] @ solved[done : done + part.count]
+            done += part.count
+        theta = solved[-h.count :]
+        best = max(best, before - float(np.sum(rest**2)))
+    return replace(score, gain=best, rank=score.rank + best - score.gain)
 
 
 SLACK = 0.25
@@ -451,9 +474,13 @@ def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
     return all(p.near(t, s) and (misfit < PROVED or p.plausible(t, s)) for p, t, s in named)
 
 
-def crossed(bench: Bench, scorer: Scorer, chosen: list[int], folds: int = 5, *, fine: bool = False) -> Array:
-    """(C,) mean squared error of a model on training blocks left out in turn; `fine`: on short pieces left out in turn."""
-    at = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
+def crossed(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False) -> Array:
+    """(C,) mean squared error of a model on training blocks left out in turn, see `left_out`."""
+    return left_out(bench, [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]], scorer.white, fine=fine)
+
+
+def left_out(bench: Bench, model: list[Hypothesis], white: Array, *, folds: int = 5, fine: bool = False) -> Array:
+    """(C,) mean squared error, raw, on training blocks left out in turn; `fine`: on short pieces left out in turn."""
     train = np.flatnonzero(bench.train)
     if fine:
         fold = train // max(len(bench.rows) // PIECES, 8) % folds
@@ -464,8 +491,8 @@ def crossed(bench: Bench, scorer: Scorer, chosen: list[int], folds: int = 5, *, 
         learn, judge = train[fold != k], train[fold == k]
         if not len(judge) or not len(learn):
             continue
-        theta = fit(at, scorer.white, learn, bench.width)
-        error = bench.y[judge] - predicted(at, theta, judge, bench.width)
+        theta = fit(model, white, learn, bench.width)
+        error = bench.y[judge] - predicted(model, theta, judge, bench.width)
         total += np.sum(error**2, axis=0)
     return total / len(train)
 

@@ -149,7 +149,7 @@ class Eye:
         n = len(X)
         spectrum = np.fft.rfft(X, axis=0) / np.sqrt(self.level)[:, :, None]
         out = np.fft.irfft(spectrum, n, axis=0) * np.sqrt(self.ratio)
-        return np.asarray(out.reshape(-1, X.shape[2]))
+        return np.asarray(out.reshape(X.shape[0] * X.shape[1], X.shape[2]))
 
 
 def beside(X: Array, others: Array) -> Array:

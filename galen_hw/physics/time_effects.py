@@ -85,7 +85,7 @@ class Lag(Timing):
     """A first-order response: T dy/dt = w - y; y - w is `share` times that (1 for a plain first order).
 
     `joint` restricts it to one joint. Visible where the channels move quickly; nested with time_delay, to which it is the
-    same for slow motion: a constant below `shortest` (two samples) is none.
+    same for slow motion: a constant below `shortest` (half a sample) is none.
     """
 
     KEY = "lag"
@@ -96,11 +96,11 @@ class Lag(Timing):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """From two samples to seconds."""
+        """From half a sample to seconds."""
         if not scene.clock or not np.any(scene.simulated_rate):
             return
-        shortest = 2.0 * spacing(scene)
-        for constant in log_grid(shortest, max(1.0, 4.0 * shortest), 7):
+        shortest = 0.5 * spacing(scene)
+        for constant in log_grid(shortest, max(1.0, 4.0 * shortest), 9):
             yield cls(constant, "", shortest)
             if scene.observations.predict == "position" and len(scene.channels) > 1:
                 yield from (cls(constant, joint_of(name), shortest) for name in scene.channels)

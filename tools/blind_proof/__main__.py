@@ -31,7 +31,7 @@ def main() -> int:
         folder = Path(args.keep or scratch)
         folder.mkdir(parents=True, exist_ok=True)
         cases, scored = _judged(seed, args.cases, folder, args.workers)
-        rivals = [] if args.no_rivals else _rivals(cases, scored, folder, args.workers)
+        rivals = [] if args.no_rivals else _rivals(cases, scored, folder, args.workers, args.rivals)
         recordings = real.recordings(folder / "real", args.workers)
         missed = report.write(Path(args.write), scored, rivals, recordings, seed=seed, commit=commit)
     for line in missed:
@@ -46,6 +46,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--keep", help="folder for data, verdicts and truth; a temporary one if left out")
     parser.add_argument("--write", default="docs/proof.md", help="where the report goes, figures beside it")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--rivals", type=int, metavar="N", help="cases that the rivals get, evenly chosen (default all)")
     parser.add_argument("--no-rivals", action="store_true", help="leave the rivals out")
     return parser.parse_args()
 
@@ -72,9 +73,13 @@ def _second_run(case: Case) -> bool:
     return case.share != "premise" and not ({e.key for e in case.effects} & judge.ONE_RUN)
 
 
-def _rivals(cases: list[Case], scored: list[score.Scored], folder: Path, workers: int) -> list[dict[str, Any]]:
-    """Held-out errors of the tool and its rivals on every case with a second run and something to find."""
+def _rivals(
+    cases: list[Case], scored: list[score.Scored], folder: Path, workers: int, most: int | None
+) -> list[dict[str, Any]]:
+    """Held-out errors of the tool and its rivals on cases with a second run and something to find: all, or every n-th."""
     chosen = [(c, s) for c, s in zip(cases, scored, strict=True) if s.rmse_ratio() is not None and c.effects]
+    if most is not None and most < len(chosen):
+        chosen = [chosen[i] for i in np.linspace(0, len(chosen) - 1, most).astype(int)]
     with ProcessPoolExecutor(workers) as pool:
         rows = pool.map(_rival_row, [c for c, _ in chosen], [folder / c.name for c, _ in chosen])
         found = list(track(rows, total=len(chosen), description="rivals"))
