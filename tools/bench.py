@@ -58,6 +58,7 @@ def main(argv: list[str] | None = None) -> int:
         lambda: coverage(40 if args.quick else 200),
         lambda: stream(seconds, min(seconds, 60.0)),
         residual,
+        diagnosis,
     ]
     rows: list[Row] = []
     for part in parts:
@@ -186,6 +187,19 @@ def residual() -> list[Row]:
             Row(f"compensated residual over noise floor, {what}", "<= 1.05", text, good, "galen-hw calibrate --virtual")
         )
     return out
+
+
+def diagnosis() -> list[Row]:
+    """A diagnosis of a long recording of many channels, and whether its time grows as the rows do."""
+    command = [sys.executable, "-m", "galen_hw.tools.bench_diagnosis", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    results = json.loads(done.stdout)["results"]
+    first, last = results[0], results[-1]
+    growth = (last["seconds"] / first["seconds"]) / (last["rows"] / first["rows"])
+    text = f"{last['seconds']:.0f} s; {growth:.2f} times the growth of the rows from {first['rows']} on"
+    what = f"diagnosis of {last['rows']} rows x {last['joints']} channels, all effects"
+    good = last["seconds"] <= 60.0 and growth <= 1.2
+    return [Row(what, "<= 60 s, linear in rows", text, good, "bench_diagnosis")]
 
 
 def _page(rows: list[Row]) -> str:

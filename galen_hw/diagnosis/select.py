@@ -144,14 +144,27 @@ def _best(bench: Bench, scorer: Scorer, out: Selection, scores: dict[int, Score]
         if paid >= 0.5 * WORTH:
             better = polished(bench, scorer, out.chosen, i)
             paid, whole = worth(bench, scorer, out, better) if better != i else (paid, whole)
-        enough = paid >= _price(scorer.library[i].effect, misfit) and whole >= _least(bench, out, misfit)
-        if enough and plausible(bench, scorer, out.chosen, better):
-            return better
+        price, least = _price(scorer.library[i].effect, misfit), _least(bench, out, misfit)
+        if paid >= price and whole >= least:
+            if plausible(bench, scorer, out.chosen, better):
+                return better
+            # At the optimum it is not what it is called; beside it, where other physics is still missing, it may be.
+            near = _plausible_kin(bench, scorer, out.chosen, scores, i)
+            if near is not None:
+                paid, whole = worth(bench, scorer, out, near)
+                if paid >= price and whole >= least:
+                    return near
         refused.update(_kin(scorer, i))
         effect = scorer.library[better].effect
         if effect is not None:
             out.refused.append((effect, paid))
     return None
+
+
+def _plausible_kin(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], i: int) -> int | None:
+    """The best of the same hypothesis at other searched values whose parameters can be what it is called."""
+    kin = sorted((j for j in _kin(scorer, i) if j in scores), key=lambda j: -scores[j].rank)
+    return next((j for j in kin if scores[j].rank > 0.0 and plausible(bench, scorer, chosen, j)), None)
 
 
 def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], able: list[int]) -> list[int]:

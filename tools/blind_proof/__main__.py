@@ -46,7 +46,9 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--keep", help="folder for data, verdicts and truth; a temporary one if left out")
     parser.add_argument("--write", default="docs/proof.md", help="where the report goes, figures beside it")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--rivals", type=int, metavar="N", help="cases that the rivals get, evenly chosen (default all)")
+    parser.add_argument(
+        "--rivals", type=int, metavar="N", help="cases that the rivals get, evenly chosen (default all)"
+    )
     parser.add_argument("--no-rivals", action="store_true", help="leave the rivals out")
     return parser.parse_args()
 
