@@ -153,11 +153,14 @@ def glitches(b: Bench) -> None:
 
 
 def payload(b: Bench) -> None:
+    """In slow motion: this is a weight at rest, without inertia."""
+    b.q = np.stack([sines(b.rng, b.t, s, 0.005, 0.05) for s in (0.02, 0.02, 0.02, 0.45, 0.35)], axis=1)
+    b.R = rotation(b.q[:, 3], b.q[:, 4])
     b.wrench = hanging(b.R, MASS + 0.02, COM + np.array([0.0, 0.0, 0.004]))
 
 
 def base_tilt(b: Bench) -> None:
-    b.wrench = hanging(b.R, gravity=G * np.array([np.sin(0.03), 0.0, -np.cos(0.03)]))
+    b.wrench = hanging(b.R, gravity=G * np.array([np.sin(0.01), 0.0, -np.cos(0.01)]))
 
 
 def joint_offset(b: Bench) -> None:

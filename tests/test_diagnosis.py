@@ -67,7 +67,9 @@ NUMBERS = {
 }
 
 
-@pytest.mark.parametrize("key", [*CHANNELS, "joint_offset", "joint_scale", "sensor_mounting", "contact"])
+@pytest.mark.parametrize(
+    "key", [*CHANNELS, "joint_offset", "joint_scale", "sensor_mounting", "contact", "payload", "base_tilt"]
+)
 def test_an_effect_in_a_wrench_is_named_alone_with_its_number_and_place(key):
     """One finding, the right one; its number within 8 % (five standard deviations of all of them at this size), its channel
     first; everything explained."""

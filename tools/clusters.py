@@ -21,8 +21,9 @@ def cluster(address: str | None) -> Iterator[dict[str, Any]]:
         from distributed import Client
     except ImportError as error:
         raise UsageError("dask is not installed", where="--dask", todo="pip install 'galen-hw[dask]'") from error
+    connect: Any = Client  # its signature carries no types
     try:
-        client = Client(address, timeout=10)
+        client = connect(address, timeout=10)
     except (OSError, TimeoutError, ValueError) as error:
         todo = "start one with dask scheduler, or leave --dask out"
         raise UsageError(f"no scheduler answers ({error})", where=f"--dask {address}", todo=todo) from error
