@@ -77,7 +77,7 @@ def start_virtual(
     seed: int = 0,
     tool: str | None = None,
     settings: Mapping[str, Mapping[str, Any]] | None = None,
-    timeout_s: float = 20.0,
+    timeout_s: float = 60.0,
 ) -> VirtualRobot:
     """Start the process and wait until it is ready; it ends with this process at the latest. Options: `Options`.
 

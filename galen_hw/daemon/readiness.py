@@ -6,7 +6,7 @@ from typing import Final
 
 from galen_hw.daemon.links import DeviceState
 
-INTERPRETERS_WITHIN_S: Final = 30.0
+INTERPRETERS_WITHIN_S: Final = 60.0
 SILENT: Final = DeviceState(wire="closed", ready=False, optional=False)
 
 

@@ -14,7 +14,7 @@ from typing import Final
 from galen_hw.config.paths import Addresses
 from galen_hw.errors import GalenError, HardwareError
 
-READY_WITHIN_S: Final = 60.0
+READY_WITHIN_S: Final = 150.0
 END_WITHIN_S: Final = 20.0
 
 
