@@ -67,9 +67,11 @@ NUMBERS = {
 }
 
 
-@pytest.mark.parametrize(
-    "key", [*CHANNELS, "joint_offset", "joint_scale", "sensor_mounting", "contact", "payload", "base_tilt"]
-)
+ALIKE = ("lag", "inertial")
+"""At 20 rows a second a lag of a sample looks like the sensor's creep, and inertia is not sampled well enough to be all."""
+
+
+@pytest.mark.parametrize("key", [k for k in IN_WRENCH if k not in ALIKE])
 def test_an_effect_in_a_wrench_is_named_alone_with_its_number_and_place(key):
     """One finding, the right one; its number within 8 % (five standard deviations of all of them at this size), its channel
     first; everything explained."""
@@ -85,7 +87,7 @@ def test_an_effect_in_a_wrench_is_named_alone_with_its_number_and_place(key):
         assert d.findings[0].channels[0] == CHANNELS[key]
 
 
-@pytest.mark.parametrize("name", ["friction", "torque_ripple"])
+@pytest.mark.parametrize("name", IN_EFFORT)
 def test_an_effect_in_an_effort_is_named_alone(name):
     """One finding, in the joint where it sits."""
     key, conceal = IN_EFFORT[name]
@@ -96,7 +98,7 @@ def test_an_effect_in_an_effort_is_named_alone(name):
     assert d.findings[0].channels == ["joint.shoulder.effort"]
 
 
-@pytest.mark.parametrize("name", ["backlash", "lag", "joint_offset", "joint_scale", "compliance"])
+@pytest.mark.parametrize("name", IN_POSITION)
 def test_an_effect_in_a_position_is_named_alone(name):
     """One finding, in the joint where it sits, or in both where the whole stream is late."""
     key, conceal = IN_POSITION[name]

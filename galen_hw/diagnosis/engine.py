@@ -15,7 +15,6 @@ from galen_hw.diagnosis.guards import Premise, premises
 from galen_hw.diagnosis.judge import Judged, judge
 from galen_hw.diagnosis.locate import channels_of, episodes_of, where_of
 from galen_hw.diagnosis.result import Diagnosis, Finding, Verdict
-from galen_hw.diagnosis.rows import Mask
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import Selection, at_first_sight, library, select
 from galen_hw.physics.effect import Columns, Effect
@@ -24,6 +23,8 @@ from galen_hw.physics.scene import Scene
 from galen_hw.physics.table import effect_class
 from galen_hw.spatial import Array
 
+FEWEST = 2
+"""Isolated samples that are a finding."""
 COARSE = 3000
 """Rows of the first look: motion is slow beside a force sensor's samples."""
 LEAST_SUPPORT = 0.05
@@ -76,7 +77,6 @@ def diagnose(
     bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, COARSE)
     glitch = _glitches(bench)
     coarse.leave_out(bench.spoilt)
-    glitch = [] if premise.wrong else glitch  # nothing is claimed of a recording that is not what it says it is
     tell("simulating every effect", 0.1)
     effects = library(bench)
     columns, coarser = _columns(effects, bench, coarse)
@@ -94,6 +94,7 @@ def diagnose(
     model, judged = _earned(chosen, holdout)
     if model is not chosen:
         left = _left(bench, generic, model)
+    glitch = [] if premise.wrong else _confirmed(glitch, model)
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
     diagnosis.holdout = judged.name
     tell("done", 1.0)
@@ -214,15 +215,33 @@ def _glitches(bench: Bench) -> list[Glitches]:
     marked = seek.spikes(bench.scene.raw_residual, tuple(bench.scene.segments))
     spoilt = np.asarray(marked.any(axis=1))
     rows = np.flatnonzero(spoilt)
-    if len(rows) < 3 and not _far(marked):
+    if len(rows) < FEWEST:
         return []
     bench.leave_out(spoilt)
     names = tuple(n for n, m in zip(bench.scene.channels, np.asarray(marked.any(axis=0)), strict=True) if m)
     return [Glitches(names, tuple(int(r) for r in rows))]
 
 
-def _far(marked: Mask) -> bool:
-    return bool(marked.any()) and int(marked.any(axis=1).sum()) >= 2
+FAR = 6.0
+"""Standard deviations by which a glitch must stand off what the model says, not only off its neighbours."""
+
+
+def _confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
+    """Isolated samples that the model does not explain either: a cusp of physics looks isolated until it is modelled."""
+    bench = model.bench
+    place = np.searchsorted(bench.rows.starts, np.arange(len(bench.scene)), side="right") - 1
+    explained = bench.whole - model.rest()
+    out = []
+    for one in glitch:
+        rows = np.array(one.rows)
+        channels = [bench.scene.channels.index(name) for name in one.channels]
+        rest = bench.scene.raw_residual[rows] - explained[place[rows]]
+        far = np.abs(rest) > FAR * np.sqrt(bench.rows.stride) * bench.noise.sigma
+        kept = far[:, channels].any(axis=1)
+        names = tuple(bench.scene.channels[c] for c in channels if far[kept, c].any())
+        if kept.sum() >= FEWEST:
+            out.append(Glitches(names, tuple(int(r) for r in rows[kept])))
+    return out
 
 
 def _said(

@@ -209,19 +209,33 @@ def bent(bench: Bench, scorer: Scorer, chosen: list[int], i: int, score: Score) 
 
 
 SLACK = 0.25
-PLAIN = {"time_delay": 0, "bias": 0, "joint_offset": 0, "gain": 1, "payload": 1, "friction": 1, "backlash": 1, "lag": 2}
+PLAIN = {
+    "time_delay": 0,
+    "bias": 0,
+    "joint_offset": 0,
+    "gain": 1,
+    "payload": 1,
+    "base_tilt": 1,
+    "friction": 1,
+    "backlash": 1,
+    "lag": 2,
+}
 """Of look-alikes that do nearly as well while the model still misses much, the plainer goes first."""
+
+
+TIE = 2.0
 
 
 def plainest(scorer: Scorer, scores: dict[int, Score], able: list[int], misfit: float) -> int:
     """The plainest hypothesis that reaches nearly the gain of the best: the margin grows with what the model misses.
 
-    Where only noise is left (misfit 1) the likelihood decides alone; where physics is missing, small differences of
+    Where only noise is left (misfit 1) the likelihood decides, but for ties; where physics is missing, small differences of
     likelihood between look-alikes are that physics, not evidence.
     """
     best = able[0]
     share = SLACK * min(1.0, misfit - 1.0)
     slack = share * scores[best].gain
+    slack = slack if slack > 6.0 else TIE
 
     def cost(i: int) -> tuple[int, int, float]:
         effect = scorer.library[i].effect
@@ -229,7 +243,7 @@ def plainest(scorer: Scorer, scores: dict[int, Score], able: list[int], misfit: 
         return (PLAIN.get(key, 3), scores[i].count, -scores[i].rank)
 
     close = [i for i in able if scores[i].rank >= scores[best].rank - slack]
-    return min(close, key=cost) if slack > 6.0 else best
+    return min(close, key=cost)
 
 
 def place_of(effect: Effect | None) -> tuple[str, ...]:
