@@ -41,7 +41,7 @@ demo: $(BASE)
 	$(BIN)/galen-hw calibrate --tool retractor --virtual --yes --report demo-output
 
 test: $(STAMP)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -13,6 +13,7 @@ from galen_hw.identification.deflection.registration import MarkerWatch, registe
 from galen_hw.kinematics import GalenRobot
 from galen_hw.spatial import Array, rotation_exp, transform
 from galen_hw.tools.collect.rows import Rows
+from tests.ndi_parts import MARKERS
 from tests.serial_pair import TIME_BASE, Pair
 
 ROBOT = GalenRobot()
@@ -80,7 +81,7 @@ class Tracked:
     def __init__(self) -> None:
         self.world = World()
         self.world.attach("pointer")
-        driver = NdiTracker("tracker", NdiTracker.Settings(), TIME_BASE)
+        driver = NdiTracker("tracker", NdiTracker.Settings(markers=MARKERS), TIME_BASE)
         self.pair = Pair(driver, VirtualNdiTracker(VirtualNdiTracker.Settings(), self.world))
         assert self.pair.run(15.0, lambda: driver.ready)
         self.rows = Rows(ROBOT, MarkerWatch())

@@ -88,7 +88,9 @@ def test_angles_are_those_between_the_whitened_spans_beside_the_model() -> None:
     rest = [i for i in work.selection.chosen if i != near[0].instead]
     base = stacked(scorer, [*range(len(scorer.base)), *rest], train)
     for one in near[:3]:
-        A, B = (beside(stacked(scorer, [i], train), base) for i in (one.instead, one.place))
+        # A rival may stand between two points of its grid: its columns are those of its own searched value.
+        full = work.bench.add(one.effect).white.full(work.bench.width)[train]
+        A, B = (beside(X, base) for X in (stacked(scorer, [one.instead], train), full.reshape(-1, full.shape[2])))
         assert np.degrees(subspace_angles(A, B)).min() == pytest.approx(one.nearest, abs=0.05)
         signal = A @ one.own
         share = np.sum(beside(signal[:, None], B)[:, 0] ** 2) / np.sum(signal**2)
