@@ -27,6 +27,8 @@ FEWEST = 2
 """Isolated samples that are a finding."""
 COARSE = 3000
 """Rows of the first look: motion is slow beside a force sensor's samples."""
+LEAST_SURE = 2.5
+"""Standard errors by which an effect must win on held-out data."""
 LEAST_SUPPORT = 0.05
 """An effect must take this share of what would be left above the noise of the channels in which it acts without it."""
 
@@ -165,10 +167,11 @@ def _earned(model: Model, holdout: Scene | None) -> tuple[Model, Judged]:
     """The model without what held-out data do not support; what belongs to moments shows nowhere else."""
     while True:
         judged = judge(model, holdout)
-        support = {key: judged.support(key) for key in judged.without if not effect_class(key).EPISODIC}
-        worst = min(support, key=lambda key: support[key], default=None)
-        if worst is None or support[worst] >= LEAST_SUPPORT:
+        lasting = [key for key in judged.without if not effect_class(key).EPISODIC]
+        idle = [key for key in lasting if judged.support(key) < LEAST_SUPPORT or judged.sure[key] < LEAST_SURE]
+        if not idle:
             return model, judged
+        worst = min(idle, key=judged.support)
         model = model.without([h for h in model.effects if h.effect is not None and worst == h.effect.KEY])
 
 

@@ -1,6 +1,6 @@
 """The model on data that it did not learn from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,6 +26,7 @@ class Judged:
         name: of what was held out.
         before: of the baseline; after: with all effects; without: per effect's key, with that one left out.
         floor: of the noise.
+        sure: per effect's key, mean gain of the held-out rows in units of its own error, pieces of the rows being one value.
         episodes: times (s) of contacts in another recording; apart: share of its rows left out of all these errors.
     """
 
@@ -34,6 +35,7 @@ class Judged:
     after: Array
     without: dict[str, Array]
     floor: Array
+    sure: dict[str, float] = field(default_factory=dict)
     episodes: tuple[tuple[float, float], ...] = ()
     apart: float = 0.0
 
@@ -82,16 +84,31 @@ def judge(model: Model, holdout: Scene | None) -> Judged:
         rows = bench.judged if bench.judged.any() else bench.train
         whole = bench.whole - predict(baseline)
         before = np.asarray(np.mean(whole[rows] ** 2, axis=0))
-        without = {key: part.mse(rows) for key, part in smaller.items()}
+        rest, others = model.rest()[rows], {key: part.rest()[rows] for key, part in smaller.items()}
         name = "contiguous blocks set aside" if bench.judged.any() else "the recording itself"
-        return Judged(name, before, model.mse(rows), without, floor)
+        without = {key: np.mean(other**2, axis=0) for key, other in others.items()}
+        sure = {key: _sure(rest, other, floor) for key, other in others.items()}
+        return Judged(name, before, np.mean(rest**2, axis=0), without, floor, sure)
     rest = apply(model, holdout)
     good, episodes = _undisturbed(model, holdout, rest)
     after = np.mean(rest[good] ** 2, axis=0)
-    without = {key: np.mean(apply(part, holdout)[good] ** 2, axis=0) for key, part in smaller.items()}
+    others = {key: apply(part, holdout)[good] for key, part in smaller.items()}
+    without = {key: np.mean(other**2, axis=0) for key, other in others.items()}
     before = np.mean(apply(baseline, holdout)[good] ** 2, axis=0)
     floor = floor * _noisier(model, rest[good])
-    return Judged(ELSEWHERE, before, after, without, floor, episodes, float(1.0 - good.mean()))
+    sure = {key: _sure(rest[good], other, floor) for key, other in others.items()}
+    return Judged(ELSEWHERE, before, after, without, floor, sure, episodes, float(1.0 - good.mean()))
+
+
+PIECES = 40
+
+
+def _sure(rest: Array, without: Array, floor: Array) -> float:
+    """Mean gain over its standard error, from means over pieces of neighbouring rows (slow noise is one piece of luck)."""
+    gain = np.sum((without**2 - rest**2) / floor, axis=1)
+    means = np.array([piece.mean() for piece in np.array_split(gain, min(PIECES, len(gain)))])
+    error = float(np.std(means, ddof=1)) / np.sqrt(len(means)) if len(means) > 1 else np.inf
+    return float(np.mean(means)) / max(error, 1e-300)
 
 
 def _noisier(model: Model, rest: Array) -> Array:
