@@ -8,11 +8,12 @@ STAMP := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip install --quiet --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint wheel-test bench proof clean
+.PHONY: help install demo test loop-test lint wheel-test bench proof clean
 
 help:
 	@echo "make demo    calibrate a tool on the virtual robot and compensate live, with figures in demo-output/"
 	@echo "make test    the whole test suite"
+	@echo "make loop-test  a concealed cable and drift: recorded, named, saved, served, gone (minutes of a live robot)"
 	@echo "make lint    style, types, layers"
 	@echo "make bench   the benchmarks, written to docs/benchmarks.md (about 15 minutes)"
 	@echo "make proof   the blind proof of the diagnosis, written to docs/proof.md (long)"
@@ -42,6 +43,9 @@ demo: $(BASE)
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+loop-test: $(STAMP)
+	$(BIN)/python -m pytest -m long
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
