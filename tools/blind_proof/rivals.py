@@ -97,8 +97,8 @@ def _lstm(x: Array, y: Array, x_test: Array) -> Array:
     optimizer = torch.optim.Adam([*net.parameters(), *head.parameters()], lr=5e-3, weight_decay=1e-5)
     for _ in range(120):
         optimizer.zero_grad()
-        loss = torch.nn.functional.mse_loss(head(net(a)[0])[:, 10:], b[:, 10:])
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss: Any = torch.nn.functional.mse_loss(head(net(a)[0])[:, 10:], b[:, 10:])
+        loss.backward()
         optimizer.step()
     with torch.no_grad():
         coarse = head(net(torch.tensor(x_test[::step], dtype=torch.float32)[None])[0])[0].numpy()
