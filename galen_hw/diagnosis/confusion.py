@@ -103,7 +103,9 @@ class Sharpener:
     def __init__(self, scorer: Scorer, chosen: list[int], i: int) -> None:
         self.scorer, self.i = scorer, i
         rest = [j for j in [*range(len(scorer.base)), *chosen] if j != i]
-        self.base = orthonormal(scaled(np.concatenate([self._rows(scorer.library[j]) for j in rest], axis=1)))
+        nothing = self._rows(scorer.library[i])[:, :0]  # a model without nuisances has nothing else in it
+        others = [self._rows(scorer.library[j]) for j in rest]
+        self.base = orthonormal(scaled(np.concatenate([nothing, *others], axis=1)))
         _, self.gain, self.theta = _beside(scorer, chosen, i)
         self.own = self._left(self._rows(scorer.library[i]))
         self.signal = self.own @ self.theta
@@ -112,7 +114,8 @@ class Sharpener:
     def _rows(self, h: Hypothesis) -> Array:
         """(n C, k) whitened columns on the training rows."""
         bench = self.scorer.bench
-        return h.white.full(bench.width)[bench.train].reshape(-1, h.count)
+        full = h.white.full(bench.width)[bench.train]
+        return full.reshape(full.shape[0] * full.shape[1], h.count)
 
     def _left(self, X: Array) -> Array:
         return np.asarray(X - self.base @ (self.base.T @ X))

@@ -118,7 +118,11 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
             settle(bench, scorer, out.chosen)
         retime(bench, scorer, out.chosen)
         refused.clear()
-    out.evidence = {i: scorer.scores([j for j in out.chosen if j != i], [i])[0][i] for i in out.chosen}
+    for i in out.chosen:
+        # What the others can do as well has no score of its own.
+        score = scorer.scores([j for j in out.chosen if j != i], [i])[0].get(i)
+        if score is not None:
+            out.evidence[i] = score
     return out
 
 
