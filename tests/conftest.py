@@ -1,0 +1,8 @@
+"""What holds for all tests."""
+
+import signal
+import threading
+
+# A shell that starts the suite in the background has it ignore Ctrl-C, and so would every program that a test starts.
+if threading.current_thread() is threading.main_thread():
+    signal.signal(signal.SIGINT, signal.default_int_handler)
