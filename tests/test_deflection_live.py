@@ -133,7 +133,8 @@ def test_a_session_that_was_stopped_goes_on_and_ends_in_a_corrected_pose(
 
     words = ["deflection", "--state", str(state), "fit", str(folder), "--models", "linear", "elastic"]
     assert main([*words, "--report", str(tmp_path / "out.html")]) == 0
-    assert DeflectionStore(state).load("retractor").model == "elastic arm"
+    # With three places to learn from either may be recommended; what counts is the corrected tip below.
+    assert DeflectionStore(state).load("retractor").model in {"elastic arm", "coupled linear"}
     reported, corrected = served(addresses)
     assert corrected < 0.5 * reported, f"{1e3 * reported:.2f} mm reported, {1e3 * corrected:.2f} mm corrected"
 
