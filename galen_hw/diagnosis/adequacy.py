@@ -28,7 +28,7 @@ class Left:
     Args:
         channel: place.
         kind: what the generic functions were of.
-        z: (T - k) / sqrt(2 k) on the training rows.
+        z: (T - k) / sqrt(2 k); for a model that does not hold on held-out data, its mean square over the noise's.
         share: of the whitened rest's mean square, on blocks left out.
         size: rms in raw units; basis: (M, k) the functions.
     """

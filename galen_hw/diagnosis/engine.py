@@ -1,7 +1,7 @@
 """One recording from residual to verdict."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -43,7 +43,6 @@ class Work:
     judged: Judged
     left: list[adequacy.Left]
     diagnosis: Diagnosis
-    glitches: list[Finding] = field(default_factory=list)
 
 
 Progress = Callable[[str, float], None]
@@ -295,7 +294,7 @@ SURE = 6.0
 
 
 def _beyond(judged: Judged, bench: Bench) -> list[adequacy.Left]:
-    """Channels in which the model does not hold on data that it did not learn from."""
+    """Channels in which the model does not hold on data that it did not learn from; z is the ratio of mean squares here."""
     ratio = judged.after / judged.floor
     rows = int(bench.judged.sum() or bench.train.sum())
     enough = 1.0 + np.maximum(BEYOND - 1.0, SURE * np.sqrt(2.0 / bench.noise.independent(rows)))

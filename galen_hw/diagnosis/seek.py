@@ -34,9 +34,9 @@ def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
     return out
 
 
-def steps(scene: Scene, rest: Array, white: Array) -> list[Sought]:
-    """The moment at which a jump takes most out of the whitened rest, channel by channel and over all together."""
-    N, C = white.shape
+def steps(scene: Scene, rest: Array) -> list[Sought]:
+    """The moment at which a jump takes most out of the rest (M, C), channel by channel and over all together."""
+    N, C = rest.shape
     if N < 40:
         return []
     z = (rest - rest.mean(axis=0)) / np.maximum(_slow_spread(rest), 1e-300)
@@ -137,13 +137,13 @@ def ripples(scene: Scene, rest: Array) -> list[Sought]:
     return out
 
 
-def contacts(scene: Scene, white: Array, rest: Array) -> list[Sought]:
+def contacts(scene: Scene, rest: Array) -> list[Sought]:
     """Episodes in which the rest stays far above its usual level: at most a third of the time, rest before and after each.
 
     Running means over three lengths, all channels together, in units of their own robust spread (so slow noise counts as
     noise). An episode that begins with the recording or ends with it is a step.
     """
-    N, C = white.shape
+    N, C = rest.shape
     if not scene.clock or N < 200:
         return []
     away = rest - np.median(rest, axis=0)

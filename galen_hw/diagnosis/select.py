@@ -17,6 +17,7 @@ from galen_hw.spatial import Array
 
 CHANCE = 0.002
 TRIES = 8
+"""Hypotheses that may fail the guard before a turn of the search gives up."""
 PIECES = 400
 """Of so many pieces of a recording every fifth is left out to judge what belongs to moments."""
 MOST = 16
@@ -71,16 +72,16 @@ def library(bench: Bench) -> list[Effect]:
 
 def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[seek.Sought]:
     """What the rest of the present model shows by itself."""
-    rest, white = rests(bench, scorer, chosen)
-    found = seek.steps(bench.scene, rest, white) + seek.contacts(bench.scene, white, rest)
+    rest, _ = rests(bench, scorer, chosen)
+    found = seek.steps(bench.scene, rest) + seek.contacts(bench.scene, rest)
     return found + seek.lines(bench.scene, rest, bench.rows.runs) + seek.ripples(bench.scene, rest)
 
 
 def at_first_sight(bench: Bench) -> list[seek.Sought]:
     """What belongs to moments and shows in the residual itself: it must not pass for noise."""
     rest = bench.whole - np.median(bench.whole, axis=0)
-    found = seek.contacts(bench.scene, rest, rest) + seek.lines(bench.scene, rest, bench.rows.runs)
-    return found + seek.steps(bench.scene, rest, rest)[:-1]
+    found = seek.contacts(bench.scene, rest) + seek.lines(bench.scene, rest, bench.rows.runs)
+    return found + seek.steps(bench.scene, rest)[:-1]
 
 
 def rests(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, Array]:
@@ -228,6 +229,7 @@ PLAIN = {
 
 
 TIE = 2.0
+"""Difference of rank within which two hypotheses count as equal."""
 
 
 def plainest(scorer: Scorer, scores: dict[int, Score], able: list[int], misfit: float) -> int:
