@@ -9,7 +9,7 @@ from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.elastic_terms import Term, Weight
 from galen_hw.identification.deflection.stream import Place
 from galen_hw.physics.elastic_effects import Compliance
-from galen_hw.physics.joint_memory_effects import JointHysteresis
+from galen_hw.physics.memory_effects import Hysteresis
 from galen_hw.tools.deflection import robots
 from galen_hw.tools.deflection.robots import NOISE_M, GivingRobot
 
@@ -52,7 +52,7 @@ def test_a_soft_arm_bends_as_in_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
     springs = dict(zip(("structure.z", "roll", "tilt"), soft.give.compliance.tolist(), strict=True))
     slips = {p: [(float(f), 1.0)] for p, f in zip(springs, soft.give.friction, strict=True)}
     terms = [Term("compliance", p, Compliance("joint", p)) for p in springs]
-    terms += [Term("hysteresis", p, JointHysteresis(p, (slips[p][0][0],))) for p in springs]
+    terms += [Term("hysteresis", p, Hysteresis.of_load(p, (slips[p][0][0],))) for p in springs]
     values = np.array([*springs.values()] * 2)
     for data in soft.sets(2, each=1, first=5):
         arm = ElasticArm(tuple(terms), values, np.zeros((6, 6)), slips, Weight.of(data))

@@ -14,8 +14,7 @@ from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.elastic_terms import Term, Weight
 from galen_hw.messages import Fault, Message, Pose, Request, Vector3, WrenchCompensated
 from galen_hw.physics.elastic_effects import Compliance, Hardening
-from galen_hw.physics.joint_memory_effects import BearingPlay, JointHysteresis
-from galen_hw.physics.memory_effects import Creep
+from galen_hw.physics.memory_effects import Backlash, Creep, Hysteresis
 from galen_hw.services.deflection.service import DeflectionService
 from galen_hw.services.deflection.settings import DeflectionSettings
 from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore
@@ -31,10 +30,10 @@ def arm(**changes: Any) -> ElasticArm:
     """Springs, friction in the tilt joint, creep, hardening and play: all there is."""
     terms = [Term("compliance", p, Compliance("joint", p)) for p in SPRINGS]
     terms += [
-        Term("hysteresis", "tilt", JointHysteresis("tilt", (0.2,))),
+        Term("hysteresis", "tilt", Hysteresis.of_load("tilt", (0.2,))),
         Term("creep", "roll", Creep(3.0, joint="roll")),
     ]
-    terms += [Term("hardening", "tilt", Hardening("tilt", 2)), Term("play", "roll", BearingPlay("roll", 0.02))]
+    terms += [Term("hardening", "tilt", Hardening("tilt", 2)), Term("play", "roll", Backlash("roll", None, 0.02))]
     values = np.array([*SPRINGS.values(), 2.5e-3, 3e-4, -1e-4, 2e-4])
     made = ElasticArm(tuple(terms), values, np.diag((0.02 * values) ** 2), {"tilt": [(0.2, 0.8)]})
     made.floor, made.weight = np.full(3, 1e-5), Weight(0.3, (0.009, 0.0012, -0.018))

@@ -93,6 +93,9 @@ def test_angles_are_those_between_the_whitened_spans_beside_the_model() -> None:
         A, B = (beside(X, base) for X in (stacked(scorer, [one.instead], train), full.reshape(-1, full.shape[2])))
         assert np.degrees(subspace_angles(A, B)).min() == pytest.approx(one.nearest, abs=0.05)
         signal = A @ one.own
+        bend = scorer.library[one.instead].bend
+        if bend is not None:
+            signal = signal + beside(scorer.bench.whitened(bend)[train].reshape(-1, 1), base)[:, 0]
         share = np.sum(beside(signal[:, None], B)[:, 0] ** 2) / np.sum(signal**2)
         assert one.angle == pytest.approx(np.degrees(np.arcsin(np.sqrt(share))), abs=0.05)
 

@@ -176,7 +176,8 @@ def leftovers(
             sure, gain = _crossed(A @ V, y, block, ridge=LEAST_RIDGE + k / T)
             if sure >= T_NEEDED:
                 share = gain / max(float(y @ y), 1e-300)
-                size = float(bench.noise.sigma[c]) * float(np.sqrt(gain / len(y)))
+                w = V @ projected  # slow structure is larger in raw units than the whitening makes it look
+                size = float(np.sqrt(gain / len(y)) * np.std(X[good] @ w) / max(np.std(Xw @ w), 1e-300))
                 out.append(Left(c, kind, z, share, size, X))
     return sorted(out, key=lambda left: -left.z)
 

@@ -11,9 +11,8 @@ import numpy as np
 from galen_hw.diagnosis.algebra import orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.noise import Noise, estimate, quantisation
 from galen_hw.diagnosis.rows import Index, Mask, Rows, blocks, set_aside
-from galen_hw.physics.effect import Columns, Effect
+from galen_hw.physics.effect import Columns, Downstream, Effect
 from galen_hw.physics.scene import Scene
-from galen_hw.physics.time_effects import Timing
 from galen_hw.spatial import Array
 
 MOST_ROWS = 12500
@@ -31,6 +30,7 @@ class Hypothesis:
         white: the same, whitened channel by channel.
         looked: at how many places it was looked for.
         theta: parameters at which `raw` is the slope (nonlinear effects); None: at zero.
+        bend: (M, C) what it predicts at theta beyond slope times theta; None where it is linear.
     """
 
     effect: Effect | None
@@ -39,6 +39,7 @@ class Hypothesis:
     looked: int = 1
     name: str = ""
     theta: Array | None = None
+    bend: Array | None = None
 
     @property
     def count(self) -> int:
@@ -66,7 +67,7 @@ class Bench:
     aside: Mask = field(init=False)
     dropped: Mask = field(init=False)
     noise: Noise = field(init=False)
-    timing: list[tuple[Timing, Array]] = field(default_factory=list)
+    timing: list[tuple[Downstream, Array]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Averages the residual and marks the rows set aside."""
@@ -104,7 +105,7 @@ class Bench:
         return self.aside & ~self.dropped
 
     def averaged(self, columns: Columns, *, timed: bool) -> Columns:
-        """Columns on the bench's rows, as the late or lagging stream delivers them."""
+        """Columns on the bench's rows, as the late, lagging or clipping stream delivers them."""
         if timed:
             for effect, theta in self.timing:
                 columns = effect.delivered(self.scene, columns, theta)
@@ -116,7 +117,7 @@ class Bench:
 
     def raw(self, effect: Effect) -> Columns:
         """An effect's averaged columns, late where the stream is late."""
-        return self.averaged(effect.columns(self.scene), timed=not effect.EPISODIC and not effect.TIMING)
+        return self.averaged(effect.columns(self.scene), timed=not effect.EPISODIC and not effect.DOWNSTREAM)
 
     def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
         """A hypothesis of given averaged columns."""

@@ -16,9 +16,11 @@ from scipy.optimize import minimize_scalar
 from galen_hw.diagnosis.algebra import WEAK, orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.bench import Hypothesis
 from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.nonlinear import bent, unbent
 from galen_hw.diagnosis.result import Confusion, Finding
+from galen_hw.diagnosis.rows import Index
 from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.select import Selection
+from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.words import structural, why
 from galen_hw.physics.effect import Effect
 from galen_hw.spatial import Array
@@ -59,6 +61,23 @@ class Rival:
     effect: Effect
 
 
+@dataclass(frozen=True)
+class Own:
+    """A found effect in its place.
+
+    Args:
+        i: place in the scorer's library; chosen: the model it belongs to.
+        at: column numbers of the model without it; theta: (k,) its parameters.
+        gain: fall of the whitened sum of squares by it.
+    """
+
+    i: int
+    chosen: tuple[int, ...]
+    at: Index
+    gain: float
+    theta: Array
+
+
 def confusions(model: Model, selection: Selection, finding: Finding) -> list[Confusion]:
     """Other effects that, put in the finding's place, would do as well; and those that are the same by structure."""
     out = {rival.key: Confusion(rival.key, _why(finding.effect, rival)) for rival in rivals(selection, finding)}
@@ -73,19 +92,34 @@ def rivals(selection: Selection, finding: Finding, *, everyone: bool = False) ->
     found: dict[str, Rival] = {}
     misfit = scorer.misfit(selection.chosen)
     for i in _places(selection, finding):
+        own = _own(scorer, selection.chosen, i)
         # Where physics is missing, differences of a few hundredths are that physics.
-        margin = CLOSE + 0.05 * min(1.0, misfit - 1.0) * _beside(scorer, selection.chosen, i)[1]
+        margin = CLOSE + 0.05 * min(1.0, misfit - 1.0) * own.gain
         best: dict[str, Rival] = {}
-        for rival in _in_place(scorer, selection.chosen, i):
-            if rival.key != finding.effect and rival.lead < best.get(rival.key, rival).lead + 1e-9:
-                best[rival.key] = rival
-        near = sorted(best.values(), key=lambda rival: rival.angle)
-        sharp = Sharpener(scorer, selection.chosen, i) if any(_coarse(r) for r in near[:SHARPENED]) else None
-        for k, rival in enumerate(near):
-            one = sharp.sharpened(rival) if sharp and k < SHARPENED and _coarse(rival) else rival
-            if (everyone or one.lead < margin) and one.lead < found.get(one.key, one).lead + 1e-9:
-                found[one.key] = one
+        with unbent(scorer, i):
+            for rival in _in_place(scorer, own):
+                if rival.key != finding.effect and rival.lead < best.get(rival.key, rival).lead + 1e-9:
+                    best[rival.key] = rival
+            near = sorted(best.values(), key=lambda rival: rival.angle)
+            sharp = Sharpener(scorer, own) if any(_coarse(r) for r in near[:SHARPENED]) else None
+            for k, rival in enumerate(near):
+                one = sharp.sharpened(rival) if sharp and k < SHARPENED and _coarse(rival) else rival
+                one = _at_its_best(scorer, own, one) if k < SHARPENED else one
+                if (everyone or one.lead < margin) and one.lead < found.get(one.key, one).lead + 1e-9:
+                    found[one.key] = one
     return sorted(found.values(), key=lambda rival: rival.lead)
+
+
+def _at_its_best(scorer: Scorer, own: Own, rival: Rival) -> Rival:
+    """A rival that is not linear, by its own optimum instead of by its slope at zero."""
+    bench, h = scorer.bench, scorer.library[rival.place]
+    if h.effect is None or h.effect.exact(bench.scene, np.zeros(h.count)) is None:
+        return rival
+    others = [j for j in own.chosen if j != own.i]
+    score = scorer.scores(others, [rival.place])[0].get(rival.place)
+    if score is None:
+        return rival
+    return replace(rival, lead=rival.lead + score.gain - bent(bench, scorer, others, rival.place, score).gain)
 
 
 def _coarse(rival: Rival) -> bool:
@@ -97,18 +131,21 @@ class Sharpener:
     """Rivals of one chosen effect between the points of their grids: the library's grid must not decide what is alike.
 
     Args:
-        scorer, chosen: the model; i: the effect in whose place the rivals stand.
+        scorer: with the residual `unbent`; own: the effect in whose place the rivals stand.
     """
 
-    def __init__(self, scorer: Scorer, chosen: list[int], i: int) -> None:
-        self.scorer, self.i = scorer, i
-        rest = [j for j in [*range(len(scorer.base)), *chosen] if j != i]
+    def __init__(self, scorer: Scorer, own: Own) -> None:
+        self.scorer, self.i, self.gain = scorer, own.i, own.gain
+        i = own.i
+        rest = [j for j in [*range(len(scorer.base)), *own.chosen] if j != i]
         nothing = self._rows(scorer.library[i])[:, :0]  # a model without nuisances has nothing else in it
         others = [self._rows(scorer.library[j]) for j in rest]
         self.base = orthonormal(scaled(np.concatenate([nothing, *others], axis=1)))
-        _, self.gain, self.theta = _beside(scorer, chosen, i)
         self.own = self._left(self._rows(scorer.library[i]))
-        self.signal = self.own @ self.theta
+        self.signal = self.own @ own.theta
+        bend = scorer.library[i].bend
+        if bend is not None:
+            self.signal = self.signal + self._left(scorer.bench.whitened(bend)[scorer.bench.train].reshape(-1, 1))[:, 0]
         self.white = self._left(scorer.white[scorer.bench.train].reshape(-1, 1))[:, 0]
 
     def _rows(self, h: Hypothesis) -> Array:
@@ -123,14 +160,14 @@ class Sharpener:
     def sharpened(self, rival: Rival) -> Rival:
         """The rival with its searched value where it makes most of the found signal."""
         ((name, value),) = rival.effect.searched().items()
-        bound = rival.effect.SEARCHED[name]
+        free, bound = rival.effect.unlimited(), rival.effect.SEARCHED[name]
         low, high = max(np.log(value / REACH), np.log(bound.low)), min(np.log(value * REACH), np.log(bound.high))
 
         def missed(at: float) -> float:
-            return self._rest(rival.effect.with_searched({name: float(np.exp(at))}))[0]
+            return self._rest(free.with_searched({name: float(np.exp(at))}))[0]
 
         best = minimize_scalar(missed, bounds=(low, high), method="bounded", options={"xatol": 0.02, "maxiter": 14})
-        effect = rival.effect.with_searched({name: float(np.exp(best.x))})
+        effect = free.with_searched({name: float(np.exp(best.x))})
         rest, X = self._rest(effect)
         share = 1.0 - rest / float(self.signal @ self.signal)
         if _angle(np.sqrt(max(share, 0.0))) >= rival.angle:
@@ -138,7 +175,7 @@ class Sharpener:
         theta = solve_sym(X.T @ X, (X.T @ self.white)[:, None])[:, 0]
         worth = float(theta @ (X.T @ self.white))
         library = self.scorer.library
-        paid = price(self.scorer, library[rival.place]) - price(self.scorer, library[self.i])
+        paid = price(library[rival.place]) - price(library[self.i])
         nearest = float(np.degrees(np.min(subspace_angles(self.own, X))))
         angle = _angle(np.sqrt(share))
         return replace(rival, lead=self.gain - worth + paid, angle=angle, nearest=nearest, theta=theta, effect=effect)
@@ -162,27 +199,27 @@ def _places(selection: Selection, finding: Finding) -> list[int]:
     return [i for i in constant if names[scorer.base[i].raw.channels[0]] in finding.channels]
 
 
-def _others(scorer: Scorer, chosen: list[int], i: int) -> Array:
+def _others(scorer: Scorer, chosen: list[int], i: int) -> Index:
     """Column numbers of the model without hypothesis i."""
     at = scorer.base_with([j for j in chosen if j != i])
     own = scorer.places[i]
     return np.asarray(at[(at < own.start) | (at >= own.stop)], dtype=np.intp)
 
 
-def _beside(scorer: Scorer, chosen: list[int], i: int) -> tuple[Array, float, Array]:
-    """Columns of the model without hypothesis i, the gain of i beside them, and its parameters there."""
-    at = _others(scorer, chosen, i)
-    own = np.arange(scorer.places[i].start, scorer.places[i].stop)
-    P = solve_sym(scorer.G[np.ix_(at, at)], np.column_stack([scorer.G[np.ix_(at, own)], scorer.b[at]]))
-    A = scorer.G[np.ix_(own, own)] - scorer.G[np.ix_(own, at)] @ P[:, :-1]
-    r = scorer.b[own] - scorer.G[np.ix_(own, at)] @ P[:, -1]
-    theta = solve_sym(A, r[:, None])[:, 0]
-    return at, float(theta @ r), theta
+def _own(scorer: Scorer, chosen: list[int], i: int) -> Own:
+    """Hypothesis i as it stands in the model."""
+    theta, every, rest = scorer.solve(chosen)
+    place, at = scorer.places[i], _others(scorer, chosen, i)
+    mine = (every >= place.start) & (every < place.stop)
+    with unbent(scorer, i):
+        alone = solve_sym(scorer.G[np.ix_(at, at)], scorer.b[at][:, None])[:, 0]
+        without = scorer.total - float(alone @ scorer.b[at])
+    return Own(i, tuple(chosen), at, without - rest, theta[mine])
 
 
-def _in_place(scorer: Scorer, chosen: list[int], i: int) -> list[Rival]:
+def _in_place(scorer: Scorer, found: Own) -> list[Rival]:
     """Every hypothesis of another key that can make at least half of the found signal."""
-    at, gain, theta = _beside(scorer, chosen, i)
+    i, at, gain, theta = found.i, found.at, found.gain, found.theta
     own = scorer.places[i]
     every = scorer.G[at]
     P = solve_sym(scorer.G[np.ix_(at, at)], np.column_stack([every, scorer.b[at]]))
@@ -191,7 +228,7 @@ def _in_place(scorer: Scorer, chosen: list[int], i: int) -> list[Rival]:
     mine, out = scorer.library[i].effect, []
     for j, h in enumerate(scorer.library):
         same = h.effect is None or (mine is not None and h.effect.KEY == mine.KEY)
-        if h.effect is None or same or j in chosen or not h.count or signal <= 0.0:
+        if h.effect is None or same or j in found.chosen or not h.count or signal <= 0.0:
             continue
         s = scorer.places[j]
         B = scorer.G[s, s] - scorer.G[s, at] @ P[:, s]
@@ -202,7 +239,7 @@ def _in_place(scorer: Scorer, chosen: list[int], i: int) -> list[Rival]:
             continue
         r = scorer.b[s] - scorer.G[s, at] @ P[:, -1]
         worth = float(np.sum((W.T @ r) ** 2))
-        lead = (gain - price(scorer, scorer.library[i])) - (worth - price(scorer, h))
+        lead = (gain - price(scorer.library[i])) - (worth - price(h))
         U = _whitening(A, np.diag(scorer.G)[own])
         nearest = float(np.linalg.norm(W.T @ cross @ U, 2)) if U.shape[1] else 0.0
         out.append(
@@ -219,13 +256,15 @@ def _whitening(A: Array, before: Array) -> Array:
     return np.asarray((vector[:, good] / np.sqrt(value[good])) / size[:, None])
 
 
-def price(scorer: Scorer, h: Hypothesis) -> float:
-    """What freedom costs: (parameters and searched values) log n, and twice the log of the places looked at."""
+def price(h: Hypothesis) -> float:
+    """What freedom takes of noise alone (Akaike 1974), and twice the log of the places looked at.
+
+    What is likely beforehand has no say here: an effect with one parameter more is not ruled out by having it.
+    """
     if h.effect is None:
-        return float(np.log(scorer.bench.noise.effective))
+        return 1.0
     freedom = h.count if h.effect.freedom is None else min(h.count, h.effect.freedom)
-    n = scorer.bench.noise.effective
-    return float((freedom + len(h.effect.searched())) * np.log(n) + 2.0 * np.log(h.looked))
+    return float(freedom + len(h.effect.searched()) + 2.0 * np.log(h.looked))
 
 
 def _angle(cosine: float) -> float:

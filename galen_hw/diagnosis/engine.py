@@ -16,7 +16,8 @@ from galen_hw.diagnosis.judge import Judged, judge
 from galen_hw.diagnosis.locate import channels_of, episodes_of, where_of
 from galen_hw.diagnosis.result import Diagnosis, Finding, Verdict
 from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.select import Selection, at_first_sight, library, select
+from galen_hw.diagnosis.select import at_first_sight, library, select
+from galen_hw.diagnosis.selection import Selection
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.event_effects import Glitches
 from galen_hw.physics.scene import Scene
@@ -166,7 +167,7 @@ def _earned(model: Model, holdout: Scene | None) -> tuple[Model, Judged]:
     """The model without what held-out data do not support; what belongs to moments shows nowhere else."""
     while True:
         judged = judge(model, holdout)
-        lasting = [key for key in judged.without if not effect_class(key).EPISODIC]
+        lasting = [k for k in judged.without if not effect_class(k).EPISODIC and not effect_class(k).BRIEF]
         idle = [key for key in lasting if judged.support(key) < LEAST_SUPPORT or judged.sure[key] < LEAST_SURE]
         if not idle:
             return model, judged

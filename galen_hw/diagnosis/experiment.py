@@ -17,7 +17,7 @@ from galen_hw.diagnosis.confusion import Rival, rivals
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.recipes import Recipe, recipes
 from galen_hw.diagnosis.result import Finding
-from galen_hw.diagnosis.select import Selection
+from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.sizes import SIGNAL
 from galen_hw.diagnosis.staging import Eye, Stage, beside, stacked, stage
 from galen_hw.diagnosis.words import NEXT, settled_by
@@ -157,6 +157,8 @@ def _distance(model: Model, staged: Stage, pair: Pair, others: list[Hypothesis])
     found, rival = staged.columns(pair.found, width), staged.columns(pair.rival, width)
     if found is None or rival is None:
         return None
+    if found.shape[2] != pair.theta.size or rival.shape[2] != pair.rival_theta.size:
+        return None  # what belongs to the recording's own moments has no counterpart in another
     eye = Eye(bench, staged)
     nuisance = _nuisances(staged, others, width, constants=not {"bias"} & {pair.found.KEY, pair.rival.KEY})
     white = beside(eye.whiten(np.concatenate([found, rival], axis=2)), N := eye.whiten(nuisance))

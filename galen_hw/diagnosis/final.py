@@ -8,9 +8,11 @@ import numpy as np
 
 from galen_hw.diagnosis.algebra import solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.linear import fit, left_out, predicted
 from galen_hw.diagnosis.rows import Chosen
 from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.select import PROVED, Selection, fit, left_out, predicted
+from galen_hw.diagnosis.selection import Selection
+from galen_hw.diagnosis.worth import PROVED
 from galen_hw.physics.effect import Columns
 from galen_hw.physics.geometry_effects import JointOffset
 from galen_hw.physics.sensor_effects import Bias

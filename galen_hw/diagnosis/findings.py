@@ -11,7 +11,8 @@ from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.guards import Premise
 from galen_hw.diagnosis.judge import Judged
 from galen_hw.diagnosis.result import Finding, Value
-from galen_hw.diagnosis.select import CHANCE, Selection
+from galen_hw.diagnosis.select import CHANCE
+from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.sizes import SIGNAL, headline
 from galen_hw.diagnosis.variables import joint_units
 from galen_hw.diagnosis.words import BELIEVED, SAYS

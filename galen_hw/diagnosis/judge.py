@@ -8,8 +8,8 @@ from galen_hw.diagnosis import seek
 from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.linear import predicted
 from galen_hw.diagnosis.rows import Mask, Rows
-from galen_hw.diagnosis.select import predicted
 from galen_hw.physics.effect import Columns
 from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.scene import Scene
@@ -26,7 +26,7 @@ class Judged:
         name: of what was held out.
         before: of the baseline; after: with all effects; without: per effect's key, with that one left out.
         floor: of the noise.
-        sure: per effect's key, mean gain of the held-out rows in units of its own error, pieces of the rows being one value.
+        sure: per effect's key, gain on the held-out rows in units of its own error, see `_sure`.
         episodes: times (s) of contacts in another recording; apart: share of its rows left out of all these errors.
     """
 
@@ -105,11 +105,19 @@ PIECES = 40
 
 
 def _sure(rest: Array, without: Array, floor: Array) -> float:
-    """Mean gain over its standard error, from means over pieces of neighbouring rows (slow noise is one piece of luck)."""
-    gain = np.sum((without**2 - rest**2) / floor, axis=1)
-    means = np.array([piece.mean() for piece in np.array_split(gain, min(PIECES, len(gain)))])
-    error = float(np.std(means, ddof=1)) / np.sqrt(len(means)) if len(means) > 1 else np.inf
-    return float(np.mean(means)) / max(error, 1e-300)
+    """Gain over its standard error, a sum over neighbouring rows being one value (slow noise is one piece of luck).
+
+    With d the effect and r the rest, the gain is d^2 + 2 r d. Luck is in r d alone: that an effect acts in few pieces, as a
+    delay does where all but a few moves are rests, makes it no less sure. Where physics is missing r d is large, but a gain in
+    nearly every piece is no luck either: the larger of the two counts.
+    """
+    effect = without - rest
+    luck = np.sum(2.0 * rest * effect / floor, axis=1)
+    gain = np.sum(effect**2 / floor, axis=1) + luck
+    count = min(PIECES, len(gain))
+    each, lucky = (np.array([piece.sum() for piece in np.array_split(x, count)]) for x in (gain, luck))
+    spread = float(np.std(each, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
+    return float(each.sum()) / max(min(float(np.sqrt(np.sum(lucky**2))), spread), 1e-300)
 
 
 def _noisier(model: Model, rest: Array) -> Array:
@@ -156,7 +164,7 @@ def apply(model: Model, scene: Scene) -> Array:
             refit.append(h)
         elif not h.effect.EPISODIC:
             change = Columns(tuple(range(bench.width)), h.effect.change(scene, model.final[s])[:, :, None])
-            if not h.effect.TIMING:
+            if not h.effect.DOWNSTREAM:
                 for late, theta in bench.timing:
                     change = late.delivered(scene, change, theta)
             rest -= change.values[:, :, 0]

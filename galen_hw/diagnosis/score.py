@@ -1,13 +1,18 @@
 """Likelihood ratios of all hypotheses against what is already in the model, from inner products alone."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from galen_hw.diagnosis.algebra import log_tail, quadratic, solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis
-from galen_hw.diagnosis.rows import Chosen
 from galen_hw.spatial import Array
+
+if TYPE_CHECKING:
+    from galen_hw.diagnosis.rows import Index
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,8 @@ class Scorer:
         self.b = np.empty(0)
         self.fakes = np.empty((0, self.fake.shape[2]))
         self.places: list[slice] = []
+        # Per channel: column numbers and the columns themselves on the training rows, side by side.
+        self._stacks: list[list[tuple[Index, Array]]] = [[] for _ in range(bench.width)]
         self.append([*self.base, *library])
 
     def append(self, new: list[Hypothesis]) -> None:
@@ -60,35 +67,35 @@ class Scorer:
         self.library += new
         G, b, fakes = np.zeros((first, first)), np.zeros(first), np.zeros((first, self.fake.shape[2]))
         G[:old, :old], b[:old], fakes[:old] = self.G, self.b, self.fakes
-        rows = self._train
-        for c in range(self.bench.width):
-            mine = [i for i, h in enumerate(self.library) if c in h.white.channels and h.count]
-            fresh = [i for i in mine if self.places[i].start >= old]
+        for c, stack in enumerate(self._stacks):
+            fresh = [i for i in range(len(self.library) - len(new), len(self.library)) if self._acts(i, c)]
             if not fresh:
                 continue
-            at = np.concatenate([np.arange(self.places[i].start, self.places[i].stop) for i in mine])
             at_new = np.concatenate([np.arange(self.places[i].start, self.places[i].stop) for i in fresh])
-            X, Xn = self._stack(mine, c, rows), self._stack(fresh, c, rows)
-            cross = X.T @ Xn
-            G[np.ix_(at, at_new)] += cross
-            older = at < old
-            G[np.ix_(at_new, at[older])] += cross[older].T
-            b[at_new] += Xn.T @ self.white[rows, c]
-            fakes[at_new] += Xn.T @ self.fake[rows, c]
+            parts = [self.library[i].white.values[:, self.library[i].white.channels.index(c)] for i in fresh]
+            Xn = np.concatenate(parts, axis=1)[self._train]
+            for at, X in stack:
+                cross = X.T @ Xn
+                G[np.ix_(at, at_new)] += cross
+                G[np.ix_(at_new, at)] += cross.T
+            G[np.ix_(at_new, at_new)] += Xn.T @ Xn
+            b[at_new] += Xn.T @ self.white[self._train, c]
+            fakes[at_new] += Xn.T @ self.fake[self._train, c]
+            stack.append((at_new, Xn))
         self.G, self.b, self.fakes = G, b, fakes
 
-    def _stack(self, which: list[int], c: int, rows: Chosen) -> Array:
-        parts = [self.library[i].white.values[:, self.library[i].white.channels.index(c)] for i in which]
-        return np.asarray(np.concatenate(parts, axis=1)[rows])
+    def _acts(self, i: int, c: int) -> bool:
+        return c in self.library[i].white.channels and self.library[i].count > 0
 
     def retime(self) -> None:
         """All columns anew as the bench's late or lagging stream delivers them."""
         bench, library = self.bench, self.library
         for i in range(len(self.base), len(library)):
             h = library[i]
-            if h.effect is not None and h.theta is None and not h.effect.EPISODIC and not h.effect.TIMING:
+            if h.effect is not None and h.theta is None and not h.effect.EPISODIC and not h.effect.DOWNSTREAM:
                 library[i] = bench.made(h.effect, bench.raw(h.effect), h.looked, h.name)
         self.library, self.places = [], []
+        self._stacks = [[] for _ in self._stacks]
         self.G, self.b, self.fakes = np.empty((0, 0)), np.empty(0), np.empty((0, self.fake.shape[2]))
         self.append(library)
 
@@ -96,10 +103,24 @@ class Scorer:
         """Another residual (M, C) for the same columns: what nonlinear effects predict beyond their slope is taken off."""
         self.white = self.bench.whitened(y)
         self.b = np.zeros_like(self.b)
-        for c in range(self.bench.width):
-            mine = [i for i, h in enumerate(self.library) if c in h.white.channels and h.count]
-            at = np.concatenate([np.arange(self.places[i].start, self.places[i].stop) for i in mine])
-            self.b[at] += self._stack(mine, c, self._train).T @ self.white[self._train, c]
+        for c, stack in enumerate(self._stacks):
+            for at, X in stack:
+                self.b[at] += X.T @ self.white[self._train, c]
+
+    @contextmanager
+    def against(self, y: Array) -> Iterator[None]:
+        """Another residual (M, C) for a while."""
+        bench, before = self.bench, (self.bench.y, self.white, self.b)
+        bench.y = y
+        self.retarget(y)
+        try:
+            yield
+        finally:
+            grown = len(self.b) > len(before[2])
+            bench.y, self.white, self.b = before
+            if grown:
+                self.b = np.zeros(len(self.G))
+                self.retarget(bench.y)
 
     @property
     def total(self) -> float:

@@ -11,6 +11,7 @@ from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Contact, Step, Vibration
 from galen_hw.physics.joint_effects import TorqueRipple
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.sensor_effects import Saturation
 from galen_hw.physics.smoothing import isolated
 from galen_hw.physics.time_effects import joint_of
 from galen_hw.spatial import Array
@@ -22,6 +23,10 @@ class Sought:
 
     effect: Effect
     looked: int
+
+
+FEW_CLIPPED = 5
+"""Rows beyond a limit that are too few to show that it is one."""
 
 
 def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
@@ -134,6 +139,28 @@ def ripples(scene: Scene, rest: Array) -> list[Sought]:
         r = rest[:, c] - rest[:, c].mean()
         power = np.array([np.abs(np.mean(r * np.exp(-1j * k * q))) ** 2 for k in numbers])
         out.append(Sought(TorqueRipple(joint, float(numbers[int(np.argmax(power))])), len(numbers)))
+    return out
+
+
+def saturations(scene: Scene, rest: Array, simulated: Array) -> list[Sought]:
+    """For each end of each channel the limit at which clipping of what is simulated takes most out of the rest (M, C).
+
+    Clipping takes all that goes beyond the limit L, so that only L is free: the gain of h = max(w - L, 0) with the factor -1,
+    -2 sum r h - sum h^2, for every L at once from running sums over the rows in order of w.
+    """
+    out = []
+    for c, name in enumerate(scene.channels):
+        for sign in (1.0, -1.0):
+            w, r = sign * simulated[:, c], sign * (rest[:, c] - np.median(rest[:, c]))
+            order = np.argsort(-w)
+            w, r = w[order], r[order]
+            k = np.arange(1, len(w))
+            limit, s, q = w[1:], np.cumsum(w)[:-1], np.cumsum(w * w)[:-1]
+            gain = -2.0 * (np.cumsum(r * w)[:-1] - limit * np.cumsum(r)[:-1]) - (q - 2.0 * limit * s + k * limit**2)
+            gain[: max(len(w) // 200, FEW_CLIPPED)] = 0.0
+            gain[len(w) // 2 :] = 0.0
+            if len(gain) and gain.max() > 0.0:
+                out.append(Sought(Saturation(name, float(sign * limit[int(np.argmax(gain))]), sign > 0.0), len(w) // 4))
     return out
 
 

@@ -1,67 +1,25 @@
-"""Which effects: forward by likelihood with a held-out guard, then drop-one and swaps; searched values polished."""
-
-from dataclasses import dataclass, field, replace
+"""Which effects: forward by likelihood with a held-out guard, then drop-one and swaps."""
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from galen_hw.diagnosis import seek
-from galen_hw.diagnosis.algebra import solve_sym
-from galen_hw.diagnosis.bench import Bench, Hypothesis
-from galen_hw.diagnosis.rows import Chosen
+from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.linear import crossed, rests
+from galen_hw.diagnosis.nonlinear import bent, in_place, polished, retime, settle, unbent
 from galen_hw.diagnosis.score import Score, Scorer, threshold
-from galen_hw.physics.effect import Columns, Effect
+from galen_hw.diagnosis.selection import Selection
+from galen_hw.diagnosis.worth import WORTH, asked, plausible, worth
+from galen_hw.physics.effect import Effect
 from galen_hw.physics.table import EFFECTS, effect_class
-from galen_hw.physics.time_effects import Timing
-from galen_hw.spatial import Array
 
 CHANCE = 0.002
+
+
 TRIES = 8
 """Hypotheses that may fail the guard before a turn of the search gives up."""
-PIECES = 400
-"""Of so many pieces of a recording every fifth is left out to judge what belongs to moments."""
+
+
 MOST = 16
-WORTH = 0.25
-"""An effect must take at least this share of the excess that is left in some channel, on data it did not learn from."""
-
-
-@dataclass
-class Selection:
-    """The chosen model and how it came about.
-
-    Args:
-        chosen: places in the scorer's library.
-        evidence: score of each when all others are in.
-        first: score of every hypothesis before any was chosen, best of its family.
-        needed: surprise that chance reaches.
-        refused: effects that looked significant but did not pass the guard.
-        start: (C,) mean squared error on blocks left out before anything was chosen.
-    """
-
-    scorer: Scorer
-    chosen: list[int] = field(default_factory=list)
-    evidence: dict[int, Score] = field(default_factory=dict)
-    first: dict[int, Score] = field(default_factory=dict)
-    needed: float = 0.0
-    refused: list[tuple[Effect, float]] = field(default_factory=list)
-    start: Array = field(default_factory=lambda: np.empty(0))
-
-    @property
-    def hypotheses(self) -> list[Hypothesis]:
-        """The chosen ones."""
-        return [self.scorer.library[i] for i in self.chosen]
-
-
-MATTERS = 0.03
-"""Where the best model still misses much (real machines), an effect must take this share of the whole excess as well."""
-
-
-LOUD = 400.0
-"""Mean square over noise from which a recording is so loud that a hundredth of it is no matter."""
-
-
-PROVED = 1.25
-"""Whitened mean square below which a model leaves hardly more than noise."""
 
 
 def library(bench: Bench) -> list[Effect]:
@@ -74,6 +32,7 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[seek.Sought]
     """What the rest of the present model shows by itself."""
     rest, _ = rests(bench, scorer, chosen)
     found = seek.steps(bench.scene, rest) + seek.contacts(bench.scene, rest)
+    found += seek.saturations(bench.scene, rest, bench.rows.average(bench.scene.simulated))
     return found + seek.lines(bench.scene, rest, bench.rows.runs) + seek.ripples(bench.scene, rest)
 
 
@@ -82,19 +41,6 @@ def at_first_sight(bench: Bench) -> list[seek.Sought]:
     rest = bench.whole - np.median(bench.whole, axis=0)
     found = seek.contacts(bench.scene, rest) + seek.lines(bench.scene, rest, bench.rows.runs)
     return found + seek.steps(bench.scene, rest)[:-1]
-
-
-def rests(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, Array]:
-    """(M, C) rest of a model, raw and whitened."""
-    theta = scorer.solve(chosen)[0]
-    rest, white, done = bench.y.copy(), scorer.white.copy(), 0
-    for i in [*range(len(scorer.base)), *chosen]:
-        h = scorer.library[i]
-        t = theta[done : done + h.count]
-        done += h.count
-        rest[:, list(h.raw.channels)] -= h.raw.values @ t
-        white[:, list(h.white.channels)] -= h.white.values @ t
-    return rest, white
 
 
 def select(bench: Bench, scorer: Scorer) -> Selection:
@@ -108,12 +54,13 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         if turn == 0:
             out.first = scores
         best = _best(bench, scorer, out, scores, refused)
-        if best is None:
+        if best is not None:
+            out.chosen.append(best)
+        elif not _split(bench, scorer, out):
             break
-        out.chosen.append(best)
         settle(bench, scorer, out.chosen)
         _drop(scorer, out)
-        if _swap(scorer, out, refused):
+        if _swap(bench, scorer, out, refused):
             settle(bench, scorer, out.chosen)
         if _enrich(bench, scorer, out):
             settle(bench, scorer, out.chosen)
@@ -149,15 +96,15 @@ def _best(bench: Bench, scorer: Scorer, out: Selection, scores: dict[int, Score]
         if paid >= 0.5 * WORTH:
             better = polished(bench, scorer, out.chosen, i)
             paid, whole = worth(bench, scorer, out, better) if better != i else (paid, whole)
-        price, least = _price(scorer.library[i].effect, misfit), _least(bench, out, misfit)
-        if paid >= price and whole >= least:
+        share, of_all = asked(bench, out, scorer.library[i].effect, misfit)
+        if paid >= share and whole >= of_all:
             if plausible(bench, scorer, out.chosen, better):
                 return better
             # At the optimum it is not what it is called; beside it, where other physics is still missing, it may be.
             near = _plausible_kin(bench, scorer, out.chosen, scores, i)
             if near is not None:
                 paid, whole = worth(bench, scorer, out, near)
-                if paid >= price and whole >= least:
+                if paid >= share and whole >= of_all:
                     return near
         refused.update(_kin(scorer, i))
         effect = scorer.library[better].effect
@@ -170,6 +117,12 @@ def _plausible_kin(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict
     """The best of the same hypothesis at other searched values whose parameters can be what it is called."""
     kin = sorted((j for j in _kin(scorer, i) if j in scores), key=lambda j: -scores[j].rank)
     return next((j for j in kin if scores[j].rank > 0.0 and plausible(bench, scorer, chosen, j)), None)
+
+
+def _kin(scorer: Scorer, i: int) -> list[int]:
+    effect = scorer.library[i].effect
+    assert effect is not None, "nuisances are never candidates"
+    return [j for j, h in enumerate(scorer.library) if h.effect is not None and h.effect.family == effect.family]
 
 
 def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], able: list[int]) -> list[int]:
@@ -192,28 +145,11 @@ def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int,
     return sorted([*able, *(i for i in fresh if i in scores)], key=lambda i: -scores[i].rank)
 
 
-def bent(bench: Bench, scorer: Scorer, chosen: list[int], i: int, score: Score) -> Score:
-    """The score of a nonlinear effect at its own optimum (Gauss and Newton) instead of by its slope at zero."""
-    h, y, theta = scorer.library[i], bench.y, scorer.solve([*chosen, i])[0][-scorer.library[i].count :]
-    base = [scorer.library[j] for j in [*range(len(scorer.base)), *chosen]]
-    rows = np.flatnonzero(bench.train)
-    _, white = rests(bench, scorer, chosen)
-    before, best = float(np.sum(white[rows] ** 2)), score.gain
-    for _ in range(2):
-        new, offset = tangent(bench, h, theta)
-        target = bench.whitened(y - offset)
-        model = [*base, new]
-        solved = fit(model, target, rows, bench.width)
-        rest, done = target[rows].copy(), 0
-        for part in model:
-            rest[:, list(part.white.channels)] -= part.white.values[rows] @ solved[done : done + part.count]
-            done += part.count
-        theta = solved[-h.count :]
-        best = max(best, before - float(np.sum(rest**2)))
-    return replace(score, gain=best, rank=score.rank + best - score.gain)
-
-
 SLACK = 0.25
+NOISE_ALONE = 1.1
+"""Whitened mean square up to which a model is taken to leave noise alone: rounded readings are not quite white."""
+
+
 PLAIN = {
     "time_delay": 0,
     "bias": 0,
@@ -228,6 +164,13 @@ PLAIN = {
 """Of look-alikes that do nearly as well while the model still misses much, the plainer goes first."""
 
 
+def _slack(misfit: float) -> float:
+    """Share of a gain that is no evidence between look-alikes; none where hardly more than noise is left."""
+    return SLACK * float(np.clip(misfit - NOISE_ALONE, 0.0, 1.0))
+
+
+ALIKE = 0.002
+"""Share of a gain, and of an error on blocks left out, that decides nothing: no simulation is truer than that."""
 TIE = 2.0
 """Difference of rank within which two hypotheses count as equal."""
 
@@ -239,17 +182,21 @@ def plainest(scorer: Scorer, scores: dict[int, Score], able: list[int], misfit: 
     likelihood between look-alikes are that physics, not evidence.
     """
     best = able[0]
-    share = SLACK * min(1.0, misfit - 1.0)
+    share = _slack(misfit)
     slack = share * scores[best].gain
-    slack = slack if slack > 6.0 else TIE
+    slack = max(slack if slack > 6.0 else TIE, ALIKE * scores[best].gain)
 
     def cost(i: int) -> tuple[int, int, float]:
-        effect = scorer.library[i].effect
-        key = "" if effect is None else effect.KEY
-        return (PLAIN.get(key, 3), scores[i].count, -scores[i].rank)
+        return (_plainness(scorer, i), scores[i].count, -scores[i].rank)
 
     close = [i for i in able if scores[i].rank >= scores[best].rank - slack]
     return min(close, key=cost)
+
+
+def _plainness(scorer: Scorer, i: int) -> int:
+    """The lower, the plainer."""
+    effect = scorer.library[i].effect
+    return PLAIN.get("" if effect is None else effect.KEY, 3)
 
 
 def place_of(effect: Effect | None) -> tuple[str, ...]:
@@ -263,86 +210,6 @@ def place_of(effect: Effect | None) -> tuple[str, ...]:
     return (effect.KEY, *place, *map(str, errors), form)
 
 
-def _price(effect: Effect | None, misfit: float) -> float:
-    """The share of the excess that an effect must take; what belongs to moments fits nearly anything and pays more."""
-    episodic = effect is not None and effect.EPISODIC
-    return WORTH * (1.0 + min(1.0, misfit - 1.0) * episodic)
-
-
-def settle(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
-    """Nonlinear effects are linearised anew where they stand; what they do beyond their slope is taken off the residual."""
-    for _ in range(3):
-        theta = scorer.solve(chosen)[0]
-        done = sum(h.count for h in scorer.base)
-        beyond, fresh, moved = np.zeros_like(bench.y), [], False
-        for place, i in enumerate(chosen):
-            h = scorer.library[i]
-            t, done = theta[done : done + h.count], done + h.count
-            if h.effect is None or h.effect.exact(bench.scene, t) is None:
-                continue
-            new, offset = tangent(bench, h, t)
-            beyond += offset
-            moved = moved or h.theta is None or bool(np.max(np.abs(h.theta - t)) > 1e-3 * np.max(np.abs(t)))
-            fresh.append((place, new))
-        if not fresh or not moved:
-            return
-        bench.y = bench.whole - beyond
-        scorer.append([h for _, h in fresh])
-        for k, (place, _) in enumerate(fresh):
-            chosen[place] = len(scorer.library) - len(fresh) + k
-        scorer.retarget(bench.y)
-
-
-LATER = 0.1
-"""A delay or lag that moves by more than this share makes all other effects' columns anew."""
-
-
-def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
-    """What a late or lagging stream delivers of the other effects is late too: a delayed play is not a delay plus a play."""
-    for _ in range(2):
-        theta, now = scorer.solve(chosen)[0], list[tuple[Timing, Array]]()
-        done = sum(h.count for h in scorer.base)
-        for i in chosen:
-            h = scorer.library[i]
-            t, done = theta[done : done + h.count], done + h.count
-            if isinstance(h.effect, Timing):
-                now.append((h.effect, t))
-        if _same_timing(bench.timing, now):
-            return
-        bench.timing = now
-        scorer.retime()
-        settle(bench, scorer, chosen)
-
-
-def _same_timing(old: list[tuple[Timing, Array]], new: list[tuple[Timing, Array]]) -> bool:
-    return len(old) == len(new) and all(
-        a == b and bool(np.max(np.abs(s - t)) <= LATER * np.max(np.abs(t)))
-        for (a, s), (b, t) in zip(old, new, strict=True)
-    )
-
-
-def tangent(bench: Bench, h: Hypothesis, theta: Array) -> tuple[Hypothesis, Array]:
-    """The hypothesis linearised at theta, and (M, C) what it predicts there beyond slope times theta."""
-    effect, scene = h.effect, bench.scene
-    assert effect is not None, "nuisances are linear"
-    here = effect.change(scene, theta)
-    slopes = []
-    for k in range(h.count):
-        step = np.zeros(h.count)
-        step[k] = 1e-4 * max(float(np.max(np.abs(theta))), 1e-6)
-        slopes.append((effect.change(scene, theta + step) - effect.change(scene, theta - step)) / (2.0 * step[k]))
-    raw = bench.averaged(Columns(tuple(range(bench.width)), np.stack(slopes, axis=-1)), timed=False)
-    out = bench.made(effect, raw, h.looked)
-    out.theta = theta
-    return out, bench.rows.average(here) - raw.values @ theta
-
-
-def _kin(scorer: Scorer, i: int) -> list[int]:
-    effect = scorer.library[i].effect
-    assert effect is not None, "nuisances are never candidates"
-    return [j for j, h in enumerate(scorer.library) if h.effect is not None and h.effect.family == effect.family]
-
-
 def _drop(scorer: Scorer, out: Selection) -> None:
     """Backward: what no longer stands beside the others goes."""
     while len(out.chosen) > 1:
@@ -354,21 +221,105 @@ def _drop(scorer: Scorer, out: Selection) -> None:
         out.chosen.remove(worst)
 
 
-def _swap(scorer: Scorer, out: Selection, refused: set[int]) -> bool:
+def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bool:
     """Each chosen effect against every rival in its place; whether any was exchanged."""
-    before = list(out.chosen)
+    start = list(out.chosen)
     for i in list(out.chosen):
         others = [j for j in out.chosen if j != i]
-        scores, _ = scorer.scores(others)
-        rivals = {j: s for j, s in scores.items() if j not in refused}
+        rivals = {j: s for j, s in in_place(bench, scorer, out.chosen, i).items() if j not in refused}
         if i not in rivals:
             continue
-        best = max(rivals, key=lambda j: rivals[j].rank)
+        better = sorted((j for j in rivals if rivals[j].rank > rivals[i].rank), key=lambda j: -rivals[j].rank)
+        best = next((j for j in better[:TRIES] if plausible(bench, scorer, others, j)), i)
         misfit = scorer.misfit([*others, best])
-        margin = 6.0 + SLACK * min(1.0, misfit - 1.0) * rivals[i].gain
-        if best != i and rivals[best].rank > rivals[i].rank + margin:
-            out.chosen[out.chosen.index(i)] = best
-    return out.chosen != before
+        margin = 6.0 + _slack(misfit) * rivals[i].gain
+        if _plainness(scorer, best) > _plainness(scorer, i):
+            margin += ALIKE * rivals[i].gain
+        if best in _kin(scorer, i):
+            margin = 1.0  # the same thing at a better value
+        if best == i or rivals[best].rank <= rivals[i].rank + margin:
+            continue
+        trial = [best if j == i else j for j in out.chosen]
+        before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, trial)
+        if float(np.mean(after / before)) <= 1.0 + ALIKE:
+            out.chosen = trial
+    return out.chosen != start
+
+
+FLEXIBLE = ("cable_drag", "creep", "cross_talk", "hysteresis")
+"""Effects whose form bends enough to take what several constants of geometry or load do together."""
+PAIRED = 5
+"""Kinds that are tried as the first of a few."""
+LONGEST_CHAIN = 3
+LEAST_PART = 0.2
+"""Share of the gain of what they replace that the first of a few must have by itself."""
+
+
+def _split(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Two or three plain effects in the place of a flexible one that took what none could take alone; whether that was better.
+
+    Forward search takes the best single hypothesis first: a spring with four parameters for a tilt and a zero together.
+    """
+    for i in list(out.chosen):
+        effect = scorer.library[i].effect
+        if effect is None or effect.KEY not in FLEXIBLE:
+            continue
+        others = [j for j in out.chosen if j != i]
+        ranks = {j: s for j, s in in_place(bench, scorer, out.chosen, i).items() if i == j or _apart(scorer, i, j)}
+        if i not in ranks:
+            continue
+        taken = {place_of(scorer.library[j].effect) for j in others}
+        with unbent(scorer, i):
+            firsts = _firsts(scorer, ranks, taken, LEAST_PART * ranks[i].gain, effect)
+            chains = [_chain(scorer, others, a, ranks, out.needed) for a in firsts]
+        total, chain = max(chains, default=(0.0, []), key=lambda x: x[0])
+        misfit = scorer.misfit(out.chosen)
+        if len(chain) < 2 or total < ranks[i].rank + 6.0 + _slack(misfit) * ranks[i].gain:
+            continue
+        real = all(plausible(bench, scorer, [*others, *(x for x in chain if x != one)], one) for one in chain)
+        before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, [*others, *chain])
+        if real and float(np.mean(after / before)) < 1.0:
+            out.chosen = [*others, *chain]
+            return True
+    return False
+
+
+def _chain(
+    scorer: Scorer, others: list[int], first: int, able: dict[int, Score], needed: float
+) -> tuple[float, list[int]]:
+    """Up to three hypotheses out of the able ones that follow each other beside the others, and their ranks together."""
+    chain, total = [first], able[first].rank
+    while len(chain) < LONGEST_CHAIN:
+        model = [*others, *chain]
+        away = {place_of(scorer.library[j].effect) for j in model}
+        scores = scorer.scores(model)[0]
+        follow = [j for j in scores if j in able and place_of(scorer.library[j].effect) not in away]
+        best = max(follow, key=lambda j: scores[j].rank, default=None)
+        if best is None or scores[best].rank <= 0.0 or scores[best].surprise <= needed:
+            break
+        chain.append(best)
+        total += scores[best].rank
+    return total, chain
+
+
+def _apart(scorer: Scorer, i: int, j: int) -> bool:
+    """Whether j is plain beside the flexible i: lasting, nothing searched, and not flexible itself."""
+    other = scorer.library[j]
+    effect = other.effect
+    plain = effect is not None and effect.KEY not in FLEXIBLE and not effect.EPISODIC and not effect.searched()
+    return plain and other.looked == 1 and j != i
+
+
+def _firsts(
+    scorer: Scorer, ranks: dict[int, Score], taken: set[tuple[str, ...]], least: float, own: Effect
+) -> list[int]:
+    """The best hypothesis of each family, strongest first, that could be the first of a few."""
+    out: dict[object, int] = {}
+    for j in sorted(ranks, key=lambda j: -ranks[j].rank):
+        effect = scorer.library[j].effect
+        if effect is not None and effect.KEY != own.KEY and ranks[j].gain >= least and place_of(effect) not in taken:
+            out.setdefault(effect.family, j)
+    return list(out.values())[:PAIRED]
 
 
 RICHER = 0.1
@@ -401,155 +352,3 @@ def _enrich(bench: Bench, scorer: Scorer, out: Selection) -> bool:
 
 def _same_kind(other: Effect | None, effect: Effect) -> bool:
     return other is not None and other.KEY == effect.KEY and other.joints == effect.joints
-
-
-def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> int:
-    """The same effect with its searched values at the optimum: a new place in the library, or the old one."""
-    hypothesis = scorer.library[i]
-    effect = hypothesis.effect
-    if effect is None or not effect.searched():
-        return i
-    for name, value in effect.searched().items():
-        effect = _along(bench, scorer, chosen, effect, name, value)
-    scorer.append([bench.add(effect, hypothesis.looked)])
-    last = len(scorer.library) - 1
-    pair, _ = scorer.scores(chosen, [i, last])
-    return last if last in pair and (i not in pair or pair[last].gain > pair[i].gain) else i
-
-
-def _along(bench: Bench, scorer: Scorer, chosen: list[int], effect: Effect, name: str, value: float) -> Effect:
-    bound = effect.SEARCHED[name]
-    _, white = rests(bench, scorer, chosen)
-    at = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
-    rows = bench.train
-    wide = 1.02 if name in {"frequency", "wave_number"} else 2.2
-
-    def cost(log_value: float) -> float:
-        h = bench.add(effect.with_searched({name: float(np.exp(log_value))}))
-        return -_gain(h, at, white, rows)
-
-    low, high = max(np.log(value / wide), np.log(bound.low)), min(np.log(value * wide), np.log(bound.high))
-    if not high > low:
-        return effect
-    tolerance = 1e-5 if wide < 1.1 else 3e-3
-    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": tolerance, "maxiter": 12})
-    return effect.with_searched({name: float(np.exp(found.x))}) if found.fun < cost(np.log(value)) else effect
-
-
-def _gain(h: Hypothesis, base: list[Hypothesis], white: Array, rows: Chosen) -> float:
-    """Fall of the whitened sum of squares of a rest when one hypothesis joins those that made it."""
-    channels = h.white.channels
-    X = h.white.values[rows].reshape(-1, h.count)
-    r = white[rows][:, list(channels)].reshape(-1)
-    parts = [b for b in base if set(b.white.channels) & set(channels)]
-    inside = [_on(b.white, channels)[rows].reshape(len(X), -1) for b in parts]
-    B = np.concatenate([np.empty((len(X), 0)), *inside], axis=1)
-    B = B / np.maximum(np.linalg.norm(B, axis=0), 1e-300)
-    X = X - B @ np.linalg.lstsq(B, X, rcond=1e-9)[0]
-    theta = np.linalg.lstsq(X, r, rcond=1e-9)[0]
-    return float(2.0 * theta @ (X.T @ r) - np.sum((X @ theta) ** 2))
-
-
-def _on(columns: Columns, channels: tuple[int, ...]) -> Array:
-    """(M, len(channels), k) of columns on some channels, zero where they do not act."""
-    out = np.zeros((len(columns.values), len(channels), columns.count))
-    for i, c in enumerate(channels):
-        if c in columns.channels:
-            out[:, i] = columns.values[:, columns.channels.index(c)]
-    return out
-
-
-def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, float]:
-    """What the hypothesis takes on blocks it did not learn from: share of the excess left, and of that at the start.
-
-    The best channel counts. Five folds of contiguous blocks inside the training rows, errors in raw units, excess over the
-    noise of the rich fit.
-    """
-    effect = scorer.library[i].effect
-    # A contact of three seconds lies in one block: only pieces shorter than it can say whether it is there.
-    fine = effect is not None and effect.EPISODIC
-    before = crossed(bench, scorer, out.chosen, fine=fine)
-    after = crossed(bench, scorer, [*out.chosen, i], fine=fine)
-    floor = bench.noise.sigma**2
-    if not len(out.start):
-        out.start = crossed(bench, scorer, out.chosen)
-    weight = _where_it_acts(scorer, out.chosen, i, bench)
-    left = (before - after) / np.maximum(before - floor, 0.02 * floor)
-    whole = (before - after) / np.maximum(out.start - floor, 0.02 * floor)
-    return float(weight @ left), float(weight @ whole)
-
-
-def _where_it_acts(scorer: Scorer, chosen: list[int], i: int, bench: Bench) -> Array:
-    """(C,) shares of the energy, in units of the noise, that the hypothesis predicts in each channel."""
-    h = scorer.library[i]
-    theta = scorer.solve([*chosen, i])[0][-h.count :]
-    energy = np.zeros(bench.width)
-    size = np.mean((h.raw.values @ theta) ** 2, axis=0)
-    energy[list(h.raw.channels)] = size / bench.noise.sigma[list(h.raw.channels)] ** 2
-    return np.asarray(energy / max(float(energy.sum()), 1e-300))
-
-
-def _least(bench: Bench, out: Selection, misfit: float) -> float:
-    """Share of the whole excess that must be taken: nothing where noise is all that is left and the excess was small."""
-    loud = float(np.max(out.start / bench.noise.sigma**2)) > LOUD
-    return MATTERS * max(min(1.0, misfit - 1.0), 0.3 * loud)
-
-
-def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
-    """Whether the parameters can be what the effect is called."""
-    h = scorer.library[i]
-    assert h.effect is not None, "nuisances are never candidates"
-    theta, at, _ = scorer.solve([*chosen, i])
-    misfit = scorer.misfit([*chosen, i])
-    spread = scorer.spread(at)[-h.count :] * np.sqrt(misfit)
-    named = list(zip(h.effect.parameters(bench.scene), theta[-h.count :], spread, strict=True))
-    # A lag of a twentieth is no lag. Bounds matter where physics is missing: else the shape has proved it, whatever its size.
-    return all(p.near(t, s) and (misfit < PROVED or p.plausible(t, s)) for p, t, s in named)
-
-
-def crossed(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False) -> Array:
-    """(C,) mean squared error of a model on training blocks left out in turn, see `left_out`."""
-    return left_out(bench, [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]], scorer.white, fine=fine)
-
-
-def left_out(bench: Bench, model: list[Hypothesis], white: Array, *, folds: int = 5, fine: bool = False) -> Array:
-    """(C,) mean squared error, raw, on training blocks left out in turn; `fine`: on short pieces left out in turn."""
-    train = np.flatnonzero(bench.train)
-    if fine:
-        fold = train // max(len(bench.rows) // PIECES, 8) % folds
-    else:
-        fold = np.unique(bench.block[train], return_inverse=True)[1] % folds
-    total = np.zeros(bench.width)
-    for k in range(folds):
-        learn, judge = train[fold != k], train[fold == k]
-        if not len(judge) or not len(learn):
-            continue
-        theta = fit(model, white, learn, bench.width)
-        error = bench.y[judge] - predicted(model, theta, judge, bench.width)
-        total += np.sum(error**2, axis=0)
-    return total / len(train)
-
-
-def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int) -> Array:
-    """Generalised least squares of a model on some rows."""
-    size = sum(h.count for h in model)
-    G, b = np.zeros((size, size)), np.zeros(size)
-    starts = np.cumsum([0, *(h.count for h in model)])
-    for c in range(width):
-        mine = [(h, s) for h, s in zip(model, starts, strict=False) if c in h.white.channels]
-        if not mine:
-            continue
-        at = np.concatenate([np.arange(s, s + h.count) for h, s in mine])
-        X = np.concatenate([h.white.values[:, h.white.channels.index(c)] for h, _ in mine], axis=1)[rows]
-        G[np.ix_(at, at)] += X.T @ X
-        b[at] += X.T @ white[rows, c]
-    return solve_sym(G, b[:, None])[:, 0]
-
-
-def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int) -> Array:
-    """(len(rows), C) of a model in raw units."""
-    out, done = np.zeros((len(rows), width)), 0
-    for h in model:
-        out[:, list(h.raw.channels)] += h.raw.values[rows] @ theta[done : done + h.count]
-        done += h.count
-    return out

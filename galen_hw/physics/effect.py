@@ -75,10 +75,12 @@ class Effect(ABC):
     KEY: ClassVar[str] = ""
     SEARCHED: ClassVar[Mapping[str, Searched]] = {}
     NEEDS_CLOCK: ClassVar[bool] = False
-    TIMING: ClassVar[bool] = False
-    """It acts on the whole stream, after everything else."""
+    DOWNSTREAM: ClassVar[bool] = False
+    """It acts on what a stream delivers, after everything else, see `Downstream`."""
     EPISODIC: ClassVar[bool] = False
     """Its parameters belong to moments of one recording and do not carry over to another."""
+    BRIEF: ClassVar[bool] = False
+    """It acts in few rows only, which may all lie in one block."""
     NULL: ClassVar[Mapping[str, float]] = {}
 
     @classmethod
@@ -132,12 +134,16 @@ class Effect(ABC):
         """Another point of the search."""
         return replace(self, **values)  # type: ignore[type-var]
 
+    def unlimited(self) -> Self:
+        """The same without what keeps a search away from its look-alikes: what it may be, not what it would be called."""
+        return self
+
     def to_term(self, scene: Scene, theta: Array) -> dict[str, Any]:
         """The effect with its parameters as a term of a tool's file: fields and linear parameters by name, SI units."""
         values: dict[str, Any] = {"group": scene.observations.predict}
         for f in fields(self):  # type: ignore[arg-type]
             value = getattr(self, f.name)
-            if value is not None and value != "":
+            if value is not None and value not in ("", np.inf):
                 values[f.name] = _flat(value)
         named = zip(self.parameters(scene), np.asarray(theta, dtype=float), strict=True)
         return {"effect": self.KEY, "parameters": values | {p.name: float(v) for p, v in named}}
@@ -185,6 +191,16 @@ def _paired(value: Any, kind: str) -> Any:
         numbers = tuple(value)
         return tuple(zip(numbers[::2], numbers[1::2], strict=True)) if kind.startswith("tuple[tuple") else numbers
     return value
+
+
+class Downstream(Effect):
+    """An effect on everything that a stream delivers, other effects' changes included: a late clock, a reading that clips."""
+
+    DOWNSTREAM = True
+
+    @abstractmethod
+    def delivered(self, scene: Scene, columns: Columns, theta: Array) -> Columns:
+        """What another effect does (`columns`), as it arrives behind this one with its parameters theta."""
 
 
 def in_channel(channel: int, columns: Iterable[Array]) -> Columns:

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, in_all
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, log_grid
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.scene_joint import PositionScene
 from galen_hw.physics.scene_pose import ArmScene
@@ -104,24 +104,41 @@ class Compliance(Effect):
 class Hardening(Effect):
     """Stiffness grows or falls with load: q' = q + c tau |tau| or q + c tau^3; without a model, r = c x^3 of the joint's travel.
 
-    Visible over a wide range of load. Nested with compliance, with which it is confused at small load.
+    With a `knee` t the stiffness is k (1 + |tau| / t), which grows in proportion to the load: of the linear give the part
+    q' = q + c tau (|tau| / t) / (1 + |tau| / t) is missing (Johnson, Contact Mechanics, ch. 4: joints in contact stiffen so).
+
+    Visible over a wide range of load. Nested with compliance, with which it is confused at small load and far above the knee.
     """
 
     KEY = "hardening"
+    SEARCHED: ClassVar = {"knee": Searched(1e-9, 1e6, "N m or N")}
     joint: str
     power: int = 3
+    knee: float | None = None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every joint that bears load, or that is imposed on by an unknown device."""
+        """Every joint that bears load, or that is imposed on by an unknown device; a knee where a linear give is believed."""
         for joint in scene.joint_names:
             free = scene.observations.predict == "effort" and scene.belief.robot is None and joint in scene.moved
             if free or (_bears(scene, joint) and scene.joint_port(joint) is not None):
                 yield from (cls(joint, power) for power in (2, 3))
+                load = scene.load(joint)
+                if load is not None and scene.belief.compliance.get(joint):
+                    size = float(np.max(np.abs(load)))
+                    yield from (cls(joint, 2, knee) for knee in log_grid(0.05 * size, 2.0 * size, 4))
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Give per power of the load."""
+        if self.knee is not None:
+            return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
         return (Parameter("coefficient", f"rad or m/(load)^{self.power}"),)
+
+    def law(self, x: Array) -> Array:
+        """(N,) of loads (N,), per unit of the parameter."""
+        if self.knee is None:
+            return np.asarray(x * np.abs(x) ** (self.power - 1))
+        return np.asarray(x * np.abs(x) / (self.knee + np.abs(x)))
 
     def columns(self, scene: Scene) -> Columns:
         """Power of the load through the joint's port."""
@@ -129,9 +146,8 @@ class Hardening(Effect):
         if port is None or load is None or (scene.belief.robot is None and scene.observations.predict == "effort"):
             place = [joint_of(name) for name in scene.channels].index(self.joint)
             x = scene.q[:, scene.joint_index(self.joint)]
-            values = (x * np.abs(x) ** (self.power - 1))[:, None, None]
-            return Columns((place,), values)
-        return in_all([port * (load * np.abs(load) ** (self.power - 1))[:, None]], len(scene.channels))
+            return Columns((place,), self.law(x)[:, None, None])
+        return in_all([port * self.law(load)[:, None]], len(scene.channels))
 
 
 def _bears(scene: Scene, joint: str) -> bool:

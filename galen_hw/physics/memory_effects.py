@@ -1,7 +1,7 @@
 """Effects with memory of load or motion: creep, hysteresis and play."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -31,6 +31,7 @@ class Creep(Effect):
     channel: str = ""
     joint: str = ""
     form: str = "more"
+    longest: float = np.inf
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -41,7 +42,15 @@ class Creep(Effect):
         for constant in log_grid(0.5, longest, 7):
             for form in ("more", "less"):
                 for channel, joint in _bearing(scene):
-                    yield cls(constant, channel, joint, form)
+                    yield cls(constant, channel, joint, form, longest)
+
+    def with_searched(self, values: Mapping[str, float]) -> Self:
+        """Another constant, not above the longest of which this recording sees enough to tell it from a give."""
+        return replace(self, constant=min(values["constant"], self.longest))
+
+    def unlimited(self) -> Self:
+        """Any constant: what never settles in this recording is a give to it, but it may be there."""
+        return replace(self, longest=np.inf)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Settled share of the load, or give of the joint."""
@@ -86,7 +95,8 @@ class Hysteresis(Effect):
     """Rate-independent memory: Prandtl-Ishlinskii, r = sum_i a_i (P_{r_i}[x] - x), P_r the play operator of half width r.
 
     x is the simulated channel (a sensor's load, a joint's position) or a joint's position or load; widths r_i are shares
-    `widths` of the amplitude `scale`. The same sum is a set of Maxwell slip elements.
+    `widths` of the amplitude `scale`. The same sum is a set of Maxwell slip elements. Without a `channel` it moves the arm
+    through the port of the joint that drives it: friction beside the joint's spring (of load), a gear's memory (of motion).
 
     With `reach`: one element that sticks over +- reach and then slips, r = f e + g d(e), e = (x - P_reach[x]) / reach, with
     play in series: d is a dead zone of +- `gap` (a share of the reach), scaled to 1 where it slips (Kuhnen 2003, modified
@@ -97,9 +107,9 @@ class Hysteresis(Effect):
 
     KEY = "hysteresis"
     SEARCHED: ClassVar = {"reach": Searched(1e-7, 10.0, "rad or m"), "gap": Searched(0.02, 0.95, "1")}
-    channel: str
-    driver: str
-    scale: float
+    channel: str = ""
+    driver: str = ""
+    scale: float = 1.0
     widths: tuple[float, ...] = (0.04, 0.12, 0.3, 0.6)
     linear: bool = False
     reach: float | None = None
@@ -108,7 +118,10 @@ class Hysteresis(Effect):
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
         """Of each channel's own simulated signal; of a joint's motion or load for what that joint carries."""
-        for place, name in enumerate(scene.channels):
+        if scene.observations.predict in ("pose", "targets"):
+            yield from cls._through_joints(scene)
+            return
+        for name in scene.channels:
             for driver in _drivers(scene, name):
                 scale = 0.5 * float(np.ptp(_signal(scene, driver)))
                 if scale > 0.0:
@@ -117,7 +130,28 @@ class Hysteresis(Effect):
                     if scene.observations.predict == "effort" and scene.belief.robot is None:
                         yield cls(name, driver, scale, linear=True)
                         yield from cls._slipping(name, driver, scale)
-            del place
+
+    @classmethod
+    def of_load(cls, joint: str, widths: Iterable[float]) -> Self:
+        """Friction beside a port's spring: one Maxwell slip element a width (N or N m) on the port's load."""
+        return cls("", f"load:{joint}", 1.0, tuple(widths))
+
+    @classmethod
+    def _through_joints(cls, scene: Scene) -> Iterator[Self]:
+        """One sharp element of searched width, and a spectrum, of every joint's load and motion."""
+        for joint in scene.joint_names:
+            if scene.joint_port(joint) is None:
+                continue
+            drivers = [f"load:{joint}"] if scene.load(joint) is not None else []
+            drivers += [f"joint:{joint}"] if joint in scene.moved else []
+            for driver in drivers:
+                scale = 0.5 * float(np.ptp(_signal(scene, driver)))
+                if scale > 0.0:
+                    yield cls("", driver, scale)
+                    if driver.startswith("load:"):
+                        yield from (
+                            cls("", driver, scale, (), reach=r) for r in log_grid(0.01 * scale, 0.95 * scale, 7)
+                        )
 
     @classmethod
     def _slipping(cls, name: str, driver: str, scale: float) -> Iterator[Self]:
@@ -133,8 +167,8 @@ class Hysteresis(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Weights of the operators."""
-        unit = "1" if self.driver == self.channel else f"{scene.units[scene.channels.index(self.channel)]}/unit"
-        own = scene.units[scene.channels.index(self.channel)]
+        own = scene.units[scene.channels.index(self.channel)] if self.channel else "rad or m"
+        unit = "1" if self.driver == self.channel else f"{own}/unit"
         slip = [] if self.reach is None else [Parameter("stick_force", own)]
         slip += [] if self.gap is None else [Parameter("closed_gap_force", own)]
         rates = [Parameter("stiffness", unit), Parameter("damping", f"{unit} s")] if self.linear else []
@@ -145,7 +179,7 @@ class Hysteresis(Effect):
         x = _signal(scene, self.driver)[:, None]
         r = np.asarray(self.widths) * self.scale
         wide = np.repeat(x, len(r), axis=1)
-        start = scene.resting(self.channel) if self.driver == self.channel else None
+        start = scene.resting(self.channel) if self.channel and self.driver == self.channel else None
         out = list(
             (scene.play("hysteresis", wide, r, None if start is None else np.repeat(start, len(r), axis=1)) - wide).T
         )
@@ -154,7 +188,11 @@ class Hysteresis(Effect):
         if self.linear:
             joint = scene.joint_index(self.driver.split(":", 1)[1])
             out += [x[:, 0], scene.rates[0][:, joint]]
-        return in_channel(scene.channels.index(self.channel), out)
+        if self.channel:
+            return in_channel(scene.channels.index(self.channel), out)
+        port = scene.joint_port(self.joints[0])
+        assert port is not None, "proposed only where there is a port"
+        return in_all([port * column[:, None] for column in out], len(scene.channels))
 
     def _slip(self, scene: Scene, x: Array, reach: float) -> list[Array]:
         e = (x - scene.play("slip", x, reach))[:, 0] / reach
@@ -168,9 +206,6 @@ def _drivers(scene: Scene, channel: str) -> list[str]:
     if group == "effort":
         return [f"joint:{joint_of(channel)}"] if joint_of(channel) in scene.moved else []
     own = [channel] if np.nanstd(scene.simulated[:, place]) > 0.0 else []
-    if group in ("pose", "targets"):
-        loads = [f"load:{j}" for j in scene.joint_names if scene.load(j) is not None]
-        return [*(f"joint:{j}" for j in scene.moved), *loads]
     return own + ([f"joint:{j}" for j in scene.moved] if group == "wrench" else [])
 
 
@@ -189,7 +224,8 @@ class Backlash(Effect):
     """Play in a joint. Where friction holds the far side ("motion") it rests until the near side has crossed the dead band.
 
     Then q' = P_r[q] with half width r, and the parameter is the share of it that is seen (1 for plain play). Where weight or a
-    push holds it ("load") it lies on the side that the load says, q' = q + r tanh(load / l), and the parameter is r itself.
+    push holds it ("load") it lies on the side that the load says, q' = q + r tanh(load / l), and the parameter is r itself;
+    `balanced`: weight is borne by something else, and the load is what motion alone needs.
     Visible at reversals, of the motion or of the load, as a shift of fixed width that does not depend on amplitude. Confused
     with hysteresis (of which it is one element), with Coulomb friction of a servo, with joint_offset where a joint turns only
     once or its load keeps its sign, and with hardening.
@@ -203,6 +239,7 @@ class Backlash(Effect):
     joint: str
     half_width: float | None = None
     transition: float | None = None
+    balanced: bool = False
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -213,10 +250,13 @@ class Backlash(Effect):
             if joint in scene.moved:
                 half_range = 0.5 * float(np.ptp(scene.q[:, scene.joint_index(joint)]))
                 yield from (cls(joint, r) for r in log_grid(half_range * 1e-4, half_range * 0.7, 14))
-            load = scene.load(joint) if scene.observations.predict in ("pose", "targets", "position") else None
-            if load is not None and np.min(load) < 0.0 < np.max(load):
-                size = float(np.sqrt(np.mean(load**2)))
-                yield from (cls(joint, None, share * size) for share in (0.01, 0.05))
+            if scene.observations.predict not in ("pose", "targets", "position"):
+                continue
+            for balanced in (False, True):
+                load = scene.inertia_load(joint) if balanced else scene.load(joint)
+                if load is not None and np.min(load) < 0.0 < np.max(load):
+                    size = float(np.sqrt(np.mean(load**2)))
+                    yield from (cls(joint, None, share * size, balanced) for share in (0.01, 0.05))
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """The share of the play, or half of it."""
@@ -229,7 +269,7 @@ class Backlash(Effect):
         port = scene.joint_port(self.joint)
         assert port is not None, "proposed only where there is a port"
         if self.half_width is None:
-            load = scene.load(self.joint)
+            load = scene.inertia_load(self.joint) if self.balanced else scene.load(self.joint)
             assert load is not None, "proposed only where there is a load"
             assert self.transition is not None, "proposed with one"
             return in_all([port * np.tanh(load / self.transition)[:, None]], len(scene.channels))

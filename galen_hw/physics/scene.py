@@ -251,6 +251,10 @@ class Scene:
         r = np.broadcast_to(np.asarray(half_width, dtype=float), x.shape[1:])
         return self._carried(name, x, lambda part, state: play(x[part], r, state), start)
 
+    def inertia_load(self, joint: str) -> Array | None:
+        """(N,) load of a joint by motion alone, where weight may be balanced; None where that is not known."""
+        return None
+
     def resting(self, channel: str) -> Array | None:
         """(segments, 1) where the far side of a play in a channel stands at the start of every segment; None: at its input."""
         return None

@@ -261,6 +261,15 @@ class PositionScene(JointScene):
         robot = self._urdf()
         return None if robot is None else np.asarray(robot.inverse_dynamics(self.q, *self.rates))
 
+    @once
+    def inertia_load(self, joint: str) -> Array | None:
+        """(N,) what motion alone needs, weight left out, as where it is balanced; None without a URDF."""
+        robot, torque = self._urdf(), self.motion_torque()
+        if robot is None or torque is None:
+            return None
+        at_rest = np.asarray(robot.inverse_dynamics(self.q, *(np.zeros_like(self.q) for _ in range(2))))
+        return np.asarray((torque - at_rest)[:, self.joint_index(joint)])
+
 
 def _joint(channel: str) -> str:
     """NAME of joint.NAME.kind."""

@@ -6,7 +6,17 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, duration, in_channel, log_grid, unit_of
+from galen_hw.physics.effect import (
+    Columns,
+    Downstream,
+    Effect,
+    Parameter,
+    Searched,
+    duration,
+    in_channel,
+    log_grid,
+    unit_of,
+)
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
@@ -178,7 +188,7 @@ class CrossTalk(Effect):
 
 
 @dataclass(frozen=True)
-class Saturation(Effect):
+class Saturation(Downstream):
     """Readings clip: y = min(w, L) or max(w, L); the parameter is the share of the clipping that is seen (1 when it clips).
 
     Visible where the simulated channel goes beyond what was ever read. Confused with gain and hardening.
@@ -186,6 +196,7 @@ class Saturation(Effect):
 
     KEY = "saturation"
     SEARCHED: ClassVar = {}
+    BRIEF: ClassVar[bool] = True
     channel: str
     limit: float
     upper: bool
@@ -206,6 +217,16 @@ class Saturation(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """The share of the clipping."""
         return (Parameter("share", "1", 0.0, expected=1.0),)
+
+    def delivered(self, scene: Scene, columns: Columns, theta: Array) -> Columns:
+        """Nothing of what another effect does in this channel while it clips."""
+        place = scene.channels.index(self.channel)
+        if place not in columns.channels or not columns.count:
+            return columns
+        clipped = self.columns(scene).values[:, 0, 0] != 0.0
+        values = columns.values.copy()
+        values[clipped, columns.channels.index(place)] *= 1.0 - np.clip(theta[0], 0.0, 1.0)
+        return Columns(columns.channels, values)
 
     def columns(self, scene: Scene) -> Columns:
         """How far the simulated channel goes beyond the limit, with the sign that takes it back."""

@@ -7,16 +7,15 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, log_grid, spacing
+from galen_hw.physics.effect import Columns, Downstream, Parameter, Searched, log_grid, spacing
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
 
-class Timing(Effect):
-    """An effect of the clock: it acts on everything that a stream delivers, other effects' changes included."""
+class Timing(Downstream):
+    """An effect of the clock."""
 
     NEEDS_CLOCK = True
-    TIMING = True
     joint: str
 
     @abstractmethod
@@ -108,6 +107,10 @@ class Lag(Timing):
     def with_searched(self, values: Mapping[str, float]) -> Self:
         """Another constant, not below the shortest that can be told from a delay."""
         return replace(self, constant=max(values["constant"], self.shortest))
+
+    def unlimited(self) -> Self:
+        """Any constant: a filter quicker than half a sample is a delay to this recording, but it may be there."""
+        return replace(self, shortest=0.0)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """How much of the stream goes through the lag."""

@@ -14,9 +14,9 @@ from functools import cached_property
 
 import numpy as np
 
-from galen_hw.physics.joint_memory_effects import FRAMES, GivingScene, Slip
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scene import once
+from galen_hw.physics.scene_giving import FRAMES, GivingScene, Slip
 from galen_hw.spatial import Array
 
 

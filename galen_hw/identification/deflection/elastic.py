@@ -18,7 +18,7 @@ from galen_hw.identification.deflection.elastic_stream import ElasticStream
 from galen_hw.identification.deflection.elastic_terms import Term, Weight, scenes
 from galen_hw.identification.deflection.model import DeflectionModel
 from galen_hw.identification.deflection.stream import GiveStream
-from galen_hw.physics.joint_memory_effects import Slip
+from galen_hw.physics.scene_giving import Slip
 from galen_hw.spatial import Array
 
 SMOOTH_S = 0.25

@@ -22,7 +22,8 @@ from galen_hw.identification.deflection.elastic_terms import (
     settled_candidates,
     zoomed,
 )
-from galen_hw.physics.joint_memory_effects import JointHysteresis, Slip
+from galen_hw.physics.memory_effects import Hysteresis
+from galen_hw.physics.scene_giving import Slip
 from galen_hw.spatial import Array
 
 DELAY: Final = "delay"
@@ -222,7 +223,7 @@ class Search:
         springs = {t.port: float(theta[t]) for t in terms if t.kind == "compliance"}
         self.slips = {}
         for t in terms:
-            if t.kind == "hysteresis" and isinstance(t.effect, JointHysteresis):
+            if t.kind == "hysteresis" and isinstance(t.effect, Hysteresis):
                 share = float(theta[t]) / springs[t.port] if springs.get(t.port) else 0.0
                 self.slips[t.port] = [(t.effect.widths[0], float(np.clip(share, 0.0, 1.0)))]
 

@@ -13,8 +13,8 @@ from galen_hw.identification.deflection.elastic_terms import Term, Weight
 from galen_hw.identification.deflection.stream import GiveStream, Place, Six, Triple
 from galen_hw.kinematics import NOMINAL_GRAVITY
 from galen_hw.physics.elastic_effects import Hardening
-from galen_hw.physics.joint_memory_effects import FRAMES, BearingPlay, JointHysteresis, Slip
-from galen_hw.physics.memory_effects import Creep
+from galen_hw.physics.memory_effects import Backlash, Creep, Hysteresis
+from galen_hw.physics.scene_giving import FRAMES, Slip
 from galen_hw.spatial import Array
 
 
@@ -206,13 +206,13 @@ def _side(arm: Arm, name: str) -> _Side:
 
 def _part(term: Term) -> _Part:
     effect = term.effect
-    if isinstance(effect, JointHysteresis):
+    if isinstance(effect, Hysteresis):
         return _Part("hysteresis", effect.widths[0], _Slip(effect.widths[0]))
     if isinstance(effect, Creep):
         return _Part("creep", effect.constant)
     if isinstance(effect, Hardening):
-        return _Part("hardening", float(effect.power))
-    if isinstance(effect, BearingPlay):
+        return _Part("hardening", float(effect.power)) if effect.knee is None else _Part("knee", effect.knee)
+    if isinstance(effect, Backlash) and effect.transition is not None:
         return _Part("play", effect.transition)
     return _Part("compliance", 0.0)
 
@@ -243,6 +243,8 @@ def _answer(part: _Part, load: float, left: float, dt: float) -> float:
         return part.slow - left
     if kind == "hardening":
         return left * float(abs(left) ** (part.number - 1.0))
+    if kind == "knee":
+        return left * abs(left) / (part.number + abs(left))
     return tanh(left / part.number)
 
 

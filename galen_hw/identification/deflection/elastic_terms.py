@@ -11,19 +11,21 @@ from galen_hw.identification.deflection.bent import BentScene, GiveScene
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.elastic_effects import Compliance, Hardening
-from galen_hw.physics.joint_memory_effects import BearingPlay, GivingScene, JointHysteresis, Slip
-from galen_hw.physics.memory_effects import Creep
+from galen_hw.physics.memory_effects import Backlash, Creep, Hysteresis
+from galen_hw.physics.scene_giving import GivingScene, Slip
 from galen_hw.spatial import Array
 
 KINDS: Final[dict[str, type[Effect]]] = {
     "compliance": Compliance,
-    "hysteresis": JointHysteresis,
+    "hysteresis": Hysteresis,
     "creep": Creep,
     "hardening": Hardening,
-    "play": BearingPlay,
+    "play": Backlash,
 }
 WIDTHS: Final = tuple(np.geomspace(0.01, 0.4, 10).tolist())
 CONSTANTS_S: Final = (0.7, 1.5, 3.0, 6.0, 12.0, 30.0)
+KNEES: Final = (0.1, 0.4, 1.5)
+"""Of the load's amplitude: where stiffness has doubled."""
 TRANSITIONS: Final = (0.003, 0.01, 0.03)
 """Of the load's amplitude; a softer step than the last is a curved spring, and hardening's business."""
 
@@ -135,15 +137,17 @@ def settled_candidates(views: Sequence[GivingScene], ports: Sequence[str]) -> It
             yield Term("creep", port, Creep(constant, joint=port, form="less"))
         for power in (2, 3):
             yield Term("hardening", port, Hardening(port, power))
+        for share in KNEES:
+            yield Term("hardening", port, Hardening(port, 2, share * size))
         for share in TRANSITIONS:
-            yield Term("play", port, BearingPlay(port, share * size))
+            yield Term("play", port, Backlash(port, None, share * size))
 
 
 def hysteresis_columns(views: Sequence[GivingScene], port: str, widths: Sequence[float]) -> dict[Term, list[Array]]:
     """Columns of slip elements of some widths, worked out in one pass a set."""
-    effect = JointHysteresis(port, tuple(widths))
+    effect = Hysteresis.of_load(port, widths)
     full = [effect.columns(v).full(len(v.channels)) for v in views]
-    terms = [Term("hysteresis", port, JointHysteresis(port, (r,))) for r in widths]
+    terms = [Term("hysteresis", port, Hysteresis.of_load(port, (r,))) for r in widths]
     return {term: [f[:, :, i] for f in full] for i, term in enumerate(terms)}
 
 
@@ -155,13 +159,15 @@ def zoomed(term: Term, factor: float, softest: float, count: int = 5) -> list[Te
     """
     ratios = [x for x in np.geomspace(1.0 / factor, factor, count).tolist() if abs(x - 1.0) > 1e-9]
     e = term.effect
-    if isinstance(e, JointHysteresis):
-        return [Term(term.kind, term.port, JointHysteresis(e.joint, (e.widths[0] * x,))) for x in ratios]
+    if isinstance(e, Hysteresis):
+        return [Term(term.kind, term.port, Hysteresis.of_load(term.port, (e.widths[0] * x,))) for x in ratios]
     if isinstance(e, Creep):
         return [Term(term.kind, term.port, Creep(e.constant * x, joint=e.joint, form="less")) for x in ratios]
-    if isinstance(e, BearingPlay):
+    if isinstance(e, Hardening) and e.knee is not None:
+        return [Term(term.kind, term.port, Hardening(e.joint, 2, e.knee * x)) for x in ratios]
+    if isinstance(e, Backlash) and e.transition is not None:
         steps = [e.transition * x for x in ratios if e.transition * x <= softest]
-        return [Term(term.kind, term.port, BearingPlay(e.joint, step)) for step in steps]
+        return [Term(term.kind, term.port, Backlash(e.joint, None, step)) for step in steps]
     return []
 
 

@@ -33,13 +33,37 @@ MAKERS: dict[str, dict[str, Any]] = {
 
 def build(case: Case, folder: FilePath) -> Case:
     """Write `folder/train` and `folder/test`, another run of the same machine; returns the case with its truth."""
-    for hidden in case.effects:
-        if hidden.snr is not None:
-            hidden.amplitude = _amplitude(case, hidden)
+    _scaled(case)
     case.noise_rms = _write(case, folder / "train", run=0)
     if case.share != "premise":
         case.holdout_noise_rms = _write(case, folder / "test", run=1)
     return case
+
+
+class UnreachableError(Exception):
+    """No amplitude gives the wanted severity."""
+
+
+DRAWS = 10
+
+
+def _scaled(case: Case) -> None:
+    """Find the amplitudes; where an effect cannot be as strong as it should, the case is drawn anew.
+
+    Raises:
+        UnreachableError: in none of ten draws.
+    """
+    for draw in range(DRAWS):
+        try:
+            for hidden in case.effects:
+                if hidden.snr is not None:
+                    hidden.amplitude = _amplitude(case, hidden)
+        except UnreachableError:
+            if draw == DRAWS - 1:
+                raise
+            case.seed += 1
+        else:
+            return
 
 
 def nominal(case: Case, run: int) -> Array:
@@ -112,14 +136,16 @@ def _amplitude(case: Case, hidden: Injected) -> float:
         snr, touched = _severity(_excess(case, hidden, number, a))
         hidden.channels = [c for c, on in zip(CHANNELS[case.group], touched, strict=True) if on]
         if abs(snr / hidden.snr - 1) < 0.03:
-            break
+            return a
         history.append((np.log(a), np.log(max(snr, 1e-9))))
         slope = 1.0
         if len(history) > 1 and abs(history[-1][0] - history[-2][0]) > 1e-9:
             slope = (history[-1][1] - history[-2][1]) / (history[-1][0] - history[-2][0])
         move = np.clip((np.log(hidden.snr) - history[-1][1]) / np.clip(slope, 0.4, 3.0), -3.0, 3.0)
         a = float(np.clip(a * np.exp(move), 1e-4, 1e4))
-    return a
+    raise UnreachableError(
+        f"{case.name}: {hidden.key} does not reach SNR {hidden.snr}, only {snr:.2g} at amplitude {a:.2g}"
+    )
 
 
 def _write(case: Case, folder: FilePath, run: int) -> dict[str, float]:
@@ -175,7 +201,8 @@ def _info(case: Case, scene: Any) -> dict[str, Any]:
     if getattr(scene, "static_model", False):
         model["dynamics"] = "static"
     if getattr(scene, "known_compliance", False):
-        model["compliance"] = {"joint": {"roll": pose.KNOWN["roll"], "tilt": pose.KNOWN["tilt"]}}
+        known = dict(zip(pose.PASSIVE, pose.stated(scene).tolist(), strict=True))
+        model["compliance"] = {"joint": {"roll": known["roll"], "tilt": known["tilt"]}}
     return info
 
 

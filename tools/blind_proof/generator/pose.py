@@ -23,7 +23,7 @@ SIGMA = np.array([7e-5, 7e-5, 7e-5])
 RATE_HZ = 60.0
 PASSIVE = ("lift", "roll", "tilt")
 KNOWN = {"lift": 1e-9, "roll": 6e-4, "tilt": 9e-4}
-"""Compliance that the recording may state (m/N, rad/(N m)) when the effect to be found lies beyond it."""
+"""Compliance that the recording may state (m/N, rad/(N m)), or so many times it, when the effect to be found lies beyond it."""
 
 
 @dataclass
@@ -56,6 +56,7 @@ class PoseScene:
     tool: str
     give: Give = field(default_factory=Give)
     known_compliance: bool = False
+    softness: float = 1.0
     after: list[Callable[[Array], Array]] = field(default_factory=list)
 
 
@@ -82,6 +83,11 @@ def arm_xml(tool: str, give: Give) -> str:
 </body></body></body></body></body></worldbody></mujoco>"""
 
 
+def stated(scene: PoseScene) -> Array:
+    """Compliance (3,) that the recording states, in the order of PASSIVE."""
+    return scene.softness * np.array([KNOWN[k] for k in PASSIVE])
+
+
 def simulate(scene: PoseScene) -> Array:
     """Tip positions (N, 3): quasi-static, the passive joints solved for balance at every row."""
     tip = _tip_along(scene)
@@ -92,7 +98,7 @@ def simulate(scene: PoseScene) -> Array:
 
 def baseline(scene: PoseScene) -> Array:
     """What the recording's model says: rigid, or with the compliance that it states."""
-    give = Give(compliance=np.array([KNOWN[k] for k in PASSIVE])) if scene.known_compliance else Give()
+    give = Give(compliance=stated(scene)) if scene.known_compliance else Give()
     return _tip_along(PoseScene(scene.case, scene.path, scene.force, scene.tool, give))
 
 
@@ -186,19 +192,18 @@ def compliance(scene: PoseScene, hidden: Injected, rng: np.random.Generator, a: 
 
 
 def hardening(scene: PoseScene, hidden: Injected, rng: np.random.Generator, a: float) -> None:
-    """The arm, whose linear give is known, gives less the more it is loaded."""
-    del rng, hidden
-    scene.known_compliance = True
-    scene.give.compliance = np.array([KNOWN[k] for k in PASSIVE])
-    scene.give.hardening = 0.1 * a
+    """The arm, whose linear give is known, gives less the more it is loaded; the softer the arm, the more of that is seen."""
+    del hidden
+    scene.known_compliance, scene.softness = True, a
+    scene.give.compliance = stated(scene)
+    scene.give.hardening = float(rng.uniform(0.15, 0.6))
 
 
 def hysteresis(scene: PoseScene, hidden: Injected, rng: np.random.Generator, a: float) -> None:
-    """Friction in the bearings of an arm whose linear give is known."""
-    del rng
-    scene.known_compliance = True
-    scene.give.compliance = np.array([KNOWN[k] for k in PASSIVE])
-    scene.give.friction = 0.05 * a * np.array([2.0, 0.3, 0.3])
+    """Friction in the bearings of an arm whose linear give is known; the softer the arm, the more of that is seen."""
+    scene.known_compliance, scene.softness = True, a
+    scene.give.compliance = stated(scene)
+    scene.give.friction = float(rng.uniform(0.2, 0.8)) * np.array([2.0, 0.3, 0.3])
     hidden.kind = "bearing friction"
 
 
@@ -213,7 +218,7 @@ def creep(scene: PoseScene, hidden: Injected, rng: np.random.Generator, a: float
     """Part of the give comes late."""
     tau = float(rng.uniform(1.0, 4.0))
     scene.known_compliance = True
-    scene.give.compliance = np.array([KNOWN[k] for k in PASSIVE])
+    scene.give.compliance = stated(scene)
     scene.give.creep, scene.give.creep_tau_s = 0.05 * a * scene.give.compliance, tau
     hidden.parameters = {"time_constant": tau}
 

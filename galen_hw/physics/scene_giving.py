@@ -4,16 +4,14 @@ Each place where the arm gives is a port: a joint's name, or an axis "structure.
 The effects of joints (compliance, hardening, creep) work on every port: the scene knows each one's load and screw.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, in_all
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.scene import Scene, once
+from galen_hw.physics.scene import once
 from galen_hw.physics.scene_pose import PoseScene
 from galen_hw.physics.screws import joint_screws
 from galen_hw.spatial import Array
@@ -157,74 +155,3 @@ def _lagged(x: list[float], shares: list[float]) -> list[float]:
         y += share * (value - y)
         out.append(y)
     return out
-
-
-@dataclass(frozen=True)
-class JointHysteresis(Effect):
-    """Friction beside a port's spring: the port gives by a (P_r[tau] - tau), one Maxwell slip element a width.
-
-    P_r is the play operator of half width r (N or N m) on the port's load. Visible at reversals of the load and in
-    what is left after a release; depends on the configuration through the load. Confused with creep (slow loads),
-    with play (small r) and with a tracker's delay (fast loads).
-    """
-
-    KEY = "hysteresis"
-    joint: str
-    widths: tuple[float, ...]
-
-    @classmethod
-    def propose(cls, scene: Scene) -> Iterator[Self]:
-        """A spectrum of widths for each port that bears load."""
-        if isinstance(scene, GivingScene):
-            for port in scene.ports:
-                load = scene.load(port)
-                if load is not None:
-                    yield cls(port, tuple((0.5 * float(np.ptp(load)) * np.geomspace(0.01, 0.5, 10)).tolist()))
-
-    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Give per load that the element holds back."""
-        del scene
-        return tuple(Parameter(f"share_{r:.4g}", "rad/(N m) or m/N") for r in self.widths)
-
-    def columns(self, scene: Scene) -> Columns:
-        """Held-back load through the port."""
-        port, load = scene.joint_port(self.joint), scene.load(self.joint)
-        assert port is not None, "proposed only where there is a port"
-        assert load is not None, "proposed only where there is a load"
-        wide = np.repeat(load[:, None], len(self.widths), axis=1)
-        held = scene.play("hysteresis", wide, np.asarray(self.widths)) - wide
-        return in_all([port * h[:, None] for h in held.T], len(scene.channels))
-
-
-@dataclass(frozen=True)
-class BearingPlay(Effect):
-    """A loose bearing lies on the side that its load says: the port stands off by a tanh(tau / transition).
-
-    Visible where the load crosses zero, as a step that does not grow with the load. Confused with hysteresis (whose
-    step depends on the direction of travel) and with softening.
-    """
-
-    KEY = "backlash"
-    joint: str
-    transition: float
-
-    @classmethod
-    def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Sharp and soft steps for each port that bears load."""
-        if isinstance(scene, GivingScene):
-            for port in scene.ports:
-                load = scene.load(port)
-                if load is not None:
-                    yield from (cls(port, 0.5 * float(np.ptp(load)) * share) for share in (0.003, 0.01, 0.03))
-
-    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Half the play."""
-        del scene
-        return (Parameter("half_width", "rad or m"),)
-
-    def columns(self, scene: Scene) -> Columns:
-        """Side of the bearing through the port."""
-        port, load = scene.joint_port(self.joint), scene.load(self.joint)
-        assert port is not None, "proposed only where there is a port"
-        assert load is not None, "proposed only where there is a load"
-        return in_all([port * np.tanh(load / self.transition)[:, None]], len(scene.channels))

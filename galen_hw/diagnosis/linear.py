@@ -1,0 +1,74 @@
+"""Models of hypotheses fitted by generalised least squares, on all rows or with blocks left out in turn."""
+
+import numpy as np
+
+from galen_hw.diagnosis.algebra import solve_sym
+from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.rows import Chosen
+from galen_hw.diagnosis.score import Scorer
+from galen_hw.spatial import Array
+
+
+def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int) -> Array:
+    """Generalised least squares of a model on some rows."""
+    size = sum(h.count for h in model)
+    G, b = np.zeros((size, size)), np.zeros(size)
+    starts = np.cumsum([0, *(h.count for h in model)])
+    for c in range(width):
+        mine = [(h, s) for h, s in zip(model, starts, strict=False) if c in h.white.channels]
+        if not mine:
+            continue
+        at = np.concatenate([np.arange(s, s + h.count) for h, s in mine])
+        X = np.concatenate([h.white.values[:, h.white.channels.index(c)] for h, _ in mine], axis=1)[rows]
+        G[np.ix_(at, at)] += X.T @ X
+        b[at] += X.T @ white[rows, c]
+    return solve_sym(G, b[:, None])[:, 0]
+
+
+def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int) -> Array:
+    """(len(rows), C) of a model in raw units."""
+    out, done = np.zeros((len(rows), width)), 0
+    for h in model:
+        out[:, list(h.raw.channels)] += h.raw.values[rows] @ theta[done : done + h.count]
+        done += h.count
+    return out
+
+
+def rests(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, Array]:
+    """(M, C) rest of a model, raw and whitened."""
+    theta = scorer.solve(chosen)[0]
+    rest, white, done = bench.y.copy(), scorer.white.copy(), 0
+    for i in [*range(len(scorer.base)), *chosen]:
+        h = scorer.library[i]
+        t = theta[done : done + h.count]
+        done += h.count
+        rest[:, list(h.raw.channels)] -= h.raw.values @ t
+        white[:, list(h.white.channels)] -= h.white.values @ t
+    return rest, white
+
+
+PIECES = 400
+"""Of so many pieces of a recording every fifth is left out to judge what belongs to moments."""
+
+
+def crossed(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False) -> Array:
+    """(C,) mean squared error of a model on training blocks left out in turn, see `left_out`."""
+    return left_out(bench, [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]], scorer.white, fine=fine)
+
+
+def left_out(bench: Bench, model: list[Hypothesis], white: Array, *, folds: int = 5, fine: bool = False) -> Array:
+    """(C,) mean squared error, raw, on training blocks left out in turn; `fine`: on short pieces left out in turn."""
+    train = np.flatnonzero(bench.train)
+    if fine:
+        fold = train // max(len(bench.rows) // PIECES, 8) % folds
+    else:
+        fold = np.unique(bench.block[train], return_inverse=True)[1] % folds
+    total = np.zeros(bench.width)
+    for k in range(folds):
+        learn, judge = train[fold != k], train[fold == k]
+        if not len(judge) or not len(learn):
+            continue
+        theta = fit(model, white, learn, bench.width)
+        error = bench.y[judge] - predicted(model, theta, judge, bench.width)
+        total += np.sum(error**2, axis=0)
+    return total / len(train)

@@ -1,0 +1,228 @@
+"""What is not linear in its parameters: effects linearised anew where they stand, late streams, searched values polished."""
+
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from galen_hw.diagnosis.algebra import solve_sym
+from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.linear import fit, rests
+from galen_hw.diagnosis.score import Score, Scorer
+from galen_hw.physics.effect import Columns, Downstream, Effect
+from galen_hw.spatial import Array
+
+if TYPE_CHECKING:
+    from galen_hw.diagnosis.rows import Index
+
+
+def settle(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
+    """Nonlinear effects are linearised anew where they stand; what they do beyond their slope is taken off the residual."""
+    for _ in range(3):
+        theta = scorer.solve(chosen)[0]
+        done = sum(h.count for h in scorer.base)
+        beyond, fresh, moved = np.zeros_like(bench.y), [], False
+        for place, i in enumerate(chosen):
+            h = scorer.library[i]
+            t, done = theta[done : done + h.count], done + h.count
+            if h.effect is None or h.effect.exact(bench.scene, t) is None:
+                continue
+            new = tangent(bench, h, t)
+            assert new.bend is not None, "a tangent has one"
+            beyond += new.bend
+            moved = moved or h.theta is None or bool(np.max(np.abs(h.theta - t)) > 1e-3 * np.max(np.abs(t)))
+            fresh.append((place, new))
+        if not fresh or not moved:
+            return
+        bench.y = bench.whole - beyond
+        scorer.append([h for _, h in fresh])
+        for k, (place, _) in enumerate(fresh):
+            chosen[place] = len(scorer.library) - len(fresh) + k
+        scorer.retarget(bench.y)
+
+
+def tangent(bench: Bench, h: Hypothesis, theta: Array) -> Hypothesis:
+    """The hypothesis linearised at theta, with what it predicts there beyond slope times theta."""
+    effect, scene = h.effect, bench.scene
+    assert effect is not None, "nuisances are linear"
+    here = effect.change(scene, theta)
+    slopes = []
+    for k in range(h.count):
+        step = np.zeros(h.count)
+        step[k] = 1e-4 * max(float(np.max(np.abs(theta))), 1e-6)
+        slopes.append((effect.change(scene, theta + step) - effect.change(scene, theta - step)) / (2.0 * step[k]))
+    raw = bench.averaged(Columns(tuple(range(bench.width)), np.stack(slopes, axis=-1)), timed=False)
+    out = bench.made(effect, raw, h.looked)
+    out.theta, out.bend = theta, bench.rows.average(here) - raw.values @ theta
+    return out
+
+
+NEARLY = 0.1
+"""Share of a chosen effect's gain within which a rival may be better at its optimum than by its slope or on its grid."""
+MOST_NEAR = 3
+
+
+def in_place(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> dict[int, Score]:
+    """Scores of every hypothesis in the place of the chosen one i, which is among them; near rivals at their optimum.
+
+    Where i is bent, the others are scored on the residual with its bend put back, as if i had never been there.
+    """
+    others, rest = [j for j in chosen if j != i], scorer.solve(chosen)[2]
+    with unbent(scorer, i):
+        scores = scorer.scores(others)[0]
+        if i not in scores:
+            return scores
+        gain = scorer.solve(others)[2] - rest
+        scores[i] = replace(scores[i], gain=gain, rank=scores[i].rank + gain - scores[i].gain)
+        for j in _near(scorer, scores, i):
+            h = scorer.library[j]
+            if h.theta is None and j != i and _is_bent(bench, h):
+                scores[j] = bent(bench, scorer, others, j, scores[j])
+            elif _on_a_grid(h):
+                better = polished(bench, scorer, others, j)
+                if better != j:
+                    scores.update(scorer.scores(others, [better])[0])
+    return scores
+
+
+def _is_bent(bench: Bench, h: Hypothesis) -> bool:
+    return h.effect is not None and h.effect.exact(bench.scene, np.zeros(h.count)) is not None
+
+
+def unbent(scorer: Scorer, i: int) -> AbstractContextManager[None]:
+    """The scorer for a while on the residual as if the chosen hypothesis i had never been there."""
+    bend = scorer.library[i].bend
+    return nullcontext() if bend is None else scorer.against(scorer.bench.y + bend)
+
+
+def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:
+    """The chosen hypothesis and the best of the kinds that nearly reach it."""
+    leaders: dict[object, int] = {}
+    for j in sorted(scores, key=lambda j: -scores[j].rank):
+        effect = scorer.library[j].effect
+        if effect is None or scores[j].rank < scores[i].rank - NEARLY * scores[i].gain:
+            break
+        leaders.setdefault((effect.family, *effect.searched()), j)
+    rivals = [j for j in leaders.values() if j != i][:MOST_NEAR]
+    return [i, *rivals]
+
+
+def _on_a_grid(h: Hypothesis) -> bool:
+    """Whether it has searched values, and these from a grid; what was sought in the residual has found its own."""
+    return h.effect is not None and bool(h.effect.searched()) and h.looked == 1
+
+
+LATER = 0.1
+"""A delay or lag that moves by more than this share makes all other effects' columns anew."""
+
+
+def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
+    """What a late or lagging stream delivers of the other effects is late too: a delayed play is not a delay plus a play."""
+    for _ in range(2):
+        theta, now = scorer.solve(chosen)[0], list[tuple[Downstream, Array]]()
+        done = sum(h.count for h in scorer.base)
+        for i in chosen:
+            h = scorer.library[i]
+            t, done = theta[done : done + h.count], done + h.count
+            if isinstance(h.effect, Downstream):
+                now.append((h.effect, t))
+        if _same_timing(bench.timing, now):
+            return
+        bench.timing = now
+        scorer.retime()
+        settle(bench, scorer, chosen)
+
+
+def _same_timing(old: list[tuple[Downstream, Array]], new: list[tuple[Downstream, Array]]) -> bool:
+    return len(old) == len(new) and all(
+        a == b and bool(np.max(np.abs(s - t)) <= LATER * np.max(np.abs(t)))
+        for (a, s), (b, t) in zip(old, new, strict=True)
+    )
+
+
+def bent(bench: Bench, scorer: Scorer, chosen: list[int], i: int, score: Score) -> Score:
+    """The score of a nonlinear effect at its own optimum (Gauss and Newton) instead of by its slope at zero."""
+    h, y, theta = scorer.library[i], bench.y, scorer.solve([*chosen, i])[0][-scorer.library[i].count :]
+    base = [scorer.library[j] for j in [*range(len(scorer.base)), *chosen]]
+    rows = np.flatnonzero(bench.train)
+    _, white = rests(bench, scorer, chosen)
+    before, best = float(np.sum(white[rows] ** 2)), score.gain
+    for _ in range(2):
+        new = tangent(bench, h, theta)
+        assert new.bend is not None, "a tangent has one"
+        target = bench.whitened(y - new.bend)
+        model = [*base, new]
+        solved = fit(model, target, rows, bench.width)
+        rest, done = target[rows].copy(), 0
+        for part in model:
+            rest[:, list(part.white.channels)] -= part.white.values[rows] @ solved[done : done + part.count]
+            done += part.count
+        theta = solved[-h.count :]
+        best = max(best, before - float(np.sum(rest**2)))
+    return replace(score, gain=best, rank=score.rank + best - score.gain)
+
+
+def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> int:
+    """The same effect with its searched values at the optimum: a new place in the library, or the old one."""
+    hypothesis = scorer.library[i]
+    effect = hypothesis.effect
+    if effect is None or not effect.searched():
+        return i
+    for name, value in effect.searched().items():
+        effect = _along(bench, scorer, chosen, effect, name, value)
+    scorer.append([bench.add(effect, hypothesis.looked)])
+    last = len(scorer.library) - 1
+    pair, _ = scorer.scores(chosen, [i, last])
+    return last if last in pair and (i not in pair or pair[last].gain > pair[i].gain) else i
+
+
+def _along(bench: Bench, scorer: Scorer, chosen: list[int], effect: Effect, name: str, value: float) -> Effect:
+    bound = effect.SEARCHED[name]
+    beside = Beside(bench, scorer, chosen)
+    wide = 1.02 if name in {"frequency", "wave_number"} else 2.2
+
+    def cost(log_value: float) -> float:
+        h = bench.add(effect.with_searched({name: float(np.exp(log_value))}))
+        return -beside.gain(h)
+
+    low, high = max(np.log(value / wide), np.log(bound.low)), min(np.log(value * wide), np.log(bound.high))
+    if not high > low:
+        return effect
+    tolerance = 1e-5 if wide < 1.1 else 3e-3
+    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": tolerance, "maxiter": 12})
+    return effect.with_searched({name: float(np.exp(found.x))}) if found.fun < cost(np.log(value)) else effect
+
+
+class Beside:
+    """What one more hypothesis would add to a model, from inner products with that model's columns alone."""
+
+    def __init__(self, bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
+        model = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
+        rest, rows = rests(bench, scorer, chosen)[1], bench.train
+        self.train, self.width = rows, bench.width
+        self.rest = [rest[rows, c] for c in range(bench.width)]
+        ends = np.cumsum([0, *(h.count for h in model)])
+        self.at: list[Index] = []
+        self.columns: list[Array] = []
+        self.G = np.zeros((ends[-1], ends[-1]))
+        for c in range(bench.width):
+            mine = [(h, k) for k, h in enumerate(model) if c in h.white.channels and h.count]
+            at = [np.arange(ends[k], ends[k + 1]) for _, k in mine]
+            parts = [h.white.values[:, h.white.channels.index(c)][rows] for h, _ in mine]
+            self.at.append(np.concatenate([np.empty(0, dtype=np.intp), *at]))
+            self.columns.append(np.concatenate([np.empty((int(rows.sum()), 0)), *parts], axis=1))
+            self.G[np.ix_(self.at[c], self.at[c])] += self.columns[c].T @ self.columns[c]
+
+    def gain(self, h: Hypothesis) -> float:
+        """Fall of the whitened sum of squares when it joins."""
+        own, r, cross = np.zeros((h.count, h.count)), np.zeros(h.count), np.zeros((len(self.G), h.count))
+        for i, c in enumerate(h.white.channels):
+            X = h.white.values[:, i][self.train]
+            own += X.T @ X
+            r += X.T @ self.rest[c]
+            cross[self.at[c]] += self.columns[c].T @ X
+        if len(self.G):
+            own -= cross.T @ solve_sym(self.G, cross)
+        return float(r @ solve_sym(own, r[:, None])[:, 0])

@@ -1,0 +1,37 @@
+"""The chosen model and how it came about."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from galen_hw.diagnosis.bench import Hypothesis
+from galen_hw.diagnosis.score import Score, Scorer
+from galen_hw.physics.effect import Effect
+from galen_hw.spatial import Array
+
+
+@dataclass
+class Selection:
+    """The chosen model and how it came about.
+
+    Args:
+        chosen: places in the scorer's library.
+        evidence: score of each when all others are in.
+        first: score of every hypothesis before any was chosen, best of its family.
+        needed: surprise that chance reaches.
+        refused: effects that looked significant but did not pass the guard.
+        start: (C,) mean squared error on blocks left out before anything was chosen.
+    """
+
+    scorer: Scorer
+    chosen: list[int] = field(default_factory=list)
+    evidence: dict[int, Score] = field(default_factory=dict)
+    first: dict[int, Score] = field(default_factory=dict)
+    needed: float = 0.0
+    refused: list[tuple[Effect, float]] = field(default_factory=list)
+    start: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def hypotheses(self) -> list[Hypothesis]:
+        """The chosen ones."""
+        return [self.scorer.library[i] for i in self.chosen]

@@ -1,0 +1,79 @@
+"""Whether a hypothesis is worth its place: what it takes on blocks left out, and whether its parameters can be real."""
+
+import numpy as np
+
+from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.linear import crossed
+from galen_hw.diagnosis.score import Scorer
+from galen_hw.diagnosis.selection import Selection
+from galen_hw.physics.effect import Effect
+from galen_hw.spatial import Array
+
+WORTH = 0.25
+"""An effect must take at least this share of the excess that is left in some channel, on data it did not learn from."""
+
+
+MATTERS = 0.03
+"""Where the best model still misses much (real machines), an effect must take this share of the whole excess as well."""
+
+
+LOUD = 400.0
+"""Mean square over noise from which a recording is so loud that a hundredth of it is no matter."""
+
+
+PROVED = 1.25
+"""Whitened mean square below which a model leaves hardly more than noise."""
+
+
+def asked(bench: Bench, out: Selection, effect: Effect | None, misfit: float) -> tuple[float, float]:
+    """The shares that an effect must take, of the excess that is left and of the excess at the start, see `worth`.
+
+    What belongs to moments fits nearly anything and pays more. Of the whole nothing is asked where noise is all that is left
+    and the excess was small.
+    """
+    episodic = effect is not None and effect.EPISODIC
+    loud = float(np.max(out.start / bench.noise.sigma**2)) > LOUD
+    beyond = min(1.0, misfit - 1.0)
+    return WORTH * (1.0 + beyond * episodic), MATTERS * max(beyond, 0.3 * loud)
+
+
+def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, float]:
+    """What the hypothesis takes on blocks it did not learn from: share of the excess left, and of that at the start.
+
+    The best channel counts. Five folds of contiguous blocks inside the training rows, errors in raw units, excess over the
+    noise of the rich fit.
+    """
+    effect = scorer.library[i].effect
+    # A contact of three seconds lies in one block: only pieces shorter than it can say whether it is there.
+    fine = effect is not None and (effect.EPISODIC or effect.BRIEF)
+    before = crossed(bench, scorer, out.chosen, fine=fine)
+    after = crossed(bench, scorer, [*out.chosen, i], fine=fine)
+    floor = bench.noise.sigma**2
+    if not len(out.start):
+        out.start = crossed(bench, scorer, out.chosen)
+    weight = _where_it_acts(scorer, out.chosen, i, bench)
+    left = (before - after) / np.maximum(before - floor, 0.02 * floor)
+    whole = (before - after) / np.maximum(out.start - floor, 0.02 * floor)
+    return float(weight @ left), float(weight @ whole)
+
+
+def _where_it_acts(scorer: Scorer, chosen: list[int], i: int, bench: Bench) -> Array:
+    """(C,) shares of the energy, in units of the noise, that the hypothesis predicts in each channel."""
+    h = scorer.library[i]
+    theta = scorer.solve([*chosen, i])[0][-h.count :]
+    energy = np.zeros(bench.width)
+    size = np.mean((h.raw.values @ theta) ** 2, axis=0)
+    energy[list(h.raw.channels)] = size / bench.noise.sigma[list(h.raw.channels)] ** 2
+    return np.asarray(energy / max(float(energy.sum()), 1e-300))
+
+
+def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
+    """Whether the parameters can be what the effect is called."""
+    h = scorer.library[i]
+    assert h.effect is not None, "nuisances are never candidates"
+    theta, at, _ = scorer.solve([*chosen, i])
+    misfit = scorer.misfit([*chosen, i])
+    spread = scorer.spread(at)[-h.count :] * np.sqrt(misfit)
+    named = list(zip(h.effect.parameters(bench.scene), theta[-h.count :], spread, strict=True))
+    # A lag of a twentieth is no lag. Bounds matter where physics is missing: else the shape has proved it, whatever its size.
+    return all(p.near(t, s) and (misfit < PROVED or p.plausible(t, s)) for p, t, s in named)
