@@ -45,6 +45,8 @@ class UnreachableError(Exception):
 
 
 DRAWS = 10
+LARGEST = 9.2
+"""Logarithm of an amplitude beyond which no effect is itself any more."""
 
 
 def _scaled(case: Case) -> None:
@@ -128,23 +130,30 @@ def _severity(excess: Array) -> tuple[float, Array]:
 
 
 def _amplitude(case: Case, hidden: Injected) -> float:
-    """The amplitude that gives the wanted SNR, by the secant rule on logarithms."""
+    """The amplitude that gives the wanted SNR: the secant rule on logarithms, and halving where its step leaves the bracket.
+
+    Raises:
+        UnreachableError: there is none.
+    """
     assert hidden.snr is not None
-    number, a = case.effects.index(hidden), 1.0
-    history: list[tuple[float, float]] = []
-    for _ in range(12):
-        snr, touched = _severity(_excess(case, hidden, number, a))
+    number, at, wanted = case.effects.index(hidden), 0.0, np.log(hidden.snr)
+    low, high, last = -np.inf, np.inf, None
+    for _ in range(30):
+        snr, touched = _severity(_excess(case, hidden, number, float(np.exp(at))))
         hidden.channels = [c for c, on in zip(CHANNELS[case.group], touched, strict=True) if on]
         if abs(snr / hidden.snr - 1) < 0.03:
-            return a
-        history.append((np.log(a), np.log(max(snr, 1e-9))))
-        slope = 1.0
-        if len(history) > 1 and abs(history[-1][0] - history[-2][0]) > 1e-9:
-            slope = (history[-1][1] - history[-2][1]) / (history[-1][0] - history[-2][0])
-        move = np.clip((np.log(hidden.snr) - history[-1][1]) / np.clip(slope, 0.4, 3.0), -3.0, 3.0)
-        a = float(np.clip(a * np.exp(move), 1e-4, 1e4))
+            return float(np.exp(at))
+        now = (at, float(np.log(max(snr, 1e-9))))
+        low, high = (max(low, at), high) if now[1] < wanted else (low, min(high, at))
+        slope = 1.0 if last is None or at == last[0] else (now[1] - last[1]) / (at - last[0])
+        at += float(np.clip((wanted - now[1]) / np.clip(slope, 0.4, 5.0), -3.0, 3.0))
+        if not low < at < high:
+            at = 0.5 * (low + high) if np.isfinite(low) and np.isfinite(high) else at
+        last = now
+        if abs(at) > LARGEST:
+            break
     raise UnreachableError(
-        f"{case.name}: {hidden.key} does not reach SNR {hidden.snr}, only {snr:.2g} at amplitude {a:.2g}"
+        f"{case.name}: {hidden.key} does not reach SNR {hidden.snr}, only {snr:.2g} at {np.exp(at):.2g}"
     )
 
 

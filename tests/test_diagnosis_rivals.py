@@ -1,0 +1,114 @@
+"""Rivals in each other's place: clocks against filters, a limit seen once, play that motion alone turns over."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import diagnosis_cases as cases
+from diagnosis_cases import Beam, Bench, Servo
+
+from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.judge import _sure
+from galen_hw.diagnosis.nonlinear import in_place
+from galen_hw.kinematics import UrdfRobot
+from galen_hw.physics.elastic_effects import Hardening
+from galen_hw.physics.memory_effects import Backlash, Hysteresis
+from galen_hw.physics.observations import Belief, Observations
+from galen_hw.physics.table import scene_of
+
+
+def work_of(bench: Bench | Servo) -> Work:
+    """All that a diagnosis went through."""
+    return diagnose(scene_of(bench.observations()))
+
+
+def named(work: Work) -> list[str]:
+    """The effects found, first things first."""
+    return [finding.effect for finding in work.diagnosis.findings]
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+def test_a_delay_and_a_filter_state_each_other_where_motion_is_slow(filtered: bool) -> None:
+    """Below half a sample nothing tells them apart: whichever stands first, the other is in its class."""
+    servo = Servo()
+    late = [np.interp(servo.t - 0.005, servo.t, x) for x in servo.command.T]
+    slow = [cases.lagged(servo.t, x, 0.01) for x in servo.command.T]
+    servo.position = np.stack(slow if filtered else late, axis=1)
+    servo.sigma = 2e-3
+    first = work_of(servo).diagnosis.findings[0]
+    assert {first.effect, *(c.effect for c in first.confounded_with)} >= {"time_delay", "lag"}
+
+
+def test_a_rival_in_place_of_a_bent_effect_meets_the_whole_residual() -> None:
+    """A link's large error left out and put back: its own score is what it was, and the scorer is as before."""
+    bench = Bench()
+    cases.joint_offset(bench)
+    work = work_of(bench)
+    scorer, chosen = work.selection.scorer, work.selection.chosen
+    i = next(i for i in chosen if scorer.library[i].bend is not None)
+    b, white = scorer.b.copy(), scorer.white.copy()
+    gain = scorer.solve([j for j in chosen if j != i])[2] - scorer.solve(chosen)[2]
+    scores = in_place(work.bench, scorer, chosen, i)
+    assert np.array_equal(scorer.b[: len(b)], b)
+    assert np.array_equal(scorer.white, white)
+    assert scores[i].gain == pytest.approx(gain, rel=0.05)
+    assert scores[i].rank >= max(s.rank for j, s in scores.items() if j != i) - 6.0
+
+
+def test_a_limit_that_was_reached_once_is_a_limit_and_no_contact() -> None:
+    """One swing is cut off below the noise's size of a pile; no reading stands exactly on the limit."""
+    bench = Bench(seed=5, rows=4000)
+    x = bench.wrench[:, 1].copy()
+    top = int(np.argmax(x))
+    once = np.abs(np.arange(len(x)) - top) < 100
+    limit = float(x[top]) - 0.12
+    assert np.max(x[~once]) < limit
+    bench.wrench[:, 1] = np.minimum(x, limit)
+    work = work_of(bench)
+    assert named(work) == ["saturation"]
+    effect, share = work.model.effects[0].effect, work.model.final[-1]
+    beyond = np.maximum(x - effect.limit, 0.0) * share
+    assert beyond.max() == pytest.approx(0.12, abs=0.03)
+
+
+def test_play_that_motion_turns_over_is_backlash() -> None:
+    """An arm whose weight is balanced lies in its play on the side that its acceleration says."""
+    beam = Beam(rows=4000)
+    torque = (0.05 + 2.0 * 0.25**2) * beam.ddq
+    noisy = beam.q - 1e-3 * np.tanh(torque / 0.005) + 1e-3 * beam.rng.normal(size=len(beam.t))
+    columns = {"time": beam.t, "joint.shoulder.position": noisy, "joint.shoulder.command": beam.q}
+    observations = Observations("position", columns, None, Belief(robot=UrdfRobot(cases.ARM), bias_free=True))
+    scene = scene_of(observations)
+    load = scene.inertia_load("shoulder")
+    assert load == pytest.approx(torque, abs=0.02 * np.max(np.abs(torque)))
+    work = diagnose(scene)
+    assert named(work) == ["backlash"]
+    assert isinstance(work.model.effects[0].effect, Backlash)
+    assert work.model.effects[0].effect.balanced
+
+
+def test_an_effect_that_acts_seldom_is_as_sure_as_its_noise_allows() -> None:
+    """Two pieces of forty hold all of it; noise that was fitted to noise is not sure."""
+    rng = np.random.default_rng(5)
+    noise, floor = rng.normal(size=(4000, 2)), np.ones(2)
+    seldom = np.zeros_like(noise)
+    seldom[:200] = 1.0
+    assert _sure(noise, noise + seldom, floor) > 10.0
+    fitted = 0.2 * rng.normal(size=(4000, 2))
+    assert _sure(noise - fitted, noise, floor) < 2.0
+
+
+def test_stiffness_that_grows_with_load_and_friction_beside_a_spring() -> None:
+    """The knee's law between a square and a line; slip elements through a joint's port against their definition."""
+    law = Hardening("tilt", 2, 0.5).law
+    assert law(np.array([-1e-3, 0.0, 0.5, 1e3])) == pytest.approx([-2e-6 / 1.002, 0.0, 0.25, 1e3 - 0.5], rel=1e-3)
+    observations = cases.tracked(0.0, 0.0)
+    scene = scene_of(observations)
+    port, load = scene.joint_port("tilt"), scene.load("tilt")
+    held = cases.played(load, 0.1) - load
+    columns = Hysteresis.of_load("tilt", (0.1,)).columns(scene).full(len(scene.channels))
+    assert columns[:, :, 0] == pytest.approx(port * held[:, None], abs=1e-12)
