@@ -199,6 +199,11 @@ def _plainness(scorer: Scorer, i: int) -> int:
     return PLAIN.get("" if effect is None else effect.KEY, 3)
 
 
+def _favour(scorer: Scorer, i: int, j: int) -> int:
+    """1 where j is plainer than i, -1 where i is, 0 where neither is."""
+    return int(np.sign(_plainness(scorer, i) - _plainness(scorer, j)))
+
+
 def place_of(effect: Effect | None) -> tuple[str, ...]:
     """Where an effect sits: one hypothesis of a kind a place; those of moments may stand side by side."""
     if effect is None or effect.KEY in ("step", "vibration", "torque_ripple", "contact"):
@@ -229,15 +234,15 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
         rivals = {j: s for j, s in in_place(bench, scorer, out.chosen, i).items() if j not in refused}
         if i not in rivals:
             continue
-        better = sorted((j for j in rivals if rivals[j].rank > rivals[i].rank), key=lambda j: -rivals[j].rank)
+        # A plainer one need not be better, only as good: what came first in an earlier turn must not decide.
+        able = {j: s.rank + _favour(scorer, i, j) * ALIKE * rivals[i].gain for j, s in rivals.items() if j != i}
+        better = sorted((j for j in able if able[j] > rivals[i].rank), key=lambda j: -able[j])
         best = next((j for j in better[:TRIES] if plausible(bench, scorer, others, j)), i)
         misfit = scorer.misfit([*others, best])
         margin = 6.0 + _slack(misfit) * rivals[i].gain
-        if _plainness(scorer, best) > _plainness(scorer, i):
-            margin += ALIKE * rivals[i].gain
-        if best in _kin(scorer, i):
-            margin = 1.0  # the same thing at a better value
-        if best == i or rivals[best].rank <= rivals[i].rank + margin:
+        if best in _kin(scorer, i) or (best != i and _favour(scorer, i, best) > 0):
+            margin = 1.0  # the same thing at a better value, or a plainer one that does as well
+        if best == i or able[best] <= rivals[i].rank + margin:
             continue
         trial = [best if j == i else j for j in out.chosen]
         before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, trial)

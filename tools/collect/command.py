@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
                 addresses.require_daemon()
             client = stack.enter_context(CommandClient(addresses.command))
             info = client.call("daemon", "info")
-            store = ToolStore(Path(info["state_dir"]))
+            store = ToolStore(Path(info["state_dir"]), virtual=info["virtual"])
             name = args.tool or store.selected() or (VIRTUAL_TOOL if info["virtual"] else None)
             if name is None:
                 raise UsageError("no tool is selected", where="--tool", todo=f"one of: {', '.join(store.names())}")
