@@ -30,9 +30,12 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(args.keep or scratch)
         folder.mkdir(parents=True, exist_ok=True)
-        cases, scored = _judged(seed, args.cases, folder, args.workers)
+        if (folder / "truth.json").exists():
+            cases, scored = _unsealed(folder)
+        else:
+            cases, scored = _judged(seed, args.cases, folder, args.workers)
         rivals = [] if args.no_rivals else _rivals(cases, scored, folder, args.workers, args.rivals)
-        recordings = real.recordings(folder / "real", args.workers)
+        recordings = real.LEFT_OUT if args.no_real else real.recordings(folder / "real", args.workers)
         missed = report.write(Path(args.write), scored, rivals, recordings, seed=seed, commit=commit)
     for line in missed:
         print(f"missed: {line}", file=sys.stderr)
@@ -43,13 +46,16 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="blind_proof", description=__doc__)
     parser.add_argument("--cases", type=int, default=400, help="how many recordings (default 400)")
     parser.add_argument("--seed", type=int, help="of the set; from the commit's hash if left out")
-    parser.add_argument("--keep", help="folder for data, verdicts and truth; a temporary one if left out")
+    parser.add_argument(
+        "--keep", help="folder for data, verdicts and truth (a temporary one); a judged one is not judged again"
+    )
     parser.add_argument("--write", default="docs/proof.md", help="where the report goes, figures beside it")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument(
         "--rivals", type=int, metavar="N", help="cases that the rivals get, evenly chosen (default all)"
     )
     parser.add_argument("--no-rivals", action="store_true", help="leave the rivals out")
+    parser.add_argument("--no-real", action="store_true", help="leave the real recordings out")
     return parser.parse_args()
 
 
@@ -62,12 +68,21 @@ def _judged(seed: int, count: int, folder: Path, workers: int) -> tuple[list[Cas
     sealed = seal.seal(cases, folder)
     plans = [{"name": c.name, "second_run": _second_run(c)} for c in cases]
     verdicts = judge.verdicts(folder, plans, folder / "verdicts", workers)
-    truth = seal.unseal(sealed, folder, verdicts)
-    scored = []
-    for case, planned_, path in zip(truth, plans, verdicts, strict=True):
-        case["second_run"] = planned_["second_run"]
-        scored.append(score.score(case, json.loads(path.read_text())))
-    return cases, scored
+    return cases, _scored(seal.unseal(sealed, folder, verdicts), folder)
+
+
+def _unsealed(folder: Path) -> tuple[list[Case], list[score.Scored]]:
+    """A set that was judged and unsealed before, scored again from its files."""
+    truth = json.loads((folder / "truth.json").read_text())
+    return [Case.from_dict(case) for case in truth], _scored(truth, folder)
+
+
+def _scored(truth: list[dict[str, Any]], folder: Path) -> list[score.Scored]:
+    out = []
+    for case in truth:
+        verdict = json.loads((folder / "verdicts" / f"{case['name']}.json").read_text())
+        out.append(score.score(case | {"second_run": _second_run(Case.from_dict(case))}, verdict))
+    return out
 
 
 def _second_run(case: Case) -> bool:

@@ -68,6 +68,9 @@ SETS = (
 )
 
 
+LEFT_OUT = ["## Real recordings\n", "Left out of this run.\n"]
+
+
 def data_folder() -> Path | None:
     """Where the real recordings are: GALEN_HW_DATA, or shared/data beside the checkout; None when absent."""
     beside = Path(__file__).resolve().parents[2].parent / "shared" / "data"
