@@ -32,7 +32,9 @@ def main() -> int:
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / "truth.json").exists():
             cases, scored = _unsealed(folder)
+            seed, commit = json.loads((folder / "set.json").read_text())
         else:
+            (folder / "set.json").write_text(json.dumps([seed, commit]))
             cases, scored = _judged(seed, args.cases, folder, args.workers)
         rivals = [] if args.no_rivals else _rivals(cases, scored, folder, args.workers, args.rivals)
         recordings = real.LEFT_OUT if args.no_real else real.recordings(folder / "real", args.workers)
@@ -72,8 +74,13 @@ def _judged(seed: int, count: int, folder: Path, workers: int) -> tuple[list[Cas
 
 
 def _unsealed(folder: Path) -> tuple[list[Case], list[score.Scored]]:
-    """A set that was judged and unsealed before, scored again from its files."""
-    truth = json.loads((folder / "truth.json").read_text())
+    """A set that was judged and unsealed before, scored again from its files.
+
+    Raises:
+        RuntimeError: the truth is not the one that was sealed.
+    """
+    text = (folder / "truth.json").read_text()
+    truth = seal.unseal(text, folder, [])
     return [Case.from_dict(case) for case in truth], _scored(truth, folder)
 
 
