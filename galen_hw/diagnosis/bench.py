@@ -117,7 +117,9 @@ class Bench:
 
     def raw(self, effect: Effect) -> Columns:
         """An effect's averaged columns, late where the stream is late."""
-        return self.averaged(effect.columns(self.scene), timed=not effect.EPISODIC and not effect.DOWNSTREAM)
+        if not self.timing or effect.EPISODIC or effect.DOWNSTREAM:
+            return effect.averaged(self.scene, self.rows.average)
+        return self.averaged(effect.columns(self.scene), timed=True)
 
     def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
         """A hypothesis of given averaged columns."""

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from galen_hw.diagnosis import adequacy, seek
 from galen_hw.diagnosis.bench import Bench, Hypothesis
@@ -50,6 +51,9 @@ Progress = Callable[[str, float], None]
 """Told what is being done and which share (0 to 1) of the whole is behind."""
 
 
+# The matrices are many and small: BLAS gains nothing by threads, and beside other work they wait for one another for longer
+# than they compute.
+@threadpool_limits.wrap(limits=1, user_api="blas")  # type: ignore[untyped-decorator]
 def diagnose(
     scene: Scene,
     *,

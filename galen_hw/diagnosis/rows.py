@@ -33,12 +33,6 @@ class Rows:
         return np.concatenate([np.arange(s.start, s.stop, self.stride) for s in self.segments]).astype(np.intp)
 
     @cached_property
-    def counts(self) -> Array:
-        """Rows in every group."""
-        ends = [np.minimum(np.arange(s.start, s.stop, self.stride) + self.stride, s.stop) for s in self.segments]
-        return np.asarray(np.concatenate(ends) - self.starts, dtype=float)
-
-    @cached_property
     def runs(self) -> tuple[slice, ...]:
         """The segments in groups."""
         edges = np.cumsum([0] + [-(-(s.stop - s.start) // self.stride) for s in self.segments])
@@ -52,8 +46,16 @@ class Rows:
         """(M, ...) means of (N, ...) over the groups."""
         if self.stride == 1:
             return x
-        total = np.add.reduceat(x, self.starts, axis=0)
-        return np.asarray(total / self.counts.reshape(-1, *([1] * (x.ndim - 1))))
+        out = np.empty((len(self), *x.shape[1:]))
+        for segment, run in zip(self.segments, self.runs, strict=True):
+            whole, rest = divmod(segment.stop - segment.start, self.stride)
+            middle, end = segment.start + whole * self.stride, run.start + whole
+            if whole:
+                groups = x[segment.start : middle].reshape(whole, self.stride, -1)
+                out[run.start : end] = (np.einsum("gsk->gk", groups) / self.stride).reshape(whole, *x.shape[1:])
+            if rest:
+                out[end] = x[middle : segment.stop].mean(axis=0)
+        return out
 
     def spread(self, x: Mask) -> Mask:
         """(M,) mask of the groups that hold any marked row (N,)."""

@@ -1,7 +1,7 @@
 """What an effect is: a named piece of physics, its linear parameters, and the few nonlinear ones that are searched."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Self
 
@@ -95,6 +95,11 @@ class Effect(ABC):
     @abstractmethod
     def columns(self, scene: Scene) -> Columns:
         """The slope of the compared channels by the linear parameters at zero."""
+
+    def averaged(self, scene: Scene, average: Callable[[Array], Array]) -> Columns:
+        """The columns with their rows averaged, (N, ...) to (M, ...): an effect may know a cheaper way than by all of them."""
+        columns = self.columns(scene)
+        return Columns(columns.channels, average(columns.values))
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
         """(N, C) change for parameters theta (k,); None where `columns @ theta` is exact."""

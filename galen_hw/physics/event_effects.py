@@ -1,6 +1,7 @@
 """Effects that belong to moments: steps, contacts, oscillations, glitches. Where they sit is sought in the residual."""
 
-from collections.abc import Iterator
+from abc import abstractmethod
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -23,8 +24,32 @@ class _Sought(Effect):
         return iter(())
 
 
+class _Shaped(_Sought):
+    """The same shapes in time in every channel it names, each with a coefficient of its own."""
+
+    channels: tuple[str, ...]
+
+    @abstractmethod
+    def shapes(self, scene: Scene) -> list[Array]:
+        """(N,) each."""
+
+    def columns(self, scene: Scene) -> Columns:
+        """Every shape in every channel, channel by channel."""
+        return self.averaged(scene, np.asarray)
+
+    def averaged(self, scene: Scene, average: Callable[[Array], Array]) -> Columns:
+        """Shapes are averaged before they are spread over the channels, where most of the columns are zero."""
+        places = tuple(scene.channels.index(name) for name in self.channels)
+        shapes = average(np.stack(self.shapes(scene), axis=-1))
+        count = shapes.shape[1]
+        values = np.zeros((len(shapes), len(places), count * len(places)))
+        for i in range(len(places)):
+            values[:, i, i * count : (i + 1) * count] = shapes
+        return Columns(places, values)
+
+
 @dataclass(frozen=True)
-class Step(_Sought):
+class Step(_Shaped):
     """The offset jumps at a moment: r = a for t >= t0. A bump, a re-zeroing, a moved marker.
 
     Visible with rest on both sides. Confused with drift (smooth) and contact (which ends).
@@ -38,14 +63,14 @@ class Step(_Sought):
         """The jump of every channel."""
         return tuple(Parameter(f"jump_{name}", unit_of(scene, name)) for name in self.channels)
 
-    def columns(self, scene: Scene) -> Columns:
+    def shapes(self, scene: Scene) -> list[Array]:
         """One after the moment."""
         after = (scene.time >= self.moment).astype(float)
-        return _each(scene, self.channels, [scene.seen(after[:, None])[:, 0]])
+        return [scene.seen(after[:, None])[:, 0]]
 
 
 @dataclass(frozen=True)
-class Contact(_Sought):
+class Contact(_Shaped):
     """An outside force during episodes (start, end) in s: in each, a level and a bow in every channel named.
 
     Visible as a residual that comes and goes. Confused with glitches (a few samples), step (which stays) and payload.
@@ -64,17 +89,17 @@ class Contact(_Sought):
             for what in ("level", "bow")
         )
 
-    def columns(self, scene: Scene) -> Columns:
+    def shapes(self, scene: Scene) -> list[Array]:
         """Box and half sine of every episode."""
         out = []
         for start, end in self.episodes:
             inside = ((scene.time >= start) & (scene.time <= end)).astype(float)
             out += [inside, inside * np.sin(np.pi * (scene.time - start) / max(end - start, 1e-9))]
-        return _each(scene, self.channels, out)
+        return out
 
 
 @dataclass(frozen=True)
-class Vibration(_Sought):
+class Vibration(_Shaped):
     """Narrow-band oscillation: r = a sin(2 pi f t) + b cos(2 pi f t). Structure, mains, motor.
 
     Visible as a line in the spectrum. Confused with torque_ripple at constant speed; an oscillation that motion excites and
@@ -93,10 +118,10 @@ class Vibration(_Sought):
             Parameter(f"{w}_{name}", unit_of(scene, name)) for name in self.channels for w in ("sine", "cosine")
         )
 
-    def columns(self, scene: Scene) -> Columns:
+    def shapes(self, scene: Scene) -> list[Array]:
         """Sine and cosine of the clock."""
         phase = 2.0 * np.pi * self.frequency * scene.time
-        return _each(scene, self.channels, list(scene.seen(np.stack([np.sin(phase), np.cos(phase)], axis=-1)).T))
+        return list(scene.seen(np.stack([np.sin(phase), np.cos(phase)], axis=-1)).T)
 
 
 @dataclass(frozen=True)
@@ -134,13 +159,3 @@ class Unknown(_Sought):
     def columns(self, scene: Scene) -> Columns:
         """None."""
         return Columns((0,), np.zeros((len(scene), 1, 0)))
-
-
-def _each(scene: Scene, channels: tuple[str, ...], shapes: list[Array]) -> Columns:
-    """Every shape in every channel with a coefficient of its own; channel by channel."""
-    places = tuple(scene.channels.index(name) for name in channels)
-    count = len(shapes)
-    values = np.zeros((len(scene), len(places), count * len(places)))
-    for i in range(len(places)):
-        values[:, i, i * count : (i + 1) * count] = np.stack(shapes, axis=-1)
-    return Columns(places, values)

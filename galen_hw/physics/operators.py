@@ -7,8 +7,14 @@ a batch cut anywhere gives the same numbers.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from galen_hw.spatial import Array
+
+FORGOTTEN = 1e-30
+"""Share of a past value below which it is gone, whatever the value."""
+EVEN = 1e-9
+"""Spread of the clock's steps, as a share of one, that is rounding."""
 
 
 def play(x: Array, half_width: Array, state: Array | None) -> tuple[Array, Array]:
@@ -24,7 +30,7 @@ def play(x: Array, half_width: Array, state: Array | None) -> tuple[Array, Array
     low, high = x - half_width, x + half_width
     # One step clamps to a band, and clamps after one another are a clamp: all of them by doubling, not row by row.
     reach = 1
-    while reach < len(x):
+    while reach < len(x) and not np.array_equal(low[reach:], high[reach:]):
         after_low, after_high = low[reach:].copy(), high[reach:].copy()
         low[reach:] = np.minimum(np.maximum(low[:-reach], after_low), after_high)
         high[reach:] = np.minimum(np.maximum(high[:-reach], after_low), after_high)
@@ -52,16 +58,30 @@ def lag(time: Array, x: Array, constant: Array, state: LagState | None) -> tuple
     """
     before = time[0] if state is None else state.time
     steps = np.diff(np.concatenate([[before], time]))
+    start = x[0] if state is None else state.output
+    if len(x) > 2 and np.ptp(steps[1:]) <= EVEN * steps[1]:
+        out = _lag_evenly(steps[:2], x, constant, start)
+        return out, LagState(float(time[-1]), out[-1].copy())
     share = -np.expm1(-np.maximum(steps, 0.0)[:, None] / constant)
     # y_k = kept y_(k-1) + new, and such steps after one another are such a step: all of them by doubling.
     kept, new = 1.0 - share, share * x
     reach = 1
-    while reach < len(x):
+    while reach < len(x) and np.any(kept[reach:] > FORGOTTEN):
         new[reach:] = kept[reach:] * new[:-reach] + new[reach:]
         kept[reach:] = kept[reach:] * kept[:-reach]
         reach *= 2
-    out = kept * (x[0] if state is None else state.output) + new
+    out = kept * start + new
     return out, LagState(float(time[-1]), out[-1].copy())
+
+
+def _lag_evenly(steps: Array, x: Array, constant: Array, start: Array) -> Array:
+    """The same on an even clock, where it is a digital filter; steps: to the first row and between all others, s."""
+    first, share = -np.expm1(-np.maximum(steps, 0.0)[:, None] / constant)
+    out = np.empty_like(x, dtype=float)
+    out[0] = start + first * (x[0] - start)
+    for j, b in enumerate(np.broadcast_to(share, x.shape[1:]).tolist()):
+        out[1:, j] = lfilter([b], [1.0, b - 1.0], x[1:, j], zi=[(1.0 - b) * out[0, j]])[0]
+    return out
 
 
 @dataclass(frozen=True)
