@@ -96,9 +96,11 @@ def _confusion(cases: list[Scored], pictures: Path) -> str:
     if not matrix.size:
         return ""
     figure, ax = plt.subplots(figsize=(9, 7.6), layout="constrained")
-    ax.imshow(matrix / np.maximum(matrix.sum(axis=1, keepdims=True), 1), cmap="Blues", vmin=0, vmax=1)
+    share = matrix / np.maximum(matrix.sum(axis=1, keepdims=True), 1)
+    ax.imshow(share, cmap="Blues", vmin=0, vmax=1)
     for i, j in np.argwhere(matrix > 0):
-        ax.text(j, i, f"{int(matrix[i, j])}", ha="center", va="center", fontsize=7)
+        ink = "white" if share[i, j] > 0.5 else "black"
+        ax.text(j, i, f"{int(matrix[i, j])}", ha="center", va="center", fontsize=7, color=ink)
     ax.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=8)
     ax.set_yticks(range(len(names) - 2), names[:-2], fontsize=8)
     ax.set(xlabel="called first", ylabel="concealed (SNR >= 0.4)")
