@@ -104,11 +104,8 @@ class Bench:
         """Rows to judge on."""
         return self.aside & ~self.dropped
 
-    def averaged(self, columns: Columns, *, timed: bool) -> Columns:
-        """Columns on the bench's rows, as the late, lagging or clipping stream delivers them."""
-        if timed:
-            for effect, theta in self.timing:
-                columns = effect.delivered(self.scene, columns, theta)
+    def averaged(self, columns: Columns) -> Columns:
+        """Columns (N, c, k) on the bench's rows, (M, c, k)."""
         return Columns(columns.channels, self.rows.average(columns.values))
 
     def add(self, effect: Effect, looked: int = 1) -> Hypothesis:
@@ -116,10 +113,13 @@ class Bench:
         return self.made(effect, self.raw(effect), looked)
 
     def raw(self, effect: Effect) -> Columns:
-        """An effect's averaged columns, late where the stream is late."""
+        """An effect's averaged columns, as the late, lagging or clipping stream delivers them."""
         if not self.timing or effect.EPISODIC or effect.DOWNSTREAM:
             return effect.averaged(self.scene, self.rows.average)
-        return self.averaged(effect.columns(self.scene), timed=True)
+        columns = effect.columns(self.scene)
+        for downstream, theta in self.timing:
+            columns = downstream.delivered(self.scene, columns, theta)
+        return self.averaged(columns)
 
     def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
         """A hypothesis of given averaged columns."""

@@ -133,7 +133,7 @@ def _columns(effects: list[Effect], *benches: Bench) -> tuple[list[Columns], ...
     for effect in effects:
         columns = effect.columns(benches[0].scene)
         for bench, mine in zip(benches, out, strict=True):
-            mine.append(bench.averaged(columns, timed=False))
+            mine.append(bench.averaged(columns))
     return out
 
 

@@ -53,7 +53,7 @@ def tangent(bench: Bench, h: Hypothesis, theta: Array) -> Hypothesis:
         step = np.zeros(h.count)
         step[k] = 1e-4 * max(float(np.max(np.abs(theta))), 1e-6)
         slopes.append((effect.change(scene, theta + step) - effect.change(scene, theta - step)) / (2.0 * step[k]))
-    raw = bench.averaged(Columns(tuple(range(bench.width)), np.stack(slopes, axis=-1)), timed=False)
+    raw = bench.averaged(Columns(tuple(range(bench.width)), np.stack(slopes, axis=-1)))
     out = bench.made(effect, raw, h.looked)
     out.theta, out.bend = theta, bench.rows.average(here) - raw.values @ theta
     return out

@@ -1,8 +1,6 @@
 """Likelihood ratios of all hypotheses against what is already in the model, from inner products alone."""
 
-import os
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -91,15 +89,14 @@ class Scorer:
 
     def retime(self) -> None:
         """All columns anew as the bench's late or lagging stream delivers them."""
-        with ThreadPoolExecutor(_threads()) as pool:
-            library = list(pool.map(self._retimed, self.library))
+        library = [self._retimed(h) for h in self.library]
         self.library, self.places = [], []
         self._stacks = [[] for _ in self._stacks]
         self.G, self.b, self.fakes = np.empty((0, 0)), np.empty(0), np.empty((0, self.fake.shape[2]))
         self.append(library)
 
     def _retimed(self, h: Hypothesis) -> Hypothesis:
-        """Its columns anew; side by side this is safe because everything that a scene keeps was asked for before."""
+        """Its columns anew, unless it belongs to a moment, is the clock's own, or is bent at its optimum."""
         if h.effect is None or h.theta is not None or h.effect.EPISODIC or h.effect.DOWNSTREAM:
             return h
         return self.bench.made(h.effect, self.bench.raw(h.effect), h.looked, h.name)
@@ -212,9 +209,3 @@ def threshold(highest: Array, chance: float) -> float:
     scale = max(1.0, float(np.std(highest)) * np.sqrt(6.0) / np.pi)
     place = float(np.mean(highest)) - 0.5772 * scale
     return float(place - scale * np.log(-np.log1p(-chance)))
-
-
-def _threads() -> int:
-    """As many as OMP_NUM_THREADS allows, which is one in each of many worker processes; else one a core."""
-    asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
-    return max(1, int(asked) if asked.isdigit() else os.cpu_count() or 1)
