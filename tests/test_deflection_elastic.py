@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from galen_hw.identification.deflection.blocks import Blocks, Rows
 from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.elastic_terms import Term, Weight
 from galen_hw.identification.deflection.stream import Place
@@ -41,6 +42,18 @@ def test_the_tip_is_predicted_at_a_configuration_never_seen(robot: GivingRobot, 
     error = new.give - arm.predict(new)
     error -= error[: int(1.8 * 60)].mean(axis=0)
     assert np.sqrt(np.mean(error**2)) < 1.2 * NOISE_M
+
+
+def test_what_the_learnt_sets_never_show_stays_out_of_the_others() -> None:
+    """A column that is rounding in all sets but one has no parameter there: the held-out error is what it was without it."""
+    rng = np.random.default_rng(5)
+    load, y, edges = rng.normal(size=(3, 60)), rng.normal(size=(3, 60)), [0, 30, 60]
+    late = np.array([1e-8 * rng.normal(size=60), 1e-8 * rng.normal(size=60), rng.normal(size=60)])
+    rows = [Rows(np.arange(60), np.zeros((60, 0)), edges, y[s]) for s in range(3)]
+    blocks = Blocks.of(rows, {"load": list(load), "late": list(late)}, [0, 1, 2])
+    with_it, without = blocks.held_out(["load", "late"]), blocks.held_out(["load"])
+    assert with_it[-2:] == pytest.approx(without[-2:])
+    assert np.isfinite(blocks.gain(without, with_it)).all()
 
 
 def test_a_soft_arm_bends_as_in_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -107,19 +107,24 @@ class Blocks:
         """Parameters (k,) of some columns by all blocks but one fold's."""
         k = [self._place[key] for key in keys]
         take = np.ones(len(self.yy), bool) if without is None else self.fold != without
-        return _solve(self.G[take].sum(axis=0)[np.ix_(k, k)], self.g[take].sum(axis=0)[k])
+        return _solve(self.G[take].sum(axis=0)[np.ix_(k, k)], self.g[take].sum(axis=0)[k], self._energy(k))
 
     def held_out(self, keys: Sequence[Hashable]) -> Array:
         """(B,) mean square of each block's error, in noise units, by parameters of the other folds."""
         k = [self._place[key] for key in keys]
         out = np.empty(len(self.yy))
         sum_G, sum_g = self.G[:, k][:, :, k].sum(axis=0), self.g[:, k].sum(axis=0)
+        energy = self._energy(k)
         for f in np.unique(self.fold):
             mine = self.fold == f
             G, g = self.G[mine][:, k][:, :, k], self.g[mine][:, k]
-            theta = _solve(sum_G - G.sum(axis=0), sum_g - g.sum(axis=0))
+            theta = _solve(sum_G - G.sum(axis=0), sum_g - g.sum(axis=0), energy)
             out[mine] = self.yy[mine] - 2.0 * g @ theta + np.einsum("i,bij,j->b", theta, G, theta)
         return out / self.rows
+
+    def _energy(self, k: Sequence[int]) -> Array:
+        """(k,) squares of some columns over all blocks."""
+        return np.asarray(self.G[:, k, k].sum(axis=0))
 
     def gain(self, old: Array, new: Array) -> tuple[float, float]:
         """Mean fall of the held-out square and its standard error, sets as units."""
@@ -133,14 +138,20 @@ class Blocks:
         k = [self._place[key] for key in keys]
         G, g = self.G[:, k][:, :, k], self.g[:, k]
         inverse = np.linalg.pinv(G.sum(axis=0), rcond=1e-12, hermitian=True)
-        theta = _solve(G.sum(axis=0), g.sum(axis=0))
+        theta = _solve(G.sum(axis=0), g.sum(axis=0), self._energy(k))
         score = g - G @ theta
         count = len(g)
         return np.asarray(inverse @ (score.T @ score) @ inverse * count / max(count - len(k), 1))
 
 
-def _solve(G: Array, g: Array) -> Array:
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))
+UNSEEN = 1e-10
+"""Share of a column's squares below which the blocks learnt from hold rounding alone: its parameter is zero, not noise."""
+
+
+def _solve(G: Array, g: Array, energy: Array) -> Array:
+    """Least squares of normal equations; energy: (k,) squares of the columns over all blocks, learnt from or not."""
+    mine = np.diag(G)
+    scale = np.where(mine > UNSEEN * energy, 1.0 / np.sqrt(np.maximum(mine, 1e-300)), 0.0)
     values, vectors = np.linalg.eigh(G * np.outer(scale, scale))
     keep = values > 1e-10 * values[-1]
     return np.asarray(scale * (vectors[:, keep] @ ((vectors[:, keep].T @ (scale * g)) / values[keep])))
