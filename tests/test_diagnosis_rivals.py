@@ -13,12 +13,14 @@ from diagnosis_cases import Beam, Bench, Servo
 
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.judge import _sure
-from galen_hw.diagnosis.nonlinear import in_place
+from galen_hw.diagnosis.nonlinear import ahead, in_place
+from galen_hw.diagnosis.score import Scorer
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.elastic_effects import Hardening
 from galen_hw.physics.memory_effects import Backlash, Hysteresis
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.table import scene_of
+from galen_hw.physics.time_effects import Lag
 
 
 def work_of(bench: Bench | Servo) -> Work:
@@ -41,6 +43,34 @@ def test_a_delay_and_a_filter_state_each_other_where_motion_is_slow(filtered: bo
     servo.sigma = 2e-3
     first = work_of(servo).diagnosis.findings[0]
     assert {first.effect, *(c.effect for c in first.confounded_with)} >= {"time_delay", "lag"}
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+def test_a_filter_that_the_blocks_agree_on_is_no_delay(filtered: bool) -> None:
+    """Quick motion tells them apart by a few thousandths of what either explains, and every block says the same."""
+    servo = Servo()
+    command = servo.command + 0.03 * np.sin(2.0 * np.pi * 1.5 * servo.t)[:, None]
+    late = [np.interp(servo.t - 0.05, servo.t, x) for x in command.T]
+    slow = [cases.lagged(servo.t, x, 0.05) for x in command.T]
+    servo.command, servo.position = command, np.stack(slow if filtered else late, axis=1)
+    servo.sigma = 2e-3
+    assert named(work_of(servo)) == ["lag" if filtered else "time_delay"]
+
+
+def test_a_lag_explains_what_all_of_the_stream_in_it_does() -> None:
+    """Twice the change of a lag of half the delay is the delay to second order: a fitted share would take that for a lag."""
+    servo = Servo()
+    servo.position = np.stack([np.interp(servo.t - 0.04, servo.t, x) for x in servo.command.T], axis=1)
+    work = work_of(servo)
+    scorer = Scorer(work.bench, [work.bench.add(Lag(c)) for c in (0.02, 0.04)])
+    first = len(scorer.base)
+    scores = scorer.scores([])[0]
+    own = scorer.solve([first])[0][-1]
+    assert own > 1.5, "a fitted share passes for a delay"
+    assert scores[first].gain < 0.8 * (scorer.solve([])[2] - scorer.solve([first])[2])
+    assert scores[first].count == 1
+    assert scores[first + 1].gain > scores[first].gain
+    assert ahead(work.bench, scorer, [], first + 1, first) > 3.0
 
 
 def test_a_rival_in_place_of_a_bent_effect_meets_the_whole_residual() -> None:

@@ -46,6 +46,14 @@ class Hypothesis:
         """Number of linear parameters."""
         return self.raw.count
 
+    def pinned_gain(self, scene: Scene, A: Array, r: Array) -> float | None:
+        """Fall of the whitened sum of squares at the one value its parameters can have, by inner products; None: free.
+
+        What is fitted instead could be something else: a lag of share two is a delay.
+        """
+        at = None if self.effect is None else self.effect.pinned(scene)
+        return None if at is None else float(2.0 * at @ r - at @ A @ at)
+
 
 @dataclass
 class Bench:

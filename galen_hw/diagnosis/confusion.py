@@ -101,9 +101,10 @@ def rivals(selection: Selection, finding: Finding, *, everyone: bool = False) ->
                 if rival.key != finding.effect and rival.lead < best.get(rival.key, rival).lead + 1e-9:
                     best[rival.key] = rival
             near = sorted(best.values(), key=lambda rival: rival.angle)
-            sharp = Sharpener(scorer, own) if any(_coarse(r) for r in near[:SHARPENED]) else None
+            coarse = [(_coarse(r) and k < SHARPENED) or _pinned(scorer, r.effect) for k, r in enumerate(near)]
+            sharp = Sharpener(scorer, own) if any(coarse) else None
             for k, rival in enumerate(near):
-                one = sharp.sharpened(rival) if sharp and k < SHARPENED and _coarse(rival) else rival
+                one = sharp.sharpened(rival) if sharp and coarse[k] else rival
                 one = _at_its_best(scorer, own, one) if k < SHARPENED else one
                 if (everyone or one.lead < margin) and one.lead < found.get(one.key, one).lead + 1e-9:
                     found[one.key] = one
@@ -125,6 +126,11 @@ def _at_its_best(scorer: Scorer, own: Own, rival: Rival) -> Rival:
 def _coarse(rival: Rival) -> bool:
     """Whether a searched value between the points of its grid could make a near rival nearer."""
     return len(rival.effect.searched()) == 1 and ALREADY < rival.angle < NEAR
+
+
+def _pinned(scorer: Scorer, effect: Effect) -> bool:
+    """Whether its searched value is its size: what it would add at a point of the grid says nothing of it."""
+    return effect.pinned(scorer.bench.scene) is not None
 
 
 class Sharpener:
@@ -166,24 +172,35 @@ class Sharpener:
         def missed(at: float) -> float:
             return self._rest(free.with_searched({name: float(np.exp(at))}))[0]
 
-        best = minimize_scalar(missed, bounds=(low, high), method="bounded", options={"xatol": 0.02, "maxiter": 14})
+        pinned = self._pinned(free)
+        # Where the size is not free, the searched value is the size.
+        finely = {"xatol": 0.02, "maxiter": 14} if pinned is None else {"xatol": 1e-3, "maxiter": 30}
+        best = minimize_scalar(missed, bounds=(low, high), method="bounded", options=finely)
         effect = free.with_searched({name: float(np.exp(best.x))})
         rest, X = self._rest(effect)
-        share = 1.0 - rest / float(self.signal @ self.signal)
-        if _angle(np.sqrt(max(share, 0.0))) >= rival.angle:
+        share = max(1.0 - rest / float(self.signal @ self.signal), 0.0)
+        if pinned is None and _angle(np.sqrt(share)) >= rival.angle:
             return rival
         theta = solve_sym(X.T @ X, (X.T @ self.white)[:, None])[:, 0]
-        worth = float(theta @ (X.T @ self.white))
         library = self.scorer.library
+        worth = float(theta @ (X.T @ self.white))
+        if pinned is not None:
+            theta = pinned
+            worth = float(2.0 * theta @ (X.T @ self.white) - theta @ (X.T @ X) @ theta)
         paid = price(library[rival.place]) - price(library[self.i])
         nearest = float(np.degrees(np.min(subspace_angles(self.own, X))))
         angle = _angle(np.sqrt(share))
         return replace(rival, lead=self.gain - worth + paid, angle=angle, nearest=nearest, theta=theta, effect=effect)
 
+    def _pinned(self, effect: Effect) -> Array | None:
+        return effect.pinned(self.scorer.bench.scene)
+
     def _rest(self, effect: Effect) -> tuple[float, Array]:
         """Squares of the found signal that an effect does not make, and its columns beside the model."""
         X = self._left(self._rows(self.scorer.bench.add(effect)))
-        answer = X @ solve_sym(X.T @ X, (X.T @ self.signal)[:, None])[:, 0]
+        pinned = self._pinned(effect)
+        theta = solve_sym(X.T @ X, (X.T @ self.signal)[:, None])[:, 0] if pinned is None else pinned
+        answer = X @ theta
         return float(np.sum((self.signal - answer) ** 2)), X
 
 

@@ -160,6 +160,8 @@ class Scorer:
             gain, fake, count = quadratic(A, np.diag(self.G)[s], rest_b[s], rest_f[s])
             if not count:
                 continue
+            pinned = self.library[i].pinned_gain(self.bench.scene, A, rest_b[s])
+            gain = gain if pinned is None else pinned
             looked = np.log(self.library[i].looked * families[i])
             surprise = self._surprise(gain, count) - looked
             if self.library[i].looked == 1:

@@ -5,7 +5,7 @@ import numpy as np
 from galen_hw.diagnosis import seek
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.linear import crossed, rests
-from galen_hw.diagnosis.nonlinear import bent, in_place, polished, retime, settle, unbent
+from galen_hw.diagnosis.nonlinear import ahead, bent, in_place, polished, retime, settle, unbent
 from galen_hw.diagnosis.score import Score, Scorer, threshold
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.worth import WORTH, asked, plausible, worth
@@ -84,7 +84,7 @@ def _best(bench: Bench, scorer: Scorer, out: Selection, scores: dict[int, Score]
         return None
     able = sharpened(bench, scorer, out.chosen, scores, able)
     misfit = scorer.misfit([*out.chosen, able[0]])
-    able.insert(0, plainest(scorer, scores, able, misfit))
+    able.insert(0, plainest(bench, scorer, out.chosen, scores, able, misfit))
     tries = 0
     for i in dict.fromkeys(able):
         if i in refused:
@@ -170,12 +170,16 @@ def _slack(misfit: float) -> float:
 
 
 ALIKE = 0.002
-"""Share of a gain, and of an error on blocks left out, that decides nothing: no simulation is truer than that."""
+"""Share of a gain, and of an error on blocks left out, that decides nothing unless the blocks agree on it."""
+AGREED = 1.64
+"""Standard errors over the blocks from which a small difference of likelihood is evidence (one side, 5 %)."""
 TIE = 2.0
 """Difference of rank within which two hypotheses count as equal."""
 
 
-def plainest(scorer: Scorer, scores: dict[int, Score], able: list[int], misfit: float) -> int:
+def plainest(
+    bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], able: list[int], misfit: float
+) -> int:
     """The plainest hypothesis that reaches nearly the gain of the best: the margin grows with what the model misses.
 
     Where only noise is left (misfit 1) the likelihood decides, but for ties; where physics is missing, small differences of
@@ -184,13 +188,16 @@ def plainest(scorer: Scorer, scores: dict[int, Score], able: list[int], misfit: 
     best = able[0]
     share = _slack(misfit)
     slack = share * scores[best].gain
-    slack = max(slack if slack > 6.0 else TIE, ALIKE * scores[best].gain)
+    slack = slack if slack > 6.0 else TIE
+    alike = max(slack, ALIKE * scores[best].gain)
 
     def cost(i: int) -> tuple[int, int, float]:
         return (_plainness(scorer, i), scores[i].count, -scores[i].rank)
 
-    close = [i for i in able if scores[i].rank >= scores[best].rank - slack]
-    return min(close, key=cost)
+    for i in sorted((i for i in able if scores[i].rank >= scores[best].rank - alike), key=cost):
+        if scores[i].rank >= scores[best].rank - slack or ahead(bench, scorer, chosen, best, i) < AGREED:
+            return i
+    return best
 
 
 def _plainness(scorer: Scorer, i: int) -> int:
@@ -202,6 +209,16 @@ def _plainness(scorer: Scorer, i: int) -> int:
 def _favour(scorer: Scorer, i: int, j: int) -> int:
     """1 where j is plainer than i, -1 where i is, 0 where neither is."""
     return int(np.sign(_plainness(scorer, i) - _plainness(scorer, j)))
+
+
+def _handicap(bench: Bench, scorer: Scorer, others: list[int], i: int, j: int, rivals: dict[int, Score]) -> float:
+    """What is added to the rank of j in the place of i: the plainer is better where the blocks do not agree on the other."""
+    favour, alike = _favour(scorer, i, j), ALIKE * rivals[i].gain
+    lead = favour * (rivals[i].rank - rivals[j].rank)
+    if not favour or lead <= TIE or lead > alike:
+        return favour * alike
+    behind, before = (j, i) if favour > 0 else (i, j)
+    return favour * alike if ahead(bench, scorer, others, before, behind) < AGREED else 0.0
 
 
 def place_of(effect: Effect | None) -> tuple[str, ...]:
@@ -231,11 +248,14 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
     start = list(out.chosen)
     for i in list(out.chosen):
         others = [j for j in out.chosen if j != i]
+        taken = {place_of(scorer.library[j].effect) for j in others}
         rivals = {j: s for j, s in in_place(bench, scorer, out.chosen, i).items() if j not in refused}
+        rivals = {j: s for j, s in rivals.items() if place_of(scorer.library[j].effect) not in taken}
         if i not in rivals:
             continue
         # A plainer one need not be better, only as good: what came first in an earlier turn must not decide.
-        able = {j: s.rank + _favour(scorer, i, j) * ALIKE * rivals[i].gain for j, s in rivals.items() if j != i}
+        with unbent(scorer, i):
+            able = {j: s.rank + _handicap(bench, scorer, others, i, j, rivals) for j, s in rivals.items() if j != i}
         better = sorted((j for j in able if able[j] > rivals[i].rank), key=lambda j: -able[j])
         best = next((j for j in better[:TRIES] if plausible(bench, scorer, others, j)), i)
         misfit = scorer.misfit([*others, best])
@@ -328,6 +348,7 @@ def _firsts(
 
 
 RICHER = 0.1
+RICHER_FORMS = 4
 
 
 def _enrich(bench: Bench, scorer: Scorer, out: Selection) -> bool:
@@ -343,8 +364,11 @@ def _enrich(bench: Bench, scorer: Scorer, out: Selection) -> bool:
             continue
         scores, _ = scorer.scores([j for j in out.chosen if j != i])
         kin = [j for j in scores if i in scores and _same_kind(scorer.library[j].effect, effect) and j != i]
-        kin = [j for j in kin if scores[j].rank > scores[i].rank + 6.0]
-        for j in sorted(kin, key=lambda j: -scores[j].rank)[:2]:
+        forms: dict[object, int] = {}
+        for j in sorted(kin, key=lambda j: -scores[j].rank):
+            if scores[j].rank > scores[i].rank + 6.0:
+                forms.setdefault(scorer.library[j].effect.family, j)  # type: ignore[union-attr]
+        for j in list(forms.values())[:RICHER_FORMS]:
             trial = [*out.chosen[:place], j, *out.chosen[place + 1 :]]
             before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, trial)
             floor = bench.noise.sigma**2

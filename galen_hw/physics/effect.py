@@ -126,6 +126,12 @@ class Effect(ABC):
         """Physical parameters where the columns are a relaxation with more; None: as many as columns."""
         return None
 
+    def pinned(self, scene: Scene) -> Array | None:
+        """(k,) the one value that its linear parameters can have; None where they are free."""
+        if self.freedom != 0:
+            return None
+        return np.array([p.expected for p in self.parameters(scene)], dtype=float)
+
     @property
     def family(self) -> tuple[Any, ...]:
         """What it is apart from the searched values: the same hypothesis at another point of the grid."""

@@ -112,6 +112,11 @@ class Lag(Timing):
         """Any constant: a filter quicker than half a sample is a delay to this recording, but it may be there."""
         return replace(self, shortest=0.0)
 
+    @property
+    def freedom(self) -> int:
+        """None beside its constant: all of the stream goes through it, or it is no lag."""
+        return 0
+
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """How much of the stream goes through the lag."""
         return (Parameter("share", "1", 0.0, expected=1.0),)
