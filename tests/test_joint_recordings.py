@@ -13,7 +13,7 @@ from galen_hw.physics.elastic_effects import Compliance
 from galen_hw.physics.joint_effects import Friction
 from galen_hw.physics.memory_effects import Backlash, Hysteresis
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.smoothing import isolated
+from galen_hw.physics.smoothing import derivatives, ends, isolated
 from galen_hw.physics.table import scene_of
 from galen_hw.physics.time_effects import Lag, TimeDelay
 from galen_hw.physics.together import PAUSE, joined
@@ -137,6 +137,22 @@ def test_isolated_samples_and_what_only_looks_like_them():
     ]
     clean += [0.1 * np.abs(np.sin(t)), np.round(np.sin(t) / 0.002) * 0.002]
     assert not any(isolated(x).any() for x in clean)
+
+
+def test_rows_at_the_ends_are_those_whose_acceleration_is_a_guess():
+    """A noisy encoder: what is left out holds the large errors, and no segment loses more than a tenth of its rows."""
+    t, w = np.arange(6000) * 0.01, 2.0 * np.pi * 0.7
+    parts, error, out = [slice(0, 5000), slice(5000, 6000)], [], []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        x = (np.sin(w * t + seed) + 2e-4 * rng.normal(size=len(t)))[:, None]
+        error.append(derivatives(t, x, parts)[1] + w**2 * np.sin(w * t + seed)[:, None])
+        out.append(ends(t, x, parts))
+        assert all(0 < np.count_nonzero(out[-1][part]) <= 0.1 * (part.stop - part.start) + 2 for part in parts)
+    inside, outside = (
+        np.sqrt(np.mean(np.array(error)[:, :, 0][mask] ** 2)) for mask in (~np.array(out), np.array(out))
+    )
+    assert outside > 5.0 * inside
 
 
 def test_a_joint_that_sticks_starts_where_it_stood():

@@ -85,17 +85,16 @@ class Bench:
         count = 40 if len(self.rows) >= 400 else max(min(len(self.rows) // 4, 14), 4)
         self.block = blocks(self.rows.runs, count)
         self.aside = set_aside(self.block, self.held, self.seed) if self.held > 0 else np.zeros(len(self.rows), bool)
-        self.spoilt = np.zeros(n, dtype=bool)
-        self.dropped = np.zeros(len(self.rows), dtype=bool)
         self.whole = self.rows.average(self.scene.residual)
         self.y = self.whole
         self.steps = quantisation(self.scene.measured)
         self.width = len(self.scene.channels)
+        self.leave_out(np.zeros(n, dtype=bool))
 
     def leave_out(self, spoilt: Mask) -> None:
-        """Rows (N,) of the recording that no fit may see; the averaged rows that hold one are bridged."""
+        """Rows (N,) of the recording that no fit may see, its ends among them; the averaged rows that hold one are bridged."""
         self.spoilt = spoilt
-        self.dropped = self.rows.spread(spoilt)
+        self.dropped = self.rows.spread(spoilt | self.scene.ends)
         good = np.flatnonzero(~self.dropped)
         if self.dropped.any() and len(good):
             at = np.arange(len(self.dropped))

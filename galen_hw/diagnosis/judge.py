@@ -133,8 +133,8 @@ def _undisturbed(model: Model, scene: Scene, rest: Array) -> tuple[Mask, tuple[t
     Only what was found in the recording itself is looked for: isolated samples, and outside forces.
     """
     rows = Rows(tuple(scene.segments), model.bench.rows.stride)
-    good = np.ones(len(rows), dtype=bool)
-    if model.bench.dropped.any():
+    good = ~rows.spread(scene.ends)
+    if model.bench.spoilt.any():
         spoilt = seek.spikes(scene.raw_residual, tuple(scene.segments))
         good &= ~rows.spread(np.asarray(spoilt.any(axis=1)))
     episodes: tuple[tuple[float, float], ...] = ()

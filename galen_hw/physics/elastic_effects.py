@@ -19,7 +19,8 @@ class Compliance(Effect):
     """Elastic give under load.
 
     A joint by c times its load, q' = q + c tau ("joint"); the structure along the base's axes ("structure") or the tool
-    along the sensor's ("tool") by c times the applied force; in positions without a model of the weights, the sag
+    along the sensor's ("tool") by c times the force there; `source` says whose load it is: the "applied" force's, the
+    "weight"'s of what hangs on the arm, or that of "all" it bears; in positions without a model of the weights, the sag
     of what hangs on the joint under its own weight, a sin + b cos of the angle against the vertical of the link beyond it, the
     sum of the joints from `first` on that turn about parallel axes; `links` more of the chain each with their own ("weight").
 
@@ -40,12 +41,14 @@ class Compliance(Effect):
         for joint in scene.joint_names:
             if _bears(scene, joint) and scene.joint_port(joint) is not None:
                 yield cls("joint", joint)
-                if isinstance(scene, ArmScene) and scene.belief.tool.mass > 0.0 and np.any(scene.force):
+                if isinstance(scene, ArmScene) and scene.hanging and np.any(scene.force):
                     yield cls("joint", joint, "applied")
                     yield cls("joint", joint, "weight")
         if isinstance(scene, ArmScene) and np.any(scene.force) and scene.observations.predict == "pose":
-            yield cls("structure")
-            yield cls("tool")
+            for form in ("structure", "tool"):
+                yield cls(form)
+                if scene.hanging:
+                    yield cls(form, "", "applied")
         if isinstance(scene, PositionScene) and scene.belief.robot is None:
             yield from cls._sagging(scene)
 
@@ -83,10 +86,10 @@ class Compliance(Effect):
             return in_all([port * load[:, None]], width)
         assert isinstance(scene, ArmScene), "proposed only for poses"
         frame = np.tile(np.eye(3), (len(scene), 1, 1)) if self.form == "structure" else scene.T_sensor[:, :3, :3]
-        out = []
+        out, force = [], scene.force + scene.weight if self.source == "all" else scene.force
         for axis in range(3):
             along = frame[:, :, axis]
-            move = along * np.sum(along * scene.force, axis=1, keepdims=True)
+            move = along * np.sum(along * force, axis=1, keepdims=True)
             out.append(np.concatenate([move, np.zeros((len(scene), width - 3))], axis=1))
         return in_all(out, width)
 

@@ -10,10 +10,11 @@ from functools import cached_property, wraps
 from typing import Any, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.operators import delay, lag, play
-from galen_hw.physics.smoothing import derivatives
+from galen_hw.physics.smoothing import derivatives, ends
 from galen_hw.spatial import Array
 
 Memory = dict[Any, Any]
@@ -167,6 +168,14 @@ class Scene:
         errors = [part.error_with(band) for band in bands]
         best = int(np.argmin(errors))
         return bands[best] if errors[best] < errors[0] - 0.05 else None
+
+    @cached_property
+    def ends(self) -> NDArray[np.bool_]:
+        """(N,) rows at the segments' ends, where the speed and acceleration of what moves are not known."""
+        if self._rates is not None or not self.clock or not self.moved:
+            return np.zeros(len(self), dtype=bool)
+        moved = self.q[:, [self.joint_index(name) for name in self.moved]]
+        return ends(self.time, moved, self.segments, self.band)
 
     def _uses_rates(self) -> bool:
         """Whether the baseline differentiates the motion."""

@@ -51,15 +51,27 @@ class ArmScene(Scene):
         assert screws is not None, "arm scenes have a robot"
         return np.asarray(np.sum(screws[:, :3] * force + screws[:, 3:] * np.cross(point, force), axis=1))
 
+    @property
+    def hanging(self) -> "list[Body]":
+        """What hangs on the arm beyond its links: the tool, and what hung on the sensor before it."""
+        return [body for body in (self.belief.tool, self.belief.bias_body) if body is not None and body.mass > 0.0]
+
+    @cached_property
+    def weight(self) -> Array:
+        """(3,) of what hangs on the arm, base frame, N."""
+        return np.asarray(sum(body.mass for body in self.hanging) * self.belief.gravity)
+
     def weight_load(self, joint: str) -> Array:
-        """(N,) load of the joint by the tool's own weight."""
-        body: Body = self.belief.tool
-        com = self.T_sensor[:, :3, 3] + self.T_sensor[:, :3, :3] @ body.com
-        return self.torque_from(joint, np.broadcast_to(body.mass * self.belief.gravity, com.shape), com)
+        """(N,) load of the joint by the weight of what hangs on the arm."""
+        out = np.zeros(len(self))
+        for body in self.hanging:
+            com = self.T_sensor[:, :3, 3] + self.T_sensor[:, :3, :3] @ body.com
+            out += self.torque_from(joint, np.broadcast_to(body.mass * self.belief.gravity, com.shape), com)
+        return out
 
     @once
     def load(self, joint: str) -> Array | None:
-        """Applied force and the tool's weight together."""
+        """Applied force and weight together."""
         total = self.torque_from(joint, self.force, self.tip) + self.weight_load(joint)
         bears = np.ptp(total) > 0.0 if self.whole is None else self.whole.load(joint) is not None
         return total if bears else None

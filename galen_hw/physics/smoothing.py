@@ -130,6 +130,26 @@ def derivatives(
     return first, second
 
 
+END = 0.6
+"""So many periods of the low-pass's cut-off from an end of a segment derivatives are a guess: half of their rows are missing."""
+LONGEST_END_S = 1.0
+MOST_OF_SEGMENT = 0.05
+
+
+def ends(time: Array, x: Array, segments: list[slice], band: float | None = None) -> NDArray[np.bool_]:
+    """(N,) rows so near to an end of their segment that derivatives of the signals (N, n) are not known; few of each segment."""
+    out = np.zeros(len(x), dtype=bool)
+    for part in segments:
+        t = time[part]
+        if len(t) < NARROW or t[-1] <= t[0] or np.any(np.diff(t) <= 0):
+            continue
+        dt = float(np.median(np.diff(t)))
+        lowest = min((band or motion_band(column, dt) for column in x[part].T), default=0.5 / dt)
+        reach = min(END / (CUT * lowest), LONGEST_END_S, MOST_OF_SEGMENT * float(t[-1] - t[0]))
+        out[part] = (t < t[0] + reach) | (t > t[-1] - reach)
+    return out
+
+
 def _plain(on_grid: Array, step: float, grid: Array, t: Array, even: bool, band: float | None) -> Array:
     """A measured velocity without its noise."""
     smooth = low_passed(on_grid, step, band or motion_band(on_grid, step))
