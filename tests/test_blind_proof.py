@@ -14,7 +14,7 @@ from galen_hw.kinematics import GalenRobot, UrdfRobot
 pytest.importorskip("mujoco", reason="the generator needs MuJoCo: pip install mujoco")
 
 from galen_hw.tools.blind_proof import judge, score, seal
-from galen_hw.tools.blind_proof.generator import arm, build, galen, motion
+from galen_hw.tools.blind_proof.generator import arm, build, galen, motion, wrench
 from galen_hw.tools.blind_proof.generator.case import Case, Injected
 from galen_hw.tools.blind_proof.generator.plan import plan
 
@@ -59,6 +59,24 @@ def test_severity_is_what_was_asked_for(group: str, key: str, tmp_path: Path) ->
     touched = [c in case.effects[0].channels for c in build.CHANNELS[group]]
     power = np.mean(residual[:, touched] ** 2, axis=0) - 1.0
     assert_allclose(np.sqrt(np.mean(power)), 0.8, rtol=0.15)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sensor_clips_at_the_same_limit_in_every_run(seed: int) -> None:
+    """Another run of the same machine moves otherwise; its limit is the first run's."""
+    case = Case("x", seed, "wrench", "single", duration_s=20.0, effects=[Injected("saturation", "saturation")])
+    (hidden,) = case.effects
+    readings = []
+    for run in (0, 1):
+        scene = build._scene(case, run)
+        build._hide(case, scene, hidden, 0, 20.0)
+        readings.append((wrench.simulate(scene), wrench.simulate(build._scene(case, run))))
+    clipped = [(read != free).any(axis=0) for read, free in readings]
+    assert clipped[0].sum() == 1
+    (channel,) = np.flatnonzero(clipped[0])
+    for read, free in readings:
+        cut = read[:, channel] != free[:, channel]
+        assert set(read[cut, channel]) <= {hidden.machine["limit"]}
 
 
 def test_a_plan_keeps_its_promised_shares_and_depends_on_its_seed_alone() -> None:

@@ -19,6 +19,7 @@ class Injected:
         channels, joints: where it shows; channels filled in from the data.
         parameters: numbers that a judge may compare with a finding's, by name.
         when: intervals in s for effects that come and go.
+        machine: numbers that the machine has by its first run and keeps in all others.
     """
 
     key: str
@@ -30,6 +31,7 @@ class Injected:
     joints: list[str] = field(default_factory=list)
     parameters: dict[str, float] = field(default_factory=dict)
     when: list[tuple[float, float]] = field(default_factory=list)
+    machine: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass

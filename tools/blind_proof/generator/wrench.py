@@ -31,6 +31,12 @@ class Scene:
     record_temperature: bool = True
     after: list[Callable[[Array], Array]] = field(default_factory=list)
 
+    def of_machine(self, hidden: Injected, name: str, value: float) -> float:
+        """A number that the machine has by its first run (run 0) and keeps in all others."""
+        if self.path_seed % 10 == 0:
+            hidden.machine[name] = value
+        return hidden.machine[name]
+
 
 def make_path(rng: np.random.Generator, case: Case, *, pace: float = 1.0) -> Path:
     """Moving all the time, or pose to pose with rests; `pace` times as quick as usual."""
@@ -145,14 +151,14 @@ def cross_talk(scene: Scene, hidden: Injected, rng: np.random.Generator, a: floa
 
 def saturation(scene: Scene, hidden: Injected, rng: np.random.Generator, a: float) -> None:
     """A channel cannot go beyond a limit."""
-    del hidden
     c, top = int(rng.integers(6)), bool(rng.random() < 0.5)
 
     def change(x: Array) -> Array:
         x = x.copy()
         lo, hi = x[:, c].min(), x[:, c].max()
         depth = min(0.9, 0.02 * a) * (hi - lo)
-        x[:, c] = np.minimum(x[:, c], hi - depth) if top else np.maximum(x[:, c], lo + depth)
+        limit = scene.of_machine(hidden, "limit", float(hi - depth if top else lo + depth))
+        x[:, c] = np.minimum(x[:, c], limit) if top else np.maximum(x[:, c], limit)
         return x
 
     scene.after.append(change)
@@ -181,12 +187,12 @@ def creep(scene: Scene, hidden: Injected, rng: np.random.Generator, a: float) ->
 
 def hysteresis(scene: Scene, hidden: Injected, rng: np.random.Generator, a: float) -> None:
     """A channel remembers the way of its load (Bouc-Wen)."""
-    del hidden
     c, width = int(rng.integers(6)), rng.uniform(0.1, 0.3)
 
     def change(x: Array) -> Array:
         x = x.copy()
-        x[:, c] += a * SIGMA[c] * signal.bouc_wen(x[:, c], width * np.ptp(x[:, c]))
+        wide = scene.of_machine(hidden, "width", float(width * np.ptp(x[:, c])))
+        x[:, c] += a * SIGMA[c] * signal.bouc_wen(x[:, c], wide)
         return x
 
     scene.after.append(change)
