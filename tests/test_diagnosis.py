@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import diagnosis_cases as cases
 from diagnosis_cases import IN_EFFORT, IN_POSITION, IN_WRENCH, SIGMA, Beam, Bench, Servo
 
-from galen_hw.diagnosis.engine import diagnose
+from galen_hw.diagnosis.engine import _followed, diagnose
 from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.table import scene_of
@@ -210,3 +210,15 @@ def test_weight_turns_with_the_sensor():
     up, down = cases.hanging(over)
     np.testing.assert_allclose(up[2], -down[2])
     assert up[2] < 0.0
+
+
+@pytest.mark.parametrize("share", [0.1, 0.25, 0.4, 0.8])
+def test_what_of_a_rounding_error_follows_its_signal(share):
+    """Against rounding itself: the mean error over one step, noise before it, by averaging many readings."""
+    rng, x = np.random.default_rng(3), np.linspace(0.0, 1.0, 50, endpoint=False)
+    readings = np.round(x[:, None] + share * rng.normal(size=(50, 40000)))
+    error = readings.mean(axis=1) - x
+    sigma = float(np.sqrt(share**2 + 1.0 / 12.0))
+    assert _followed(1.0, sigma) <= 0.2 / 12.0
+    assert min(np.var(error), 0.2 / 12.0) == pytest.approx(_followed(1.0, sigma), rel=0.05, abs=2e-5)
+    assert _followed(0.0, sigma) == 0.0

@@ -15,6 +15,7 @@ from physics_scenes import JOINTS, belief, scene
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.effect import Effect
+from galen_hw.physics.elastic_effects import Compliance
 from galen_hw.physics.event_effects import Contact, Glitches, Step, Vibration
 from galen_hw.physics.joint_effects import TorqueRipple
 from galen_hw.physics.streams import EffectStream, build_streams
@@ -106,3 +107,22 @@ def test_segments_start_afresh():
     effect = next(e for e in found if e.KEY == "hysteresis")
     theta = np.ones(len(effect.parameters(made)))
     np.testing.assert_allclose(effect.change(cut, theta)[200:], effect.change(late, theta), atol=1e-12)
+
+
+@pytest.mark.parametrize("joint", ["roll", "tilt"])
+def test_an_arm_sags_under_all_that_hangs_on_it(joint):
+    """The load of a joint is how the potential energy of the tool and of the body before it falls with its angle."""
+    made = scene("pose", np.random.default_rng(8), rows=30)
+    believed, robot, step = made.belief, GalenRobot(), 1e-6
+
+    def work(q):
+        T = robot.sensor_pose(q)
+        bodies = (believed.tool, believed.bias_body)
+        return sum(b.mass * (T[:, :3, :3] @ b.com + T[:, :3, 3]) @ believed.gravity for b in bodies)
+
+    move = step * (np.arange(5) == JOINTS.index(joint))
+    np.testing.assert_allclose(
+        made.weight_load(joint), (work(made.q + move) - work(made.q - move)) / (2 * step), atol=1e-6
+    )
+    sag, bare = (Compliance("structure", source=source).columns(made).values[:, 2, 2] for source in ("all", "applied"))
+    np.testing.assert_allclose(sag - bare, (0.287 + 0.085) * believed.gravity[2])

@@ -324,11 +324,28 @@ def _strong(left: list[adequacy.Left], judged: Judged, bench: Bench) -> list[ade
     for one in left:
         size = one.size**2
         before = float(judged.before[one.channel] - bench.noise.sigma[one.channel] ** 2)
-        # A rounded reading follows its signal in part: a fifth of the rounding's variance is no physics.
-        rounding = 0.2 * float(bench.steps[one.channel]) ** 2 / 12.0
+        rounding = _followed(float(bench.steps[one.channel]), float(bench.noise.sigma[one.channel]))
         if size > max(0.03 * bench.noise.sigma[one.channel] ** 2, rounding) and size > 0.03 * before:
             out.append(one)
     return out
+
+
+FOLLOWED = 0.2
+"""Share of the rounding's variance that smooth functions of a signal can follow where no noise blurs it."""
+
+
+def _followed(step: float, sigma: float) -> float:
+    """Variance of the part of a rounded reading's error that follows its signal, which is no physics.
+
+    Noise of s before the rounding blurs it to step^2 / (2 pi^2) sum_k exp(-(2 pi k s / step)^2) / k^2 (Widrow and Kollar,
+    Quantization Noise, 2008, ch. 6: the characteristic function at multiples of 2 pi / step).
+    """
+    if step <= 0.0:
+        return 0.0
+    k = np.arange(1, 6)
+    own = max(sigma**2 - step**2 / 12.0, 0.0) / step**2
+    blurred = step**2 / (2.0 * np.pi**2) * np.sum(np.exp(-((2.0 * np.pi * k) ** 2) * own) / k**2)
+    return float(min(FOLLOWED * step**2 / 12.0, blurred))
 
 
 def _verdict(findings: list[Finding], rest: list[adequacy.Left], premise: Premise) -> Verdict:

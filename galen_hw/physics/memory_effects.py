@@ -20,12 +20,12 @@ class Creep(Effect):
     r = a (z - x) ("less" at first, as relaxation is seen by a calibrated sensor).
 
     x is a channel's simulated load (sensor), or the load of a joint (pose: the joint gives by a z). Settled at the start.
-    Visible in rests of a few T after a change of load. Confused with lag (short T), compliance or gain (T below the rests)
-    and drift.
+    What settles within a third of a second does not creep: that is a filter. Visible in rests of a few T after a change of load.
+    Confused with lag (short T), compliance or gain (T below the rests) and drift.
     """
 
     KEY = "creep"
-    SEARCHED: ClassVar = {"constant": Searched(0.02, 1e4, "s")}
+    SEARCHED: ClassVar = {"constant": Searched(0.3, 1e4, "s")}
     NEEDS_CLOCK = True
     constant: float
     channel: str = ""
