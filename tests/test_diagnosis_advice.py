@@ -13,6 +13,7 @@ from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.confusion import rivals
 from galen_hw.diagnosis.experiment import Pair, best_of, next_experiment, options_of
 from galen_hw.diagnosis.locate import organised, regions
+from galen_hw.diagnosis.nonlinear import unclocked
 from galen_hw.diagnosis.recipes import recipes
 from galen_hw.diagnosis.staging import Eye, beside, stage
 from galen_hw.diagnosis.variables import Variable, variables
@@ -89,14 +90,17 @@ def test_angles_are_those_between_the_whitened_spans_beside_the_model() -> None:
     base = stacked(scorer, [*range(len(scorer.base)), *rest], train)
     for one in near[:3]:
         # A rival may stand between two points of its grid: its columns are those of its own searched value.
-        full = work.bench.add(one.effect).white.full(work.bench.width)[train]
+        with unclocked(scorer, one.instead):  # beside no delay but in its place
+            full = work.bench.add(one.effect).white.full(work.bench.width)[train]
         A, B = (beside(X, base) for X in (stacked(scorer, [one.instead], train), full.reshape(-1, full.shape[2])))
         assert np.degrees(subspace_angles(A, B)).min() == pytest.approx(one.nearest, abs=0.05)
         signal = A @ one.own
         bend = scorer.library[one.instead].bend
         if bend is not None:
             signal = signal + beside(scorer.bench.whitened(bend)[train].reshape(-1, 1), base)[:, 0]
-        share = np.sum(beside(signal[:, None], B)[:, 0] ** 2) / np.sum(signal**2)
+        pinned = one.effect.pinned(work.bench.scene)
+        missed = beside(signal[:, None], B)[:, 0] if pinned is None else signal - B @ pinned
+        share = np.sum(missed**2) / np.sum(signal**2)
         assert one.angle == pytest.approx(np.degrees(np.arcsin(np.sqrt(share))), abs=0.05)
 
 

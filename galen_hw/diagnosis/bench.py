@@ -121,12 +121,21 @@ class Bench:
 
     def raw(self, effect: Effect) -> Columns:
         """An effect's averaged columns, as the late, lagging or clipping stream delivers them."""
-        if not self.timing or effect.EPISODIC or effect.DOWNSTREAM:
+        through = self.through(effect)
+        if not through:
             return effect.averaged(self.scene, self.rows.average)
         columns = effect.columns(self.scene)
-        for downstream, theta in self.timing:
+        for downstream, theta in through:
             columns = downstream.delivered(self.scene, columns, theta)
         return self.averaged(columns)
+
+    def through(self, effect: Effect) -> list[tuple[Downstream, Array]]:
+        """What an effect's change goes through before it is read, with parameters; nothing for what belongs to moments."""
+        if effect.EPISODIC:
+            return []
+        if effect.DOWNSTREAM:
+            return [(other, theta) for other, theta in self.timing if other.KEY in effect.BEHIND]
+        return self.timing
 
     def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
         """A hypothesis of given averaged columns."""

@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 from galen_hw.diagnosis.algebra import WEAK, orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.bench import Hypothesis
 from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.nonlinear import bent, unbent
+from galen_hw.diagnosis.nonlinear import bent, unbent, unclocked
 from galen_hw.diagnosis.result import Confusion, Finding
 from galen_hw.diagnosis.rows import Index
 from galen_hw.diagnosis.score import Scorer
@@ -96,7 +96,7 @@ def rivals(selection: Selection, finding: Finding, *, everyone: bool = False) ->
         # Where physics is missing, differences of a few hundredths are that physics.
         margin = CLOSE + 0.05 * min(1.0, misfit - 1.0) * own.gain
         best: dict[str, Rival] = {}
-        with unbent(scorer, i):
+        with unbent(scorer, i), unclocked(scorer, i):
             for rival in _in_place(scorer, own):
                 if rival.key != finding.effect and rival.lead < best.get(rival.key, rival).lead + 1e-9:
                     best[rival.key] = rival

@@ -168,15 +168,28 @@ def _left(bench: Bench, generic: list[tuple[str, Array]], model: Model) -> list[
 
 
 def _earned(model: Model, holdout: Scene | None) -> tuple[Model, Judged]:
-    """The model without what held-out data do not support; what belongs to moments shows nowhere else."""
+    """The model without what held-out data do not support, the least supported first; what belongs to moments shows nowhere else.
+
+    Where a kind stands in several places (friction in five joints), each place has to earn its own.
+    """
+    judged: Judged | None = None
     while True:
-        judged = judge(model, holdout)
+        judged = judge(model, holdout, judged)
         lasting = [k for k in judged.without if not effect_class(k).EPISODIC and not effect_class(k).BRIEF]
-        idle = [key for key in lasting if judged.support(key) < LEAST_SUPPORT or judged.sure[key] < LEAST_SURE]
-        if not idle:
+        poor = [(judged.support(key), key) for key in lasting if _poor(judged.support(key), judged.sure[key])]
+        alone = [(support, place) for place, (support, sure) in judged.places.items() if _poor(support, sure)]
+        if alone:
+            # One place first: the kind may earn its name without it.
+            out = [model.effects[min(alone)[1]]]
+        elif poor:
+            out = [h for h in model.effects if h.effect is not None and min(poor)[1] == h.effect.KEY]
+        else:
             return model, judged
-        worst = min(idle, key=judged.support)
-        model = model.without([h for h in model.effects if h.effect is not None and worst == h.effect.KEY])
+        model = model.without(out)
+
+
+def _poor(support: float, sure: float) -> bool:
+    return support < LEAST_SUPPORT or sure < LEAST_SURE
 
 
 def _silent(stage: str, share: float) -> None:

@@ -1,5 +1,6 @@
 """The model on data that it did not learn from."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,8 +27,11 @@ class Judged:
         name: of what was held out.
         before: of the baseline; after: with all effects; without: per effect's key, with that one left out.
         floor: of the noise.
+        own: per effect's key, the channels in which it acts by itself.
         sure: per effect's key, gain on the held-out rows in units of its own error, see `_sure`.
-        episodes: times (s) of contacts in another recording; apart: share of its rows left out of all these errors.
+        places: where a key stands more than once, per number in the model's effects: support and `sure` of that one alone.
+        episodes: times (s) of contacts in another recording; good: (M,) its rows that are judged on, all others left out of
+            these errors; None: not another recording.
     """
 
     name: str
@@ -35,9 +39,16 @@ class Judged:
     after: Array
     without: dict[str, Array]
     floor: Array
+    own: dict[str, list[int]]
     sure: dict[str, float] = field(default_factory=dict)
+    places: dict[int, tuple[float, float]] = field(default_factory=dict)
     episodes: tuple[tuple[float, float], ...] = ()
-    apart: float = 0.0
+    good: Mask | None = None
+
+    @property
+    def apart(self) -> float:
+        """Share of another recording's rows that is left out."""
+        return 0.0 if self.good is None else float(1.0 - self.good.mean())
 
     def gain(self, key: str) -> float:
         """Share of the held-out excess, channels weighed by their noise, that an effect removes."""
@@ -47,10 +58,8 @@ class Judged:
 
     def support(self, key: str) -> float:
         """Share of the held-out excess that would be left without an effect, in the channels where it acts, that it takes."""
-        own = np.abs(self.without[key] - self.after) > 1e-9 * self.floor
-        lost = float(np.sum(((self.without[key] - self.after) / self.floor)[own]))
-        rest = float(np.sum((np.maximum(self.without[key] - self.floor, 0.0) / self.floor)[own]))
-        return lost / rest if rest > 0.0 else float(np.sign(lost))
+        own = self.own[key]
+        return _support(self.without[key][own], self.after[own], self.floor[own])
 
     def fit(self, bench: Bench, left: list[Left]) -> dict[str, dict[str, float]]:
         """The `fit` part of the answer."""
@@ -70,8 +79,18 @@ class Judged:
         return {k: {n: float(x) for n, x in zip(names, v, strict=True)} for k, v in values.items()}
 
 
-def judge(model: Model, holdout: Scene | None) -> Judged:
-    """Errors before and after on the rows set aside, or on another recording."""
+def _support(without: Array, after: Array, floor: Array) -> float:
+    lost = float(np.sum((without - after) / floor))
+    rest = float(np.sum(np.maximum(without - floor, 0.0) / floor))
+    return lost / rest if rest > 0.0 else float(np.sign(lost))
+
+
+def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> Judged:
+    """Errors before and after on the rows set aside, or on another recording.
+
+    `first` is what was judged before: smaller models are judged on the same rows as the largest, or a poor one would call
+    what it misses a contact and be judged on the rest.
+    """
     bench = model.bench
     keys = list(dict.fromkeys(h.effect.KEY for h in model.effects if h.effect is not None))
     # The baseline fits its constants as anybody would, by plain least squares.
@@ -79,6 +98,7 @@ def judge(model: Model, holdout: Scene | None) -> Judged:
     smaller = {
         key: model.without([h for h in model.effects if h.effect is not None and key == h.effect.KEY]) for key in keys
     }
+    own = {key: _channels(model, key) for key in keys}
     floor = bench.noise.sigma**2
     if holdout is None:
         rows = bench.judged if bench.judged.any() else bench.train
@@ -88,16 +108,40 @@ def judge(model: Model, holdout: Scene | None) -> Judged:
         name = "contiguous blocks set aside" if bench.judged.any() else "the recording itself"
         without = {key: np.mean(other**2, axis=0) for key, other in others.items()}
         sure = {key: _sure(rest, other, floor) for key, other in others.items()}
-        return Judged(name, before, np.mean(rest**2, axis=0), without, floor, sure)
+        places = _places(model, rest, floor, lambda part: part.rest()[rows])
+        return Judged(name, before, np.mean(rest**2, axis=0), without, floor, own, sure, places)
     rest = apply(model, holdout)
-    good, episodes = _undisturbed(model, holdout, rest)
+    if first is None or first.good is None:
+        good, episodes = _undisturbed(model, holdout, rest)
+    else:
+        good, episodes = first.good, first.episodes
     after = np.mean(rest[good] ** 2, axis=0)
     others = {key: apply(part, holdout)[good] for key, part in smaller.items()}
     without = {key: np.mean(other**2, axis=0) for key, other in others.items()}
     before = np.mean(apply(baseline, holdout)[good] ** 2, axis=0)
     floor = floor * _noisier(model, rest[good])
     sure = {key: _sure(rest[good], other, floor) for key, other in others.items()}
-    return Judged(ELSEWHERE, before, after, without, floor, sure, episodes, float(1.0 - good.mean()))
+    places = _places(model, rest[good], floor, lambda part: apply(part, holdout)[good])
+    return Judged(ELSEWHERE, before, after, without, floor, own, sure, places, episodes, good)
+
+
+def _channels(model: Model, key: str) -> list[int]:
+    return sorted({c for h in model.effects if h.effect is not None and key == h.effect.KEY for c in h.raw.channels})
+
+
+def _places(
+    model: Model, rest: Array, floor: Array, rest_of: Callable[[Model], Array]
+) -> dict[int, tuple[float, float]]:
+    """Support, in its own channels, and `sure` of each lasting effect whose kind stands in several places."""
+    keys = [h.effect.KEY for h in model.effects if h.effect is not None]
+    out: dict[int, tuple[float, float]] = {}
+    for k, h in enumerate(model.effects):
+        if h.effect is None or h.effect.EPISODIC or h.effect.BRIEF or keys.count(h.effect.KEY) < 2:
+            continue
+        own, other = list(h.raw.channels), rest_of(model.without([h]))
+        without, after = np.mean(other[:, own] ** 2, axis=0), np.mean(rest[:, own] ** 2, axis=0)
+        out[k] = _support(without, after, floor[own]), _sure(rest, other, floor)
+    return out
 
 
 PIECES = 40
@@ -164,9 +208,8 @@ def apply(model: Model, scene: Scene) -> Array:
             refit.append(h)
         elif not h.effect.EPISODIC:
             change = Columns(tuple(range(bench.width)), h.effect.change(scene, model.final[s])[:, :, None])
-            if not h.effect.DOWNSTREAM:
-                for late, theta in bench.timing:
-                    change = late.delivered(scene, change, theta)
+            for late, theta in bench.through(h.effect):
+                change = late.delivered(scene, change, theta)
             rest -= change.values[:, :, 0]
     rest = rows.average(rest)
     if refit:

@@ -1,7 +1,7 @@
 """What is not linear in its parameters: effects linearised anew where they stand, late streams, searched values polished."""
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -71,10 +71,11 @@ def in_place(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> dict[in
     Where i is bent, the others are scored on the residual with its bend put back, as if i had never been there.
     """
     others, rest = [j for j in chosen if j != i], scorer.solve(chosen)[2]
-    with unbent(scorer, i):
+    firm, found = len(scorer.library), dict[object, tuple[Hypothesis, Score]]()
+    with unbent(scorer, i), unclocked(scorer, i) as for_a_while:
         scores = scorer.scores(others)[0]
         if i not in scores:
-            return scores
+            return {j: s for j, s in scores.items() if j < firm}
         gain = scorer.solve(others)[2] - rest
         scores[i] = replace(scores[i], gain=gain, rank=scores[i].rank + gain - scores[i].gain)
         for j in _near(scorer, scores, i):
@@ -85,7 +86,42 @@ def in_place(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> dict[in
                 better = polished(bench, scorer, others, j)
                 if better != j:
                     scores.update(scorer.scores(others, [better])[0])
+        if for_a_while:
+            for j in sorted((j for j in scores if j >= firm), key=lambda j: scores[j].rank):
+                h = scorer.library[j]
+                found[h.effect.family if h.effect else None] = h, scores.pop(j)
+    if found:
+        scorer.append([h for h, _ in found.values()])
+        scores |= {firm + k: score for k, (_, score) in enumerate(found.values())}
     return scores
+
+
+def _clock_of(scorer: Scorer, i: int) -> list[tuple[Downstream, Array]]:
+    """The stream's end (with its parameters) that the chosen hypothesis i is, if others arrive through it."""
+    effect = scorer.library[i].effect
+    return [(end, theta) for end, theta in scorer.bench.timing if end == effect]
+
+
+@contextmanager
+def unclocked(scorer: Scorer, i: int) -> Iterator[bool]:
+    """The scorer for a while with other ends of the stream (a filter behind a delay) as if the chosen i had never been there.
+
+    Whether there are any: then what joins the library meanwhile leaves it again.
+    """
+    bench, mine = scorer.bench, _clock_of(scorer, i)
+    key = "" if not mine else mine[0][0].KEY
+    behind = [h for h in scorer.library if h.effect is not None and key in h.effect.BEHIND and h.theta is None]
+    if not behind:
+        yield False
+        return
+    before = bench.timing
+    bench.timing = [(end, theta) for end, theta in before if end != mine[0][0]]
+    try:
+        fresh = [bench.made(h.effect, bench.raw(h.effect), h.looked) for h in behind if h.effect is not None]
+        with scorer.trying(fresh):
+            yield True
+    finally:
+        bench.timing = before
 
 
 def _is_bent(bench: Bench, h: Hypothesis) -> bool:

@@ -96,8 +96,13 @@ class Scorer:
         self.append(library)
 
     def _retimed(self, h: Hypothesis) -> Hypothesis:
-        """Its columns anew, unless it belongs to a moment, is the clock's own, or is bent at its optimum."""
-        if h.effect is None or h.theta is not None or h.effect.EPISODIC or h.effect.DOWNSTREAM:
+        """Its columns anew, unless it belongs to a moment, is the end of the stream itself, or is bent at its optimum."""
+        if (
+            h.effect is None
+            or h.theta is not None
+            or h.effect.EPISODIC
+            or (h.effect.DOWNSTREAM and not h.effect.BEHIND)
+        ):
             return h
         return self.bench.made(h.effect, self.bench.raw(h.effect), h.looked, h.name)
 
@@ -123,6 +128,17 @@ class Scorer:
             if grown:
                 self.b = np.zeros(len(self.G))
                 self.retarget(bench.y)
+
+    @contextmanager
+    def trying(self, new: list[Hypothesis]) -> Iterator[None]:
+        """More hypotheses for a while; whatever joins meanwhile leaves with them."""
+        kept = self.library, self.places, self._stacks, self.G, self.b, self.fakes
+        self.library, self.places, self._stacks = list(kept[0]), list(kept[1]), [list(stack) for stack in kept[2]]
+        try:
+            self.append(new)
+            yield
+        finally:
+            self.library, self.places, self._stacks, self.G, self.b, self.fakes = kept
 
     @property
     def total(self) -> float:

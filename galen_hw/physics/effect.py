@@ -77,6 +77,8 @@ class Effect(ABC):
     NEEDS_CLOCK: ClassVar[bool] = False
     DOWNSTREAM: ClassVar[bool] = False
     """It acts on what a stream delivers, after everything else, see `Downstream`."""
+    BEHIND: ClassVar[tuple[str, ...]] = ()
+    """Of downstream effects: keys of others through which its own change arrives; all others stand beside it."""
     EPISODIC: ClassVar[bool] = False
     """Its parameters belong to moments of one recording and do not carry over to another."""
     BRIEF: ClassVar[bool] = False

@@ -88,6 +88,8 @@ class Lag(Timing):
     """
 
     KEY = "lag"
+    BEHIND = ("time_delay",)
+    """s + D (L s - s) + (D s - s) = D L s: a late clock delivers what the filter gives."""
     SEARCHED: ClassVar = {"constant": Searched(1e-4, 1e3, "s")}
     constant: float
     joint: str = ""
