@@ -4,7 +4,7 @@ import argparse
 import importlib
 import os
 import sys
-from typing import Final
+from typing import Any, Final
 
 from galen_hw.errors import EXIT_USAGE, GalenError
 from galen_hw.version import VERSION
@@ -58,7 +58,9 @@ def main(argv: list[str] | None = None) -> int:
 
 def _parser(argv: list[str]) -> tuple[argparse.ArgumentParser, str | None]:
     """The parser; only the named command's module is imported, so that --help is quick."""
-    parser = argparse.ArgumentParser(prog="galen-hw", description="Hardware interface of the Galen surgical robot.")
+    parser = argparse.ArgumentParser(
+        prog="galen-hw", description="Hardware interface of the Galen surgical robot.", formatter_class=_OneColumn
+    )
     parser.add_argument("--version", action="version", version=f"galen-hw {VERSION}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
     named = next((word for word in argv if not word.startswith("-")), None)
@@ -67,6 +69,14 @@ def _parser(argv: list[str]) -> tuple[argparse.ArgumentParser, str | None]:
         if name == named:
             importlib.import_module(module).add_arguments(sub)
     return parser, named if named in COMMANDS else None
+
+
+class _OneColumn(argparse.HelpFormatter):
+    """Every command on one line with its help: argparse itself forgets that commands are indented once more."""
+
+    def __init__(self, prog: str, **options: Any) -> None:
+        super().__init__(prog, **options)
+        self._action_max_length = max(map(len, COMMANDS)) + 2 * self._indent_increment
 
 
 if __name__ == "__main__":

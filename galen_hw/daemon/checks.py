@@ -163,10 +163,15 @@ def _tool(store: ToolStore, name: str, robot: str, sensor_serial: str, selected:
     if wrong:
         return Finding(name, "; ".join(wrong), trouble, again)
     days = _age_days(tool.origin.date)
-    text = f"calibrated {tool.origin.date}" + (f", {days:.0f} days ago" if math.isfinite(days) else "")
+    text = f"calibrated {tool.origin.date}" + (f", {_ago(days)}" if math.isfinite(days) else "")
     if days > OLD_AFTER_DAYS:
         return Finding(name, text, NOTE, again)
     return Finding(name, text)
+
+
+def _ago(days: float) -> str:
+    whole = math.floor(max(days, 0.0))
+    return f"{whole} days ago" if whole > 1 else ("a day ago" if whole == 1 else "less than a day ago")
 
 
 def _age_days(date: str) -> float:
