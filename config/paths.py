@@ -1,9 +1,11 @@
 """Where things live: sockets in the runtime directory, tools in the state directory, settings in a file."""
 
 import os
+import socket
 import stat
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -14,6 +16,8 @@ SERVICE_RUNTIME: Final = Path("/run/galen-hw")
 SITE_CONFIG: Final = Path("/etc/galen-hw/galen.toml")
 DEFAULT_CONFIG: Final = Path(__file__).with_name("galen.toml")
 VIEWERS_ADDRESS: Final = "tcp://127.0.0.1:9872"
+ANSWER_S: Final = 1.0
+"""Longest wait for a socket of this machine to take a connection."""
 LONGEST_SOCKET_PATH: Final = 107
 """Bytes of a Unix socket's path that the kernel takes (sun_path less its final zero)."""
 
@@ -64,14 +68,18 @@ class Addresses:
             Path(address.removeprefix("ipc://")).unlink(missing_ok=True)
 
     def require_daemon(self) -> None:
-        """Return if a daemon's command socket is here.
+        """Return if somebody listens at the daemon's command socket: a daemon that was killed leaves the file alone.
 
         Raises:
-            HardwareError: it is not: no daemon runs, or it uses another directory.
+            HardwareError: nobody does: no daemon runs, or it uses another directory.
         """
-        if not (self.runtime / "command").exists():
-            todo = "start one with galen-hw run (or galen-hw run --virtual), or give its directory"
-            raise HardwareError("no daemon runs here", where=str(self.runtime), todo=todo)
+        with socket.socket(socket.AF_UNIX) as probe, suppress(PermissionError, TimeoutError):
+            probe.settimeout(ANSWER_S)
+            try:
+                probe.connect(str(self.runtime / "command"))
+            except (FileNotFoundError, ConnectionRefusedError):
+                todo = "start one with galen-hw run (or galen-hw run --virtual), or give its directory"
+                raise HardwareError("no daemon runs here", where=str(self.runtime), todo=todo) from None
 
 
 def runtime_dir(environ: Mapping[str, str] = os.environ) -> Path:

@@ -1,6 +1,7 @@
 """The settings file: what is right becomes a set-up, everything that is wrong is named at once."""
 
 import math
+import socket
 import tomllib
 from pathlib import Path
 from typing import Any, ClassVar
@@ -367,6 +368,12 @@ def test_runtime_directory_is_private_and_short_enough(tmp_path: Path) -> None:
     with pytest.raises(UsageError):
         make_runtime(tmp_path / "file")
     with pytest.raises(HardwareError, match=r"no daemon runs here.*galen-hw run"):
+        Addresses(tmp_path).require_daemon()
+    with socket.socket(socket.AF_UNIX) as killed:
+        killed.bind(str(tmp_path / "command"))
+        killed.listen()
+        Addresses(tmp_path).require_daemon()
+    with pytest.raises(HardwareError, match="no daemon runs here"):
         Addresses(tmp_path).require_daemon()
 
 
