@@ -1,5 +1,6 @@
 """Rivals in each other's place: clocks against filters, a limit seen once, play that motion alone turns over."""
 
+import dataclasses
 import sys
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import diagnosis_cases as cases
 from diagnosis_cases import Beam, Bench, Servo
 
 from galen_hw.diagnosis.engine import Work, diagnose
-from galen_hw.diagnosis.judge import _sure
+from galen_hw.diagnosis.judge import _sure, judge
 from galen_hw.diagnosis.nonlinear import ahead, in_place
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.kinematics import UrdfRobot
@@ -20,7 +21,7 @@ from galen_hw.physics.elastic_effects import Hardening
 from galen_hw.physics.memory_effects import Backlash, Hysteresis
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.table import scene_of
-from galen_hw.physics.time_effects import Lag
+from galen_hw.physics.time_effects import Lag, TimeDelay
 
 
 def work_of(bench: Bench | Servo) -> Work:
@@ -71,6 +72,52 @@ def test_a_lag_explains_what_all_of_the_stream_in_it_does() -> None:
     assert scores[first].count == 1
     assert scores[first + 1].gain > scores[first].gain
     assert ahead(work.bench, scorer, [], first + 1, first) > 3.0
+
+
+def test_a_filter_behind_a_delay_is_the_two_after_one_another() -> None:
+    """The delay's change and the filter's columns behind it add up to the filtered signal, late."""
+    work = work_of(Servo())
+    bench, scene = work.bench, work.bench.scene
+    late, slow, seconds = TimeDelay(), Lag(0.12), np.array([0.08])
+    expected = [cases.lagged(scene.time, x, 0.12) for x in scene.simulated.T]
+    expected = [np.interp(scene.time - 0.08, scene.time, x) for x in expected]
+    bench.timing = [(late, seconds)]
+    change = late.exact(scene, seconds)
+    assert change is not None
+    both = bench.rows.average(scene.simulated + change) + bench.raw(slow).values[:, :, 0]
+    far = scene.time > 2.0
+    assert np.abs(both - np.stack(expected, axis=1))[far].max() < 2e-4 * np.ptp(scene.simulated)
+    alone = bench.rows.average(scene.simulated + change) + slow.columns(scene).values[:, :, 0]
+    assert np.abs(alone - np.stack(expected, axis=1))[far].max() > 5e-3 * np.ptp(scene.simulated)
+
+
+def test_every_place_of_an_effect_earns_its_own() -> None:
+    """Play in both joints when it was learnt, in one of them on another day: that one keeps its name, the other does not."""
+    learnt, other = Servo(seed=1), Servo(seed=2)
+    for servo, joints in ((learnt, (0, 1)), (other, (0,))):
+        for j in joints:
+            servo.position[:, j] = cases.played(servo.command[:, j], 0.01)
+    work = diagnose(scene_of(learnt.observations()), holdout=scene_of(other.observations()))
+    assert work.diagnosis.findings[0].effect == "backlash"
+    assert work.diagnosis.findings[0].joints == ["pan"]
+    alone = diagnose(scene_of(learnt.observations()), holdout=scene_of(Servo(seed=3).observations()))
+    assert "backlash" not in named(alone)
+
+
+def test_smaller_models_are_judged_on_the_same_rows_of_another_recording() -> None:
+    """What a poorer model misses must not be set apart as an outside force."""
+    learnt, other = Servo(seed=1), Servo(seed=2)
+    for servo in (learnt, other):
+        servo.position = np.stack([np.interp(servo.t - 0.06, servo.t, x) for x in servo.command.T], axis=1)
+    model, holdout = work_of(learnt).model, scene_of(other.observations())
+    first = judge(model, holdout)
+    assert first.good is not None
+    assert 0.0 < first.apart < 0.11, "the ends of the recording alone"
+    marked = dataclasses.replace(first, good=first.good & (np.arange(len(first.good)) % 2 == 0), episodes=((1.0, 2.0),))
+    again = judge(model.without(model.effects), holdout, marked)
+    assert again.good is marked.good
+    assert again.episodes == marked.episodes
+    assert np.all(again.after > first.after)
 
 
 def test_a_rival_in_place_of_a_bent_effect_meets_the_whole_residual() -> None:

@@ -128,7 +128,8 @@ def _floor(model: ElasticArm, sets: Sequence[DeflectionSet], blocks: Blocks) -> 
 
     The tracker's noise is white and falls in short means, the model's error is slow and stays. What the force's noise
     makes of the prediction is white too, and is added. One standard error over the sets comes on top: few
-    configurations have been seen, and a floor that is too low is the worse mistake.
+    configurations have been seen, and a floor that is too low is the worse mistake. For the same reason the three axes of a
+    position (and those of a turn) share one floor: what is left is no property of an axis of the base.
     """
     by_fold = {int(f): blocks.solve([*model.terms, DELAY], without=int(f))[:-1] for f in np.unique(blocks.fold)}
     squares = []
@@ -146,6 +147,7 @@ def _floor(model: ElasticArm, sets: Sequence[DeflectionSet], blocks: Blocks) -> 
         noise = model.noise**2 * (1.0 / size + 1.0 / np.count_nonzero(seen & rest))
         squares.append(np.mean(after**2, axis=0) - noise + _white(give))
     each = np.array(squares or [np.zeros(len(model.noise))])
+    each = np.repeat(each.reshape(len(each), -1, 3).mean(axis=2), 3, axis=1)
     total = each.mean(axis=0) + each.std(axis=0, ddof=min(1, len(each) - 1)) / np.sqrt(len(each))
     return np.asarray(np.sqrt(np.maximum(total, (0.05 * model.noise) ** 2)))
 
