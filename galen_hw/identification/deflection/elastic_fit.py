@@ -18,6 +18,7 @@ from galen_hw.identification.deflection.elastic_terms import (
     amplitude,
     elastic_candidates,
     hysteresis_columns,
+    knees,
     scenes,
     settled_candidates,
     zoomed,
@@ -31,6 +32,7 @@ STANDARD_ERRORS: Final = 1.5
 LEAST_GAIN: Final = 0.004
 """Smallest fall of the held-out square, in squares of the tracker's noise, that is worth a term."""
 ROUNDS: Final = 3
+ZOOMS: Final = (1.6, 1.2, 1.06)
 
 
 @dataclass(frozen=True)
@@ -110,11 +112,15 @@ class Search:
                 return
 
     def _zoom(self) -> None:
-        """Searched values, finer and finer, each for itself."""
-        for factor in (1.6, 1.2, 1.06):
+        """Searched values, finer and finer, each for itself; a single hardening of a port may level off."""
+        for factor in ZOOMS:
             self._view()
-            softest = {t.port: TRANSITIONS[-1] * amplitude(self._bare, t.port) for t in self.terms}
-            nearby = {term: zoomed(term, factor, softest[term.port]) for term in self.terms}
+            size = {t.port: amplitude(self._bare, t.port) for t in self.terms}
+            nearby = {term: zoomed(term, factor, TRANSITIONS[-1] * size[term.port]) for term in self.terms}
+            curved = [t for t in self.terms if t.kind == "hardening"]
+            for term in curved if factor == ZOOMS[0] else []:
+                if sum(t.port == term.port for t in curved) == 1:
+                    nearby[term] += knees(term.port, size[term.port])
             blocks = self._blocks([*self.terms, *(t for near in nearby.values() for t in near)])
             for term, near in nearby.items():
                 place = self.terms.index(term)

@@ -137,8 +137,6 @@ def settled_candidates(views: Sequence[GivingScene], ports: Sequence[str]) -> It
             yield Term("creep", port, Creep(constant, joint=port, form="less"))
         for power in (2, 3):
             yield Term("hardening", port, Hardening(port, power))
-        for share in KNEES:
-            yield Term("hardening", port, Hardening(port, 2, share * size))
         for share in TRANSITIONS:
             yield Term("play", port, Backlash(port, None, share * size))
 
@@ -169,6 +167,14 @@ def zoomed(term: Term, factor: float, softest: float, count: int = 5) -> list[Te
         steps = [e.transition * x for x in ratios if e.transition * x <= softest]
         return [Term(term.kind, term.port, Backlash(e.joint, None, step)) for step in steps]
     return []
+
+
+def knees(port: str, size: float) -> list[Term]:
+    """Hardening of a port in the form that levels off, for a load of some amplitude.
+
+    Not a candidate by itself: soft at small loads and linear above, it would take the place of a play that is not found yet.
+    """
+    return [Term("hardening", port, Hardening(port, 2, share * size)) for share in KNEES]
 
 
 Columns = dict[Hashable, list[Array]]
