@@ -2,6 +2,7 @@
 
 import io
 import json
+import socket
 import threading
 import time
 from contextlib import suppress
@@ -270,7 +271,6 @@ def test_the_service_records_between_start_and_stop(tmp_path: Path) -> None:
 
 def test_the_command_records_a_bus(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Over real ZeroMQ: a publisher in a thread, the command for half a second, a readable file at the end."""
-    (tmp_path / "command").write_text("")
     done = threading.Event()
 
     def publish() -> None:
@@ -286,8 +286,11 @@ def test_the_command_records_a_bus(tmp_path: Path, capsys: pytest.CaptureFixture
     path = tmp_path / "run.mcap"
     try:
         words = ["record", "-o", str(path), "--seconds", "0.5", "--dir", str(tmp_path)]
-        assert main([*words, "--config", str(DEFAULT_CONFIG)]) == 0
-        assert main(words) == 2
+        with socket.socket(socket.AF_UNIX) as daemon:
+            daemon.bind(str(tmp_path / "command"))
+            daemon.listen()
+            assert main([*words, "--config", str(DEFAULT_CONFIG)]) == 0
+            assert main(words) == 2
     finally:
         done.set()
         thread.join()
