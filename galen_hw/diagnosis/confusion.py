@@ -181,12 +181,9 @@ class Sharpener:
         share = max(1.0 - rest / float(self.signal @ self.signal), 0.0)
         if pinned is None and _angle(np.sqrt(share)) >= rival.angle:
             return rival
-        theta = solve_sym(X.T @ X, (X.T @ self.white)[:, None])[:, 0]
-        library = self.scorer.library
-        worth = float(theta @ (X.T @ self.white))
-        if pinned is not None:
-            theta = pinned
-            worth = float(2.0 * theta @ (X.T @ self.white) - theta @ (X.T @ X) @ theta)
+        A, r, library = X.T @ X, X.T @ self.white, self.scorer.library
+        theta = solve_sym(A, r[:, None])[:, 0] if pinned is None else pinned
+        worth = float(2.0 * theta @ r - theta @ A @ theta)
         paid = price(library[rival.place]) - price(library[self.i])
         nearest = float(np.degrees(np.min(subspace_angles(self.own, X))))
         angle = _angle(np.sqrt(share))

@@ -96,26 +96,20 @@ def in_place(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> dict[in
     return scores
 
 
-def _clock_of(scorer: Scorer, i: int) -> list[tuple[Downstream, Array]]:
-    """The stream's end (with its parameters) that the chosen hypothesis i is, if others arrive through it."""
-    effect = scorer.library[i].effect
-    return [(end, theta) for end, theta in scorer.bench.timing if end == effect]
-
-
 @contextmanager
 def unclocked(scorer: Scorer, i: int) -> Iterator[bool]:
     """The scorer for a while with other ends of the stream (a filter behind a delay) as if the chosen i had never been there.
 
     Whether there are any: then what joins the library meanwhile leaves it again.
     """
-    bench, mine = scorer.bench, _clock_of(scorer, i)
-    key = "" if not mine else mine[0][0].KEY
+    bench, own, before = scorer.bench, scorer.library[i].effect, scorer.bench.timing
+    others = [(end, theta) for end, theta in before if end != own]
+    key = "" if own is None or len(others) == len(before) else own.KEY
     behind = [h for h in scorer.library if h.effect is not None and key in h.effect.BEHIND and h.theta is None]
     if not behind:
         yield False
         return
-    before = bench.timing
-    bench.timing = [(end, theta) for end, theta in before if end != mine[0][0]]
+    bench.timing = others
     try:
         fresh = [bench.made(h.effect, bench.raw(h.effect), h.looked) for h in behind if h.effect is not None]
         with scorer.trying(fresh):

@@ -217,8 +217,8 @@ def _handicap(bench: Bench, scorer: Scorer, others: list[int], i: int, j: int, r
     lead = favour * (rivals[i].rank - rivals[j].rank)
     if not favour or lead <= TIE or lead > alike:
         return favour * alike
-    behind, before = (j, i) if favour > 0 else (i, j)
-    return favour * alike if ahead(bench, scorer, others, before, behind) < AGREED else 0.0
+    plainer, leader = (j, i) if favour > 0 else (i, j)
+    return favour * alike if ahead(bench, scorer, others, leader, plainer) < AGREED else 0.0
 
 
 def place_of(effect: Effect | None) -> tuple[str, ...]:

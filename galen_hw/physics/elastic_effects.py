@@ -19,10 +19,11 @@ class Compliance(Effect):
     """Elastic give under load.
 
     A joint by c times its load, q' = q + c tau ("joint"); the structure along the base's axes ("structure") or the tool
-    along the sensor's ("tool") by c times the force there; `source` says whose load it is: the "applied" force's, the
-    "weight"'s of what hangs on the arm, or that of "all" it bears; in positions without a model of the weights, the sag
-    of what hangs on the joint under its own weight, a sin + b cos of the angle against the vertical of the link beyond it, the
-    sum of the joints from `first` on that turn about parallel axes; `links` more of the chain each with their own ("weight").
+    along the sensor's ("tool") by c times the force there; `source` says whose load it is: the "applied" force's or that of
+    "all" it bears, what hangs on the arm included (of a joint also that "weight" alone); in positions without a model of the
+    weights, the sag of what hangs on the joint under its own weight, a sin + b cos of the angle against the vertical of the
+    link beyond it, the sum of the joints from `first` on that turn about parallel axes; `links` more of the chain each with
+    their own ("weight").
 
     Visible when the load changes otherwise than with motion. Confused with time_delay where load follows speed, with
     joint_offset for a constant load, with creep, hardening and payload.

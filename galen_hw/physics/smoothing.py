@@ -134,10 +134,14 @@ END = 0.6
 """So many periods of the low-pass's cut-off from an end of a segment derivatives are a guess: half of their rows are missing."""
 LONGEST_END_S = 1.0
 MOST_OF_SEGMENT = 0.05
+"""Of a segment's time, at either end: a joint that rests has no band, and must not cost the recording."""
 
 
 def ends(time: Array, x: Array, segments: list[slice], band: float | None = None) -> NDArray[np.bool_]:
-    """(N,) rows so near to an end of their segment that derivatives of the signals (N, n) are not known; few of each segment."""
+    """(N,) rows so near to an end of their segment that derivatives of the signals (N, n) over time (N,) in s are not known.
+
+    The band is that of the low-pass in Hz; found here, the lowest of the signals counts. Few rows of each segment.
+    """
     out = np.zeros(len(x), dtype=bool)
     for part in segments:
         t = time[part]
