@@ -11,8 +11,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 import diagnosis_cases as cases
 from diagnosis_cases import IN_EFFORT, IN_POSITION, IN_WRENCH, SIGMA, Beam, Bench, Servo
 
-from galen_hw.diagnosis.engine import _followed, diagnose
+from galen_hw.diagnosis.engine import diagnose
 from galen_hw.diagnosis.result import Diagnosis
+from galen_hw.diagnosis.verdict import _followed
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.table import scene_of
 

@@ -171,12 +171,12 @@ def test_play_that_motion_turns_over_is_backlash() -> None:
 def test_an_effect_that_acts_seldom_is_as_sure_as_its_noise_allows() -> None:
     """Two pieces of forty hold all of it; noise that was fitted to noise is not sure."""
     rng = np.random.default_rng(5)
-    noise, floor = rng.normal(size=(4000, 2)), np.ones(2)
+    noise = rng.normal(size=(4000, 2))
     seldom = np.zeros_like(noise)
     seldom[:200] = 1.0
-    assert _sure(noise, noise + seldom, floor) > 10.0
+    assert _sure(noise, noise + seldom) > 10.0
     fitted = 0.2 * rng.normal(size=(4000, 2))
-    assert _sure(noise - fitted, noise, floor) < 2.0
+    assert _sure(noise - fitted, noise) < 2.0
 
 
 def test_stiffness_that_grows_with_load_and_friction_beside_a_spring() -> None:

@@ -1,14 +1,13 @@
 """What physics left over, and where: whether any function of the known inputs and their past explains it."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from galen_hw.diagnosis.algebra import orthonormal, scaled
 from galen_hw.diagnosis.bench import Bench, rich_basis
+from galen_hw.diagnosis.generic import Inputs, dictionaries
 from galen_hw.diagnosis.rows import Index
 from galen_hw.physics.effect import Columns
 from galen_hw.spatial import Array
@@ -41,76 +40,11 @@ class Left:
     basis: Array
 
 
-def dictionaries(bench: Bench) -> Iterator[tuple[str, Array]]:
-    """Generic functions (M, k) of the known inputs, a family at a time."""
-    inputs = _inputs(bench)
-    if not inputs.size:
-        return
-    z = _standard(inputs)
-    for scale, name in ((0.7, "the joint positions"), (2.0, "the joint positions, finely")):
-        yield name, _waves(z, scale)
-    yield "products of joint positions", _products(z, z)
-    for j in range(min(z.shape[1], 8)):
-        reach = max(float(np.ptp(z[:, j])), 1e-9)
-        numbers = np.arange(1, 31) * 2.0 * np.pi / reach / 1.3
-        yield (
-            f"periodic in input {j + 1}",
-            np.concatenate([f(np.outer(z[:, j], numbers)) for f in (np.sin, np.cos)], axis=1),
-        )
-    load = _standard(bench.rows.average(np.nan_to_num(bench.scene.simulated)))
-    if bench.scene.observations.predict != "position" and load.shape[1]:
-        yield "products of the simulated channels", _products(load, load)
-        yield "the simulated channels times the joint positions", _products(load, z)
-        yield "cubes of the simulated channels", np.concatenate([load**2, load**3, np.abs(load)], axis=1)
-    if bench.scene.clock:
-        rate = _standard(np.gradient(z, axis=0))
-        second = _standard(np.gradient(rate, axis=0))
-        yield (
-            "speeds and accelerations",
-            np.concatenate([rate, np.abs(rate), np.tanh(4.0 * rate), second, rate * np.abs(rate)], axis=1),
-        )
-        yield "products of speeds", np.concatenate([_products(rate, rate), _products(rate, np.abs(rate))], axis=1)
-        yield "positions times speeds", _products(z, rate)
-        yield "positions and speeds together", _waves(np.concatenate([z, rate], axis=1), 0.7)
-        if load.shape[1]:
-            yield "the simulated channels times speeds", _products(load, rate)
-        for low in (0.004, 0.012, 0.035, 0.1):
-            yield "a resonance that motion excites", _resonators(second, low)
-        lagged = [
-            np.concatenate([np.repeat(z[:1], k, axis=0), z[:-k]]) - z
-            for k in (2, 5, 12, 30, 80, 200)
-            if k < len(z) // 4
-        ]
-        yield "the past of the inputs", np.concatenate(lagged, axis=1)
-
-
-MOST_PRODUCTS = 40
-
-
-def _standard(x: Array) -> Array:
-    """Columns of zero mean and unit variance; constant ones are left out."""
-    spread = x.std(axis=0)
-    good = spread > 1e-9 * np.maximum(np.abs(x).max(axis=0), 1e-12)
-    return np.asarray((x[:, good] - x[:, good].mean(axis=0)) / spread[good])
-
-
-def _products(a: Array, b: Array) -> Array:
-    """(M, k) products of columns, each pair once."""
-    pairs = [(i, j) for i in range(a.shape[1]) for j in range(b.shape[1]) if a is not b or j >= i]
-    return np.stack([a[:, i] * b[:, j] for i, j in pairs[:MOST_PRODUCTS]], axis=-1) if pairs else a[:, :0]
-
-
-def _waves(z: Array, scale: float) -> Array:
-    """Random Fourier features (Rahimi and Recht 2007): smooth functions of all inputs together."""
-    rng = np.random.default_rng(7)
-    w, phase = rng.normal(size=(z.shape[1], 24)) * scale, rng.uniform(0, 2 * np.pi, 24)
-    return np.asarray(np.cos(z @ w + phase))
-
-
 def families(bench: Bench) -> list[tuple[str, Array]]:
     """The generic functions of a bench as orthonormal bases (M, k), a constant first, the strongest directions next."""
     ones, most = np.ones((len(bench.rows), 1)), max(int((~bench.dropped).sum()) // 6, 3)
-    return [(kind, rich_basis(ones, [X], 12 * min(most, X.shape[1]))) for kind, X in dictionaries(bench) if X.shape[1]]
+    all_of_them = dictionaries(Inputs.of(bench.scene, bench.rows))
+    return [(kind, rich_basis(ones, [X], 12 * min(most, X.shape[1]))) for kind, X in all_of_them if X.shape[1]]
 
 
 def compact(bench: Bench, generic: list[tuple[str, Array]]) -> list[Columns]:
@@ -118,30 +52,6 @@ def compact(bench: Bench, generic: list[tuple[str, Array]]) -> list[Columns]:
     if len(bench.rows) < 2000:
         return []
     return [Columns((c,), X[:, None, 1:9]) for _, X in generic for c in range(bench.width)]
-
-
-def _inputs(bench: Bench) -> Array:
-    q = bench.scene.q
-    moving = [j for j, name in enumerate(bench.scene.joint_names) if name in bench.scene.moved]
-    parts = [bench.rows.average(q[:, moving])] if moving else []
-    if not parts:
-        parts = [bench.rows.average(bench.scene.simulated)]
-    force = [c for n, c in bench.scene.observations.columns.items() if n.startswith("applied.force") and np.ptp(c) > 0]
-    parts += [bench.rows.average(np.nan_to_num(np.stack(force, axis=-1)))] if force else []
-    x = np.concatenate(parts, axis=1)
-    return np.asarray(x[:, np.ptp(x, axis=0) > 1e-12])
-
-
-def _resonators(x: Array, frequency: float) -> Array:
-    """Two-pole resonances of (M, n) inputs around a frequency in cycles a row, in and out of phase."""
-    out = []
-    for f in frequency * np.array([1.0, 1.3, 1.7, 2.2]):
-        if f > 0.45:
-            continue
-        r = np.exp(-2.0 * np.pi * f * 0.05)
-        a = [1.0, -2.0 * r * np.cos(2.0 * np.pi * f), r * r]
-        out += [lfilter([1.0], a, x, axis=0), lfilter([1.0, -1.0], a, x, axis=0)]
-    return np.concatenate(out, axis=1) if out else x[:, :0]
 
 
 def leftovers(

@@ -217,7 +217,7 @@ def _of(columns: Columns, channel: int) -> Array:
 
 
 def rich_basis(whole: Array, rich: list[Array], rows: int) -> Array:
-    """Orthonormal (M, r): `whole` and the leading directions of the `rich` columns, r at most a twelfth of the rows."""
+    """Orthonormal (M, r): `whole` and the leading directions of the `rich` columns in order, r at most a twelfth of the rows."""
     most = int(min(70, max(rows // 12, 4)))
     Q = orthonormal(scaled(whole))
     if not rich:
@@ -227,7 +227,8 @@ def rich_basis(whole: Array, rich: list[Array], rows: int) -> Array:
     if not X.size:
         return Q
     P = orthonormal(X, most=most)
-    return np.concatenate([Q, orthonormal(P - Q @ (Q.T @ P))], axis=1)
+    # Once more against what rounding left of `whole`; QR keeps the order, the strongest first.
+    return np.concatenate([Q, np.linalg.qr(P - Q @ (Q.T @ P))[0]], axis=1)
 
 
 Progress = Callable[[str, float], None]

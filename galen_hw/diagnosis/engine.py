@@ -13,26 +13,26 @@ from galen_hw.diagnosis.experiment import next_experiment
 from galen_hw.diagnosis.final import Model, merit, offsets, settle_model, weighed
 from galen_hw.diagnosis.findings import findings_of, unknown_finding
 from galen_hw.diagnosis.guards import Premise, premises
-from galen_hw.diagnosis.judge import Judged, judge
+from galen_hw.diagnosis.judge import Judged, judge, judge_remainder, poor
 from galen_hw.diagnosis.locate import channels_of, episodes_of, where_of
-from galen_hw.diagnosis.result import Diagnosis, Finding, Verdict
+from galen_hw.diagnosis.remainder import Remainder, learn
+from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.select import at_first_sight, library, select
+from galen_hw.diagnosis.select import FLEXIBLE, at_first_sight, library, select
 from galen_hw.diagnosis.selection import Selection
+from galen_hw.diagnosis.verdict import beyond, strong, verdict_of
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.event_effects import Glitches
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.table import effect_class
 from galen_hw.spatial import Array
 
+MERIT = 6.0
+"""Difference of merit from which the other of two models is taken."""
 FEWEST = 2
 """Isolated samples that are a finding."""
 COARSE = 3000
 """Rows of the first look: motion is slow beside a force sensor's samples."""
-LEAST_SURE = 2.5
-"""Standard errors by which an effect must win on held-out data."""
-LEAST_SUPPORT = 0.05
-"""An effect must take this share of what would be left above the noise of the channels in which it acts without it."""
 
 
 @dataclass
@@ -101,7 +101,10 @@ def diagnose(
     if model is not chosen:
         left = _left(bench, generic, model)
     glitch = [] if premise.wrong else _confirmed(glitch, model)
-    diagnosis = _said(model, selection, judged, left, premise, glitch, name)
+    worth_saying = strong(left, judged, bench)
+    if worth_saying and not premise.wrong:
+        model, judged, worth_saying = _predicted(generic, model, holdout, judged, worth_saying)
+    diagnosis = _said(model, selection, judged, worth_saying, premise, glitch, name)
     diagnosis.holdout = judged.name
     tell("done", 1.0)
     return Work(bench, selection, model, judged, left, diagnosis)
@@ -167,29 +170,74 @@ def _left(bench: Bench, generic: list[tuple[str, Array]], model: Model) -> list[
     return adequacy.leftovers(bench, generic, [h.white for h in model.parts], model.rest(), model.rest(white=True))
 
 
-def _earned(model: Model, holdout: Scene | None) -> tuple[Model, Judged]:
+def _earned(model: Model, holdout: Scene | None, judged: Judged | None = None) -> tuple[Model, Judged]:
     """The model without what held-out data do not support, the least supported first; what belongs to moments shows nowhere else.
 
     Where a kind stands in several places (friction in five joints), each place has to earn its own.
+
+    Args:
+        judged: of a larger model, whose rows are judged on again.
     """
-    judged: Judged | None = None
     while True:
         judged = judge(model, holdout, judged)
         lasting = [k for k in judged.without if not effect_class(k).EPISODIC and not effect_class(k).BRIEF]
-        poor = [(judged.support(key), key) for key in lasting if _poor(judged.support(key), judged.sure[key])]
-        alone = [(support, place) for place, (support, sure) in judged.places.items() if _poor(support, sure)]
-        if alone:
+        sole = len(judged.without) == 1
+        weak = [
+            (judged.support[key], key) for key in lasting if poor(judged.support[key], judged.sure[key], alone=sole)
+        ]
+        places = [(support, k) for k, (support, sure) in judged.places.items() if poor(support, sure, alone=False)]
+        if places:
             # One place first: the kind may earn its name without it.
-            out = [model.effects[min(alone)[1]]]
-        elif poor:
-            out = [h for h in model.effects if h.effect is not None and min(poor)[1] == h.effect.KEY]
+            out = [model.effects[min(places)[1]]]
+        elif weak:
+            out = [h for h in model.effects if h.effect is not None and min(weak)[1] == h.effect.KEY]
         else:
             return model, judged
         model = model.without(out)
 
 
-def _poor(support: float, sure: float) -> bool:
-    return support < LEAST_SUPPORT or sure < LEAST_SURE
+YIELDING = (*FLEXIBLE, "contact")
+"""Effects that bend far enough to take part of what has no name."""
+
+
+def _predicted(
+    generic: list[tuple[str, Array]], model: Model, holdout: Scene | None, judged: Judged, rest: list[adequacy.Left]
+) -> tuple[Model, Judged, list[adequacy.Left]]:
+    """What is left predicted without a name, where held-out data support that.
+
+    A flexible effect has a name only if it says more than generic functions do in its place: what these explain better alone
+    has none.
+    """
+    now, remainder = _explained(model, rest)
+    judged = judge_remainder(model, holdout, judged, remainder)
+    for out in _yielding(model):
+        less, plainly = _earned(model.without([h for h in model.effects if id(h) in out]), holdout, judged)
+        its_rest = strong(_left(model.bench, generic, less), judged, model.bench)
+        reached, its_own = _explained(less, its_rest)
+        if reached > now + MERIT:
+            other = judge_remainder(less, holdout, plainly, its_own)
+            if float(np.sum(other.reached / judged.floor)) < float(np.sum(judged.reached / judged.floor)):
+                return less, other, its_rest
+    return model, judged, rest
+
+
+def _explained(model: Model, rest: list[adequacy.Left]) -> tuple[float, Remainder | None]:
+    """Merit of a model together with what generic functions predict of its rest on blocks left out; and these."""
+    kinds: dict[int, set[str]] = {}
+    for one in rest:
+        kinds.setdefault(one.channel, set()).add(one.kind)
+    remainder = learn(model, kinds)
+    return merit(model) + (0.0 if remainder is None else remainder.gain), remainder
+
+
+def _yielding(model: Model) -> list[set[int]]:
+    """Sets of effects that might be no more than part of what has no name: all flexible ones together, then kind by kind."""
+    kinds: dict[str, set[int]] = {}
+    for h in model.effects:
+        if h.effect is not None and h.effect.KEY in YIELDING:
+            kinds.setdefault(h.effect.KEY, set()).add(id(h))
+    every = set().union(*kinds.values())
+    return [every, *kinds.values()] if len(kinds) > 1 else list(kinds.values())
 
 
 def _silent(stage: str, share: float) -> None:
@@ -214,7 +262,7 @@ def _chosen(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> tuple
     bench.y, bench.timing = bench.whole, []
     other = select(bench, Scorer(bench, [*own, *hypotheses], free=False))
     rival = settle_model(bench, other.scorer, other)
-    if merit(rival) > merit_of(model, y) + 6.0:
+    if merit(rival) > merit_of(model, y) + MERIT:
         return other, rival
     bench.y, bench.timing = y, timing
     return selection, model
@@ -277,10 +325,10 @@ def _said(
     findings = findings_of(model, selection, judged, glitch)
     for finding in findings:
         finding.confounded_with = confusions(model, selection, finding)
-    rest = _strong(left, judged, bench) or _beyond(judged, bench)
+    rest = left or beyond(judged, bench)
     if premise.wrong or rest:
-        findings.append(unknown_finding(bench, rest, premise))
-    verdict = _verdict(findings, rest, premise)
+        findings.append(unknown_finding(bench, judged, rest, premise))
+    verdict = verdict_of(findings, rest, premise)
     advice = next_experiment(model, selection, findings, rest)
     notes = list(premise.notes)
     if verdict == "agrees":
@@ -303,71 +351,6 @@ def _said(
             if h.effect is not None
         ],
     )
-
-
-BEYOND = 1.5
-"""Held-out mean square over the noise's above which something is left, whether or not any function tried has caught it."""
-SURE = 6.0
-"""And standard errors of that mean square, slow noise having few independent values."""
-
-
-def _beyond(judged: Judged, bench: Bench) -> list[adequacy.Left]:
-    """Channels in which the model does not hold on data that it did not learn from; z is the ratio of mean squares here."""
-    ratio = judged.after / judged.floor
-    rows = int(bench.judged.sum() or bench.train.sum())
-    enough = 1.0 + np.maximum(BEYOND - 1.0, SURE * np.sqrt(2.0 / bench.noise.independent(rows)))
-    none = np.zeros((len(bench.rows), 0))
-    return [
-        adequacy.Left(
-            int(c),
-            "nothing that was recorded",
-            float(ratio[c]),
-            float(1.0 - 1.0 / ratio[c]),
-            float(np.sqrt(judged.after[c] - judged.floor[c])),
-            none,
-        )
-        for c in np.argsort(-ratio)
-        if ratio[c] > enough[c]
-    ]
-
-
-def _strong(left: list[adequacy.Left], judged: Judged, bench: Bench) -> list[adequacy.Left]:
-    """Leftovers that are worth saying: above chance, and not a trifle beside what was found or the noise."""
-    out = []
-    for one in left:
-        size = one.size**2
-        before = float(judged.before[one.channel] - bench.noise.sigma[one.channel] ** 2)
-        rounding = _followed(float(bench.steps[one.channel]), float(bench.noise.sigma[one.channel]))
-        if size > max(0.03 * bench.noise.sigma[one.channel] ** 2, rounding) and size > 0.03 * before:
-            out.append(one)
-    return out
-
-
-FOLLOWED = 0.2
-"""Share of the rounding's variance that smooth functions of a signal can follow where no noise blurs it."""
-
-
-def _followed(step: float, sigma: float) -> float:
-    """Variance of the part of a rounded reading's error that follows its signal, which is no physics.
-
-    Noise of s before the rounding blurs it to step^2 / (2 pi^2) sum_k exp(-(2 pi k s / step)^2) / k^2 (Widrow and Kollar,
-    Quantization Noise, 2008, ch. 6: the characteristic function at multiples of 2 pi / step).
-    """
-    if step <= 0.0:
-        return 0.0
-    k = np.arange(1, 6)
-    own = max(sigma**2 - step**2 / 12.0, 0.0) / step**2
-    blurred = step**2 / (2.0 * np.pi**2) * np.sum(np.exp(-((2.0 * np.pi * k) ** 2) * own) / k**2)
-    return float(min(FOLLOWED * step**2 / 12.0, blurred))
-
-
-def _verdict(findings: list[Finding], rest: list[adequacy.Left], premise: Premise) -> Verdict:
-    named = [f for f in findings if f.effect != "unknown"]
-    if premise.wrong:
-        return "unexplained"
-    if not named:
-        return "unexplained" if rest else "agrees"
-    return "partly_explained" if rest else "explained"
 
 
 def _limit(bench: Bench) -> str:

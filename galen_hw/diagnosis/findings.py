@@ -15,8 +15,9 @@ from galen_hw.diagnosis.select import CHANCE
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.sizes import SIGNAL, headline
 from galen_hw.diagnosis.variables import joint_units
+from galen_hw.diagnosis.wander import frequency_spread
 from galen_hw.diagnosis.words import BELIEVED, SAYS
-from galen_hw.physics.event_effects import Glitches
+from galen_hw.physics.event_effects import Glitches, Vibration
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
@@ -97,13 +98,19 @@ def _prefix(h: Hypothesis) -> str:
 def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int) -> dict[str, Value]:
     bench, effect = model.bench, h.effect
     assert effect is not None, "effects, not nuisances"
-    spread = np.sqrt(np.maximum(np.diag(model.covariance)[s], 0.0))
-    named = zip(effect.parameters(bench.scene), model.final[s], spread, strict=True)
+    variance = np.maximum(np.diag(model.covariance)[s], 0.0)
+    searched = {name: _searched_spread(model, h, s, name, value) for name, value in effect.searched().items()}
+    if isinstance(effect, Vibration):
+        own, pull = searched["frequency"]
+        searched["frequency"] = float(np.hypot(own, frequency_spread(model, effect))), pull
+    for spread, pull in searched.values():
+        variance = variance + (pull * spread) ** 2
+    named = zip(effect.parameters(bench.scene), model.final[s], np.sqrt(variance), strict=True)
     mark = prefix or (f"{number + 1}: " if number else "")
     out = {f"{mark}{p.name}": Value(float(v), float(d), _unit(bench.scene, effect.joints, p.unit)) for p, v, d in named}
     for name, value in effect.searched().items():
         unit = _unit(bench.scene, effect.joints, effect.SEARCHED[name].unit)
-        out[f"{mark}{name}"] = Value(value, _searched_spread(model, h, s, name, value), unit)
+        out[f"{mark}{name}"] = Value(value, searched[name][0], unit)
     if hasattr(effect, "moment"):
         out[f"{mark}moment"] = Value(float(effect.moment), 0.0, "s")
     if hasattr(effect, "limit"):
@@ -122,23 +129,28 @@ def _unit(scene: Scene, joints: tuple[str, ...], unit: str) -> str:
     return second if slides and either else first
 
 
-def _searched_spread(model: Model, h: Hypothesis, s: slice, name: str, value: float) -> float:
-    """From the curvature of the fit along the searched value, the linear parameters following."""
+def _searched_spread(model: Model, h: Hypothesis, s: slice, name: str, value: float) -> tuple[float, Array]:
+    """Standard deviation of a searched value, from the curvature of the fit along it, the linear parameters following.
+
+    Also how these follow (k,), per unit of it: what is not sure of it is not sure of them either.
+    """
     bench, effect = model.bench, h.effect
     assert effect is not None, "effects, not nuisances"
-    step = 1e-3 * value if name in ("frequency", "wave_number") else 0.02 * value
-    step = 1e-6 * value if name == "frequency" else step
+    step = 0.02 * np.log(effect.doubt(bench.scene)) * value
     up, down = (bench.add(effect.with_searched({name: value + sign * step})) for sign in (1.0, -1.0))
     channels = list(h.white.channels)
     slope = ((up.white.values - down.white.values) @ model.final[s] / (2.0 * step)).reshape(-1)
     own = h.white.values.reshape(-1, h.count)
     ones = np.eye(len(channels))[np.tile(np.arange(len(channels)), len(bench.rows))]
     X = np.concatenate([own, ones], axis=1)
-    X = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
-    left = slope - X @ np.linalg.lstsq(X, slope, rcond=1e-9)[0]
+    size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+    follow = np.linalg.lstsq(X / size, slope, rcond=1e-9)[0]
+    left = slope - X / size @ follow
     information = float(left @ left)
+    if not information > 0.0:
+        return float(value), np.zeros(h.count)
     rest = model.rest(white=True)[bench.train][:, channels]
-    return float(np.sqrt(max(float(np.mean(rest**2)), 1.0) / information)) if information > 0 else float(value)
+    return float(np.sqrt(max(float(np.mean(rest**2)), 1.0) / information)), (follow / size)[: h.count]
 
 
 def _evidence(model: Model, selection: Selection, parts: list[Hypothesis]) -> tuple[float, float]:
@@ -178,7 +190,7 @@ def _glitch(bench: Bench, judged: Judged, glitch: Glitches) -> Finding:
     )
 
 
-def unknown_finding(bench: Bench, left: list[Left], premise: Premise) -> Finding:
+def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Premise) -> Finding:
     """What nothing named explains."""
     names = bench.scene.channels
     channels = list(dict.fromkeys([*premise.channels, *(names[one.channel] for one in left)]))
@@ -198,7 +210,11 @@ def unknown_finding(bench: Bench, left: list[Left], premise: Premise) -> Finding
                 f"On held-out data the error in {where} is {z**0.5:.2g} times the noise, and nothing that was recorded "
                 "explains what is left."
             )
-    evidence = {"heldout_gain": 0.0, "score": float(z), "false_alarm_probability": 2e-4}
+    gain = judged.unnamed_gain()
+    if gain > 0.0:
+        says += f" Generic functions of the inputs, without a name, take {100 * gain:.2g} % of the held-out excess"
+        says += "; they are not saved."
+    evidence = {"heldout_gain": gain, "score": float(z), "false_alarm_probability": 2e-4}
     return Finding("unknown", channels, [], says, {"share_left": Value(float(share), 0.0, "1")}, evidence)
 
 

@@ -1,7 +1,7 @@
 """The model on data that it did not learn from."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,7 +10,10 @@ from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.linear import predicted
+from galen_hw.diagnosis.noise import Noise
+from galen_hw.diagnosis.remainder import Remainder
 from galen_hw.diagnosis.rows import Mask, Rows
+from galen_hw.diagnosis.worth import PROVED
 from galen_hw.physics.effect import Columns
 from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.scene import Scene
@@ -27,8 +30,10 @@ class Judged:
         name: of what was held out.
         before: of the baseline; after: with all effects; without: per effect's key, with that one left out.
         floor: of the noise.
-        own: per effect's key, the channels in which it acts by itself.
+        support: per effect's key, the share of the held-out excess that would be left without it, in the channels where it
+            acts, that it takes.
         sure: per effect's key, gain on the held-out rows in units of its own error, see `_sure`.
+        unnamed: with what generic functions predict besides, without a name, where that earns its place; None: it does not.
         places: where a key stands more than once, per number in the model's effects: support and `sure` of that one alone.
         episodes: times (s) of contacts in another recording; good: (M,) its rows that are judged on, all others left out of
             these errors; None: not another recording.
@@ -39,27 +44,34 @@ class Judged:
     after: Array
     without: dict[str, Array]
     floor: Array
-    own: dict[str, list[int]]
+    support: dict[str, float] = field(default_factory=dict)
     sure: dict[str, float] = field(default_factory=dict)
     places: dict[int, tuple[float, float]] = field(default_factory=dict)
     episodes: tuple[tuple[float, float], ...] = ()
     good: Mask | None = None
+    unnamed: Array | None = None
 
     @property
     def apart(self) -> float:
         """Share of another recording's rows that is left out."""
         return 0.0 if self.good is None else float(1.0 - self.good.mean())
 
+    @property
+    def reached(self) -> Array:
+        """(C,) mean squared errors with all that can be predicted, named or not."""
+        return self.after if self.unnamed is None else self.unnamed
+
     def gain(self, key: str) -> float:
         """Share of the held-out excess, channels weighed by their noise, that an effect removes."""
-        excess = float(np.sum(np.maximum(self.before - self.floor, 0.0) / self.floor))
-        lost = float(np.sum((self.without[key] - self.after) / self.floor))
-        return float(np.clip(lost / excess, -1.0, 1.0)) if excess > 0 else 0.0
+        return self._share(self.without[key] - self.after)
 
-    def support(self, key: str) -> float:
-        """Share of the held-out excess that would be left without an effect, in the channels where it acts, that it takes."""
-        own = self.own[key]
-        return _support(self.without[key][own], self.after[own], self.floor[own])
+    def unnamed_gain(self) -> float:
+        """The same of what is predicted without a name."""
+        return 0.0 if self.unnamed is None else self._share(self.after - self.unnamed)
+
+    def _share(self, lost: Array) -> float:
+        excess = float(np.sum(np.maximum(self.before - self.floor, 0.0) / self.floor))
+        return float(np.clip(np.sum(lost / self.floor) / excess, -1.0, 1.0)) if excess > 0 else 0.0
 
     def fit(self, bench: Bench, left: list[Left]) -> dict[str, dict[str, float]]:
         """The `fit` part of the answer."""
@@ -67,22 +79,28 @@ class Judged:
         better = np.zeros(bench.width)
         for one in left:
             better[one.channel] = max(better[one.channel], one.share)
-        ceiling = np.sqrt(
-            np.maximum(self.after * (1.0 - np.clip(better, 0.0, 1.0)), np.minimum(self.floor, self.after))
-        )
+        after = self.reached
+        hoped = np.maximum(self.after * (1.0 - np.clip(better, 0.0, 1.0)), np.minimum(self.floor, self.after))
         values = {
             "rmse_before": np.sqrt(self.before),
-            "rmse_after": np.sqrt(self.after),
+            "rmse_after": np.sqrt(after),
+            "rmse_named": np.sqrt(self.after),
             "noise_floor": np.sqrt(self.floor),
-            "ceiling": ceiling,
+            "ceiling": np.sqrt(np.minimum(hoped, after)),
         }
         return {k: {n: float(x) for n, x in zip(names, v, strict=True)} for k, v in values.items()}
 
 
-def _support(without: Array, after: Array, floor: Array) -> float:
-    lost = float(np.sum((without - after) / floor))
-    rest = float(np.sum(np.maximum(without - floor, 0.0) / floor))
-    return lost / rest if rest > 0.0 else float(np.sign(lost))
+ROUGHLY = 0.05
+"""Share of its mean square by which the noise of held-out rows may be other than was learnt."""
+
+
+def _support(without: Array, rest: Array) -> float:
+    """Share of what is above the noise without an effect that it takes, from rests (n, c) in units of the noise."""
+    left = np.mean(without**2, axis=0)
+    lost = float(np.sum(left - np.mean(rest**2, axis=0)))
+    excess = max(float(np.sum(np.maximum(left - 1.0 - ROUGHLY, 0.0))), abs(lost))
+    return lost / excess if excess > 0.0 else 0.0
 
 
 def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> Judged:
@@ -98,49 +116,119 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
     smaller = {
         key: model.without([h for h in model.effects if h.effect is not None and key == h.effect.KEY]) for key in keys
     }
-    own = {key: _channels(model, key) for key in keys}
     floor = bench.noise.sigma**2
+    rest: Array
     if holdout is None:
         rows = bench.judged if bench.judged.any() else bench.train
-        whole = bench.whole - predict(baseline)
-        before = np.asarray(np.mean(whole[rows] ** 2, axis=0))
-        rest, others = model.rest()[rows], {key: part.rest()[rows] for key, part in smaller.items()}
         name = "contiguous blocks set aside" if bench.judged.any() else "the recording itself"
-        without = {key: np.mean(other**2, axis=0) for key, other in others.items()}
-        sure = {key: _sure(rest, other, floor) for key, other in others.items()}
-        places = _places(model, rest, floor, lambda part: part.rest()[rows])
-        return Judged(name, before, np.mean(rest**2, axis=0), without, floor, own, sure, places)
-    rest = apply(model, holdout)
-    if first is None or first.good is None:
-        good, episodes = _undisturbed(model, holdout, rest)
+        before = np.asarray(np.mean((bench.whole - predict(baseline))[rows] ** 2, axis=0))
+        judged = Judged(name, before, np.mean(model.rest()[rows] ** 2, axis=0), {}, floor)
+        guard = _Guard(floor, lambda part: part.rest()[rows], lambda part: part.rest(white=True)[rows], model)
     else:
-        good, episodes = first.good, first.episodes
-    after = np.mean(rest[good] ** 2, axis=0)
-    others = {key: apply(part, holdout)[good] for key, part in smaller.items()}
-    without = {key: np.mean(other**2, axis=0) for key, other in others.items()}
-    before = np.mean(apply(baseline, holdout)[good] ** 2, axis=0)
-    floor = floor * _noisier(model, rest[good])
-    sure = {key: _sure(rest[good], other, floor) for key, other in others.items()}
-    places = _places(model, rest[good], floor, lambda part: apply(part, holdout)[good])
-    return Judged(ELSEWHERE, before, after, without, floor, own, sure, places, episodes, good)
+        rest = apply(model, holdout)
+        if first is None or first.good is None:
+            good, episodes = _undisturbed(model, holdout, rest)
+        else:
+            good, episodes = first.good, first.episodes
+        before = np.mean(apply(baseline, holdout)[good] ** 2, axis=0)
+        floor = floor * _noisier(model, rest[good])
+        judged = Judged(ELSEWHERE, before, np.mean(rest[good] ** 2, axis=0), {}, floor, episodes=episodes, good=good)
+        noise = replace(bench.noise, rows=Rows(tuple(holdout.segments), bench.rows.stride), kept={})
+        guard = _Guard(
+            floor,
+            lambda part: apply(part, holdout)[good],
+            lambda part: _whitened(noise, apply(part, holdout), good),
+            model,
+        )
+    for key, part in smaller.items():
+        judged.without[key] = np.mean(guard.raw(part) ** 2, axis=0)
+        judged.support[key], judged.sure[key] = guard.of(part, _channels(model, key))
+    judged.places = _places(model, guard)
+    return judged
+
+
+class _Guard:
+    """Whether held-out data want an effect: how much of what would be left it takes, and how surely.
+
+    In raw units, weighed by the noise of each channel, where physics is left over: then the weights of the noise would favour
+    frequencies at which the model is wrong. Where the model leaves noise alone, in whitened units: a small quick effect is then
+    not lost in large slow noise.
+
+    Args:
+        floor: (C,) of the noise; raw, white: what a model leaves on the judged rows; model: the largest one.
+    """
+
+    def __init__(
+        self, floor: Array, raw: Callable[[Model], Array], white: Callable[[Model], Array], model: Model
+    ) -> None:
+        self.raw = raw
+        whitened = white(model)
+        noise_alone = model.bench.scene.clock and float(np.mean(whitened**2)) < PROVED
+        self._rest_of = white if noise_alone else lambda part: raw(part) / np.sqrt(floor)
+        self._rest = whitened if noise_alone else self._rest_of(model)
+
+    def of(self, part: Model, own: list[int]) -> tuple[float, float]:
+        """Support, in its own channels, and `_sure` of what a smaller model has left out."""
+        without = self._rest_of(part)
+        return _support(without[:, own], self._rest[:, own]), _sure(self._rest, without)
+
+
+def _whitened(noise: Noise, rest: Array, good: Mask) -> Array:
+    """(n, C) of the good rows, whitened by the noise of another recording; bad rows are bridged before."""
+    at, kept = np.arange(len(rest)), np.flatnonzero(good)
+    whole = np.stack([np.interp(at, kept, rest[kept, c]) for c in range(rest.shape[1])], axis=-1)
+    return np.stack([noise.whiten(whole[:, [c]], c)[:, 0] for c in range(rest.shape[1])], axis=-1)[good]
+
+
+def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remainder: Remainder | None) -> Judged:
+    """The same with what a remainder predicts on the same rows, in the channels where it earns its place as an effect does."""
+    bench = model.bench
+    if remainder is None:
+        return judged
+    if holdout is None:
+        rows = bench.judged if bench.judged.any() else bench.train
+        rest = model.rest()[rows]
+        fuller = rest - remainder.own(bench.width)[rows]
+    else:
+        said = remainder.predict(holdout, Rows(tuple(holdout.segments), bench.rows.stride), bench.width)
+        if said is None:
+            return judged
+        good = slice(None) if judged.good is None else judged.good
+        rest, fuller = apply(model, holdout)[good], apply(model, holdout, said)[good]
+    unnamed = judged.after.copy()
+    for c in remainder.parts:
+        better = float(np.mean(fuller[:, c] ** 2))
+        with_it, without = (x[:, [c]] / np.sqrt(judged.floor[c]) for x in (fuller, rest))
+        if better < judged.after[c] and not poor(_support(without, with_it), _sure(with_it, without), alone=True):
+            unnamed[c] = better
+    return replace(judged, unnamed=unnamed) if np.any(unnamed != judged.after) else judged
+
+
+LEAST_SURE = 3.5
+"""Standard errors by which held-out data must want the one effect that was found."""
+BESIDE = 5.0
+"""And any of several: what joins a model was chosen among all that its rest resembles."""
+LEAST_SUPPORT = 0.05
+"""An effect must take this share of what would be left above the noise of the channels in which it acts without it."""
+
+
+def poor(support: float, sure: float, *, alone: bool) -> bool:
+    """Whether held-out data do not support what has this share of the excess and this certainty."""
+    return support < LEAST_SUPPORT or sure < (LEAST_SURE if alone else BESIDE)
 
 
 def _channels(model: Model, key: str) -> list[int]:
     return sorted({c for h in model.effects if h.effect is not None and key == h.effect.KEY for c in h.raw.channels})
 
 
-def _places(
-    model: Model, rest: Array, floor: Array, rest_of: Callable[[Model], Array]
-) -> dict[int, tuple[float, float]]:
-    """Support, in its own channels, and `sure` of each lasting effect whose kind stands in several places."""
+def _places(model: Model, guard: _Guard) -> dict[int, tuple[float, float]]:
+    """Support and `_sure` of each lasting effect whose kind stands in several places."""
     keys = [h.effect.KEY for h in model.effects if h.effect is not None]
     out: dict[int, tuple[float, float]] = {}
     for k, h in enumerate(model.effects):
         if h.effect is None or h.effect.EPISODIC or h.effect.BRIEF or keys.count(h.effect.KEY) < 2:
             continue
-        own, other = list(h.raw.channels), rest_of(model.without([h]))
-        without, after = np.mean(other[:, own] ** 2, axis=0), np.mean(rest[:, own] ** 2, axis=0)
-        out[k] = _support(without, after, floor[own]), _sure(rest, other, floor)
+        out[k] = guard.of(model.without([h]), list(h.raw.channels))
     return out
 
 
@@ -148,18 +236,19 @@ PIECES = 40
 """Pieces of held-out rows, each one value for the error of a gain."""
 
 
-def _sure(rest: Array, without: Array, floor: Array) -> float:
-    """Gain over its standard error, a sum over neighbouring rows being one value (slow noise is one piece of luck).
+def _sure(rest: Array, without: Array) -> float:
+    """By how many standard errors held-out rows want an effect, in units of the noise: its match with what is there without it.
 
-    With d the effect and r the rest, the gain is d^2 + 2 r d. Luck is in r d alone: that an effect acts in few pieces, as a
-    delay does where all but a few moves are rests, makes it no less sure. Where physics is missing r d is large, but a gain in
-    nearly every piece is no luck either: the larger of the two counts.
+    With d the effect as learnt and r the rest, what is there without it is w = r + d, and d is wanted as far as the sum of w d
+    is above what luck makes of it. A sum over neighbouring rows is one value (slow noise is one piece of luck). Luck is in r d
+    alone: that an effect acts in few pieces, as a delay does where all but a few moves are rests, makes it no less sure. Where
+    physics is missing r d is large, but a match in nearly every piece is no luck either: the larger of the two counts.
     """
     effect = without - rest
-    luck = np.sum(2.0 * rest * effect / floor, axis=1)
-    gain = np.sum(effect**2 / floor, axis=1) + luck
-    count = min(PIECES, len(gain))
-    each, lucky = (np.array([piece.sum() for piece in np.array_split(x, count)]) for x in (gain, luck))
+    luck = np.sum(rest * effect, axis=1)
+    match = np.sum(effect**2, axis=1) + luck
+    count = min(PIECES, len(match))
+    each, lucky = (np.array([piece.sum() for piece in np.array_split(x, count)]) for x in (match, luck))
     spread = float(np.std(each, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
     return float(each.sum()) / max(min(float(np.sqrt(np.sum(lucky**2))), spread), 1e-300)
 
@@ -197,8 +286,11 @@ def predict(model: Model) -> Array:
     return predicted(model.parts, model.theta, np.arange(len(model.bench.y)), model.bench.width)
 
 
-def apply(model: Model, scene: Scene) -> Array:
-    """(M, C) rest of another recording after the effects as learnt; what belongs to moments or nuisances is fitted anew."""
+def apply(model: Model, scene: Scene, besides: Array | None = None) -> Array:
+    """(M, C) rest of another recording after the effects as learnt; what belongs to moments or nuisances is fitted anew.
+
+    `besides`, (M, C), is something else that is taken off.
+    """
     bench = model.bench
     rows = Rows(tuple(scene.segments), bench.rows.stride)
     rest = scene.residual.copy()
@@ -211,7 +303,7 @@ def apply(model: Model, scene: Scene) -> Array:
             for late, theta in bench.through(h.effect):
                 change = late.delivered(scene, change, theta)
             rest -= change.values[:, :, 0]
-    rest = rows.average(rest)
+    rest = rows.average(rest) - (0.0 if besides is None else besides)
     if refit:
         columns = _nuisances(refit, scene, rows, bench)
         stacked, y = columns.reshape(-1, columns.shape[2]), rest.reshape(-1)

@@ -12,7 +12,7 @@ from galen_hw.diagnosis.algebra import solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.linear import fit, rests
 from galen_hw.diagnosis.score import Score, Scorer
-from galen_hw.physics.effect import Columns, Downstream, Effect
+from galen_hw.physics.effect import DOUBT, Columns, Downstream, Effect
 from galen_hw.spatial import Array
 
 if TYPE_CHECKING:
@@ -246,7 +246,7 @@ def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> int:
 def _along(bench: Bench, scorer: Scorer, chosen: list[int], effect: Effect, name: str, value: float) -> Effect:
     bound = effect.SEARCHED[name]
     beside = Beside(bench, scorer, chosen)
-    wide = 1.02 if name in {"frequency", "wave_number"} else 2.2
+    wide = effect.doubt(bench.scene)
 
     def cost(log_value: float) -> float:
         h = bench.add(effect.with_searched({name: float(np.exp(log_value))}))
@@ -255,9 +255,9 @@ def _along(bench: Bench, scorer: Scorer, chosen: list[int], effect: Effect, name
     low, high = max(np.log(value / wide), np.log(bound.low)), min(np.log(value * wide), np.log(bound.high))
     if not high > low:
         return effect
-    # Where the size is not free, the searched value is the size.
-    free = effect.pinned(bench.scene) is None
-    tolerance, most = 1e-5 if wide < 1.1 else 3e-3 if free else 1e-3, 12 if free else 20
+    # Where the size is not free, the searched value is the size; a narrow peak is a number by itself.
+    coarse = wide >= DOUBT and effect.pinned(bench.scene) is None
+    tolerance, most = (3e-3, 12) if coarse else (min(1e-3, 1e-2 * np.log(wide)), 20)
     found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": tolerance, "maxiter": most})
     return effect.with_searched({name: float(np.exp(found.x))}) if found.fun < cost(np.log(value)) else effect
 

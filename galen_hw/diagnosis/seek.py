@@ -71,6 +71,10 @@ def _at(scene: Scene, row: int, rows: int) -> float:
     return float(scene.time[place])
 
 
+WANDER = 5
+"""Half cosines over the recording that the phase of a hum may follow."""
+
+
 def lines(scene: Scene, rest: Array, runs: tuple[slice, ...]) -> list[Sought]:
     """The strongest line of the spectrum over its neighbourhood, over all channels and in each."""
     long = max(runs, key=lambda r: r.stop - r.start)
@@ -94,9 +98,19 @@ def lines(scene: Scene, rest: Array, runs: tuple[slice, ...]) -> list[Sought]:
         (joint, scene.channels),
         *((ratio[:, c], (scene.channels[c],)) for c in range(ratio.shape[1])),
     ]:
-        f = int(np.argmax(score)) / (pad * dt)
-        out.append(Sought(Vibration(tuple(names), float(f)), n // 2))
+        f = _peak(score) / (pad * dt)
+        out += [Sought(Vibration(tuple(names), float(f), wander), n // 2) for wander in (0, WANDER)]
     return [s for s in out if s.effect.frequency > 0]  # type: ignore[attr-defined]
+
+
+def _peak(score: Array) -> float:
+    """Place of the highest value, between the lines: the top of a parabola through the logarithms of three."""
+    k = int(np.argmax(score))
+    if not 0 < k < len(score) - 1 or not np.all(score[k - 1 : k + 2] > 0.0):
+        return float(k)
+    before, top, after = np.log(score[k - 1 : k + 2])
+    bend = before - 2.0 * top + after
+    return float(k + 0.5 * (before - after) / bend) if bend < 0.0 else float(k)
 
 
 def _ground(power: Array, width: int) -> Array:

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 
@@ -44,6 +44,10 @@ class Searched:
     low: float
     high: float
     unit: str
+
+
+DOUBT: Final = 2.2
+"""`Effect.doubt` where the proposals stand on a grid of octaves or so."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +150,10 @@ class Effect(ABC):
     def with_searched(self, values: Mapping[str, float]) -> Self:
         """Another point of the search."""
         return replace(self, **values)  # type: ignore[type-var]
+
+    def doubt(self, scene: Scene) -> float:
+        """Factor, above 1, within which the optimum of a searched value is to be sought around a proposed one."""
+        return DOUBT
 
     def unlimited(self) -> Self:
         """The same without what keeps a search away from its look-alikes: what it may be, not what it would be called."""

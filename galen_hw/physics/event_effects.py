@@ -102,8 +102,9 @@ class Contact(_Shaped):
 class Vibration(_Shaped):
     """Narrow-band oscillation: r = a sin(2 pi f t) + b cos(2 pi f t). Structure, mains, motor.
 
-    Visible as a line in the spectrum. Confused with torque_ripple at constant speed; an oscillation that motion excites and
-    that dies away is not it.
+    A hum is no clock: with `wander`, a and b are each a constant and so many half cosines over the recording, so that phase
+    and strength may go slowly to and fro. Visible as a line in the spectrum. Confused with torque_ripple at constant speed; an
+    oscillation that motion excites and that dies away is not it.
     """
 
     KEY = "vibration"
@@ -111,17 +112,24 @@ class Vibration(_Shaped):
     NEEDS_CLOCK = True
     channels: tuple[str, ...]
     frequency: float
+    wander: int = 0
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Sine and cosine of every channel."""
-        return tuple(
-            Parameter(f"{w}_{name}", unit_of(scene, name)) for name in self.channels for w in ("sine", "cosine")
-        )
+        """Sine and cosine of every channel, and each again with every slow change."""
+        waves = [f"{w}{f'_{k}' if k else ''}" for k in range(self.wander + 1) for w in ("sine", "cosine")]
+        return tuple(Parameter(f"{w}_{name}", unit_of(scene, name)) for name in self.channels for w in waves)
+
+    def doubt(self, scene: Scene) -> float:
+        """A line is as narrow as the recording is long; one line beside it the fit has the next hump."""
+        return 1.0 + 1.0 / (float(np.ptp(scene.time)) * self.frequency)
 
     def shapes(self, scene: Scene) -> list[Array]:
-        """Sine and cosine of the clock."""
-        phase = 2.0 * np.pi * self.frequency * scene.time
-        return list(scene.seen(np.stack([np.sin(phase), np.cos(phase)], axis=-1)).T)
+        """Sine and cosine of the clock, growing and fading slowly."""
+        phase, whole = 2.0 * np.pi * self.frequency * scene.time, scene.whole or scene
+        since, span = scene.time - whole.time[0], max(float(np.ptp(whole.time)), 1e-9)
+        slow = [np.cos(np.pi * k * since / span) for k in range(self.wander + 1)]
+        waves = [s * wave for s in slow for wave in (np.sin(phase), np.cos(phase))]
+        return list(scene.seen(np.stack(waves, axis=-1)).T)
 
 
 @dataclass(frozen=True)

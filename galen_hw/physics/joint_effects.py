@@ -113,6 +113,11 @@ class TorqueRipple(Effect):
         unit = scene.units[_place(scene, self.joint)]
         return Parameter("sine", unit), Parameter("cosine", unit)
 
+    def doubt(self, scene: Scene) -> float:
+        """Half a period over the whole way of the joint: beyond it the fit has the next hump."""
+        reach = float(np.ptp(scene.q[:, scene.joint_index(self.joint)]))
+        return 1.0 + np.pi / max(reach * self.wave_number, 1.0)
+
     def columns(self, scene: Scene) -> Columns:
         """Sine and cosine of the joint's position."""
         phase = self.wave_number * scene.q[:, scene.joint_index(self.joint)]

@@ -21,6 +21,8 @@ LINKS = (  # name, origin in the parent, axis, centre of mass, mass, inertia, vi
 )
 HAND = (0.25, 0.0, 0.0)
 EFFORT_SIGMA = np.array([0.03, 0.05, 0.03])
+SPRINGS = np.array([400.0, 400.0, 250.0])
+"""N m/rad of the position servos."""
 POSITION_SIGMA = np.array([4e-4, 4e-4, 4e-4])
 
 
@@ -108,7 +110,7 @@ def mjcf(machine: Machine, *, servo: bool) -> str:
 
 def _actuators(machine: Machine) -> str:
     """Position servos with a viscous part that gives all gains the same time constant of 30 ms."""
-    gains = zip(JOINTS, np.array([400.0, 400.0, 250.0]) * machine.gains, machine.gains, strict=True)
+    gains = zip(JOINTS, SPRINGS * machine.gains, machine.gains, strict=True)
     rows = "".join(f'<position joint="{j}" kp="{kp}" kv="{kp * 0.03 / g}"/>' for j, kp, g in gains)
     return f"<actuator>{rows}</actuator>"
 
@@ -211,7 +213,12 @@ def friction(scene: ArmScene, hidden: Injected, rng: np.random.Generator, a: flo
     scene.machine.loss = a * mask * scale
     if rng.random() < 0.5:
         scene.machine.damping = 0.6 * a * mask * scale
-    hidden.parameters = {"coulomb": float(scene.machine.loss.max()), "viscous": float(scene.machine.damping.max())}
+    # A servo's positions show friction as the way that its spring gives for it, in rad.
+    spring = np.ones(3) if scene.case.group == "effort" else SPRINGS * scene.machine.gains
+    hidden.parameters = {
+        "coulomb": float((scene.machine.loss / spring).max()),
+        "viscous": float((scene.machine.damping / spring).max()),
+    }
 
 
 def payload(scene: ArmScene, hidden: Injected, rng: np.random.Generator, a: float) -> None:

@@ -1,0 +1,176 @@
+"""Generic functions of the known inputs and their past: what explains without a name is sought, and predicted, with these."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy.signal import lfilter
+
+from galen_hw.diagnosis.rows import Mask, Rows
+from galen_hw.physics.scene import Scene
+from galen_hw.spatial import Array
+
+MOST_PRODUCTS = 40
+LAGS = (2, 5, 12, 30, 80, 200)
+"""Rows by which inputs are taken from the past."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Columns made comparable: constant ones left out, zero mean and unit variance in the first recording."""
+
+    kept: Mask
+    centre: Array
+    spread: Array
+
+    @classmethod
+    def of(cls, x: Array) -> Self:
+        """That of columns (M, k)."""
+        spread = x.std(axis=0)
+        kept = np.asarray(spread > 1e-9 * np.maximum(np.abs(x).max(axis=0, initial=0.0), 1e-12))
+        return cls(kept, x[:, kept].mean(axis=0), spread[kept])
+
+    def __call__(self, x: Array) -> Array:
+        """(M, kept) of columns (M, k)."""
+        return np.asarray((x[:, self.kept] - self.centre) / self.spread)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a recording knows of its causes, on averaged rows, in the units of the recording that is learnt from.
+
+    Args:
+        position: (M, p) joint positions that move, or the simulated channels; applied forces.
+        load: (M, c) simulated channels; rate, second: (M, p) of the positions, by the row; empty without a clock.
+        reach: (p,) of the positions.
+        lags: rows by which the past is taken.
+        scales: of these four; joints, forces: which columns the positions are.
+        period: s a row.
+        same: the simulated channels are positions themselves.
+    """
+
+    position: Array
+    load: Array
+    rate: Array
+    second: Array
+    reach: Array
+    lags: tuple[int, ...]
+    scales: tuple[Scale, Scale, Scale, Scale]
+    joints: tuple[str, ...]
+    forces: tuple[str, ...]
+    period: float
+    same: bool
+
+    @classmethod
+    def of(cls, scene: Scene, rows: Rows, like: "Inputs | None" = None) -> Self:
+        """Of a scene; `like`: in the units of those of another recording.
+
+        Raises:
+            KeyError: it does not have the other's inputs.
+        """
+        given = scene.observations.columns
+        joints = scene.moved if like is None else like.joints
+        forces = tuple(n for n in given if n.startswith("applied.force")) if like is None else like.forces
+        load = rows.average(np.nan_to_num(scene.simulated))
+        raw = [rows.average(scene.q[:, [scene.joint_index(j) for j in joints]])] if joints else [load]
+        raw += [rows.average(np.nan_to_num(given[name]))[:, None] for name in forces]
+        return cls._scaled(scene, rows, np.concatenate(raw, axis=1), load, like, joints, forces)
+
+    @classmethod
+    def _scaled(
+        cls,
+        scene: Scene,
+        rows: Rows,
+        raw: Array,
+        load: Array,
+        like: "Inputs | None",
+        joints: tuple[str, ...],
+        forces: tuple[str, ...],
+    ) -> Self:
+        scale = Scale.of(raw) if like is None else like.scales[0]
+        position = scale(raw)
+        weight = Scale.of(load) if like is None else like.scales[1]
+        still = np.zeros((len(rows), 0))
+        rate = np.gradient(position, axis=0) if scene.clock else still
+        speed = Scale.of(rate) if like is None else like.scales[2]
+        second = np.gradient(speed(rate), axis=0) if scene.clock else still
+        bend = Scale.of(second) if like is None else like.scales[3]
+        reach = np.maximum(np.ptp(position, axis=0), 1e-9) if like is None else like.reach
+        period = float(np.median(np.diff(rows.average(scene.time)))) if scene.clock and len(rows) > 1 else 0.0
+        lags = tuple(k for k in LAGS if k < len(rows) // 4) if like is None else like.lags
+        scales = (scale, weight, speed, bend)
+        return cls(
+            position,
+            weight(load),
+            speed(rate),
+            bend(second),
+            reach,
+            lags,
+            scales,
+            joints,
+            forces,
+            period,
+            scene.observations.predict == "position",
+        )
+
+    def comparable(self, other: "Inputs") -> bool:
+        """Whether what is by the row here holds there too: a row lasts as long, and there are enough of them."""
+        same = abs(self.period - other.period) <= 0.01 * self.period
+        return same and len(other.position) > max(self.lags, default=1)
+
+
+def dictionaries(inputs: Inputs) -> Iterator[tuple[str, Array]]:
+    """Generic functions (M, k) of the known inputs, a family at a time, with what they are functions of."""
+    z, load, rate, second = inputs.position, inputs.load, inputs.rate, inputs.second
+    if not z.size:
+        return
+    for scale, name in ((0.7, "the joint positions"), (2.0, "the joint positions, finely")):
+        yield name, _waves(z, scale)
+    yield "products of joint positions", _products(z, z)
+    for j in range(min(z.shape[1], 8)):
+        numbers = np.arange(1, 31) * 2.0 * np.pi / inputs.reach[j] / 1.3
+        waves = [f(np.outer(z[:, j], numbers)) for f in (np.sin, np.cos)]
+        yield f"periodic in input {j + 1}", np.concatenate(waves, axis=1)
+    if load.shape[1] and not inputs.same:
+        yield "products of the simulated channels", _products(load, load)
+        yield "the simulated channels times the joint positions", _products(load, z)
+        yield "cubes of the simulated channels", np.concatenate([load**2, load**3, np.abs(load)], axis=1)
+    if rate.shape[1]:
+        speeds = [rate, np.abs(rate), np.tanh(4.0 * rate), second, rate * np.abs(rate)]
+        yield "speeds and accelerations", np.concatenate(speeds, axis=1)
+        yield "products of speeds", np.concatenate([_products(rate, rate), _products(rate, np.abs(rate))], axis=1)
+        yield "positions times speeds", _products(z, rate)
+        yield "positions and speeds together", _waves(np.concatenate([z, rate], axis=1), 0.7)
+        if load.shape[1]:
+            yield "the simulated channels times speeds", _products(load, rate)
+        for low in (0.004, 0.012, 0.035, 0.1):
+            yield "a resonance that motion excites", _resonators(second, low)
+        past = [np.concatenate([np.repeat(z[:1], k, axis=0), z[:-k]]) - z for k in inputs.lags]
+        if past:
+            yield "the past of the inputs", np.concatenate(past, axis=1)
+
+
+def _products(a: Array, b: Array) -> Array:
+    """(M, k) products of columns, each pair once."""
+    pairs = [(i, j) for i in range(a.shape[1]) for j in range(b.shape[1]) if a is not b or j >= i]
+    return np.stack([a[:, i] * b[:, j] for i, j in pairs[:MOST_PRODUCTS]], axis=-1) if pairs else a[:, :0]
+
+
+def _waves(z: Array, scale: float) -> Array:
+    """Random Fourier features (Rahimi and Recht 2007): smooth functions of all inputs together."""
+    rng = np.random.default_rng(7)
+    w, phase = rng.normal(size=(z.shape[1], 24)) * scale, rng.uniform(0, 2 * np.pi, 24)
+    return np.asarray(np.cos(z @ w + phase))
+
+
+def _resonators(x: Array, frequency: float) -> Array:
+    """Two-pole resonances of (M, n) inputs around a frequency in cycles a row, in and out of phase."""
+    out = []
+    for f in frequency * np.array([1.0, 1.3, 1.7, 2.2]):
+        if f > 0.45:
+            continue
+        r = np.exp(-2.0 * np.pi * f * 0.05)
+        a = [1.0, -2.0 * r * np.cos(2.0 * np.pi * f), r * r]
+        out += [lfilter([1.0], a, x, axis=0), lfilter([1.0, -1.0], a, x, axis=0)]
+    return np.concatenate(out, axis=1) if out else x[:, :0]

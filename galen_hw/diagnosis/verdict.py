@@ -1,0 +1,74 @@
+"""What is left worth saying, and the verdict that follows."""
+
+import numpy as np
+
+from galen_hw.diagnosis.adequacy import Left
+from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.guards import Premise
+from galen_hw.diagnosis.judge import Judged
+from galen_hw.diagnosis.result import Finding, Verdict
+
+BEYOND = 1.5
+"""Held-out mean square over the noise's above which something is left, whether or not any function tried has caught it."""
+SURE = 6.0
+"""And standard errors of that mean square, slow noise having few independent values."""
+
+
+def beyond(judged: Judged, bench: Bench) -> list[Left]:
+    """Channels in which the model does not hold on data that it did not learn from; z is the ratio of mean squares here."""
+    ratio = judged.after / judged.floor
+    rows = int(bench.judged.sum() or bench.train.sum())
+    enough = 1.0 + np.maximum(BEYOND - 1.0, SURE * np.sqrt(2.0 / bench.noise.independent(rows)))
+    none = np.zeros((len(bench.rows), 0))
+    return [
+        Left(
+            int(c),
+            "nothing that was recorded",
+            float(ratio[c]),
+            float(1.0 - 1.0 / ratio[c]),
+            float(np.sqrt(judged.after[c] - judged.floor[c])),
+            none,
+        )
+        for c in np.argsort(-ratio)
+        if ratio[c] > enough[c]
+    ]
+
+
+def strong(left: list[Left], judged: Judged, bench: Bench) -> list[Left]:
+    """Leftovers that are worth saying: above chance, and not a trifle beside what was found or the noise."""
+    out = []
+    for one in left:
+        size = one.size**2
+        before = float(judged.before[one.channel] - bench.noise.sigma[one.channel] ** 2)
+        rounding = _followed(float(bench.steps[one.channel]), float(bench.noise.sigma[one.channel]))
+        if size > max(0.03 * bench.noise.sigma[one.channel] ** 2, rounding) and size > 0.03 * before:
+            out.append(one)
+    return out
+
+
+FOLLOWED = 0.2
+"""Share of the rounding's variance that smooth functions of a signal can follow where no noise blurs it."""
+
+
+def _followed(step: float, sigma: float) -> float:
+    """Variance of the part of a rounded reading's error that follows its signal, which is no physics.
+
+    Noise of s before the rounding blurs it to step^2 / (2 pi^2) sum_k exp(-(2 pi k s / step)^2) / k^2 (Widrow and Kollar,
+    Quantization Noise, 2008, ch. 6: the characteristic function at multiples of 2 pi / step).
+    """
+    if step <= 0.0:
+        return 0.0
+    k = np.arange(1, 6)
+    own = max(sigma**2 - step**2 / 12.0, 0.0) / step**2
+    blurred = step**2 / (2.0 * np.pi**2) * np.sum(np.exp(-((2.0 * np.pi * k) ** 2) * own) / k**2)
+    return float(min(FOLLOWED * step**2 / 12.0, blurred))
+
+
+def verdict_of(findings: list[Finding], rest: list[Left], premise: Premise) -> Verdict:
+    """The word for what was found and what is left."""
+    named = [f for f in findings if f.effect != "unknown"]
+    if premise.wrong:
+        return "unexplained"
+    if not named:
+        return "unexplained" if rest else "agrees"
+    return "partly_explained" if rest else "explained"

@@ -1,0 +1,56 @@
+"""How far the phase of an oscillation wanders: a hum is no clock, and its frequency is not known as if it were."""
+
+from typing import Final
+
+import numpy as np
+
+from galen_hw.diagnosis.final import Model
+from galen_hw.physics.event_effects import Vibration
+from galen_hw.spatial import Array
+
+PIECES: Final = 16
+
+
+def frequency_spread(model: Model, effect: Vibration) -> float:
+    """Standard deviation (Hz) of the frequency by the wander of the phase alone, 0 where none is seen.
+
+    The phase of what is measured, piece by piece, against the fitted line: what its steps from piece to piece show beyond
+    noise is taken for a random walk of s^2 rad^2 a second. Means over pieces of length d differ by 2/3 s^2 d in the mean
+    square, and the slope of a walk over a time T has the variance 6/5 s^2 / T (least squares; Durlauf and Phillips 1988).
+    """
+    bench = model.bench
+    places = [bench.scene.channels.index(name) for name in effect.channels]
+    time = bench.rows.average(bench.scene.time)
+    run = max(bench.rows.runs, key=lambda r: r.stop - r.start)
+    rows = np.arange(run.start, run.stop)[~bench.dropped[run]]
+    if len(rows) < 8 * PIECES:
+        return 0.0
+    turning = np.exp(-2j * np.pi * effect.frequency * time[rows])
+    # Without the effect, as it was fitted, the rest holds the oscillation itself.
+    rest = _alone(model, effect)[rows][:, places] / bench.noise.sigma[places]
+    level = np.array([bench.noise.spectrum(np.array([_cycles(model, effect)]))[0, c] for c in places])
+    weight = np.conj(np.sum(rest * turning[:, None], axis=0) / len(rows)) * bench.noise.sigma[places] ** 2 / level
+    pieces = np.array_split(np.arange(len(rows)), PIECES)
+    z = np.array([np.sum(rest[p] * turning[p, None] @ weight) for p in pieces])
+    noise = np.array([len(p) * np.sum(np.abs(weight) ** 2 * level / bench.noise.sigma[places] ** 2) for p in pieces])
+    steps = np.angle(z[1:] * np.conj(z[:-1]))
+    seen = np.mean(steps**2) - np.mean(noise / np.maximum(np.abs(z) ** 2, 1e-300))
+    span = float(time[rows[-1]] - time[rows[0]])
+    walk = max(float(seen), 0.0) * 1.5 * PIECES / span
+    return float(np.sqrt(1.2 * walk / span) / (2.0 * np.pi))
+
+
+def _alone(model: Model, effect: Vibration) -> Array:
+    """(M, C) what is left with the effect put back."""
+    out = model.rest().copy()
+    for h, s in zip(model.parts, model.slices(), strict=True):
+        if h.effect is effect:
+            out[:, list(h.raw.channels)] += h.raw.values @ model.theta[s]
+    return out
+
+
+def _cycles(model: Model, effect: Vibration) -> float:
+    """The frequency in cycles a row."""
+    bench = model.bench
+    time = bench.rows.average(bench.scene.time)
+    return float(np.clip(effect.frequency * np.median(np.diff(time)), 1e-6, 0.5))

@@ -1,0 +1,126 @@
+"""What has no name: predicted by generic functions where that holds, never under a name, never saved."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from diagnosis_cases import SIGMA, Bench
+
+from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.generic import Inputs, dictionaries
+from galen_hw.diagnosis.judge import _support
+from galen_hw.diagnosis.remainder import learn
+from galen_hw.diagnosis.rows import Rows
+from galen_hw.physics.table import scene_of
+
+
+def judged(learnt: Bench, other: Bench | None = None) -> Work:
+    """A diagnosis, judged on another recording."""
+    holdout = None if other is None else scene_of(other.observations())
+    return diagnose(scene_of(learnt.observations()), holdout=holdout)
+
+
+def named(work: Work) -> list[str]:
+    """The effects found, first things first."""
+    return [finding.effect for finding in work.diagnosis.findings]
+
+
+def stray(bench: Bench, size: float = 2.0) -> Bench:
+    """A reading that goes with the product of two joints' speeds: no word is for it."""
+    roll, tilt = (np.gradient(bench.q[:, k], bench.t) for k in (3, 4))
+    bench.wrench[:, 0] += size * SIGMA[0] * roll * tilt / 0.2
+    return bench
+
+
+def rotor(bench: Bench) -> Bench:
+    """A spinning body resists being turned: a torque across its axis and the turning, in proportion to the speed."""
+    roll, tilt = (np.gradient(bench.q[:, k], bench.t) for k in (3, 4))
+    angle = bench.q[:, 4]
+    omega = np.stack([roll * np.cos(angle), tilt, roll * np.sin(angle)], axis=1)
+    bench.wrench[:, 3:] -= 1e-3 * np.cross(omega, [0.6, 0.64, 0.48])
+    return bench
+
+
+def test_what_has_no_name_is_predicted_without_one_on_another_recording() -> None:
+    """Learnt on one motion it holds on the next; the answer keeps apart what names explain, and nothing of it is saved."""
+    work = judged(stray(Bench(1, rows=4000)), stray(Bench(2, rows=4000)))
+    d = work.diagnosis
+    assert (d.verdict, named(work)) == ("unexplained", ["unknown"])
+    name = "wrench.force.x"
+    assert d.fit["rmse_named"][name] == pytest.approx(d.fit["rmse_before"][name], rel=1e-6)
+    assert d.fit["rmse_before"][name] > 1.3 * SIGMA[0]
+    assert d.fit["rmse_after"][name] < 1.05 * SIGMA[0]
+    assert d.fit["ceiling"][name] <= d.fit["rmse_after"][name]
+    assert d.findings[0].evidence["heldout_gain"] > 0.8
+    assert "without a name" in d.findings[0].says
+    assert d.terms == []
+
+
+def test_what_does_not_hold_elsewhere_is_not_counted() -> None:
+    """The stray reading is there in the first recording only: nothing is predicted of the second."""
+    work = judged(stray(Bench(1, rows=4000)), Bench(2, rows=4000))
+    d = work.diagnosis
+    assert d.fit["rmse_after"] == d.fit["rmse_named"]
+    assert "unknown" not in named(work) or d.findings[-1].evidence["heldout_gain"] == 0.0
+
+
+def test_flexible_names_yield_to_what_explains_better_without_one() -> None:
+    """A torque that follows the speed is no creep, hysteresis or cable, though each of them takes a part of it."""
+    work = judged(rotor(Bench(3, rows=4000)), rotor(Bench(4, rows=4000)))
+    assert work.diagnosis.verdict == "unexplained"
+    assert named(work) == ["unknown"]
+    fit = work.diagnosis.fit
+    assert fit["rmse_after"]["wrench.torque.x"] < 1.1 * SIGMA[3]
+
+
+def test_a_remainder_speaks_only_of_recordings_like_its_own() -> None:
+    """Another rate, or a joint that is not there, and it says nothing; the same recording again, the same values."""
+    work = judged(stray(Bench(1, rows=4000)))
+    remainder = learn(work.model, {0: {"products of speeds"}})
+    assert remainder is not None
+    rows = work.bench.rows
+    again = remainder.predict(work.bench.scene, rows, 6)
+    assert again is not None
+    np.testing.assert_allclose(again, remainder.own(6), atol=1e-12)
+    assert np.std(again[:, 0]) > 0.5 * SIGMA[0]
+    assert not again[:, 1:].any()
+    quicker = scene_of(Bench(2, rows=4000, rate=50.0).observations())
+    assert remainder.predict(quicker, Rows(tuple(quicker.segments), rows.stride), 6) is None
+    short = scene_of(Bench(2, rows=150).observations())
+    assert remainder.predict(short, Rows(tuple(short.segments), rows.stride), 6) is None
+
+
+def test_inputs_of_another_recording_are_in_the_units_of_the_first() -> None:
+    """The same families and columns, whatever the other one's spread."""
+    first, other = (scene_of(Bench(seed, rows=900).observations()) for seed in (1, 2))
+    mine = Inputs.of(first, Rows(tuple(first.segments)))
+    theirs = Inputs.of(other, Rows(tuple(other.segments)), like=mine)
+    np.testing.assert_allclose(mine.position.std(axis=0), 1.0)
+    np.testing.assert_allclose(theirs.position * mine.scales[0].spread + mine.scales[0].centre, other.q)
+    shapes = [(name, X.shape) for name, X in dictionaries(mine)]
+    assert shapes == [(name, X.shape) for name, X in dictionaries(theirs)]
+
+
+@pytest.mark.parametrize("frequency", [6.6197376, 7.3331, 3.0179])
+def test_a_line_between_the_lines_of_the_spectrum_is_found_to_its_error(frequency: float) -> None:
+    """Its frequency is known far better than a line is wide, and what it leaves is no structure."""
+    bench = Bench(5, rows=6000, rate=50.0)
+    bench.wrench[:, 2] += 2.0 * SIGMA[2] * np.sin(2.0 * np.pi * frequency * bench.t + 0.7)
+    work = judged(bench)
+    assert (work.diagnosis.verdict, named(work)) == ("explained", ["vibration"])
+    found = work.diagnosis.findings[0].parameters["frequency"]
+    assert 0.0 < found.std < 1e-3
+    assert abs(found.value - frequency) < 4.0 * found.std
+
+
+def test_support_allows_for_what_is_known_of_the_noise() -> None:
+    """An effect that takes all that is there, but little beside the error of the noise's level, is not refused for that."""
+    rng = np.random.default_rng(2)
+    noise = 1.01 * rng.normal(size=(50000, 1))
+    effect = 0.1 * np.sin(np.arange(50000) / 30.0)[:, None]
+    assert _support(noise + effect, noise) == pytest.approx(1.0, abs=0.2)
+    assert _support(3.0 * noise + effect, 3.0 * noise) < 0.05
