@@ -51,7 +51,9 @@ def test_what_has_no_name_is_predicted_without_one_on_another_recording() -> Non
     d = work.diagnosis
     assert (d.verdict, named(work)) == ("unexplained", ["unknown"])
     name = "wrench.force.x"
-    assert d.fit["rmse_named"][name] == pytest.approx(d.fit["rmse_before"][name], rel=1e-6)
+    by_names = d.findings[0].parameters[f"rmse_named_{name}"]
+    assert by_names.value == pytest.approx(d.fit["rmse_before"][name], rel=1e-6)
+    assert by_names.unit == "N"
     assert d.fit["rmse_before"][name] > 1.3 * SIGMA[0]
     assert d.fit["rmse_after"][name] < 1.05 * SIGMA[0]
     assert d.fit["ceiling"][name] <= d.fit["rmse_after"][name]
@@ -64,8 +66,9 @@ def test_what_does_not_hold_elsewhere_is_not_counted() -> None:
     """The stray reading is there in the first recording only: nothing is predicted of the second."""
     work = judged(stray(Bench(1, rows=4000)), Bench(2, rows=4000))
     d = work.diagnosis
-    assert d.fit["rmse_after"] == d.fit["rmse_named"]
+    assert d.fit["rmse_after"]["wrench.force.x"] == pytest.approx(d.fit["rmse_before"]["wrench.force.x"], rel=1e-6)
     assert "unknown" not in named(work) or d.findings[-1].evidence["heldout_gain"] == 0.0
+    assert not [name for f in d.findings for name in f.parameters if name.startswith("rmse_named")]
 
 
 def test_flexible_names_yield_to_what_explains_better_without_one() -> None:

@@ -214,8 +214,12 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
     if gain > 0.0:
         says += f" Generic functions of the inputs, without a name, take {100 * gain:.2g} % of the held-out excess"
         says += "; they are not saved."
+    parameters = {"share_left": Value(float(share), 0.0, "1")}
+    for c in np.flatnonzero(judged.reached != judged.after):
+        # What the findings with a name leave on held-out data: a saved model reaches this, not `rmse_after`.
+        parameters[f"rmse_named_{names[c]}"] = Value(float(np.sqrt(judged.after[c])), 0.0, bench.scene.units[c])
     evidence = {"heldout_gain": gain, "score": float(z), "false_alarm_probability": 2e-4}
-    return Finding("unknown", channels, [], says, {"share_left": Value(float(share), 0.0, "1")}, evidence)
+    return Finding("unknown", channels, [], says, parameters, evidence)
 
 
 def dependence(kind: str, scene: Scene) -> str:

@@ -84,7 +84,6 @@ class Judged:
         values = {
             "rmse_before": np.sqrt(self.before),
             "rmse_after": np.sqrt(after),
-            "rmse_named": np.sqrt(self.after),
             "noise_floor": np.sqrt(self.floor),
             "ceiling": np.sqrt(np.minimum(hoped, after)),
         }

@@ -107,7 +107,8 @@ def _rivals(
     with ProcessPoolExecutor(workers) as pool:
         rows = pool.map(_rival_row, [c for c, _ in chosen], [folder / c.name for c, _ in chosen])
         found = list(track(rows, total=len(chosen), description="rivals"))
-    return [row | {"tool": s.rmse_ratio(), "name": c.name} for row, (c, s) in zip(found, chosen, strict=True)]
+    own = [{"tool": s.rmse_ratio(), "named": s.rmse_ratio(named=True), "name": c.name} for c, s in chosen]
+    return [row | mine for row, mine in zip(found, own, strict=True)]
 
 
 def _rival_row(case: Case, folder: Path) -> dict[str, Any]:

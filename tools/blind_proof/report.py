@@ -137,14 +137,19 @@ def _where_and_how_much(cases: list[Scored], pictures: Path) -> str:
 def _rival_table(rivals: list[dict[str, Any]], pictures: Path) -> str:
     if not rivals:
         return ""
-    names = [n for n in rivals[0] if n not in {"tool", "name"}]
+    names = [n for n in rivals[0] if n not in tables.OWN]
     lines = [
         "## Rivals on the same held-out runs\n",
-        "Held-out error over the error of the true formula (1 is perfect).\n",
+        "Held-out error over the error of the true formula (1 is perfect), the first and the last second left out.\n",
     ]
     lines += ["| | median | 90 % | beaten by the tool in |", "| --- | --- | --- | --- |"]
     tool = np.array([r["tool"] for r in rivals])
     lines.append(f"| galen-hw | {np.median(tool):.3f} | {np.quantile(tool, 0.9):.3f} | |")
+    alone = np.array([r["named"] for r in rivals])
+    lines.append(
+        f"| galen-hw, named physics alone | {np.median(alone):.3f} | {np.quantile(alone, 0.9):.3f} "
+        f"| {np.mean(tool < alone):.2f} of {len(alone)} |"
+    )
     for n in names:
         v = np.array([r[n] for r in rivals])
         lines.append(f"| {n} | {np.median(v):.3f} | {np.quantile(v, 0.9):.3f} | {np.mean(tool < v):.2f} of {len(v)} |")

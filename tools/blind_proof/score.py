@@ -9,6 +9,10 @@ import numpy as np
 PREMISE_WORDS = re.compile(r"axes|axis|swap|sign|clock|delay|unit|degree|N mm|scale", re.IGNORECASE)
 
 
+NAMED = "rmse_named_"
+"""Begins the parameters of `unknown` that say what the findings with a name leave."""
+
+
 @dataclass
 class Scored:
     """One case, judged.
@@ -47,13 +51,19 @@ class Scored:
         a, b = set(self.found), set(self.wanted)
         return len(a & b) / len(a | b) if a | b else 1.0
 
-    def rmse_ratio(self) -> float | None:
-        """Held-out error over that of the true formula, rms over touched channels; None without a second run."""
+    def rmse_ratio(self, *, named: bool = False) -> float | None:
+        """Held-out error over that of the true formula, rms over touched channels; None without a second run.
+
+        `named`: without what the tool predicts under no name.
+        """
         noise = self.truth["holdout_noise_rms"]
         if self.verdict is None or not noise or not self.truth.get("second_run"):
             return None
         touched = sorted({c for e in self.truth["effects"] for c in e["channels"]} or set(noise))
-        after = self.verdict["fit"]["rmse_after"]
+        after = dict(self.verdict["fit"]["rmse_after"])
+        if named:
+            parameters = [item for f in self.verdict["findings"] for item in f["parameters"].items()]
+            after |= {k.removeprefix(NAMED): v["value"] for k, v in parameters if k.startswith(NAMED)}
         ratios = [after[c] / noise[c] for c in touched if c in after]
         return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
 

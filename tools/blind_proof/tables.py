@@ -20,6 +20,10 @@ class Figure:
     good: bool
 
 
+OWN = {"tool", "named", "name"}
+"""Of a case that the rivals had too: what is not theirs."""
+
+
 def share(cases: list[Scored], attribute: str) -> tuple[int, int]:
     """How many of the cases have the attribute, of how many."""
     return sum(bool(getattr(c, attribute)) for c in cases), len(cases)
@@ -57,7 +61,7 @@ def figures(cases: list[Scored], rivals: list[dict[str, Any]]) -> list[Figure]:
     out += _fit_figures(cases)
     out += _parameter_figures(cases)
     if rivals:
-        wins = np.mean([row["tool"] < min(v for k, v in row.items() if k not in {"tool", "name"}) for row in rivals])
+        wins = np.mean([row["tool"] < min(v for k, v in row.items() if k not in OWN) for row in rivals])
         out.append(Figure("rivals on held-out runs, beaten", "> 0.95", f"{wins:.2f} of {len(rivals)}", wins > 0.95))
     hits, n = share(of(cases, "premise"), "right")
     out.append(_row("wrong premises noticed", "all", hits, n, good=hits == n))
