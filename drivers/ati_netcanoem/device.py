@@ -3,8 +3,7 @@
 Frames are in `ati_codec`, the questions of the start in `ati_start`; `ati_sampler` says why no sample is a wrong one.
 """
 
-from enum import Enum, auto
-from typing import ClassVar, Final, Literal
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -16,58 +15,41 @@ from galen_hw.drivers.ati_netcanoem.sampler import Pair
 from galen_hw.drivers.ati_netcanoem.start import AtiIdentity, AtiSettings, fence, identify, new_sampler
 from galen_hw.drivers.ati_netcanoem.status import StatusWord
 from galen_hw.drivers.ati_netcanoem.zero import HostBias
-from galen_hw.drivers.device import CanFrame, Device, Output
+from galen_hw.drivers.device import CanFrame, Output
 from galen_hw.drivers.dialogue import Dialogue, DialogueError
-from galen_hw.drivers.reporting import FAR_NS, Reporter
+from galen_hw.drivers.wrench_sensor import Phase, WrenchSensor
 from galen_hw.errors import CommandRejectedError
-from galen_hw.messages import CommandError, Reply, Request, Vector3, WrenchRaw
+from galen_hw.messages import Request, Vector3, WrenchRaw
 
 
-class Phase(Enum):
-    """Where the device stands."""
-
-    OFF = auto()
-    STARTING = auto()
-    FAILED = auto()
-    RUNNING = auto()
-
-
-class AtiNetcanoem(Device[CanFrame]):
+class AtiNetcanoem(WrenchSensor[AtiIdentity]):
     """Publishes `wrench/raw` in the sensor frame about its origin, N and N m, stamped when its second frame was read.
 
     Requests: `zero` {samples}: average the gauges and subtract them from now on; `unzero`; `restart`.
     """
 
     Settings = AtiSettings
-    wire: ClassVar[Literal["can", "serial"]] = "can"
 
     def __init__(self, name: str, settings: AtiSettings, time_base: TimeBase) -> None:
-        self.name = name
         self._settings = settings
-        self._time_base = time_base
         self._id0 = settings.base_id << 4
-        where = f"{name} (ATI NETCANOEM, CAN ids 0x{self._id0:X} to 0x{self._id0 + 15:X})"
-        self._reporter = Reporter(name, where, time_base)
-        self._counters = dict.fromkeys(COUNTERS, 0)
+        self._bias = HostBias(name, settings.zero_samples, settings.rate_hz)
+        super().__init__(
+            name,
+            f"{name} (ATI NETCANOEM, CAN ids 0x{self._id0:X} to 0x{self._id0 + 15:X})",
+            time_base,
+            asked_rate_hz=settings.rate_hz,
+            retry_s=settings.retry_s,
+            counters=COUNTERS,
+            silent_todo=_TODO_SILENT,
+            zeroing=self._bias,
+        )
         self._fence = fence(settings)
         self._sampler = new_sampler(settings, self._fence, {}, self._counters)
         self._status = StatusWord(settings.bus_error_s)
-        self._outbox: list[Output] = []
-        self._phase = Phase.OFF
-        self._retry_ns = FAR_NS
-        self._dialogue: Dialogue[AtiIdentity] | None = None
-        self._identity: AtiIdentity | None = None
-        self._trouble = ""
-        self._flowing = False
-        self._bias = HostBias(name, settings.zero_samples, settings.rate_hz)
-        self._restart_id: str | None = None
+        self._serial_bytes = b""
         self._matrix: npt.NDArray[np.float64] = np.zeros((6, 6))
         self._offset: npt.NDArray[np.float64] = np.zeros(6)
-
-    def start(self, now_ns: int) -> None:
-        """Identify the board (again); the bias stays if the same sensor answers."""
-        self._reporter.start(now_ns)
-        self._begin(now_ns)
 
     def poll(self, now_ns: int) -> tuple[list[CanFrame], list[Output]]:
         """Sample requests by the schedule, time-outs, and the status once a second."""
@@ -116,37 +98,18 @@ class AtiNetcanoem(Device[CanFrame]):
 
     def stop(self, now_ns: int) -> list[CanFrame]:
         """Ask for nothing any more; the board is silent when it is not asked."""
-        self._phase, self._dialogue, self._flowing = Phase.OFF, None, False
-        self._give_up("the sensor was stopped")
+        self._switch_off()
         return []
 
     @property
     def wakeup_ns(self) -> int:
         """When `poll` wants to be called next."""
-        due = self._reporter.status_due_ns
-        if self._phase is Phase.RUNNING:
-            due = min(due, self._sampler.due_ns)
-        elif self._phase is Phase.STARTING and self._dialogue is not None:
-            due = min(due, self._dialogue.due_ns)
-        elif self._phase is Phase.FAILED:
-            due = min(due, self._retry_ns)
-        return min(due, self._bias.deadline_ns)
+        due = self._sampler.due_ns if self._phase is Phase.RUNNING else self._start_due_ns
+        return min(due, self._reporter.status_due_ns, self._bias.deadline_ns)
 
-    @property
-    def ready(self) -> bool:
-        """The board has been identified and samples flow."""
-        return self._phase is Phase.RUNNING and self._flowing
-
-    @property
-    def counters(self) -> dict[str, int]:
-        """Whole numbers that only grow; see `COUNTERS`."""
-        return dict(self._counters)
-
-    def _begin(self, now_ns: int) -> None:
-        self._phase, self._flowing = Phase.STARTING, False
-        self._counters["restarts"] += self._dialogue is not None
+    def _new_dialogue(self, now_ns: int) -> Dialogue[AtiIdentity]:
         self._status = StatusWord(self._settings.bus_error_s)
-        self._dialogue = Dialogue(
+        return Dialogue(
             identify(self._settings, lambda: self._counters["echoes"] > 0),
             timeout_ns=round(self._settings.start_timeout_s * NS_PER_S),
             tries=self._settings.tries,
@@ -154,40 +117,17 @@ class AtiNetcanoem(Device[CanFrame]):
             due_ns=now_ns,
         )
 
-    def _converse(self, now_ns: int) -> list[CanFrame]:
-        if self._phase is Phase.FAILED:
-            if now_ns < self._retry_ns:
-                return []
-            self._begin(now_ns)
-        assert self._dialogue is not None
-        timeouts = self._dialogue.timeouts
-        wires = self._dialogue.poll(now_ns)
-        self._counters["timeouts"] += self._dialogue.timeouts - timeouts
-        if self._dialogue.failure is not None:
-            self._fail(now_ns, self._dialogue.failure)
-        elif self._dialogue.result is not None:
-            return self._identified(self._dialogue.result, now_ns)
-        return wires
-
     def _identified(self, identity: AtiIdentity, now_ns: int) -> list[CanFrame]:
-        known = self._identity
-        if self._bias.counts is not None and known is not None and identity.serial_bytes != known.serial_bytes:
+        """The bias stays if the same sensor answers."""
+        if self._bias.counts is not None and identity.serial_bytes != self._serial_bytes:
             self._bias.counts = None
             what = f"another sensor ({identity.serial_number}) answers: the zero is lost"
             self._outbox += self._reporter.fault(now_ns, "another sensor", what, "zero the sensor")
-        self._identity, self._matrix, self._trouble = identity, identity.matrix[:, codec.WIRE_ORDER], ""
+        self._serial_bytes, self._matrix = identity.serial_bytes, identity.matrix[:, codec.WIRE_ORDER]
         self._use_bias()
-        self._phase = Phase.RUNNING
         self._sampler = new_sampler(self._settings, self._fence, identity.answers, self._counters)
         self._sampler.start(now_ns)
         return self._sampler.poll(now_ns)
-
-    def _fail(self, now_ns: int, error: DialogueError) -> None:
-        self._phase, self._flowing = Phase.FAILED, False
-        self._retry_ns = now_ns + round(self._settings.retry_s * NS_PER_S)
-        self._trouble = error.what
-        self._outbox += self._reporter.fault(now_ns, error.what, error.what, error.todo or _TODO_SILENT)
-        self._give_up(error.what)
 
     def _watch(self, now_ns: int) -> None:
         """What the sampler found out about the board: gone, or another one."""
@@ -252,9 +192,7 @@ class AtiNetcanoem(Device[CanFrame]):
         if saturated:
             self._counters["saturated"] += 1
             self._outbox += self._reporter.fault(t_ns, "saturated", "a strain gauge is at its limit", _TODO_SATURATED)
-        if self._restart_id is not None and self._phase is Phase.RUNNING and self._identity is not None:
-            self._outbox.append(Reply(id=self._restart_id, result={"serial_number": self._identity.serial_number}))
-            self._restart_id = None
+        self._answer_restart()
         if not self._bias.active:
             return
         if saturated or self._status.critical:
@@ -266,42 +204,10 @@ class AtiNetcanoem(Device[CanFrame]):
     def _use_bias(self) -> None:
         self._offset = np.zeros(6) if self._bias.counts is None else self._matrix @ self._bias.counts
 
-    def _restart(self, request: Request, now_ns: int) -> list[Output]:
-        if self._phase is Phase.OFF or self._restart_id is not None:
-            raise CommandRejectedError("it is stopped or being restarted", where=self.name)
-        self._give_up("the sensor is being restarted")
-        self._begin(now_ns)
-        self._restart_id = request.id
-        return self._take_outbox()
-
-    def _give_up(self, what: str) -> None:
-        """Answer the requests that are under way and cannot be carried out any more."""
-        self._outbox += self._bias.give_up("fault", what)
-        if self._restart_id is not None:
-            error = CommandError(kind="fault", what=what, where=self.name)
-            self._outbox.append(Reply(id=self._restart_id, error=error))
-            self._restart_id = None
-
-    def _take_outbox(self) -> list[Output]:
-        outbox, self._outbox = self._outbox, []
-        return outbox
-
-    def _report(self, now_ns: int) -> Output:
-        rate_hz = self._reporter.rate_hz(now_ns, self._counters["samples"])
-        state, detail = self._state(now_ns)
-        gauges = {"rate_hz": rate_hz, "asked_rate_hz": self._settings.rate_hz}
-        return self._reporter.status(now_ns, state, detail, self._counters, gauges)
-
-    def _state(self, now_ns: int) -> tuple[str, str]:
-        if self._phase is Phase.OFF:
-            return "stopped", ""
-        if self._phase is Phase.FAILED:
-            return "fault", self._trouble
-        if self._phase is Phase.STARTING or not self._flowing or self._identity is None:
-            return "starting", self._trouble
+    def _running(self, identity: AtiIdentity, now_ns: int) -> tuple[str, str]:
         state, trouble = self._status.state(now_ns)
         zeroed = "not zeroed" if self._bias.counts is None else "zeroed"
-        return state, "; ".join(filter(None, (trouble, self._identity.described, zeroed)))
+        return state, "; ".join(filter(None, (trouble, identity.described, zeroed)))
 
 
 _TODO_SILENT: Final = "check its power, CAN wiring and termination, base id and bit rate"

@@ -1,0 +1,201 @@
+"""What all force/torque sensors on CAN share: the start, `restart`, what is told when a sensor is given up, and the status.
+
+How samples are asked for and paired, and how a sensor is zeroed, is the device's own.
+"""
+
+from abc import abstractmethod
+from enum import Enum, auto
+from typing import ClassVar, Generic, Literal, Protocol, TypeVar
+
+from galen_hw.clock import NS_PER_S, TimeBase
+from galen_hw.drivers.device import CanFrame, Device, Output
+from galen_hw.drivers.dialogue import Dialogue, DialogueError
+from galen_hw.drivers.reporting import FAR_NS, Reporter
+from galen_hw.errors import CommandRejectedError
+from galen_hw.messages import CommandError, Reply, Request
+
+
+class Phase(Enum):
+    """Where the device stands."""
+
+    OFF = auto()
+    STARTING = auto()
+    FAILED = auto()
+    RUNNING = auto()
+
+
+class Identity(Protocol):
+    """What the start found out."""
+
+    @property
+    def serial_number(self) -> str:
+        """Of the sensor."""
+        ...
+
+    @property
+    def described(self) -> str:
+        """For people."""
+        ...
+
+
+class Zeroing(Protocol):
+    """A `zero` that may be under way."""
+
+    deadline_ns: int
+
+    def give_up(self, kind: str, what: str) -> list[Output]:
+        """Answer it as failed, if it is under way."""
+        ...
+
+
+Found = TypeVar("Found", bound=Identity)
+
+
+class WrenchSensor(Device[CanFrame], Generic[Found]):
+    """A sensor that is identified by a dialogue and then publishes `wrench/raw`.
+
+    Args:
+        name: of the device in the configuration; where: the device for people.
+        asked_rate_hz: samples that it should give a second; retry_s: pause before a failed start is tried again.
+        counters: names of what is counted, "samples", "timeouts" and "restarts" among them.
+        silent_todo: what to look at when it does not answer.
+        zeroing: of the device.
+    """
+
+    wire: ClassVar[Literal["can", "serial"]] = "can"
+
+    def __init__(
+        self,
+        name: str,
+        where: str,
+        time_base: TimeBase,
+        *,
+        asked_rate_hz: float,
+        retry_s: float,
+        counters: tuple[str, ...],
+        silent_todo: str,
+        zeroing: Zeroing,
+    ) -> None:
+        self.name = name
+        self._time_base = time_base
+        self._reporter = Reporter(name, where, time_base)
+        self._counters = dict.fromkeys(counters, 0)
+        self._outbox: list[Output] = []
+        self._phase = Phase.OFF
+        self._dialogue: Dialogue[Found] | None = None
+        self._identity: Found | None = None
+        self._restart_id: str | None = None
+        self._trouble = ""
+        self._flowing = False
+        self._asked_rate_hz, self._retry_s, self._silent_todo = asked_rate_hz, retry_s, silent_todo
+        self._zeroing = zeroing
+        self._retry_ns = FAR_NS
+
+    def start(self, now_ns: int) -> None:
+        """Identify the sensor (again); see `Device.start`."""
+        self._reporter.start(now_ns)
+        self._begin(now_ns)
+
+    @property
+    def ready(self) -> bool:
+        """The sensor has been identified and samples flow."""
+        return self._phase is Phase.RUNNING and self._flowing
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """Whole numbers that only grow."""
+        return dict(self._counters)
+
+    @abstractmethod
+    def _new_dialogue(self, now_ns: int) -> Dialogue[Found]:
+        """The questions of the start; what a start forgets is forgotten here."""
+
+    @abstractmethod
+    def _identified(self, identity: Found, now_ns: int) -> list[CanFrame]:
+        """Take up what the start found; what to send so that samples flow."""
+
+    @abstractmethod
+    def _running(self, identity: Found, now_ns: int) -> tuple[str, str]:
+        """State and detail for people while samples flow."""
+
+    @property
+    def _start_due_ns(self) -> int:
+        """When the start wants to be carried on."""
+        if self._phase is Phase.STARTING and self._dialogue is not None:
+            return self._dialogue.due_ns
+        return self._retry_ns if self._phase is Phase.FAILED else FAR_NS
+
+    def _begin(self, now_ns: int) -> None:
+        self._phase, self._flowing = Phase.STARTING, False
+        self._counters["restarts"] += self._dialogue is not None
+        self._dialogue = self._new_dialogue(now_ns)
+
+    def _converse(self, now_ns: int) -> list[CanFrame]:
+        """Carry the start on, or try it again when its time has come."""
+        if self._phase is Phase.FAILED:
+            if now_ns < self._retry_ns:
+                return []
+            self._begin(now_ns)
+        assert self._dialogue is not None, "it is being started"
+        timeouts = self._dialogue.timeouts
+        wires = self._dialogue.poll(now_ns)
+        self._counters["timeouts"] += self._dialogue.timeouts - timeouts
+        if self._dialogue.failure is not None:
+            self._fail(now_ns, self._dialogue.failure)
+        elif self._dialogue.result is not None:
+            self._identity, self._trouble = self._dialogue.result, ""
+            self._phase = Phase.RUNNING
+            return [*wires, *self._identified(self._identity, now_ns)]
+        return wires
+
+    def _fail(self, now_ns: int, error: DialogueError) -> None:
+        self._phase, self._flowing = Phase.FAILED, False
+        self._retry_ns = now_ns + round(self._retry_s * NS_PER_S)
+        self._trouble = error.what
+        self._outbox += self._reporter.fault(now_ns, error.what, error.what, error.todo or self._silent_todo)
+        self._give_up(error.what)
+
+    def _switch_off(self) -> None:
+        self._phase, self._dialogue, self._flowing = Phase.OFF, None, False
+        self._give_up("the sensor was stopped")
+
+    def _restart(self, request: Request, now_ns: int) -> list[Output]:
+        if self._phase is Phase.OFF or self._restart_id is not None:
+            raise CommandRejectedError("it is stopped or being restarted", where=self.name)
+        self._give_up("the sensor is being restarted")
+        self._begin(now_ns)
+        self._restart_id = request.id
+        return self._take_outbox()
+
+    def _answer_restart(self) -> None:
+        """The first sample after a restart is its answer."""
+        if self._restart_id is not None and self._phase is Phase.RUNNING and self._identity is not None:
+            self._outbox.append(Reply(id=self._restart_id, result={"serial_number": self._identity.serial_number}))
+            self._restart_id = None
+
+    def _give_up(self, what: str) -> None:
+        """Answer the requests that are under way and cannot be carried out any more."""
+        self._outbox += self._zeroing.give_up("fault", what)
+        if self._restart_id is not None:
+            error = CommandError(kind="fault", what=what, where=self.name)
+            self._outbox.append(Reply(id=self._restart_id, error=error))
+            self._restart_id = None
+
+    def _take_outbox(self) -> list[Output]:
+        outbox, self._outbox = self._outbox, []
+        return outbox
+
+    def _report(self, now_ns: int) -> Output:
+        rate_hz = self._reporter.rate_hz(now_ns, self._counters["samples"])
+        state, detail = self._state(now_ns)
+        gauges = {"rate_hz": rate_hz, "asked_rate_hz": self._asked_rate_hz}
+        return self._reporter.status(now_ns, state, detail, self._counters, gauges)
+
+    def _state(self, now_ns: int) -> tuple[str, str]:
+        if self._phase is Phase.OFF:
+            return "stopped", ""
+        if self._phase is Phase.FAILED:
+            return "fault", self._trouble
+        if not self.ready or self._identity is None:
+            return "starting", self._trouble
+        return self._running(self._identity, now_ns)
