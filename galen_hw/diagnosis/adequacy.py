@@ -26,7 +26,7 @@ class Left:
 
     Args:
         channel: place.
-        kind: what the generic functions were of.
+        kind: what the generic functions were of; place: of that family, the plain ones first.
         z: (T - k) / sqrt(2 k); for a model that does not hold on held-out data, its mean square over the noise's.
         share: of the whitened rest's mean square, on blocks left out.
         size: rms in raw units; basis: (M, k) the functions.
@@ -38,6 +38,7 @@ class Left:
     share: float
     size: float
     basis: Array
+    place: int = 0
 
 
 def families(bench: Bench) -> list[tuple[str, Array]]:
@@ -72,7 +73,7 @@ def leftovers(
         own = [x.values[:, x.channels.index(c)] for x in model if c in x.channels and x.count]
         base = orthonormal(scaled(np.concatenate([*own, np.zeros((len(rest), 0))], axis=1)[good]), weakest=1e-12)
         y = white[good, c] - base @ (base.T @ white[good, c])
-        for (kind, X), known in zip(generic, transformed, strict=True):
+        for place, ((kind, X), known) in enumerate(zip(generic, transformed, strict=True)):
             Xw = bench.noise.whitened(known, c)[good]
             V, A = _beside(Xw, base)
             k = V.shape[1]
@@ -88,7 +89,7 @@ def leftovers(
                 share = gain / max(float(y @ y), 1e-300)
                 w = V @ projected  # slow structure is larger in raw units than the whitening makes it look
                 size = float(np.sqrt(gain / len(y)) * np.std(X[good] @ w) / max(np.std(Xw @ w), 1e-300))
-                out.append(Left(c, kind, z, share, size, X))
+                out.append(Left(c, kind, z, share, size, X, place))
     return sorted(out, key=lambda left: -left.z)
 
 

@@ -190,6 +190,10 @@ def _glitch(bench: Bench, judged: Judged, glitch: Glitches) -> Finding:
     )
 
 
+ALIKE = 0.9
+"""Share of the strongest evidence with which a plainer family of functions is named in its place."""
+
+
 def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Premise) -> Finding:
     """What nothing named explains."""
     names = bench.scene.channels
@@ -197,7 +201,9 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
     if premise.wrong:
         says, share, z = premise.wrong[0], 0.0, 10.0
     else:
-        best = left[0]
+        # What says the same in plainer words is what people want to read.
+        alike = [one for one in left if one.channel == left[0].channel and one.z >= ALIKE * left[0].z]
+        best = min(alike, key=lambda one: one.place)
         share, z = best.share, best.z
         where = names[best.channel]
         if best.basis.shape[1]:
