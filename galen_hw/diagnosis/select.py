@@ -47,6 +47,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
     """Forward, backward and swap until nothing changes."""
     out = Selection(scorer)
     refused: set[int] = set()
+    moved = False
     for turn in range(MOST):
         scorer.append([bench.add(s.effect, s.looked) for s in sought(bench, scorer, out.chosen)])
         scores, highest = scorer.scores(out.chosen)
@@ -56,11 +57,12 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         best = _best(bench, scorer, out, scores, refused)
         if best is not None:
             out.chosen.append(best)
-        elif not _split(bench, scorer, out):
+        elif not (_split(bench, scorer, out) or (moved and _exchanged(bench, scorer, out, refused))):
             break
         settle(bench, scorer, out.chosen)
         _drop(scorer, out)
-        if _swap(bench, scorer, out, refused):
+        moved = _swap(bench, scorer, out, refused)
+        if moved:
             settle(bench, scorer, out.chosen)
         if _enrich(bench, scorer, out):
             settle(bench, scorer, out.chosen)
@@ -269,6 +271,19 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
         if float(np.mean(after / before)) <= 1.0 + ALIKE:
             out.chosen = trial
     return out.chosen != start
+
+
+def _exchanged(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bool:
+    """Whether one more round of swaps brings other hypotheses in, not only better values of the same.
+
+    What was exchanged last may have made room for better: a wander beside a tool stood for a warm-up beside a cable.
+    """
+    before = _families(scorer, out.chosen)
+    return _swap(bench, scorer, out, refused) and _families(scorer, out.chosen) != before
+
+
+def _families(scorer: Scorer, chosen: list[int]) -> set[object]:
+    return {effect.family for i in chosen if (effect := scorer.library[i].effect) is not None}
 
 
 FLEXIBLE = ("cable_drag", "creep", "cross_talk", "hysteresis")
