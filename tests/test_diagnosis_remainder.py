@@ -12,9 +12,9 @@ from diagnosis_cases import SIGMA, Bench
 
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.generic import Inputs, dictionaries
-from galen_hw.diagnosis.judge import _support
 from galen_hw.diagnosis.remainder import learn
 from galen_hw.diagnosis.rows import Rows
+from galen_hw.diagnosis.wanted import support
 from galen_hw.physics.table import scene_of
 
 
@@ -125,5 +125,5 @@ def test_support_allows_for_what_is_known_of_the_noise() -> None:
     rng = np.random.default_rng(2)
     noise = 1.01 * rng.normal(size=(50000, 1))
     effect = 0.1 * np.sin(np.arange(50000) / 30.0)[:, None]
-    assert _support(noise + effect, noise) == pytest.approx(1.0, abs=0.2)
-    assert _support(3.0 * noise + effect, 3.0 * noise) < 0.05
+    assert support(noise + effect, noise) == pytest.approx(1.0, abs=0.2)
+    assert support(3.0 * noise + effect, 3.0 * noise) < 0.05

@@ -13,9 +13,10 @@ import diagnosis_cases as cases
 from diagnosis_cases import Beam, Bench, Servo
 
 from galen_hw.diagnosis.engine import Work, diagnose
-from galen_hw.diagnosis.judge import _sure, judge
+from galen_hw.diagnosis.judge import judge
 from galen_hw.diagnosis.nonlinear import ahead, in_place
 from galen_hw.diagnosis.score import Scorer
+from galen_hw.diagnosis.wanted import sure
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.elastic_effects import Hardening
 from galen_hw.physics.memory_effects import Backlash, Hysteresis
@@ -174,9 +175,9 @@ def test_an_effect_that_acts_seldom_is_as_sure_as_its_noise_allows() -> None:
     noise = rng.normal(size=(4000, 2))
     seldom = np.zeros_like(noise)
     seldom[:200] = 1.0
-    assert _sure(noise, noise + seldom) > 10.0
+    assert sure(noise, noise + seldom) > 10.0
     fitted = 0.2 * rng.normal(size=(4000, 2))
-    assert _sure(noise - fitted, noise) < 2.0
+    assert sure(noise - fitted, noise) < 2.0
 
 
 def test_stiffness_that_grows_with_load_and_friction_beside_a_spring() -> None:

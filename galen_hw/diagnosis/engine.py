@@ -13,7 +13,7 @@ from galen_hw.diagnosis.experiment import next_experiment
 from galen_hw.diagnosis.final import Model, merit, offsets, settle_model, weighed
 from galen_hw.diagnosis.findings import findings_of, unknown_finding
 from galen_hw.diagnosis.guards import Premise, premises
-from galen_hw.diagnosis.judge import Judged, judge, judge_remainder, poor
+from galen_hw.diagnosis.judge import Judged, judge, judge_remainder
 from galen_hw.diagnosis.locate import channels_of, episodes_of, where_of
 from galen_hw.diagnosis.remainder import Remainder, learn
 from galen_hw.diagnosis.result import Diagnosis
@@ -21,6 +21,7 @@ from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import FLEXIBLE, at_first_sight, library, select
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.verdict import beyond, strong, verdict_of
+from galen_hw.diagnosis.wanted import poor
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.event_effects import Glitches
 from galen_hw.physics.scene import Scene

@@ -1,6 +1,5 @@
 """The model on data that it did not learn from."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,7 +12,7 @@ from galen_hw.diagnosis.linear import predicted
 from galen_hw.diagnosis.noise import Noise
 from galen_hw.diagnosis.remainder import Remainder
 from galen_hw.diagnosis.rows import Mask, Rows
-from galen_hw.diagnosis.worth import PROVED
+from galen_hw.diagnosis.wanted import Guard, poor, support, sure
 from galen_hw.physics.effect import Columns
 from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.scene import Scene
@@ -32,9 +31,9 @@ class Judged:
         floor: of the noise.
         support: per effect's key, the share of the held-out excess that would be left without it, in the channels where it
             acts, that it takes.
-        sure: per effect's key, gain on the held-out rows in units of its own error, see `_sure`.
+        sure: per effect's key, by how many standard errors held-out rows want it, see `wanted.sure`.
         unnamed: with what generic functions predict besides, without a name, where that earns its place; None: it does not.
-        places: where a key stands more than once, per number in the model's effects: support and `sure` of that one alone.
+        places: where a key stands more than once, per number in the model's effects: the same of that one alone.
         episodes: times (s) of contacts in another recording; good: (M,) its rows that are judged on, all others left out of
             these errors; None: not another recording.
     """
@@ -90,18 +89,6 @@ class Judged:
         return {k: {n: float(x) for n, x in zip(names, v, strict=True)} for k, v in values.items()}
 
 
-ROUGHLY = 0.05
-"""Share of its mean square by which the noise of held-out rows may be other than was learnt."""
-
-
-def _support(without: Array, rest: Array) -> float:
-    """Share of what is above the noise without an effect that it takes, from rests (n, c) in units of the noise."""
-    left = np.mean(without**2, axis=0)
-    lost = float(np.sum(left - np.mean(rest**2, axis=0)))
-    excess = max(float(np.sum(np.maximum(left - 1.0 - ROUGHLY, 0.0))), abs(lost))
-    return lost / excess if excess > 0.0 else 0.0
-
-
 def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> Judged:
     """Errors before and after on the rows set aside, or on another recording.
 
@@ -122,7 +109,7 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
         name = "contiguous blocks set aside" if bench.judged.any() else "the recording itself"
         before = np.asarray(np.mean((bench.whole - predict(baseline))[rows] ** 2, axis=0))
         judged = Judged(name, before, np.mean(model.rest()[rows] ** 2, axis=0), {}, floor)
-        guard = _Guard(floor, lambda part: part.rest()[rows], lambda part: part.rest(white=True)[rows], model)
+        guard = Guard(floor, lambda part: part.rest()[rows], lambda part: part.rest(white=True)[rows], model)
     else:
         rest = apply(model, holdout)
         if first is None or first.good is None:
@@ -133,7 +120,7 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
         floor = floor * _noisier(model, rest[good])
         judged = Judged(ELSEWHERE, before, np.mean(rest[good] ** 2, axis=0), {}, floor, episodes=episodes, good=good)
         noise = replace(bench.noise, rows=Rows(tuple(holdout.segments), bench.rows.stride), kept={})
-        guard = _Guard(
+        guard = Guard(
             floor,
             lambda part: apply(part, holdout)[good],
             lambda part: _whitened(noise, apply(part, holdout), good),
@@ -144,32 +131,6 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
         judged.support[key], judged.sure[key] = guard.of(part, _channels(model, key))
     judged.places = _places(model, guard)
     return judged
-
-
-class _Guard:
-    """Whether held-out data want an effect: how much of what would be left it takes, and how surely.
-
-    In raw units, weighed by the noise of each channel, where physics is left over: then the weights of the noise would favour
-    frequencies at which the model is wrong. Where the model leaves noise alone, in whitened units: a small quick effect is then
-    not lost in large slow noise.
-
-    Args:
-        floor: (C,) of the noise; raw, white: what a model leaves on the judged rows; model: the largest one.
-    """
-
-    def __init__(
-        self, floor: Array, raw: Callable[[Model], Array], white: Callable[[Model], Array], model: Model
-    ) -> None:
-        self.raw = raw
-        whitened = white(model)
-        noise_alone = model.bench.scene.clock and float(np.mean(whitened**2)) < PROVED
-        self._rest_of = white if noise_alone else lambda part: raw(part) / np.sqrt(floor)
-        self._rest = whitened if noise_alone else self._rest_of(model)
-
-    def of(self, part: Model, own: list[int]) -> tuple[float, float]:
-        """Support, in its own channels, and `_sure` of what a smaller model has left out."""
-        without = self._rest_of(part)
-        return _support(without[:, own], self._rest[:, own]), _sure(self._rest, without)
 
 
 def _whitened(noise: Noise, rest: Array, good: Mask) -> Array:
@@ -198,30 +159,17 @@ def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remaind
     for c in remainder.parts:
         better = float(np.mean(fuller[:, c] ** 2))
         with_it, without = (x[:, [c]] / np.sqrt(judged.floor[c]) for x in (fuller, rest))
-        if better < judged.after[c] and not poor(_support(without, with_it), _sure(with_it, without), alone=True):
+        if better < judged.after[c] and not poor(support(without, with_it), sure(with_it, without), alone=True):
             unnamed[c] = better
     return replace(judged, unnamed=unnamed) if np.any(unnamed != judged.after) else judged
-
-
-LEAST_SURE = 3.5
-"""Standard errors by which held-out data must want the one effect that was found."""
-BESIDE = 5.0
-"""And any of several: what joins a model was chosen among all that its rest resembles."""
-LEAST_SUPPORT = 0.05
-"""An effect must take this share of what would be left above the noise of the channels in which it acts without it."""
-
-
-def poor(support: float, sure: float, *, alone: bool) -> bool:
-    """Whether held-out data do not support what has this share of the excess and this certainty."""
-    return support < LEAST_SUPPORT or sure < (LEAST_SURE if alone else BESIDE)
 
 
 def _channels(model: Model, key: str) -> list[int]:
     return sorted({c for h in model.effects if h.effect is not None and key == h.effect.KEY for c in h.raw.channels})
 
 
-def _places(model: Model, guard: _Guard) -> dict[int, tuple[float, float]]:
-    """Support and `_sure` of each lasting effect whose kind stands in several places."""
+def _places(model: Model, guard: Guard) -> dict[int, tuple[float, float]]:
+    """Support and `sure` of each lasting effect whose kind stands in several places."""
     keys = [h.effect.KEY for h in model.effects if h.effect is not None]
     out: dict[int, tuple[float, float]] = {}
     for k, h in enumerate(model.effects):
@@ -229,27 +177,6 @@ def _places(model: Model, guard: _Guard) -> dict[int, tuple[float, float]]:
             continue
         out[k] = guard.of(model.without([h]), list(h.raw.channels))
     return out
-
-
-PIECES = 40
-"""Pieces of held-out rows, each one value for the error of a gain."""
-
-
-def _sure(rest: Array, without: Array) -> float:
-    """By how many standard errors held-out rows want an effect, in units of the noise: its match with what is there without it.
-
-    With d the effect as learnt and r the rest, what is there without it is w = r + d, and d is wanted as far as the sum of w d
-    is above what luck makes of it. A sum over neighbouring rows is one value (slow noise is one piece of luck). Luck is in r d
-    alone: that an effect acts in few pieces, as a delay does where all but a few moves are rests, makes it no less sure. Where
-    physics is missing r d is large, but a match in nearly every piece is no luck either: the larger of the two counts.
-    """
-    effect = without - rest
-    luck = np.sum(rest * effect, axis=1)
-    match = np.sum(effect**2, axis=1) + luck
-    count = min(PIECES, len(match))
-    each, lucky = (np.array([piece.sum() for piece in np.array_split(x, count)]) for x in (match, luck))
-    spread = float(np.std(each, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
-    return float(each.sum()) / max(min(float(np.sqrt(np.sum(lucky**2))), spread), 1e-300)
 
 
 def _noisier(model: Model, rest: Array) -> Array:

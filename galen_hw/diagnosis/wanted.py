@@ -1,0 +1,80 @@
+"""Whether held-out data want what was found: how much of what would be left it takes, and how surely."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.worth import PROVED
+from galen_hw.spatial import Array
+
+LEAST_SURE = 3.5
+"""Standard errors by which held-out data must want the one effect that was found."""
+BESIDE = 5.0
+"""And any of several: what joins a model was chosen among all that its rest resembles."""
+LEAST_SUPPORT = 0.05
+"""An effect must take this share of what would be left above the noise of the channels in which it acts without it."""
+
+
+def poor(support: float, sure: float, *, alone: bool) -> bool:
+    """Whether held-out data do not support what has this share of the excess and this certainty."""
+    return support < LEAST_SUPPORT or sure < (LEAST_SURE if alone else BESIDE)
+
+
+ROUGHLY = 0.05
+"""Share of its mean square by which the noise of held-out rows may be other than was learnt."""
+
+
+def support(without: Array, rest: Array) -> float:
+    """Share of what is above the noise without an effect that it takes, from rests (n, c) in units of the noise."""
+    left = np.mean(without**2, axis=0)
+    lost = float(np.sum(left - np.mean(rest**2, axis=0)))
+    excess = max(float(np.sum(np.maximum(left - 1.0 - ROUGHLY, 0.0))), abs(lost))
+    return lost / excess if excess > 0.0 else 0.0
+
+
+PIECES = 40
+"""Pieces of held-out rows, each one value for the error of a gain."""
+
+
+def sure(rest: Array, without: Array) -> float:
+    """By how many standard errors held-out rows want an effect, in units of the noise: its match with what is there without it.
+
+    With d the effect as learnt and r the rest, what is there without it is w = r + d, and d is wanted as far as the sum of w d
+    is above what luck makes of it. A sum over neighbouring rows is one value (slow noise is one piece of luck). Luck is in r d
+    alone: that an effect acts in few pieces, as a delay does where all but a few moves are rests, makes it no less sure. Where
+    physics is missing r d is large, but a match in nearly every piece is no luck either: the larger of the two counts.
+    """
+    effect = without - rest
+    luck = np.sum(rest * effect, axis=1)
+    match = np.sum(effect**2, axis=1) + luck
+    count = min(PIECES, len(match))
+    each, lucky = (np.array([piece.sum() for piece in np.array_split(x, count)]) for x in (match, luck))
+    spread = float(np.std(each, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
+    return float(each.sum()) / max(min(float(np.sqrt(np.sum(lucky**2))), spread), 1e-300)
+
+
+class Guard:
+    """Whether held-out data want an effect: how much of what would be left it takes, and how surely.
+
+    In raw units, weighed by the noise of each channel, where physics is left over: then the weights of the noise would favour
+    frequencies at which the model is wrong. Where the model leaves noise alone, in whitened units: a small quick effect is then
+    not lost in large slow noise.
+
+    Args:
+        floor: (C,) of the noise; raw, white: what a model leaves on the judged rows; model: the largest one.
+    """
+
+    def __init__(
+        self, floor: Array, raw: Callable[[Model], Array], white: Callable[[Model], Array], model: Model
+    ) -> None:
+        self.raw = raw
+        whitened = white(model)
+        noise_alone = model.bench.scene.clock and float(np.mean(whitened**2)) < PROVED
+        self._rest_of = white if noise_alone else lambda part: raw(part) / np.sqrt(floor)
+        self._rest = whitened if noise_alone else self._rest_of(model)
+
+    def of(self, part: Model, own: list[int]) -> tuple[float, float]:
+        """Support, in its own channels, and `sure` of what a smaller model has left out."""
+        without = self._rest_of(part)
+        return support(without[:, own], self._rest[:, own]), sure(self._rest, without)
