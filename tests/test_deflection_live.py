@@ -17,6 +17,7 @@ from galen_hw.config.tool_store import ToolStore
 from galen_hw.daemon.session import own_daemon
 from galen_hw.drivers.galil_dmc.settings import GalilSettings
 from galen_hw.drivers.virtual.control import VirtualControl
+from galen_hw.errors import HardwareError
 from galen_hw.messages import Pose
 from galen_hw.recording import read_recording
 from galen_hw.recording.mcap_reader import McapFile
@@ -146,7 +147,7 @@ def served(addresses: Addresses) -> tuple[float, float]:
         Subscriber(addresses.bus, ["pose/reported", "pose/corrected"]) as bus,
         VirtualControl(addresses.virtual) as world,
     ):
-        client.call("deflection", "reload")
+        take_up(client, bus)
         world.release()
         rest = moments(bus, world)
         world.push(force=[6.0, -3.0, 5.0], seconds=30.0, rise_s=0.1)
@@ -156,6 +157,18 @@ def served(addresses: Addresses) -> tuple[float, float]:
     true = moved.pop("true")
     assert np.linalg.norm(true) > 5e-4
     return tuple(float(np.linalg.norm(moved[k] - true)) for k in ("pose/reported", "pose/corrected"))  # type: ignore[return-value]
+
+
+def take_up(client: CommandClient, bus: Subscriber) -> None:
+    """Have the service load its model; on a starved machine its process may just be started again: then once poses flow."""
+    for _ in range(TRIES - 1):
+        try:
+            client.call("deflection", "reload")
+        except HardwareError:
+            bus.receive(10.0)
+        else:
+            return
+    client.call("deflection", "reload")
 
 
 def moments(bus: Subscriber, world: VirtualControl) -> dict[str, np.ndarray]:
