@@ -102,6 +102,30 @@ def test_the_seal_holds_until_every_verdict_is_there(tmp_path: Path) -> None:
     assert len(seal.unseal(text, tmp_path, [verdict])) == 3
 
 
+def test_a_run_that_was_cut_off_goes_on_with_the_same_truth_and_keeps_its_verdicts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only what is missing is asked; a folder with the digest of another truth is refused."""
+    asked: list[str] = []
+
+    def ask(case: Path, *, second_run: bool) -> dict[str, object]:
+        asked.append(f"{case.name} {second_run}")
+        return {"exit": 0}
+
+    monkeypatch.setattr(judge, "_ask", ask)
+    plans = [{"name": name, "second_run": False} for name in ("case-0", "case-1")]
+    (tmp_path / "verdicts").mkdir()
+    (tmp_path / "verdicts" / "case-0.json").write_text('{"exit": 1}')
+    paths = judge.verdicts(tmp_path, plans, tmp_path / "verdicts", workers=1)
+    assert asked == ["case-1 False"]
+    assert [json.loads(path.read_text())["exit"] for path in paths] == [1, 0]
+    assert sorted(p.name for p in (tmp_path / "verdicts").iterdir()) == ["case-0.json", "case-1.json"]
+    text = seal.seal(plan(1, 3), tmp_path)
+    assert seal.seal(plan(1, 3), tmp_path) == text
+    with pytest.raises(RuntimeError, match="another truth"):
+        seal.seal(plan(2, 3), tmp_path)
+
+
 def verdict(*effects: str, kind: str = "explained") -> dict[str, object]:
     """An answer of the tool."""
     findings = [{"effect": e, "channels": [], "parameters": {}, "confounded_with": []} for e in effects]

@@ -2,7 +2,8 @@
 
     python -m galen_hw.tools.blind_proof [--cases 400] [--seed N] [--keep DIR] [--write docs/proof.md] [--no-rivals]
 
-Without `--seed` the seed comes from the commit's hash.
+Without `--seed` the seed comes from the commit's hash. With `--keep` a run that was cut off goes on when it is called again on
+the same commit: the same set is generated, its truth must have the digest that was written, and what was judged stays.
 """
 
 import argparse
@@ -34,7 +35,14 @@ def main() -> int:
             cases, scored = _unsealed(folder)
             seed, commit = json.loads((folder / "set.json").read_text())
         else:
-            (folder / "set.json").write_text(json.dumps([seed, commit]))
+            if (begun := folder / "set.json").exists() and json.loads(begun.read_text()) != [seed, commit]:
+                was = json.loads(begun.read_text())
+                print(
+                    f"{folder} holds a set of seed {was[0]}, commit {was[1]}: go on there, or keep elsewhere",
+                    file=sys.stderr,
+                )
+                return 2
+            begun.write_text(json.dumps([seed, commit]))
             cases, scored = _judged(seed, args.cases, folder, args.workers)
         rivals = [] if args.no_rivals else _rivals(cases, scored, folder, args.workers, args.rivals)
         recordings = real.LEFT_OUT if args.no_real else real.recordings(folder / "real", args.workers)

@@ -16,14 +16,17 @@ ONE_RUN = {"step", "contact", "glitches", "drift", "temperature", "vibration"}
 
 
 def verdicts(folder: Path, plans: list[dict[str, Any]], out: Path, workers: int) -> list[Path]:
-    """One verdict file a case: {"exit", "said", "seconds", "json"}; at most `workers` at a time."""
+    """One verdict file a case: {"exit", "said", "seconds", "json"}; at most `workers` at a time. Those that are there stay."""
     out.mkdir(parents=True, exist_ok=True)
     paths = [out / f"{plan['name']}.json" for plan in plans]
     with Progress() as progress, ThreadPoolExecutor(workers) as pool:
         task = progress.add_task("diagnosing", total=len(plans))
 
         def one(plan: dict[str, Any], path: Path) -> None:
-            path.write_text(json.dumps(_ask(folder / plan["name"], second_run=plan["second_run"])))
+            if not path.exists():
+                part = path.with_suffix(".part")
+                part.write_text(json.dumps(_ask(folder / plan["name"], second_run=plan["second_run"])))
+                part.replace(path)
             progress.advance(task)
 
         list(pool.map(one, plans, paths))

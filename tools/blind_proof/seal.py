@@ -20,9 +20,15 @@ def digest(text: str) -> str:
 
 
 def seal(cases: list[Case], folder: Path) -> str:
-    """Write the digest; the truth itself stays in memory."""
-    text = truth_text(cases)
-    (folder / "truth.sha256").write_text(digest(text) + "\n")
+    """Write the digest; the truth itself stays in memory.
+
+    Raises:
+        RuntimeError: the folder has the digest of another truth.
+    """
+    text, path = truth_text(cases), folder / "truth.sha256"
+    if path.exists() and path.read_text().strip() != digest(text):
+        raise RuntimeError("the folder holds the digest of another truth: its verdicts are not of this set")
+    path.write_text(digest(text) + "\n")
     return text
 
 
