@@ -38,7 +38,7 @@ COARSE = 3000
 
 @dataclass
 class Work:
-    """What the diagnosis went through, for reports and tests."""
+    """What the diagnosis went through, for reports and tests; `left`: what was worth saying of what is left."""
 
     bench: Bench
     selection: Selection
@@ -102,10 +102,10 @@ def diagnose(
     if model is not chosen:
         left = _left(bench, generic, model)
     glitch = [] if premise.wrong else _confirmed(glitch, model)
-    worth_saying = strong(left, judged, bench)
-    if worth_saying and not premise.wrong:
-        model, judged, worth_saying = _predicted(generic, model, holdout, judged, worth_saying)
-    diagnosis = _said(model, selection, judged, worth_saying, premise, glitch, name)
+    left = strong(left, judged, bench)
+    if left and not premise.wrong:
+        model, judged, left = _predicted(generic, model, holdout, judged, left)
+    diagnosis = _said(model, selection, judged, left, premise, glitch, name)
     diagnosis.holdout = judged.name
     tell("done", 1.0)
     return Work(bench, selection, model, judged, left, diagnosis)

@@ -155,7 +155,7 @@ class Glitches(_Sought):
 
 @dataclass(frozen=True)
 class Unknown(_Sought):
-    """Structure that nothing named explains; it has no model and never predicts anything."""
+    """Structure that nothing named explains: no physics, hence no model here, and nothing that the live services could use."""
 
     KEY = "unknown"
     channels: tuple[str, ...] = ()

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from galen_hw.tools.blind_proof.score import NAMED
+from galen_hw.tools.blind_proof.score import by_names
 
 
 @dataclass(frozen=True)
@@ -121,12 +121,7 @@ def _row(real_set: RealSet, answer: dict[str, Any] | str) -> str:
     before, after = answer["fit"]["rmse_before"], answer["fit"]["rmse_after"]
     pairs = ", ".join(f"{c.split('.')[-2] if '.' in c else c} {before[c]:.3g} to {after[c]:.3g}" for c in before)
     ratio = np.mean([before[c] / after[c] for c in before])
-    named = after | {
-        k.removeprefix(NAMED): v["value"]
-        for f in answer["findings"]
-        for k, v in f["parameters"].items()
-        if k.startswith(NAMED)
-    }
+    named = by_names(answer)
     alone = np.mean([before[c] / named[c] for c in before])
     gain = f"mean {ratio:.1f} x" + (f", {alone:.1f} x by named physics alone" if named != after else "")
     return f"| {real_set.title} | {answer['verdict']} | {found} | {pairs} ({gain}) | {real_set.known} |"

@@ -13,6 +13,13 @@ NAMED = "rmse_named_"
 """Begins the parameters of `unknown` that say what the findings with a name leave."""
 
 
+def by_names(verdict: dict[str, Any]) -> dict[str, float]:
+    """Held-out rms a channel of the findings with a name alone, in the channel's unit."""
+    parameters = [item for f in verdict["findings"] for item in f["parameters"].items()]
+    without = {k.removeprefix(NAMED): float(v["value"]) for k, v in parameters if k.startswith(NAMED)}
+    return dict(verdict["fit"]["rmse_after"]) | without
+
+
 @dataclass
 class Scored:
     """One case, judged.
@@ -60,10 +67,7 @@ class Scored:
         if self.verdict is None or not noise or not self.truth.get("second_run"):
             return None
         touched = sorted({c for e in self.truth["effects"] for c in e["channels"]} or set(noise))
-        after = dict(self.verdict["fit"]["rmse_after"])
-        if named:
-            parameters = [item for f in self.verdict["findings"] for item in f["parameters"].items()]
-            after |= {k.removeprefix(NAMED): v["value"] for k, v in parameters if k.startswith(NAMED)}
+        after = by_names(self.verdict) if named else self.verdict["fit"]["rmse_after"]
         ratios = [after[c] / noise[c] for c in touched if c in after]
         return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
 
