@@ -153,16 +153,22 @@ class UrdfRobot:
             raise UsageError(f"no link {link!r}", where=self.name, todo=f"one of: {known}")
         return int(self.model.getFrameId(link))
 
+    def _scratch(self, rows: Array) -> pin.Data:
+        """Pinocchio's working memory: every batch has its own, so that threads may ask at once; live rows share one."""
+        return self._data if len(rows) == 1 else self.model.createData()
+
     def frame_pose(self, q: ArrayLike, link: str | None = None) -> Array:
         """Pose (N, 4, 4) of `link` (the sensor if None) in the base."""
         frame = self._sensor if link is None else self._frame(link)
+        q = _batch(q)
+        data = self._scratch(q)
         inv_base = np.linalg.inv(self._T_root_base)
 
         def one(qi: Array) -> Array:
-            pin.forwardKinematics(self.model, self._data, qi)
-            return np.asarray(pin.updateFramePlacement(self.model, self._data, frame).homogeneous)
+            pin.forwardKinematics(self.model, data, qi)
+            return np.asarray(pin.updateFramePlacement(self.model, data, frame).homogeneous)
 
-        return np.asarray(inv_base @ _rows(one, (4, 4), _batch(q)))
+        return np.asarray(inv_base @ _rows(one, (4, 4), q))
 
     def sensor_pose(self, q: ArrayLike) -> Array:
         """Pose (N, 4, 4) of the sensor in the base."""
@@ -170,46 +176,51 @@ class UrdfRobot:
 
     def sensor_jacobian(self, q: ArrayLike) -> Array:
         """Twist [v, w] of the sensor's origin per joint rate, (N, 6, n), in base coordinates."""
+        q = _batch(q)
+        data = self._scratch(q)
         blocks = np.kron(np.eye(2), self._R_base_root)
 
         def one(qi: Array) -> Array:
-            J = pin.computeFrameJacobian(
-                self.model, self._data, qi, self._sensor, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-            )
+            J = pin.computeFrameJacobian(self.model, data, qi, self._sensor, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
             return np.asarray(J)
 
-        return np.asarray(blocks @ _rows(one, (6, self.model.nv), _batch(q)))
+        return np.asarray(blocks @ _rows(one, (6, self.model.nv), q))
 
     def sensor_motion(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Motion:
         """Pose, velocity and acceleration of the sensor, see `Motion`."""
+        q, dq, ddq = _batch(q), _batch(dq), _batch(ddq)
+        data = self._scratch(q)
         world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
         def one(qi: Array, vi: Array, ai: Array) -> Array:
-            pin.forwardKinematics(self.model, self._data, qi, vi, ai)
-            pin.updateFramePlacement(self.model, self._data, self._sensor)
-            v = pin.getFrameVelocity(self.model, self._data, self._sensor, world)
-            a = pin.getFrameClassicalAcceleration(self.model, self._data, self._sensor, world)
+            pin.forwardKinematics(self.model, data, qi, vi, ai)
+            pin.updateFramePlacement(self.model, data, self._sensor)
+            v = pin.getFrameVelocity(self.model, data, self._sensor, world)
+            a = pin.getFrameClassicalAcceleration(self.model, data, self._sensor, world)
             return np.concatenate([a.linear, v.angular, a.angular])
 
-        q, dq, ddq = _batch(q), _batch(dq), _batch(ddq)
         rates = _rows(one, (9,), q, dq, ddq).reshape(-1, 3, 3) @ self._R_base_root.T
         return Motion(self.sensor_pose(q), rates[:, 0], rates[:, 1], rates[:, 2])
 
     def inverse_dynamics(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
         """Joint efforts (N, n), N m or N, that the rigid robot needs for this motion under gravity (RNEA)."""
+        q, dq, ddq = _batch(q), _batch(dq), _batch(ddq)
+        data = self._scratch(q)
 
         def one(qi: Array, vi: Array, ai: Array) -> Array:
-            return np.asarray(pin.rnea(self.model, self._data, qi, vi, ai))
+            return np.asarray(pin.rnea(self.model, data, qi, vi, ai))
 
-        return _rows(one, (self.model.nv,), _batch(q), _batch(dq), _batch(ddq))
+        return _rows(one, (self.model.nv,), q, dq, ddq)
 
     def dynamics_regressor(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
         """Joint efforts per inertial parameter, (N, n, 10 n), pinocchio's order m, m c, I about the joint."""
+        q, dq, ddq = _batch(q), _batch(dq), _batch(ddq)
+        data = self._scratch(q)
 
         def one(qi: Array, vi: Array, ai: Array) -> Array:
-            return np.asarray(pin.computeJointTorqueRegressor(self.model, self._data, qi, vi, ai))
+            return np.asarray(pin.computeJointTorqueRegressor(self.model, data, qi, vi, ai))
 
-        return _rows(one, (self.model.nv, 10 * self.model.nv), _batch(q), _batch(dq), _batch(ddq))
+        return _rows(one, (self.model.nv, 10 * self.model.nv), q, dq, ddq)
 
 
 @dataclass

@@ -5,6 +5,7 @@ All decisions are then small solves: inner products of columns with each other a
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -45,6 +46,16 @@ class Hypothesis:
     def count(self) -> int:
         """Number of linear parameters."""
         return self.raw.count
+
+    def own(self, channel: int) -> tuple[Index, Array]:
+        """Its columns in a channel that are not zero throughout: their numbers, and whitened (M, n)."""
+        i = self.white.channels.index(channel)
+        at = np.flatnonzero(self._live[i])
+        return at, self.white.values[:, i] if len(at) == self.count else self.white.values[:, i, at]
+
+    @cached_property
+    def _live(self) -> Mask:
+        return self.raw.live()
 
     def pinned_gain(self, scene: Scene, A: Array, r: Array) -> float | None:
         """Fall of the whitened sum of squares at the one value its parameters can have, by inner products; None: free.
@@ -139,10 +150,14 @@ class Bench:
 
     def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
         """A hypothesis of given averaged columns."""
-        flat = self.noise.transformed(raw.values.reshape(len(raw.values), raw.values[0].size)).reshape(raw.values.shape)
-        white = np.empty_like(raw.values)
-        for i, channel in enumerate(raw.channels):
-            white[:, i] = self.noise.whitened(flat[:, i], channel)
+        live = raw.live()
+        if live.all():
+            white = self.noise.whitened_each(self.noise.transformed(raw.values), raw.channels)
+        else:
+            white = np.zeros((*live.shape, len(self.rows))).transpose(2, 0, 1)
+            at, k = np.nonzero(live)
+            flat = self.noise.transformed(raw.values[:, at, k])
+            white[:, at, k] = self.noise.whitened_each(flat[:, :, None], tuple(raw.channels[i] for i in at))[:, :, 0]
         return Hypothesis(effect, raw, Columns(raw.channels, white), looked, name)
 
     def constants(self) -> list[Columns]:

@@ -1,9 +1,11 @@
 """One recording from residual to verdict."""
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
+from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
 from galen_hw.diagnosis import adequacy, seek
@@ -254,29 +256,23 @@ def _chosen(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> tuple
     if blind:
         nothing = Selection(Scorer(bench, hypotheses))
         return nothing, settle_model(bench, nothing.scorer, nothing)
-    selection = select(bench, Scorer(bench, hypotheses))
-    model = settle_model(bench, selection.scorer, selection)
+
+    def searched(on: Bench, own: list[Hypothesis]) -> tuple[Selection, Model]:
+        selection = select(on, Scorer(on, [*own, *hypotheses], free=not own))
+        return selection, settle_model(on, selection.scorer, selection)
+
     own = offsets(bench)
     if not own:
+        return searched(bench, own)
+    # Each has what the search changes (the residual without bends, the late stream) to itself, and a core if there are two.
+    twin = copy(bench)
+    both = Parallel(n_jobs=2, require="sharedmem")(delayed(searched)(*one) for one in ((bench, []), (twin, own)))
+    (selection, model), (other, rival) = both
+    if merit(rival) <= merit(model) + MERIT:
         return selection, model
-    y, timing = bench.y, bench.timing
-    bench.y, bench.timing = bench.whole, []
-    other = select(bench, Scorer(bench, [*own, *hypotheses], free=False))
-    rival = settle_model(bench, other.scorer, other)
-    if merit(rival) > merit_of(model, y) + MERIT:
-        return other, rival
-    bench.y, bench.timing = y, timing
-    return selection, model
-
-
-def merit_of(model: Model, y: Array) -> float:
-    """Merit of a model on the residual that it was made for."""
-    bench = model.bench
-    now, bench.y = bench.y, y
-    try:
-        return merit(model)
-    finally:
-        bench.y = now
+    bench.y, bench.timing = twin.y, twin.timing
+    other.scorer.bench = rival.bench = bench
+    return other, rival
 
 
 def _glitches(bench: Bench) -> list[Glitches]:

@@ -4,11 +4,12 @@ The spectrum is a level per logarithmic band, corrected for what the rich fit it
 power law below the slowest band that a recording of this length can tell from drift.
 """
 
+import itertools
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.fft import dct, idct
+from scipy.fft import dct, idct, next_fast_len
 
 from galen_hw.diagnosis.rows import Rows
 from galen_hw.spatial import Array
@@ -44,7 +45,7 @@ class Noise:
     degrees: float
     correlation: Array
     steps: Array
-    kept: dict[int, Array] = field(default_factory=dict, compare=False)
+    kept: dict[tuple[int, float], Array] = field(default_factory=dict, compare=False)
 
     def spectrum(self, frequency: Array) -> Array:
         """(F, C) level at frequencies in cycles a row."""
@@ -61,7 +62,7 @@ class Noise:
 
     def colour(self, z: Array, channel: int) -> Array:
         """White noise (M, k) turned into noise like the channel's."""
-        return self._filtered(self.transformed(z), channel, 0.5)
+        return self._filtered(self.transformed(z)[:, None], (channel,), 0.5)[:, 0]
 
     def flat(self) -> "Noise":
         """White noise at the lowest level of the spectrum: the least that the noise can be."""
@@ -69,37 +70,52 @@ class Noise:
         return replace(self, edges=np.empty(0), levels=np.empty((0, len(sigma))), sigma=sigma, kept={})
 
     def transformed(self, x: Array) -> Array:
-        """(M, k) columns as `whitened` takes them: the part of the work that is the same for all channels.
+        """(P, ...) of rows (M, ...) as `whitened` takes them: the part of the work that is the same for all channels.
 
-        The cosine transform of a run is that of the signal with its mirror image behind it: the two ends stay apart.
+        The cosine transform of a run is that of the signal with its mirror image behind it: the two ends stay apart. A run of
+        an awkward length (a prime) goes on into its mirror image up to one that is transformed quickly.
         """
-        out = np.empty_like(x, dtype=float)
-        for run in self.rows.runs:
-            out[run] = dct(x[run], axis=0) if self._coloured(run) else x[run]
+        out = np.empty((self._places[-1].stop, *x.shape[1:]))
+        for run, place in zip(self.rows.runs, self._places, strict=True):
+            beyond = (place.stop - place.start) - (run.stop - run.start)
+            part = np.concatenate([x[run], x[run.stop - beyond : run.stop][::-1]]) if beyond else x[run]
+            out[place] = dct(part, axis=0) if self._coloured(run) else part
         return out
 
     def whitened(self, transformed: Array, channel: int) -> Array:
-        """(M, k) white columns from transformed ones."""
-        return self._filtered(transformed, channel, -0.5)
+        """(M, k) white columns from transformed ones (P, k)."""
+        return self._filtered(transformed[:, None], (channel,), -0.5)[:, 0]
 
-    def _filtered(self, transformed: Array, channel: int, power: float) -> Array:
-        out = np.empty_like(transformed)
-        for run in self.rows.runs:
+    def whitened_each(self, transformed: Array, channels: tuple[int, ...]) -> Array:
+        """(M, c, k) white columns of several channels from transformed ones (P, c, k)."""
+        return self._filtered(transformed, channels, -0.5)
+
+    def _filtered(self, transformed: Array, channels: tuple[int, ...], power: float) -> Array:
+        out = np.empty((len(self.rows), *transformed.shape[1:]))
+        for run, place in zip(self.rows.runs, self._places, strict=True):
             if self._coloured(run):
-                level = self._levels(run.stop - run.start)[:, channel] ** power
-                out[run] = idct(transformed[run] * level[:, None], axis=0)
+                level = self._levels(place.stop - place.start, power)[:, list(channels)]
+                out[run] = idct(transformed[place] * level[:, :, None], axis=0)[: run.stop - run.start]
             else:
-                out[run] = transformed[run] * self.sigma[channel] ** (2.0 * power)
+                out[run] = transformed[place] * self.sigma[list(channels), None] ** (2.0 * power)
         return out
 
     def _coloured(self, run: slice) -> bool:
         return len(self.edges) > 0 and run.stop - run.start >= SHORTEST
 
-    def _levels(self, n: int) -> Array:
-        """The spectrum at the frequencies of a cosine transform of length n, kept."""
-        if n not in self.kept:
-            self.kept[n] = self.spectrum(np.arange(n) / (2.0 * n))
-        return self.kept[n]
+    @cached_property
+    def _places(self) -> tuple[slice, ...]:
+        """Where each run stands among the transformed rows."""
+        lengths = [run.stop - run.start for run in self.rows.runs]
+        quick = [int(next_fast_len(n, real=True)) if self._coloured(slice(0, n)) else n for n in lengths]
+        edges = np.cumsum([0, *quick]).tolist()
+        return tuple(slice(a, b) for a, b in itertools.pairwise(edges))
+
+    def _levels(self, n: int, power: float) -> Array:
+        """A power of the spectrum at the frequencies of a cosine transform of length n, kept."""
+        if (n, power) not in self.kept:
+            self.kept[n, power] = self.spectrum(np.arange(n) / (2.0 * n)) ** power
+        return self.kept[n, power]
 
     def independent(self, rows: int) -> Array:
         """(C,) independent values among so many rows, for the error of a mean square."""

@@ -71,9 +71,9 @@ class Scorer:
             fresh = [i for i in range(len(self.library) - len(new), len(self.library)) if self._acts(i, c)]
             if not fresh:
                 continue
-            at_new = np.concatenate([np.arange(self.places[i].start, self.places[i].stop) for i in fresh])
-            parts = [self.library[i].white.values[:, self.library[i].white.channels.index(c)] for i in fresh]
-            Xn = np.concatenate(parts, axis=1)[self._train]
+            own = [self.library[i].own(c) for i in fresh]
+            at_new = np.concatenate([self.places[i].start + at for i, (at, _) in zip(fresh, own, strict=True)])
+            Xn = np.concatenate([part for _, part in own], axis=1)[self._train]
             for at, X in stack:
                 cross = X.T @ Xn
                 G[np.ix_(at, at_new)] += cross

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Final, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
@@ -50,6 +51,10 @@ DOUBT: Final = 2.2
 """`Effect.doubt` where the proposals stand on a grid of octaves or so."""
 
 
+SAMPLED: Final = 97
+"""Rows that are looked at first where nearly all columns are full."""
+
+
 @dataclass(frozen=True, slots=True)
 class Columns:
     """Regressors (N, len(channels), k) that live in some channels only."""
@@ -61,6 +66,13 @@ class Columns:
     def count(self) -> int:
         """Number of linear parameters."""
         return int(self.values.shape[2])
+
+    def live(self) -> NDArray[np.bool_]:
+        """(len(channels), k) where a column is not zero throughout: parameters of their own in each channel leave most empty."""
+        out = np.asarray(self.values[:: max(1, len(self.values) // SAMPLED)].any(axis=0))
+        for i, k in np.argwhere(~out):
+            out[i, k] = self.values[:, i, k].any()
+        return out
 
     def full(self, width: int) -> Array:
         """(N, width, k) with zeros in the other channels."""
@@ -236,6 +248,14 @@ def in_all(columns: Iterable[Array], width: int) -> Columns:
     if 0 < len(live) < width:
         return Columns(tuple(live.tolist()), values[:, live])
     return Columns(tuple(range(width)), values)
+
+
+def through(scene: Scene, joint: str, signals: Iterable[Array]) -> Columns:
+    """Columns of what errors (N,) of a joint's position do, in the channels in which they show; there must be a port."""
+    port, live = scene.joint_port(joint), scene.reached(joint)
+    assert port is not None, "proposed only where there is a port"
+    own = port if len(live) == port.shape[1] else port[:, live]
+    return Columns(live, own[:, :, None] * np.stack(list(signals), axis=-1)[:, None, :])
 
 
 def unit_of(scene: Scene, channel: str) -> str:

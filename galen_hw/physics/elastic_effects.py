@@ -6,7 +6,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, log_grid
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, log_grid, through
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.scene_joint import PositionScene
 from galen_hw.physics.scene_pose import ArmScene
@@ -81,10 +81,9 @@ class Compliance(Effect):
         if self.form == "weight":
             return self._sag(scene)
         if self.form == "joint":
-            port, load = scene.joint_port(self.joint), _load(scene, self.joint, self.source)
-            assert port is not None, "proposed only where there is a port"
+            load = _load(scene, self.joint, self.source)
             assert load is not None, "proposed only where there is a load"
-            return in_all([port * load[:, None]], width)
+            return through(scene, self.joint, [load])
         assert isinstance(scene, ArmScene), "proposed only for poses"
         frame = np.tile(np.eye(3), (len(scene), 1, 1)) if self.form == "structure" else scene.T_sensor[:, :3, :3]
         out, force = [], scene.force + scene.weight if self.source == "all" else scene.force
@@ -151,7 +150,7 @@ class Hardening(Effect):
             place = [joint_of(name) for name in scene.channels].index(self.joint)
             x = scene.q[:, scene.joint_index(self.joint)]
             return Columns((place,), self.law(x)[:, None, None])
-        return in_all([port * self.law(load)[:, None]], len(scene.channels))
+        return through(scene, self.joint, [self.law(load)])
 
 
 def _bears(scene: Scene, joint: str) -> bool:

@@ -33,6 +33,10 @@ class _Shaped(_Sought):
     def shapes(self, scene: Scene) -> list[Array]:
         """(N,) each."""
 
+    def averaged_shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
+        """(M, shapes) with their rows averaged."""
+        return average(np.stack(self.shapes(scene), axis=-1))
+
     def columns(self, scene: Scene) -> Columns:
         """Every shape in every channel, channel by channel."""
         return self.averaged(scene, np.asarray)
@@ -40,12 +44,13 @@ class _Shaped(_Sought):
     def averaged(self, scene: Scene, average: Callable[[Array], Array]) -> Columns:
         """Shapes are averaged before they are spread over the channels, where most of the columns are zero."""
         places = tuple(scene.channels.index(name) for name in self.channels)
-        shapes = average(np.stack(self.shapes(scene), axis=-1))
+        shapes = self.averaged_shapes(scene, average)
         count = shapes.shape[1]
-        values = np.zeros((len(shapes), len(places), count * len(places)))
+        # Column by column in memory: most stay empty, and are never touched.
+        values = np.zeros((len(places), count * len(places), len(shapes)))
         for i in range(len(places)):
-            values[:, i, i * count : (i + 1) * count] = shapes
-        return Columns(places, values)
+            values[i, i * count : (i + 1) * count] = shapes.T
+        return Columns(places, values.transpose(2, 0, 1))
 
 
 @dataclass(frozen=True)
@@ -125,11 +130,15 @@ class Vibration(_Shaped):
 
     def shapes(self, scene: Scene) -> list[Array]:
         """Sine and cosine of the clock, growing and fading slowly."""
+        return list(self.averaged_shapes(scene, np.asarray).T)
+
+    def averaged_shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
+        """Waves and their slow changes are averaged apart: over neighbouring rows a slow change is a constant."""
         phase, whole = 2.0 * np.pi * self.frequency * scene.time, scene.whole or scene
-        since, span = scene.time - whole.time[0], max(float(np.ptp(whole.time)), 1e-9)
+        waves = average(scene.seen(np.stack([np.sin(phase), np.cos(phase)], axis=-1)))
+        since, span = average(scene.time) - whole.time[0], max(float(np.ptp(whole.time)), 1e-9)
         slow = [np.cos(np.pi * k * since / span) for k in range(self.wander + 1)]
-        waves = [s * wave for s in slow for wave in (np.sin(phase), np.cos(phase))]
-        return list(scene.seen(np.stack(waves, axis=-1)).T)
+        return np.concatenate([s[:, None] * waves for s in slow], axis=1)
 
 
 @dataclass(frozen=True)

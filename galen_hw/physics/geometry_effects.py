@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, in_all
+from galen_hw.physics.effect import Columns, Effect, Parameter, in_all, through
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.scene_pose import ArmScene
 from galen_hw.physics.screws import axis_screws, joint_screws
@@ -67,9 +67,7 @@ class JointScale(Effect):
 
     def columns(self, scene: Scene) -> Columns:
         """The joint's port times its position."""
-        port = scene.joint_port(self.joint)
-        assert port is not None, "proposed only where there is a port"
-        return in_all([port * scene.q[:, [scene.joint_index(self.joint)]]], len(scene.channels))
+        return through(scene, self.joint, [scene.q[:, scene.joint_index(self.joint)]])
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
         """The turned arm itself, where its screws are known."""

@@ -6,7 +6,17 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, duration, in_all, in_channel, log_grid
+from galen_hw.physics.effect import (
+    Columns,
+    Effect,
+    Parameter,
+    Searched,
+    duration,
+    in_all,
+    in_channel,
+    log_grid,
+    through,
+)
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.time_effects import joint_of
 from galen_hw.spatial import Array
@@ -66,11 +76,10 @@ class Creep(Effect):
         if not self.joint:
             slow = scene.lag("creep", scene.simulated, self.constant)
             return in_all([slow if self.form == "more" else slow - scene.simulated], len(scene.channels))
-        port, load = scene.joint_port(self.joint), scene.load(self.joint)
-        assert port is not None, "proposed only where there is a port"
+        load = scene.load(self.joint)
         if load is None or scene.observations.predict == "position":
             load = scene.q[:, scene.joint_index(self.joint)]
-        return in_all([port * self._slow(scene, load)[:, None]], len(scene.channels))
+        return through(scene, self.joint, [self._slow(scene, load)])
 
     def _slow(self, scene: Scene, x: Array) -> Array:
         slow = scene.lag("creep", x[:, None], self.constant)[:, 0]
@@ -190,9 +199,7 @@ class Hysteresis(Effect):
             out += [x[:, 0], scene.rates[0][:, joint]]
         if self.channel:
             return in_channel(scene.channels.index(self.channel), out)
-        port = scene.joint_port(self.joints[0])
-        assert port is not None, "proposed only where there is a port"
-        return in_all([port * column[:, None] for column in out], len(scene.channels))
+        return through(scene, self.joints[0], out)
 
     def _slip(self, scene: Scene, x: Array, reach: float) -> list[Array]:
         e = (x - scene.play("slip", x, reach))[:, 0] / reach
@@ -266,13 +273,11 @@ class Backlash(Effect):
 
     def columns(self, scene: Scene) -> Columns:
         """The lost motion through the joint's port."""
-        port = scene.joint_port(self.joint)
-        assert port is not None, "proposed only where there is a port"
         if self.half_width is None:
             load = scene.inertia_load(self.joint) if self.balanced else scene.load(self.joint)
             assert load is not None, "proposed only where there is a load"
             assert self.transition is not None, "proposed with one"
-            return in_all([port * np.tanh(load / self.transition)[:, None]], len(scene.channels))
+            return through(scene, self.joint, [np.tanh(load / self.transition)])
         x = scene.q[:, [scene.joint_index(self.joint)]]
         start = scene.resting(f"joint.{self.joint}.position")
-        return in_all([port * (scene.play("play", x, self.half_width, start) - x)], len(scene.channels))
+        return through(scene, self.joint, [(scene.play("play", x, self.half_width, start) - x)[:, 0]])

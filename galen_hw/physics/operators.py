@@ -7,10 +7,15 @@ a batch cut anywhere gives the same numbers.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from galen_hw.spatial import Array
 
+Index = NDArray[np.intp]
+LONG = 400
+FEW_CORNERS = 0.02
+"""Share of the rows, of so many or more, below which the corners of a signal are walked one by one."""
 FORGOTTEN = 1e-30
 """Share of a past value below which it is gone, whatever the value."""
 EVEN = 1e-9
@@ -28,6 +33,11 @@ def play(x: Array, half_width: Array, state: Array | None) -> tuple[Array, Array
         state: (m,) last output; None: the output starts at the first input.
     """
     low, high = x - half_width, x + half_width
+    start = x[0] if state is None else state
+    corners = [_corners(x[:, j]) for j in range(x.shape[1])] if len(x) >= LONG else []
+    if corners and all(len(at) < FEW_CORNERS * len(x) for at in corners):
+        out = np.stack([_along(low[:, j], high[:, j], start[j], at) for j, at in enumerate(corners)], axis=-1)
+        return out, out[-1].copy()
     # One step clamps to a band, and clamps after one another are a clamp: all of them by doubling, not row by row.
     reach = 1
     while reach < len(x) and not np.array_equal(low[reach:], high[reach:]):
@@ -35,8 +45,26 @@ def play(x: Array, half_width: Array, state: Array | None) -> tuple[Array, Array
         low[reach:] = np.minimum(np.maximum(low[:-reach], after_low), after_high)
         high[reach:] = np.minimum(np.maximum(high[:-reach], after_low), after_high)
         reach *= 2
-    out = np.minimum(np.maximum(x[0] if state is None else state, low), high)
+    out = np.minimum(np.maximum(start, low), high)
     return out, out[-1].copy()
+
+
+def _corners(x: Array) -> Index:
+    """First row, rows at which x (N,) turns round, last row."""
+    moves = np.flatnonzero(np.diff(x))
+    rising = x[moves + 1] > x[moves]
+    turns = moves[1:][rising[1:] != rising[:-1]]
+    return np.concatenate([[0], turns, [len(x) - 1]]).astype(np.intp)
+
+
+def _along(low: Array, high: Array, start: float, corners: Index) -> Array:
+    """Play where the input turns round seldom: between two corners the band moves one way, and one clamp to it is enough."""
+    at, state = [], float(start)
+    for below, above in zip(low[corners].tolist(), high[corners].tolist(), strict=True):
+        state = min(max(state, below), above)
+        at.append(state)
+    held = np.repeat(at[:-1], np.diff(corners))
+    return np.asarray(np.minimum(np.maximum(np.concatenate([at[:1], held]), low), high))
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ A port says how the compared channels answer to a small cause: a joint's positio
 An effect is then the same few lines whichever group is compared, and does nothing where its port is not there.
 """
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, wraps
@@ -37,6 +38,10 @@ BANDS = (40.0, 20.0, 10.0, 5.0, 2.5)
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+_FIRST = threading.RLock()
+"""Two searches may ask at once, and a robot's model is not for two."""
+
+
 def once(method: F) -> F:
     """Computed once an instance and argument: ports are asked for by many effects."""
 
@@ -45,7 +50,9 @@ def once(method: F) -> F:
         known = self.__dict__.setdefault("_once", {})
         key = (method.__qualname__, *args)
         if key not in known:
-            known[key] = method(self, *args)
+            with _FIRST:
+                if key not in known:
+                    known[key] = method(self, *args)
         return known[key]
 
     return held  # type: ignore[return-value]
@@ -211,6 +218,13 @@ class Scene:
     def joint_port(self, joint: str) -> Array | None:
         """(N, C) answer to an error of a joint's position, per rad or m."""
         return None
+
+    @once
+    def reached(self, joint: str) -> tuple[int, ...]:
+        """Channels in which an error of a joint's position shows; all where it shows in none."""
+        port = self.joint_port(joint)
+        live = [] if port is None else np.flatnonzero(port.any(axis=0)).tolist()
+        return tuple(live or range(len(self.channels)))
 
     def gravity_port(self) -> Array | None:
         """(N, C, 3) answer to gravity in the base, per m/s^2."""

@@ -1,0 +1,78 @@
+"""The noise of a channel: what it colours it whitens, on runs of any length; empty columns cost nothing and change nothing."""
+
+import itertools
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import diagnosis_parts as parts
+
+from galen_hw.diagnosis.noise import Noise
+from galen_hw.diagnosis.rows import Rows
+from galen_hw.physics.effect import Columns
+from galen_hw.physics.event_effects import Vibration
+
+
+def noise(*lengths: int) -> Noise:
+    """Slow noise beside white in two channels, on runs of these lengths."""
+    ends = np.cumsum([0, *lengths]).tolist()
+    rows = Rows(tuple(slice(a, b) for a, b in itertools.pairwise(ends)))
+    edges = np.geomspace(1e-3, 0.5, 20)
+    middle = np.sqrt(edges[1:] * edges[:-1])
+    levels = np.stack([1.0 + 0.02 / middle, np.ones_like(middle)], axis=-1)
+    return Noise(rows, edges, levels, np.ones(2), 1e4, np.eye(2), np.zeros(2))
+
+
+@pytest.mark.parametrize("lengths", [(4000,), (3989,), (2000, 1999, 50), (1009, 997)])
+def test_what_is_coloured_is_whitened_again(lengths):
+    """Even, prime and short runs: white noise comes back, and what is slow is slow."""
+    model = noise(*lengths)
+    white = np.random.default_rng(3).normal(size=(sum(lengths), 2))
+    coloured = model.colour(white, 0)
+    assert coloured.shape == white.shape
+    back = model.whiten(coloured, 0)
+    inner = slice(20, lengths[0] - 20)
+    assert np.max(np.abs((back - white)[inner])) < (1e-9 if lengths[0] == 4000 else 0.2)
+    assert np.std((back - white)[: lengths[0]]) < 0.02
+    assert np.std(np.convolve(coloured[: lengths[0], 0], np.ones(50) / 50.0, "valid")) > 1.5 * np.std(
+        np.convolve(white[: lengths[0], 0], np.ones(50) / 50.0, "valid")
+    )
+
+
+def test_an_awkward_length_is_whitened_like_the_length_beside_it():
+    """A prime of rows goes on into its mirror image: all but the last rows are those of a run that is one row longer."""
+    x = np.cumsum(np.random.default_rng(5).normal(size=(4000, 1)), axis=0) * 0.1
+    even, prime = noise(4000).whiten(x, 0), noise(3989).whiten(x[:3989], 0)
+    assert np.max(np.abs(even[:3800] - prime[:3800])) < 0.02 * np.std(even)
+
+
+def test_several_channels_at_once_are_each_by_itself():
+    """(M, c, k) columns, channels in any order."""
+    model = noise(1013)
+    x = np.random.default_rng(6).normal(size=(1013, 2, 3))
+    both = model.whitened_each(model.transformed(x), (1, 0))
+    assert np.allclose(both[:, 0], model.whiten(x[:, 0], 1))
+    assert np.allclose(both[:, 1], model.whiten(x[:, 1], 0))
+
+
+def test_columns_that_stay_empty_are_left_empty():
+    """A hum with coefficients of its own in every channel: whitened as if each channel stood alone."""
+    bench = parts.diagnosed("nothing").bench
+    names = bench.scene.channels
+    together, alone = bench.add(Vibration(names, 7.0, 2)), bench.add(Vibration(names[2:3], 7.0, 2))
+    assert together.raw.live().sum() == len(names) * alone.count
+    at, own = together.own(2)
+    assert at.tolist() == list(range(2 * alone.count, 3 * alone.count))
+    assert np.allclose(own, alone.own(2)[1])
+    assert not together.white.values[:, 2, : 2 * alone.count].any()
+
+
+def test_a_column_with_few_values_is_not_empty():
+    """The rows that are looked at first need not hold one."""
+    values = np.zeros((1000, 2, 2))
+    values[501, 1, 0] = 1.0
+    assert Columns((0, 1), values).live().tolist() == [[False, False], [True, False]]

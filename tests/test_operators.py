@@ -1,0 +1,80 @@
+"""Operators with memory against their definitions, row by row, however a batch is cut."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from galen_hw.physics.operators import delay, lag, play
+
+
+def play_by_definition(x: np.ndarray, half_width: np.ndarray, state: np.ndarray | None) -> np.ndarray:
+    """p_k = min(max(p_{k-1}, x_k - r), x_k + r)."""
+    out, last = [], x[0] if state is None else state
+    for row in x:
+        last = np.minimum(np.maximum(last, row - half_width), row + half_width)
+        out.append(last)
+    return np.array(out)
+
+
+@st.composite
+def signals(draw: st.DrawFn) -> np.ndarray:
+    """(N, m): slow or jittery, smooth or in steps with plateaus, long enough for either way of computing play."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n, m = draw(st.integers(1, 1200)), draw(st.integers(1, 3))
+    x = np.sin(np.linspace(0.0, draw(st.floats(0.1, 30.0)), n))[:, None] * rng.uniform(0.1, 2.0, m)
+    if draw(st.booleans()):
+        x = x + 0.01 * rng.normal(size=x.shape)
+    return np.round(x, 1) if draw(st.booleans()) else x
+
+
+@given(signals(), st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3), st.booleans(), st.floats(0.0, 1.0))
+def test_play_is_its_definition_to_the_last_bit_wherever_it_is_cut(x, widths, started, where):
+    """Corners, doubling and the definition agree, and so does a stream that was cut anywhere."""
+    r = np.array(widths[: x.shape[1]])
+    state = np.linspace(-0.5, 0.5, x.shape[1]) if started else None
+    whole, last = play(x, r, state)
+    assert np.array_equal(whole, play_by_definition(x, r, state))
+    assert np.array_equal(last, whole[-1])
+    cut = int(where * len(x))
+    if 0 < cut < len(x):
+        first, between = play(x[:cut], r, state)
+        assert np.array_equal(np.concatenate([first, play(x[cut:], r, between)[0]]), whole)
+
+
+def test_play_walks_corners_where_there_are_few_and_doubles_where_there_are_many(monkeypatch):
+    """Both ways are taken, and give the same."""
+    from galen_hw.physics import operators
+
+    x = np.sin(np.linspace(0.0, 20.0, 1000))[:, None]
+    walked = []
+    along = operators._along
+    monkeypatch.setattr(operators, "_along", lambda *a: walked.append(1) or along(*a))
+    slow = play(x, np.array([0.2]), None)[0]
+    assert walked
+    walked.clear()
+    jittery = x + 1e-3 * np.random.default_rng(0).normal(size=x.shape)
+    quick = play(jittery, np.array([0.2]), None)[0]
+    assert not walked
+    assert np.max(np.abs(slow - quick)) < 0.02
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+def test_a_lag_settles_as_its_equation_says(uneven):
+    """A unit step has come to 1 - exp(-t / T), on an even clock and on an uneven one."""
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.uniform(0.005, 0.015, 500)) if uneven else np.arange(500) * 0.01
+    x = np.ones((500, 1))
+    out, state = lag(t, x, np.array([0.7]), None)
+    assert np.allclose(out, 1.0)
+    x[0] = 0.0
+    out, state = lag(t, x, np.array([0.7]), None)
+    assert np.allclose(out[1:, 0], 1.0 - np.exp(-(t[1:] - t[0]) / 0.7), atol=1e-12)
+    assert state.output == pytest.approx(out[-1])
+
+
+def test_a_delay_is_the_past():
+    """A straight line comes later by the delay, and its first value stands before."""
+    t = np.arange(200) * 0.01
+    out, _ = delay(t, 3.0 * t[:, None], 0.025, None)
+    assert np.allclose(out[:, 0], 3.0 * np.maximum(t - 0.025, 0.0), atol=1e-12)
