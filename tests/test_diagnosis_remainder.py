@@ -8,13 +8,14 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import SIGMA, Bench
+from diagnosis_cases import SIGMA, WRENCH, Bench
 
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.generic import Inputs, dictionaries
 from galen_hw.diagnosis.remainder import learn
 from galen_hw.diagnosis.rows import Rows
 from galen_hw.diagnosis.wanted import support
+from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.table import scene_of
 
 
@@ -127,3 +128,35 @@ def test_support_allows_for_what_is_known_of_the_noise() -> None:
     effect = 0.1 * np.sin(np.arange(50000) / 30.0)[:, None]
     assert support(noise + effect, noise) == pytest.approx(1.0, abs=0.2)
     assert support(3.0 * noise + effect, 3.0 * noise) < 0.05
+
+
+def test_a_touch_beside_what_has_no_name_is_judged_by_its_own_moments() -> None:
+    """Three seconds of 200 are little of a recording in which much is missing, and yet they stand out from all of it."""
+    touched = stray(Bench(1, rows=4000), 6.0)
+    start = 0.55 * touched.t[-1]
+    inside = (touched.t > start) & (touched.t < start + 1.5)
+    touched.wrench[inside] += 12.0 * SIGMA * np.array([1.0, -0.5, 1.0, 0.3, 0.6, -0.2])
+    work = judged(touched)
+    assert set(named(work)) == {"contact", "unknown"}
+    (contact,) = [h.effect for h in work.model.effects if isinstance(h.effect, Contact)]
+    ((begin, end),) = contact.episodes
+    assert begin <= start < start + 1.5 <= end
+    assert end - begin < 5.0
+
+
+def test_what_warms_up_moves_several_zeros_with_one_constant() -> None:
+    """One drift of three channels, each with its own amplitude, and nothing in the other three."""
+    bench = Bench(2, rows=4000)
+    warm = 1.0 - np.exp(-bench.t / 40.0)
+    truth = {"wrench.force.x": 1.5 * SIGMA[0], "wrench.force.z": -1.5 * SIGMA[2], "wrench.torque.y": SIGMA[4]}
+    for name, size in truth.items():
+        bench.wrench[:, WRENCH.index(name)] += size * warm
+    work = judged(bench)
+    assert (work.diagnosis.verdict, named(work)) == ("explained", ["drift"])
+    (finding,) = work.diagnosis.findings
+    assert set(finding.channels) == set(truth)
+    constant = finding.parameters["constant"]
+    assert abs(constant.value - 40.0) < 3.0 * constant.std
+    for name, size in truth.items():
+        value = finding.parameters[f"amplitude_{name}"]
+        assert abs(value.value - size) < 3.0 * value.std

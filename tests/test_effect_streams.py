@@ -15,6 +15,7 @@ from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Contact, Step, Vibration
 from galen_hw.physics.joint_effects import TorqueRipple
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.sensor_effects import Drift
 from galen_hw.physics.table import EFFECTS, effect_class, scene_of
 
 GROUPS = ("wrench", "pose", "targets", "effort", "position")
@@ -33,9 +34,13 @@ def hypotheses(whole: Scene) -> list[Effect]:
     first, last = whole.channels[0], whole.channels[-1]
     found = [e for key in EFFECTS for e in effect_class(key).propose(whole)]
     found += [Step((first,), 5.0), Vibration((first, last), 3.0), Contact((first,), ((2.0, 4.0), (7.0, 8.0)))]
+    found.append(Drift("", "wander", None, 0.0, 10.0, (first, last)))
     if whole.observations.predict == "effort":
         found.append(TorqueRipple("elbow", 9.0))
-    return list({(e.KEY, getattr(e, "form", ""), getattr(e, "part", "")): e for e in found}.values())
+    kinds = {
+        (e.KEY, getattr(e, "form", ""), getattr(e, "part", ""), bool(getattr(e, "channels", ""))): e for e in found
+    }
+    return list(kinds.values())
 
 
 def row_by_row(whole: Scene, effect: Effect, theta: np.ndarray) -> np.ndarray:

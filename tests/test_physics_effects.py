@@ -18,6 +18,7 @@ from galen_hw.physics.effect import Effect
 from galen_hw.physics.elastic_effects import Compliance
 from galen_hw.physics.event_effects import Contact, Glitches, Step, Vibration
 from galen_hw.physics.joint_effects import TorqueRipple
+from galen_hw.physics.sensor_effects import Drift
 from galen_hw.physics.streams import EffectStream, build_streams
 from galen_hw.physics.table import EFFECTS, effect_class, scene_of
 
@@ -32,6 +33,7 @@ def proposals(group, static=False):
     )
     found = [e for key in EFFECTS for e in effect_class(key).propose(made)]
     first, last = made.channels[0], made.channels[-1]
+    found += [Drift("", "wander", None, 0.0, 10.0, (first, last)), Drift("", "warm_up", 3.0, 0.0, 10.0, (first, last))]
     found += [Step((first,), 5.0), Vibration((first, last), 3.0), Contact((first,), ((2.0, 4.0), (7.0, 8.0)))]
     found += [Glitches((first,), (3, 9))] + ([TorqueRipple("elbow", 9.0)] if group == "effort" else [])
     return made, list({e.family: e for e in found}.values())

@@ -53,22 +53,31 @@ PIECES = 400
 
 def crossed(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False) -> Array:
     """(C,) mean squared error of a model on training blocks left out in turn, see `left_out`."""
-    return left_out(bench, [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]], scorer.white, fine=fine)
+    return np.asarray(np.mean(errors(bench, scorer, chosen, fine=fine) ** 2, axis=0))
+
+
+def errors(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False) -> Array:
+    """(n, C) errors of a model on the training rows, each predicted from blocks that it is not in."""
+    model = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
+    return _errors(bench, model, scorer.white, folds=5, fine=fine)
 
 
 def left_out(bench: Bench, model: list[Hypothesis], white: Array, *, folds: int = 5, fine: bool = False) -> Array:
     """(C,) mean squared error, raw, on training blocks left out in turn; `fine`: on short pieces left out in turn."""
+    return np.asarray(np.mean(_errors(bench, model, white, folds=folds, fine=fine) ** 2, axis=0))
+
+
+def _errors(bench: Bench, model: list[Hypothesis], white: Array, *, folds: int, fine: bool) -> Array:
     train = np.flatnonzero(bench.train)
     if fine:
         fold = train // max(len(bench.rows) // PIECES, 8) % folds
     else:
         fold = np.unique(bench.block[train], return_inverse=True)[1] % folds
-    total = np.zeros(bench.width)
+    out = np.zeros((len(train), bench.width))
     for k in range(folds):
-        learn, judge = train[fold != k], train[fold == k]
-        if not len(judge) or not len(learn):
+        learn, aside = fold != k, fold == k
+        if not aside.any() or not learn.any():
             continue
-        theta = fit(model, white, learn, bench.width)
-        error = bench.y[judge] - predicted(model, theta, judge, bench.width)
-        total += np.sum(error**2, axis=0)
-    return total / len(train)
+        theta = fit(model, white, train[learn], bench.width)
+        out[aside] = bench.y[train[aside]] - predicted(model, theta, train[aside], bench.width)
+    return out

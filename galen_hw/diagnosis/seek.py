@@ -1,6 +1,6 @@
 """Looks into a residual for what belongs to moments: glitches, steps, contacts, lines in the spectrum, ripple."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -11,7 +11,7 @@ from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Contact, Step, Vibration
 from galen_hw.physics.joint_effects import TorqueRipple
 from galen_hw.physics.scene import Scene
-from galen_hw.physics.sensor_effects import Saturation
+from galen_hw.physics.sensor_effects import Drift, Saturation
 from galen_hw.physics.smoothing import isolated
 from galen_hw.physics.time_effects import joint_of
 from galen_hw.spatial import Array
@@ -25,6 +25,10 @@ class Sought:
     looked: int
 
 
+FEW_ROWS = 40
+"""Rows too few to look for a moment or a movement in."""
+SHARED = 0.1
+"""Share of the strongest channel's gain from which another channel is in it too."""
 FEW_CLIPPED = 5
 """Rows beyond a limit that are too few to show that it is one."""
 
@@ -42,7 +46,7 @@ def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
 def steps(scene: Scene, rest: Array) -> list[Sought]:
     """The moment at which a jump takes most out of the rest (M, C), channel by channel and over all together."""
     N, C = rest.shape
-    if N < 40:
+    if N < FEW_ROWS:
         return []
     z = (rest - rest.mean(axis=0)) / np.maximum(_slow_spread(rest), 1e-300)
     s = np.cumsum(z, axis=0)[:-1]
@@ -55,7 +59,7 @@ def steps(scene: Scene, rest: Array) -> list[Sought]:
     if C > 1:
         row = int(np.argmax(gain.sum(axis=1)))
         found.append(Sought(Step(tuple(names), _at(scene, row + 1, N)), N // 4))
-        some = tuple(n for n, g in zip(names, gain[row], strict=True) if g > 0.1 * gain[row].max())
+        some = tuple(n for n, g in zip(names, gain[row], strict=True) if g > SHARED * gain[row].max())
         if 1 < len(some) < C:
             found.append(Sought(Step(some, _at(scene, row + 1, N)), N // 4))
     return found
@@ -69,6 +73,26 @@ def _at(scene: Scene, row: int, rows: int) -> float:
     """Time of a row of the averaged rest."""
     place = min(round(row * len(scene) / rows), len(scene) - 1)
     return float(scene.time[place])
+
+
+def drifts(scene: Scene, rest: Array, time: Array) -> list[Sought]:
+    """Slow movement that several channels share: of each form the one that takes most, in the channels that it is in.
+
+    Args:
+        rest: (M, C); time: (M,) of its rows, s.
+    """
+    if len(scene.channels) < 2 or len(rest) < FEW_ROWS:
+        return []
+    z = (rest - rest.mean(axis=0)) / np.maximum(_slow_spread(rest), 1e-300)
+    best: dict[str, tuple[float, Drift]] = {}
+    proposed = {(d.form, d.constant): d for d in Drift.propose(scene)}
+    for one in proposed.values():
+        shapes = one.shapes(time)
+        gain = np.sum((np.linalg.qr(shapes - shapes.mean(axis=0))[0].T @ z) ** 2, axis=0)
+        names = tuple(n for n, g in zip(scene.channels, gain, strict=True) if g > SHARED * gain.max())
+        if len(names) > 1 and gain.sum() > best.get(one.form, (0.0, one))[0]:
+            best[one.form] = float(gain.sum()), replace(one, channel="", channels=names)
+    return [Sought(effect, len(scene.channels)) for _, effect in best.values()]
 
 
 WANDER = 5

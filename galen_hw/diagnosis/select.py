@@ -32,6 +32,7 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[seek.Sought]
     """What the rest of the present model shows by itself."""
     rest, _ = rests(bench, scorer, chosen)
     found = seek.steps(bench.scene, rest) + seek.contacts(bench.scene, rest)
+    found += seek.drifts(bench.scene, rest, bench.rows.average(bench.scene.time))
     found += seek.saturations(bench.scene, rest, bench.rows.average(bench.scene.simulated))
     return found + seek.lines(bench.scene, rest, bench.rows.runs) + seek.ripples(bench.scene, rest)
 

@@ -11,7 +11,7 @@ from galen_hw.diagnosis.result import Finding, Value
 HEAD: Final[dict[str, tuple[str, ...]]] = {
     "bias": ("offset",),
     "step": ("jump_.*",),
-    "drift": ("change", "amplitude"),
+    "drift": ("change.*", "amplitude.*"),
     "temperature": ("coefficient",),
     "gain": ("gain_error",),
     "cross_talk": ("leak",),

@@ -3,10 +3,12 @@
 import numpy as np
 
 from galen_hw.diagnosis.bench import Bench
-from galen_hw.diagnosis.linear import crossed
+from galen_hw.diagnosis.linear import crossed, errors
+from galen_hw.diagnosis.rows import Mask
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.physics.effect import Effect
+from galen_hw.physics.event_effects import Contact
 from galen_hw.spatial import Array
 
 WORTH = 0.25
@@ -23,6 +25,10 @@ LOUD = 400.0
 
 PROVED = 1.25
 """Whitened mean square below which a model leaves hardly more than noise."""
+
+
+OUTSTANDING = 9.0
+"""Mean square of what is left during a contact over that at all other times from which it is judged by its own moments."""
 
 
 def asked(bench: Bench, out: Selection, effect: Effect | None, misfit: float) -> tuple[float, float]:
@@ -46,15 +52,29 @@ def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, 
     effect = scorer.library[i].effect
     # A contact of three seconds lies in one block: only pieces shorter than it can say whether it is there.
     fine = effect is not None and (effect.EPISODIC or effect.BRIEF)
-    before = crossed(bench, scorer, out.chosen, fine=fine)
-    after = crossed(bench, scorer, [*out.chosen, i], fine=fine)
+    before = errors(bench, scorer, out.chosen, fine=fine) ** 2
+    after = errors(bench, scorer, [*out.chosen, i], fine=fine) ** 2
     floor = bench.noise.sigma**2
     if not len(out.start):
         out.start = crossed(bench, scorer, out.chosen)
-    weight = _where_it_acts(scorer, out.chosen, i, bench)
+    weight, start = _where_it_acts(scorer, out.chosen, i, bench), out.start
+    if isinstance(effect, Contact):
+        during = np.asarray(scorer.library[i].raw.values[bench.train].any(axis=(1, 2)))
+        if _stands_out(before, during, weight):
+            before, after = before[during], after[during]
+            start = np.mean(bench.whole[bench.train][during] ** 2, axis=0)
+    before, after = np.mean(before, axis=0), np.mean(after, axis=0)
     left = (before - after) / np.maximum(before - floor, 0.02 * floor)
-    whole = (before - after) / np.maximum(out.start - floor, 0.02 * floor)
+    whole = (before - after) / np.maximum(start - floor, 0.02 * floor)
     return float(weight @ left), float(weight @ whole)
+
+
+def _stands_out(square: Array, during: Mask, weight: Array) -> bool:
+    """Whether squared errors (n, C) are far larger during some rows than at all others, in the channels that count."""
+    if not during.any() or during.all():
+        return False
+    ratio = np.mean(square[during], axis=0) / np.maximum(np.mean(square[~during], axis=0), 1e-300)
+    return bool(weight @ ratio >= OUTSTANDING)
 
 
 def _where_it_acts(scorer: Scorer, chosen: list[int], i: int, bench: Bench) -> Array:

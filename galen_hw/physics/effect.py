@@ -241,6 +241,16 @@ def in_channel(channel: int, columns: Iterable[Array]) -> Columns:
     return Columns((channel,), np.stack(list(columns), axis=-1)[:, None, :])
 
 
+def in_each(places: tuple[int, ...], shapes: Array) -> Columns:
+    """The same shapes (N, n) in several channels, each with coefficients of its own, channel by channel."""
+    count = shapes.shape[1]
+    # Column by column in memory: most stay empty, and are never touched.
+    values = np.zeros((len(places), count * len(places), len(shapes)))
+    for i in range(len(places)):
+        values[i, i * count : (i + 1) * count] = shapes.T
+    return Columns(places, values.transpose(2, 0, 1))
+
+
 def in_all(columns: Iterable[Array], width: int) -> Columns:
     """Columns (N, C) of all channels; those in which all are zero are left out, where any is not."""
     values = np.stack(list(columns), axis=-1)

@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, unit_of
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_each, unit_of
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
@@ -44,13 +44,7 @@ class _Shaped(_Sought):
     def averaged(self, scene: Scene, average: Callable[[Array], Array]) -> Columns:
         """Shapes are averaged before they are spread over the channels, where most of the columns are zero."""
         places = tuple(scene.channels.index(name) for name in self.channels)
-        shapes = self.averaged_shapes(scene, average)
-        count = shapes.shape[1]
-        # Column by column in memory: most stay empty, and are never touched.
-        values = np.zeros((len(places), count * len(places), len(shapes)))
-        for i in range(len(places)):
-            values[i, i * count : (i + 1) * count] = shapes.T
-        return Columns(places, values.transpose(2, 0, 1))
+        return in_each(places, self.averaged_shapes(scene, average))
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from galen_hw.physics.effect import (
     Searched,
     duration,
     in_channel,
+    in_each,
     log_grid,
     unit_of,
 )
@@ -47,6 +48,10 @@ class Bias(Effect):
         return in_channel(scene.channels.index(self.channel), [np.ones(len(scene))])
 
 
+WANDERS = 5
+"""Half cosines of a wander."""
+
+
 @dataclass(frozen=True)
 class Drift(Effect):
     """The offset moves slowly: straight, r = a t / D; warm-up, r = a (1 - exp(-t / T)); wander, a few half cosines over D.
@@ -54,17 +59,19 @@ class Drift(Effect):
     D is the length of the recording. Beyond it (a tool's file in the live services) a straight drift is carried on for as
     long again and a wander not at all, then both are held; a warm-up has an end of its own. Visible in any recording longer
     than the drift. Confused with temperature where none was measured, with gravity where the poses are ordered, and with
-    the slow end of coloured noise.
+    the slow end of coloured noise. With `channels` it is the same form in several, each with amplitudes of its own: what
+    warms or settles moves more than one zero.
     """
 
     KEY = "drift"
     SEARCHED: ClassVar = {"constant": Searched(1e-2, 1e6, "s")}
     EPISODIC = True
-    channel: str
+    channel: str = ""
     form: str = "linear"
     constant: float | None = None
     start: float = 0.0
     length: float = 1.0
+    channels: tuple[str, ...] = ()
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -80,21 +87,26 @@ class Drift(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Amplitudes over the whole recording."""
-        unit = unit_of(scene, self.channel)
-        if self.form == "wander":
-            return tuple(Parameter(f"cosine_{k}", unit) for k in range(1, 6))
-        return (Parameter("amplitude" if self.form == "warm_up" else "change", unit),)
+        one = "amplitude" if self.form == "warm_up" else "change"
+        names = [f"cosine_{k}" for k in range(1, WANDERS + 1)] if self.form == "wander" else [one]
+        if not self.channels:
+            return tuple(Parameter(name, unit_of(scene, self.channel)) for name in names)
+        return tuple(Parameter(f"{name}_{c}", unit_of(scene, c)) for c in self.channels for name in names)
 
     def columns(self, scene: Scene) -> Columns:
         """By the clock, or by the row number without one."""
+        places = tuple(scene.channels.index(name) for name in self.channels or (self.channel,))
+        return in_each(places, self.shapes(scene.time))
+
+    def shapes(self, time: Array) -> Array:
+        """(N, n) the forms that it can take at times (N,), s."""
         furthest = {"linear": 2.0 * self.length, "wander": self.length}.get(self.form, np.inf)
-        t = np.clip(scene.time - self.start, 0.0, furthest)
-        channel = scene.channels.index(self.channel)
+        t = np.clip(time - self.start, 0.0, furthest)
         if self.form == "wander":
-            return in_channel(channel, [np.cos(np.pi * k * t / self.length) for k in range(1, 6)])
+            return np.stack([np.cos(np.pi * k * t / self.length) for k in range(1, WANDERS + 1)], axis=-1)
         if self.constant is not None:
-            return in_channel(channel, [-np.expm1(-t / self.constant)])
-        return in_channel(channel, [t / self.length])
+            return np.asarray(-np.expm1(-t / self.constant))[:, None]
+        return (t / self.length)[:, None]
 
 
 @dataclass(frozen=True)
