@@ -6,6 +6,7 @@ All decisions are then small solves: inner products of columns with each other a
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -56,6 +57,11 @@ class Hypothesis:
     @cached_property
     def _live(self) -> Mask:
         return self.raw.live()
+
+    @cached_property
+    def family(self) -> Any:
+        """Of its effect; None: a nuisance."""
+        return None if self.effect is None else self.effect.family
 
     def pinned_gain(self, scene: Scene, A: Array, r: Array) -> float | None:
         """Fall of the whitened sum of squares at the one value its parameters can have, by inner products; None: free.

@@ -49,13 +49,18 @@ class Scorer:
         self.white = bench.whitened(bench.y)
         self.fake = bench.surrogates()
         self._train = bench.train
-        self.G = np.empty((0, 0))
-        self.b = np.empty(0)
+        self._room, self.b = np.empty((0, 0)), np.empty(0)
         self.fakes = np.empty((0, self.fake.shape[2]))
         self.places: list[slice] = []
         # Per channel: column numbers and the columns themselves on the training rows, side by side.
         self._stacks: list[list[tuple[Index, Array]]] = [[] for _ in range(bench.width)]
         self.append([*self.base, *library])
+
+    @property
+    def G(self) -> Array:
+        """(K, K) inner products of all columns."""
+        size = self.places[-1].stop if self.places else 0
+        return self._room[:size, :size]
 
     def append(self, new: list[Hypothesis]) -> None:
         """Inner products of more hypotheses with all others."""
@@ -65,8 +70,14 @@ class Scorer:
             self.places.append(slice(first, first + h.count))
             first += h.count
         self.library += new
-        G, b, fakes = np.zeros((first, first)), np.zeros(first), np.zeros((first, self.fake.shape[2]))
-        G[:old, :old], b[:old], fakes[:old] = self.G, self.b, self.fakes
+        if first > len(self._room):
+            # With room to spare: a search appends thousands of times.
+            room = np.zeros((first + first // 2, first + first // 2))
+            room[:old, :old] = self._room[:old, :old]
+            self._room = room
+        G, b, fakes = self._room, np.zeros(first), np.zeros((first, self.fake.shape[2]))
+        G[old:first, :first], G[:old, old:first] = 0.0, 0.0
+        b[:old], fakes[:old] = self.b, self.fakes
         for c, stack in enumerate(self._stacks):
             fresh = [i for i in range(len(self.library) - len(new), len(self.library)) if self._acts(i, c)]
             if not fresh:
@@ -82,7 +93,7 @@ class Scorer:
             b[at_new] += Xn.T @ self.white[self._train, c]
             fakes[at_new] += Xn.T @ self.fake[self._train, c]
             stack.append((at_new, Xn))
-        self.G, self.b, self.fakes = G, b, fakes
+        self.b, self.fakes = b, fakes
 
     def _acts(self, i: int, c: int) -> bool:
         return c in self.library[i].white.channels and self.library[i].count > 0
@@ -92,7 +103,7 @@ class Scorer:
         library = [self._retimed(h) for h in self.library]
         self.library, self.places = [], []
         self._stacks = [[] for _ in self._stacks]
-        self.G, self.b, self.fakes = np.empty((0, 0)), np.empty(0), np.empty((0, self.fake.shape[2]))
+        self._room, self.b, self.fakes = np.empty((0, 0)), np.empty(0), np.empty((0, self.fake.shape[2]))
         self.append(library)
 
     def _retimed(self, h: Hypothesis) -> Hypothesis:
@@ -132,13 +143,13 @@ class Scorer:
     @contextmanager
     def trying(self, new: list[Hypothesis]) -> Iterator[None]:
         """More hypotheses for a while; whatever joins meanwhile leaves with them."""
-        kept = self.library, self.places, self._stacks, self.G, self.b, self.fakes
+        kept = self.library, self.places, self._stacks, self._room, self.b, self.fakes
         self.library, self.places, self._stacks = list(kept[0]), list(kept[1]), [list(stack) for stack in kept[2]]
         try:
             self.append(new)
             yield
         finally:
-            self.library, self.places, self._stacks, self.G, self.b, self.fakes = kept
+            self.library, self.places, self._stacks, self._room, self.b, self.fakes = kept
 
     @property
     def total(self) -> float:
@@ -159,24 +170,28 @@ class Scorer:
 
     def scores(self, chosen: list[int], which: list[int] | None = None) -> tuple[dict[int, Score], Array]:
         """Scores of hypotheses beside the chosen ones, and the largest surprise of each surrogate."""
-        at = self.base_with(chosen)
-        GS = self.G[np.ix_(at, at)]
-        P = solve_sym(GS, np.concatenate([self.G[at], self.b[at][:, None], self.fakes[at]], axis=1))
-        K = len(self.b)
-        rest_b = self.b - self.G[:, at] @ P[:, K]
-        rest_f = self.fakes - self.G[:, at] @ P[:, K + 1 :]
+        at, asked = self.base_with(chosen), list(range(len(self.base), len(self.library))) if which is None else which
+        # Columns of what is asked alone: most calls compare two hypotheses, not all.
+        own = np.concatenate(
+            [np.empty(0, dtype=np.intp), *(np.arange(self.places[i].start, self.places[i].stop) for i in asked)]
+        )
+        ends = np.cumsum([0, *(self.places[i].stop - self.places[i].start for i in asked)])
+        GS, cross, K = self.G[np.ix_(at, at)], self.G[np.ix_(at, own)], len(own)
+        P = solve_sym(GS, np.concatenate([cross, self.b[at][:, None], self.fakes[at]], axis=1))
+        rest_b = self.b[own] - cross.T @ P[:, K]
+        rest_f = self.fakes[own] - cross.T @ P[:, K + 1 :]
         out: dict[int, Score] = {}
         highest = np.zeros(self.fakes.shape[1])
         families = self._families()
-        for i in range(len(self.base), len(self.library)) if which is None else which:
-            s = self.places[i]
-            if i in chosen or s.stop == s.start:
+        for i, a, z in zip(asked, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+            if i in chosen or a == z:
                 continue
-            A = self.G[s, s] - self.G[s, at] @ P[:, s]
-            gain, fake, count = quadratic(A, np.diag(self.G)[s], rest_b[s], rest_f[s])
+            G = self.G[self.places[i], self.places[i]]
+            A = G - cross[:, a:z].T @ P[:, a:z]
+            gain, fake, count = quadratic(A, np.diag(G), rest_b[a:z], rest_f[a:z])
             if not count:
                 continue
-            pinned = self.library[i].pinned_gain(self.bench.scene, A, rest_b[s])
+            pinned = self.library[i].pinned_gain(self.bench.scene, A, rest_b[a:z])
             gain = gain if pinned is None else pinned
             looked = np.log(self.library[i].looked * families[i])
             surprise = self._surprise(gain, count) - looked
@@ -209,7 +224,7 @@ class Scorer:
         return count if effect is None or effect.freedom is None else min(count, effect.freedom)
 
     def _families(self) -> list[float]:
-        names = [None if h.effect is None else h.effect.family for h in self.library]
+        names = [h.family for h in self.library]
         counts: dict[object, int] = {}
         for name in names:
             counts[name] = counts.get(name, 0) + 1
