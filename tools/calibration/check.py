@@ -54,13 +54,17 @@ class LiveCheck:
     @property
     def ratios(self) -> dict[str, list[float]]:
         """Compensated over noise floor: of all samples, of those at held-out poses, of those in motion."""
-        parts = {"all": np.ones_like(self.moving), "at_rest": ~self.moving, "moving": self.moving}
         squares = self.compensated**2
-        return {
-            key: (np.sqrt(squares[rows].mean(axis=0)) / self.noise).tolist()
-            for key, rows in parts.items()
-            if rows.any()
-        }
+        return {key: (np.sqrt(squares[rows].mean(axis=0)) / self.noise).tolist() for key, rows in self._parts().items()}
+
+    @property
+    def samples(self) -> dict[str, int]:
+        """How many samples each of these rests on."""
+        return {key: int(rows.sum()) for key, rows in self._parts().items()}
+
+    def _parts(self) -> dict[str, NDArray[np.bool_]]:
+        parts = {"all": np.ones_like(self.moving), "at_rest": ~self.moving, "moving": self.moving}
+        return {key: rows for key, rows in parts.items() if rows.any()}
 
     @property
     def rms_raw(self) -> Array:

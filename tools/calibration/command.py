@@ -299,6 +299,7 @@ def _as_json(
             "rms": check.rms.tolist(),
             "noise_floor": check.noise.tolist(),
             "ratio": check.ratios,
+            "samples": check.samples,
             "left_out_braking": check.braked,
             "passed": check.passed,
         }
