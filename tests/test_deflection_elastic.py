@@ -7,6 +7,7 @@ import pytest
 
 from galen_hw.identification.deflection.blocks import Blocks, Rows
 from galen_hw.identification.deflection.elastic import ElasticArm
+from galen_hw.identification.deflection.elastic_stream import Jitter
 from galen_hw.identification.deflection.elastic_terms import Term, Weight
 from galen_hw.identification.deflection.stream import Place
 from galen_hw.physics.elastic_effects import Compliance
@@ -93,6 +94,21 @@ def test_the_stream_gives_the_numbers_of_the_batch(robot: GivingRobot, arm: Elas
     assert variance == pytest.approx(arm.variance(data)[-1], rel=1e-2), "the levers' bend alone is left out"
 
 
+def test_the_interval_grows_where_noise_of_the_force_moves_the_give() -> None:
+    """White noise's own variance, at any rate above that of the differences; slow motion and a gap are none."""
+    rng = np.random.default_rng(4)
+    for rate in (60.0, 1000.0):
+        jitter, t = Jitter(2), np.arange(int(40 * rate)) / rate
+        gives = np.stack([1e-4 * np.sin(t), 1e-4 * np.sin(t) + 3e-6 * rng.normal(size=len(t))], axis=1)
+        found = np.array([jitter.take(give, 1.0 / rate) for give in gives.tolist()])[len(t) // 10 :]
+        assert np.mean(found[:, 1]) == pytest.approx(9e-12, rel=0.15)
+        assert np.max(found[:, 0]) < 1e-3 * 9e-12
+        before = list(jitter.variance)
+        jitter.gap()
+        assert jitter.take([1.0, 1.0], 1.0 / rate) == before
+        assert jitter.take([1.0, 1.0], 0.1) == before
+
+
 def test_a_gap_keeps_the_memory_and_makes_it_unsure_until_the_load_moves(arm: ElasticArm, robot: GivingRobot) -> None:
     """After a gap the covariance is larger; when the load has crossed the friction's band it is as before."""
     stream = arm.stream()
@@ -111,9 +127,10 @@ def test_a_gap_keeps_the_memory_and_makes_it_unsure_until_the_load_moves(arm: El
     assert push(1.0, (3.0, 2.0, 5.0)) == pytest.approx(before, abs=1e-6)
     unsure = np.trace(np.reshape(stream.covariance(), (6, 6)))
     assert unsure > 1.2 * sure
+    for k in range(4000):
+        size = np.sin(2 * np.pi * k / 2000) * 14.0
+        push(1.0 + 0.025 * k, (size, size, size))
     for k in range(400):
-        size = np.sin(2 * np.pi * k / 200) * 14.0
-        push(1.0 + 0.25 * k, (size, size, size))
-    push(101.1, (3.0, 2.0, 5.0))
+        push(101.1 + 0.025 * k, (3.0, 2.0, 5.0))
     again = np.trace(np.reshape(stream.covariance(), (6, 6)))
     assert again < 0.5 * (sure + unsure)

@@ -14,7 +14,7 @@ from galen_hw.identification.deflection.blocks import Blocks
 from galen_hw.identification.deflection.compare import first_rest
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.elastic_fit import DELAY, Decision, Search
-from galen_hw.identification.deflection.elastic_stream import ElasticStream
+from galen_hw.identification.deflection.elastic_stream import ElasticStream, Jitter
 from galen_hw.identification.deflection.elastic_terms import Term, Weight, scenes
 from galen_hw.identification.deflection.model import DeflectionModel
 from galen_hw.identification.deflection.stream import GiveStream
@@ -84,9 +84,12 @@ class ElasticArm(DeflectionModel):
         return np.asarray(self.columns(data) @ self.values)
 
     def variance(self, data: DeflectionSet) -> Array:
-        """(N, d) of the corrected tip: parameters and what the model leaves."""
+        """(N, d) of the corrected tip: parameters, what the model leaves, what the force's noise makes of the give here."""
         X = self.columns(data)
-        return np.asarray(np.einsum("ndi,ij,ndj->nd", X, self.covariance, X) + self.floor**2)
+        known = np.einsum("ndi,ij,ndj->nd", X, self.covariance, X)
+        jitter, steps = Jitter(X.shape[1]), np.diff(data.time, prepend=data.time[0])
+        white = [jitter.take(give, dt) for give, dt in zip(X @ self.values, steps.tolist(), strict=True)]
+        return np.asarray(known + self.floor**2 + np.array(white))
 
     def to_json(self) -> dict[str, Any]:
         """Terms, parameters and how sure they are."""
@@ -127,9 +130,9 @@ def _floor(model: ElasticArm, sets: Sequence[DeflectionSet], blocks: Blocks) -> 
     """(d,) one sigma of what is left at held-out configurations, from each set's first rest on, without the tracker's noise.
 
     The tracker's noise is white and falls in short means, the model's error is slow and stays. What the force's noise
-    makes of the prediction is white too, and is added. One standard error over the sets comes on top: few
-    configurations have been seen, and a floor that is too low is the worse mistake. For the same reason the three axes of a
-    position (and those of a turn) share one floor: what is left is no property of an axis of the base.
+    makes of the prediction is white too, and differs from load to load (`Jitter`). One standard error over the sets comes on
+    top: few configurations have been seen, and a floor that is too low is the worse mistake. For the same reason the three
+    axes of a position (and those of a turn) share one floor: what is left is no property of an axis of the base.
     """
     by_fold = {int(f): blocks.solve([*model.terms, DELAY], without=int(f))[:-1] for f in np.unique(blocks.fold)}
     squares = []
@@ -145,14 +148,8 @@ def _floor(model: ElasticArm, sets: Sequence[DeflectionSet], blocks: Blocks) -> 
         after = left[seen & ~rest][:whole].reshape(-1, size, left.shape[1]).mean(axis=1)
         after = after - left[seen & rest].mean(axis=0)
         noise = model.noise**2 * (1.0 / size + 1.0 / np.count_nonzero(seen & rest))
-        squares.append(np.mean(after**2, axis=0) - noise + _white(give))
+        squares.append(np.mean(after**2, axis=0) - noise)
     each = np.array(squares or [np.zeros(len(model.noise))])
     each = np.repeat(each.reshape(len(each), -1, 3).mean(axis=2), 3, axis=1)
     total = each.mean(axis=0) + each.std(axis=0, ddof=min(1, len(each) - 1)) / np.sqrt(len(each))
     return np.asarray(np.sqrt(np.maximum(total, (0.05 * model.noise) ** 2)))
-
-
-def _white(give: Array) -> Array:
-    """(d,) variance of the white part of a prediction (N, d), by second differences; the corners of a push left out."""
-    second = np.diff(give, n=2, axis=0) ** 2 / 6.0
-    return np.asarray(np.mean(np.where(second <= np.quantile(second, 0.95, axis=0), second, 0.0), axis=0) / 0.95)

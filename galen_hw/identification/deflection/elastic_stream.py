@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import expm1, tanh
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +87,46 @@ class _Side:
         return out
 
 
+JITTER_S: Final = 0.25
+"""Time constant of the running mean that says how much the give jitters."""
+APART_S: Final = 0.015
+"""Samples nearer than this are not looked at: what a low-pass leaves of the force's noise hardly differs between them."""
+
+
+class Jitter:
+    """How much the give jitters by the force's noise, from its second differences: a loose bearing at rest makes much of it.
+
+    The variance of white noise is a sixth of the mean square of its second differences, whatever moves slowly below.
+
+    Args:
+        width: numbers of a give.
+    """
+
+    def __init__(self, width: int) -> None:
+        self._past: list[Sequence[float]] = []
+        self._since = 0.0
+        self.variance = [0.0] * width
+
+    def take(self, give: Sequence[float], dt: float) -> list[float]:
+        """(width,) variance with the next give, dt s after the last."""
+        self._since += dt
+        if self._past and self._since < APART_S:
+            return self.variance
+        if len(self._past) == 2:
+            first, second = self._past
+            share = -expm1(-self._since / JITTER_S)
+            self.variance = [
+                v + share * ((a - 2.0 * b + c) ** 2 / 6.0 - v)
+                for v, a, b, c in zip(self.variance, first, second, give, strict=True)
+            ]
+        self._past, self._since = [*self._past[-1:], give], 0.0
+        return self.variance
+
+    def gap(self) -> None:
+        """What comes next does not follow what was last."""
+        self._past = []
+
+
 class ElasticStream(GiveStream):
     """A fitted arm at work.
 
@@ -112,6 +152,7 @@ class ElasticStream(GiveStream):
         self._weights, self._bent_weights = np.zeros(count), np.zeros((count, count))
         self._screws = np.zeros((count, 6))
         self._t: float | None = None
+        self._jitter = Jitter(6)
 
     def place(self, place: Place) -> None:
         """Screws of the ports for these joints, their answers, and how each changes with the others' gives."""
@@ -146,12 +187,14 @@ class ElasticStream(GiveStream):
         gives = np.array([side.give(load, dt) for side, load in zip(self._bent, loads.tolist(), strict=True)])
         # The second-order parts are the same either way round, so that the first index may be summed over.
         answers = self._answers + (bent @ self._columns).reshape(self._answers.shape)
-        return tuple((gives @ answers).tolist())
+        give = (gives @ answers).tolist()
+        self._jitter.take(give, dt)
+        return tuple(give)
 
     def covariance(self) -> list[float]:
-        """Parameters, what the model leaves, and memory that is not sure."""
+        """Parameters, what the model leaves, what the force's noise makes of the give, and memory that is not sure."""
         X = self._answers[self._owner].T * [p.value for p in self._parts]
-        total = X @ self._parameters @ X.T + self._floor
+        total = X @ self._parameters @ X.T + self._floor + np.diag(self._jitter.variance)
         for part, owner, value in zip(self._parts, self._owner, self._values, strict=True):
             slip = part.slip
             width = part.unsure if slip is None else (slip.high - slip.low) ** 2 / 12.0
@@ -162,6 +205,7 @@ class ElasticStream(GiveStream):
 
     def gap(self) -> None:
         """The load between is not known."""
+        self._jitter.gap()
         for slip in self._slips():
             slip.gap()
         for part in self._parts:
@@ -171,6 +215,7 @@ class ElasticStream(GiveStream):
     def reset(self) -> None:
         """As at rest under the next load."""
         self._t = None
+        self._jitter.gap()
         for part in self._all():
             part.slow, part.unsure = None, 0.0
         for slip in self._slips():
