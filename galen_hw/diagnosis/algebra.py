@@ -1,10 +1,12 @@
 """Linear algebra of the bench: Gram matrices of long columns, weak directions left out, tails of chi square and F."""
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import betainc, gammaincc, gammaln
 
 from galen_hw.spatial import Array
 
+Index = NDArray[np.intp]
 WEAK = 1e-5
 """A direction of which less than this share is left beside the model is taken as already in it."""
 MANY = 4000.0
@@ -22,15 +24,23 @@ def solve_sym(A: Array, B: Array) -> Array:
     return np.asarray(V @ ((V.T @ B) / value[good][:, None]))
 
 
-def quadratic(A: Array, before: Array, r: Array, fakes: Array) -> tuple[float, Array, int]:
-    """R' A^-1 r and the same for surrogates (k, B), over the directions of which enough is left beside the model."""
+def quadratic(A: Array, before: Array, r: Array, fakes: Array) -> tuple[Array, Array, Index]:
+    """R' A^-1 r of m hypotheses with k columns each, over the directions of which enough is left beside the model.
+
+    Args:
+        A: (m, k, k) inner products beside the model; before: (m, k) squares of the columns themselves.
+        r: (m, k) inner products with the residual; fakes: (m, k, B) with surrogates.
+
+    Returns:
+        (m,) gains, (m, B) gains on the surrogates, (m,) number of directions; gain 0 where there is none.
+    """
     size = np.sqrt(np.maximum(before, 1e-300))
-    value, vector = np.linalg.eigh(A / np.outer(size, size))
+    value, vector = np.linalg.eigh(A / (size[:, :, None] * size[:, None, :]))
     good = value > WEAK
-    if not good.any():
-        return 0.0, np.zeros(fakes.shape[1]), 0
-    V = (vector[:, good] / np.sqrt(value[good])) / size[:, None]
-    return float(np.sum((V.T @ r) ** 2)), np.sum((V.T @ fakes) ** 2, axis=0), int(good.sum())
+    V = vector * np.where(good, 1.0 / np.sqrt(np.where(good, value, 1.0)), 0.0)[:, None, :] / size[:, :, None]
+    turned = np.swapaxes(V, 1, 2)
+    gains = np.sum((turned @ r[:, :, None])[:, :, 0] ** 2, axis=1)
+    return gains, np.sum((turned @ fakes) ** 2, axis=1), good.sum(axis=1)
 
 
 def orthonormal(X: Array, *, weakest: float = 1e-7, most: int | None = None) -> Array:
@@ -50,10 +60,11 @@ def scaled(X: Array, keep: float = 0.0) -> Array:
     return np.asarray(X[:, good] / size[good])
 
 
-def log_tail(gain: Array, count: int, degrees: float) -> Array:
-    """Log of the chance that noise reaches a gain with `count` parameters, the noise resting on `degrees` of freedom.
+def log_tail(gain: Array, count: Index, degrees: float) -> Array:
+    """Log of the chance that noise reaches gains with `count` parameters (shapes that broadcast).
 
-    Where the tail is too small for a double, its leading term (Abramowitz and Stegun 6.5.32, 26.5.4).
+    The noise rests on `degrees` of freedom. Where the tail is too small for a double, its leading term (Abramowitz and Stegun
+    6.5.32, 26.5.4).
     """
     if degrees > MANY:
         a, z = 0.5 * count, 0.5 * np.maximum(gain, 0.0)
@@ -61,9 +72,9 @@ def log_tail(gain: Array, count: int, degrees: float) -> Array:
             plain = np.log(gammaincc(a, z))
             far = -z + (a - 1.0) * np.log(np.maximum(z, 1e-300)) - gammaln(a)
         return np.asarray(np.where(z > 600.0 + 2.0 * a, far, plain))
-    a, b = 0.5 * degrees, 0.5 * count
+    half, b = 0.5 * degrees, 0.5 * count
     x = degrees / (degrees + np.maximum(gain, 0.0))
     with np.errstate(divide="ignore"):
-        plain = np.log(betainc(a, b, x))
-        far = a * np.log(x) + b * np.log1p(-x) - np.log(a) - gammaln(a) - gammaln(b) + gammaln(a + b)
+        plain = np.log(betainc(half, b, x))
+        far = half * np.log(x) + b * np.log1p(-x) - np.log(half) - gammaln(half) - gammaln(b) + gammaln(half + b)
     return np.asarray(np.where(np.isfinite(plain), plain, far))

@@ -182,25 +182,36 @@ class Scorer:
         rest_f = self.fakes[own] - cross.T @ P[:, K + 1 :]
         out: dict[int, Score] = {}
         highest = np.zeros(self.fakes.shape[1])
-        families = self._families()
-        for i, a, z in zip(asked, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
-            if i in chosen or a == z:
-                continue
-            G = self.G[self.places[i], self.places[i]]
-            A = G - cross[:, a:z].T @ P[:, a:z]
-            gain, fake, count = quadratic(A, np.diag(G), rest_b[a:z], rest_f[a:z])
-            if not count:
-                continue
-            pinned = self.library[i].pinned_gain(self.bench.scene, A, rest_b[a:z])
-            gain = gain if pinned is None else pinned
-            looked = np.log(self.library[i].looked * families[i])
-            surprise = self._surprise(gain, count) - looked
-            if self.library[i].looked == 1:
-                # What was sought in the residual has no counterpart in the surrogates: `looked` pays for it instead.
-                highest = np.maximum(highest, self._surprise(fake, count) - looked)
-            price = (self._freedom(i, count) + len(self._searched(i))) * np.log(self.bench.noise.effective)
-            out[i] = Score(gain, count, float(surprise), float(gain - price - 2.0 * np.log(self.library[i].looked)))
-        return out, highest
+        families, starts = self._families(), dict(zip(asked, ends[:-1].tolist(), strict=True))
+        by_count: dict[int, list[int]] = {}
+        for i in asked:
+            if i not in chosen and self.library[i].count:
+                by_count.setdefault(self.library[i].count, []).append(i)
+        for count, group in by_count.items():
+            rows = np.array([starts[i] for i in group])[:, None] + np.arange(count)
+            places = np.array([self.places[i].start for i in group])[:, None] + np.arange(count)
+            G = self.G[places[:, :, None], places[:, None, :]]
+            A = G - np.einsum("smk,sml->mkl", cross[:, rows], P[:, rows])
+            squares = np.diagonal(G, axis1=1, axis2=2)
+            gains, fakes, counts = quadratic(A, squares, rest_b[rows], rest_f[rows])
+            for m, i in enumerate(group):
+                pinned = self.library[i].pinned_gain(self.bench.scene, A[m], rest_b[rows[m]])
+                gains[m] = gains[m] if pinned is None else pinned
+            looked = np.log([self.library[i].looked * families[i] for i in group])
+            surprise = self._surprise(gains, counts) - looked
+            # What was sought in the residual has no counterpart in the surrogates: `looked` pays for it instead.
+            mirrored = (counts > 0) & (np.array([self.library[i].looked for i in group]) == 1)
+            if mirrored.any():
+                reached = self._surprise(fakes[mirrored], counts[mirrored, None]) - looked[mirrored, None]
+                highest = np.maximum(highest, reached.max(axis=0))
+            for m, i in enumerate(group):
+                if counts[m]:
+                    out[i] = self._score(i, float(gains[m]), int(counts[m]), float(surprise[m]))
+        return {i: out[i] for i in asked if i in out}, highest
+
+    def _score(self, i: int, gain: float, count: int, surprise: float) -> Score:
+        price = (self._freedom(i, count) + len(self._searched(i))) * np.log(self.bench.noise.effective)
+        return Score(gain, count, surprise, float(gain - price - 2.0 * np.log(self.library[i].looked)))
 
     def covariance(self, at: Array) -> Array:
         """Of the parameters of the columns `at`, for noise of unit variance."""
@@ -230,9 +241,9 @@ class Scorer:
             counts[name] = counts.get(name, 0) + 1
         return [1.0 if name is None else float(min(counts[name], 8)) for name in names]
 
-    def _surprise(self, gain: Array | float, count: int) -> Array:
+    def _surprise(self, gain: Array, count: "Index") -> Array:
         """Minus log p; by F where the noise rests on few degrees of freedom."""
-        return -log_tail(np.asarray(gain, dtype=float), count, self.bench.noise.degrees)
+        return -log_tail(gain, np.maximum(count, 1), self.bench.noise.degrees)
 
 
 def threshold(highest: Array, chance: float) -> float:
