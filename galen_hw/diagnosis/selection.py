@@ -20,7 +20,7 @@ class Selection:
         first: score of every hypothesis before any was chosen, best of its family.
         needed: surprise that chance reaches.
         refused: effects that looked significant but did not pass the guard.
-        start: (C,) mean squared error on blocks left out before anything was chosen.
+        begun: (n, C) squared errors of the training rows, each left out, before anything was chosen.
     """
 
     scorer: Scorer
@@ -29,7 +29,12 @@ class Selection:
     first: dict[int, Score] = field(default_factory=dict)
     needed: float = 0.0
     refused: list[tuple[Effect, float]] = field(default_factory=list)
-    start: Array = field(default_factory=lambda: np.empty(0))
+    begun: Array = field(default_factory=lambda: np.empty((0, 0)))
+
+    @property
+    def start(self) -> Array:
+        """(C,) mean squared error on blocks left out before anything was chosen."""
+        return np.asarray(self.begun.mean(axis=0))
 
     @property
     def hypotheses(self) -> list[Hypothesis]:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from galen_hw.diagnosis.bench import Bench
-from galen_hw.diagnosis.linear import crossed, errors
+from galen_hw.diagnosis.linear import errors
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
@@ -55,15 +55,14 @@ def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, 
     before = errors(bench, scorer, out.chosen, fine=fine) ** 2
     after = errors(bench, scorer, [*out.chosen, i], fine=fine) ** 2
     floor = bench.noise.sigma**2
-    if not len(out.start):
-        out.start = crossed(bench, scorer, out.chosen)
-    weight, start = _where_it_acts(scorer, out.chosen, i, bench), out.start
+    if not len(out.begun):
+        out.begun = errors(bench, scorer, out.chosen) ** 2
+    weight, begun = _where_it_acts(scorer, out.chosen, i, bench), out.begun
     if isinstance(effect, Contact):
         during = np.asarray(scorer.library[i].raw.values[bench.train].any(axis=(1, 2)))
         if _stands_out(before, during, weight):
-            before, after = before[during], after[during]
-            start = np.mean(bench.whole[bench.train][during] ** 2, axis=0)
-    before, after = np.mean(before, axis=0), np.mean(after, axis=0)
+            before, after, begun = before[during], after[during], begun[during]
+    before, after, start = (np.mean(square, axis=0) for square in (before, after, begun))
     left = (before - after) / np.maximum(before - floor, 0.02 * floor)
     whole = (before - after) / np.maximum(start - floor, 0.02 * floor)
     return float(weight @ left), float(weight @ whole)
