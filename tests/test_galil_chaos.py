@@ -36,7 +36,7 @@ EVENT = st.one_of(
 
 def damage(bench: Bench, kind: str, what: object) -> None:
     """Do to the line or the controller what an event says."""
-    if kind == "lose" and bench.line:
+    if kind == "lose" and bench.line and bench.line[0][1]:
         t_ns, data = bench.line[0]
         place = what % len(data)
         bench.line[0] = (t_ns, data[:place] + data[place + 1 :])

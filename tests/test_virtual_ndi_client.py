@@ -18,7 +18,8 @@ NDICAPI = """
 import json, sys
 import ndicapy as ndi
 name, rom = sys.argv[1:3]
-out = {"probe": ndi.ndiProbe(name)}
+# The library waits a tenth of a second for the answer to its break: a busy machine may need longer, so ask again.
+out = {"probe": next((0 for _ in range(5) if ndi.ndiProbe(name) == 0), "no answer")}
 device = ndi.ndiOpen(name)
 out["init"] = ndi.ndiCommand(device, "INIT:")
 out["comm"] = ndi.ndiCommand(device, "COMM:50000")
