@@ -109,6 +109,23 @@ def test_the_interval_grows_where_noise_of_the_force_moves_the_give() -> None:
         assert jitter.take([1.0, 1.0], 0.1) == before
 
 
+def test_after_a_reset_nothing_is_left_of_what_the_noise_did(arm: ElasticArm, robot: GivingRobot) -> None:
+    """The interval after a reset is that of a stream that has just begun."""
+    belief, rng, fresh = robot.belief, np.random.default_rng(7), arm.stream()
+    used = arm.stream()
+    assert belief.robot is not None
+    place = Place.of(belief.robot, tuple(belief.tip.tolist()), np.zeros(5), np.zeros(5))
+    fresh.place(place)
+    used.place(place)
+    force, moment = (3.0, 2.0, 5.0), tuple(np.cross(place.tip, (3.0, 2.0, 5.0)).tolist())
+    for k in range(200):
+        used.step(0.02 * k, tuple((np.array(force) + rng.normal(size=3)).tolist()), moment)
+    used.reset()
+    for stream in (fresh, used):
+        stream.step(5.0, force, moment)
+    assert used.covariance() == fresh.covariance()
+
+
 def test_a_gap_keeps_the_memory_and_makes_it_unsure_until_the_load_moves(arm: ElasticArm, robot: GivingRobot) -> None:
     """After a gap the covariance is larger; when the load has crossed the friction's band it is as before."""
     stream = arm.stream()

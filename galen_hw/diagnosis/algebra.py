@@ -1,12 +1,11 @@
 """Linear algebra of the bench: Gram matrices of long columns, weak directions left out, tails of chi square and F."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betainc, gammaincc, gammaln
 
+from galen_hw.diagnosis.rows import Index
 from galen_hw.spatial import Array
 
-Index = NDArray[np.intp]
 WEAK = 1e-5
 """A direction of which less than this share is left beside the model is taken as already in it."""
 MANY = 4000.0

@@ -51,11 +51,12 @@ class Hypothesis:
     def own(self, channel: int) -> tuple[Index, Array]:
         """Its columns in a channel that are not zero throughout: their numbers, and whitened (M, n)."""
         i = self.white.channels.index(channel)
-        at = np.flatnonzero(self._live[i])
+        at = np.flatnonzero(self.live[i])
         return at, self.white.values[:, i] if len(at) == self.count else self.white.values[:, i, at]
 
     @cached_property
-    def _live(self) -> Mask:
+    def live(self) -> Mask:
+        """(len(channels), k) where a column is not zero throughout."""
         return self.raw.live()
 
     @cached_property
@@ -156,15 +157,16 @@ class Bench:
 
     def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
         """A hypothesis of given averaged columns."""
-        live = raw.live()
-        if live.all():
+        out = Hypothesis(effect, raw, raw, looked, name)
+        if out.live.all():
             white = self.noise.whitened_each(self.noise.transformed(raw.values), raw.channels)
         else:
-            white = np.zeros((*live.shape, len(self.rows))).transpose(2, 0, 1)
-            at, k = np.nonzero(live)
+            white = np.zeros((*out.live.shape, len(self.rows))).transpose(2, 0, 1)
+            at, k = np.nonzero(out.live)
             flat = self.noise.transformed(raw.values[:, at, k])
             white[:, at, k] = self.noise.whitened_each(flat[:, :, None], tuple(raw.channels[i] for i in at))[:, :, 0]
-        return Hypothesis(effect, raw, Columns(raw.channels, white), looked, name)
+        out.white = Columns(raw.channels, white)
+        return out
 
     def constants(self) -> list[Columns]:
         """What is always fitted: offsets of all channels and the baseline's own nuisances."""

@@ -68,6 +68,7 @@ def left_out(bench: Bench, model: list[Hypothesis], white: Array, *, folds: int 
 
 
 def _errors(bench: Bench, model: list[Hypothesis], white: Array, *, folds: int, fine: bool) -> Array:
+    """(n, C) raw errors on the training rows, each block or piece predicted from the others."""
     train = np.flatnonzero(bench.train)
     if fine:
         fold = train // max(len(bench.rows) // PIECES, 8) % folds

@@ -70,7 +70,7 @@ class Noise:
         return replace(self, edges=np.empty(0), levels=np.empty((0, len(sigma))), sigma=sigma, kept={})
 
     def transformed(self, x: Array) -> Array:
-        """(P, ...) of rows (M, ...) as `whitened` takes them: the part of the work that is the same for all channels.
+        """(P, ...) of rows (M, ...) as `whitened` takes them, P >= M: the part of the work that is the same for all channels.
 
         The cosine transform of a run is that of the signal with its mirror image behind it: the two ends stay apart. A run of
         an awkward length (a prime) goes on into its mirror image up to one that is transformed quickly.

@@ -156,13 +156,15 @@ class Scorer:
         """Whitened sum of squares of the residual itself."""
         return float(np.sum(self.white[self._train] ** 2))
 
-    def base_with(self, chosen: list[int]) -> Array:
+    def base_with(self, chosen: list[int]) -> "Index":
         """Column numbers of the constants and the chosen hypotheses."""
-        which = [*range(len(self.base)), *chosen]
+        return self._numbers([*range(len(self.base)), *chosen])
+
+    def _numbers(self, which: list[int]) -> "Index":
         parts = [np.arange(self.places[i].start, self.places[i].stop) for i in which]
         return np.concatenate([np.empty(0, dtype=np.intp), *parts])
 
-    def solve(self, chosen: list[int]) -> tuple[Array, Array, float]:
+    def solve(self, chosen: list[int]) -> tuple[Array, "Index", float]:
         """Parameters, column numbers and whitened sum of squares of a model."""
         at = self.base_with(chosen)
         theta = solve_sym(self.G[np.ix_(at, at)], self.b[at][:, None])[:, 0]
@@ -172,17 +174,15 @@ class Scorer:
         """Scores of hypotheses beside the chosen ones, and the largest surprise of each surrogate."""
         at, asked = self.base_with(chosen), list(range(len(self.base), len(self.library))) if which is None else which
         # Columns of what is asked alone: most calls compare two hypotheses, not all.
-        own = np.concatenate(
-            [np.empty(0, dtype=np.intp), *(np.arange(self.places[i].start, self.places[i].stop) for i in asked)]
-        )
-        ends = np.cumsum([0, *(self.places[i].stop - self.places[i].start for i in asked)])
+        own = self._numbers(asked)
+        starts = dict(zip(asked, np.cumsum([0, *(self.library[i].count for i in asked)]).tolist(), strict=False))
         GS, cross, K = self.G[np.ix_(at, at)], self.G[np.ix_(at, own)], len(own)
         P = solve_sym(GS, np.concatenate([cross, self.b[at][:, None], self.fakes[at]], axis=1))
         rest_b = self.b[own] - cross.T @ P[:, K]
         rest_f = self.fakes[own] - cross.T @ P[:, K + 1 :]
         out: dict[int, Score] = {}
         highest = np.zeros(self.fakes.shape[1])
-        families, starts = self._families(), dict(zip(asked, ends[:-1].tolist(), strict=True))
+        families = self._families()
         by_count: dict[int, list[int]] = {}
         for i in asked:
             if i not in chosen and self.library[i].count:
@@ -207,17 +207,18 @@ class Scorer:
             for m, i in enumerate(group):
                 if counts[m]:
                     out[i] = self._score(i, float(gains[m]), int(counts[m]), float(surprise[m]))
+        # In the order of the library: between equals the first is taken.
         return {i: out[i] for i in asked if i in out}, highest
 
     def _score(self, i: int, gain: float, count: int, surprise: float) -> Score:
         price = (self._freedom(i, count) + len(self._searched(i))) * np.log(self.bench.noise.effective)
         return Score(gain, count, surprise, float(gain - price - 2.0 * np.log(self.library[i].looked)))
 
-    def covariance(self, at: Array) -> Array:
+    def covariance(self, at: "Index") -> Array:
         """Of the parameters of the columns `at`, for noise of unit variance."""
         return solve_sym(self.G[np.ix_(at, at)], np.eye(len(at)))
 
-    def spread(self, at: Array) -> Array:
+    def spread(self, at: "Index") -> Array:
         """Standard deviations of the parameters of the columns `at`."""
         return np.sqrt(np.maximum(np.diag(self.covariance(at)), 0.0))
 

@@ -1,4 +1,4 @@
-"""Looks into a residual for what belongs to moments: glitches, steps, contacts, lines in the spectrum, ripple."""
+"""Looks into a residual for what belongs to one recording: glitches, steps, contacts, shared drifts, spectral lines, ripple."""
 
 from dataclasses import dataclass, replace
 

@@ -52,7 +52,7 @@ DOUBT: Final = 2.2
 
 
 SAMPLED: Final = 97
-"""Rows that are looked at first where nearly all columns are full."""
+"""So many rows are looked at before a column is searched for a value: nearly all columns are full."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +242,7 @@ def in_channel(channel: int, columns: Iterable[Array]) -> Columns:
 
 
 def in_each(places: tuple[int, ...], shapes: Array) -> Columns:
-    """The same shapes (N, n) in several channels, each with coefficients of its own, channel by channel."""
+    """Columns (N, c, c n): the same shapes (N, n) in c channels, each with coefficients of its own, channel by channel."""
     count = shapes.shape[1]
     # Column by column in memory: most stay empty, and are never touched.
     values = np.zeros((len(places), count * len(places), len(shapes)))

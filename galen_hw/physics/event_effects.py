@@ -30,12 +30,8 @@ class _Shaped(_Sought):
     channels: tuple[str, ...]
 
     @abstractmethod
-    def shapes(self, scene: Scene) -> list[Array]:
-        """(N,) each."""
-
-    def averaged_shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
-        """(M, shapes) with their rows averaged."""
-        return average(np.stack(self.shapes(scene), axis=-1))
+    def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
+        """(M, n) with their rows averaged, (N, ...) to (M, ...)."""
 
     def columns(self, scene: Scene) -> Columns:
         """Every shape in every channel, channel by channel."""
@@ -44,7 +40,7 @@ class _Shaped(_Sought):
     def averaged(self, scene: Scene, average: Callable[[Array], Array]) -> Columns:
         """Shapes are averaged before they are spread over the channels, where most of the columns are zero."""
         places = tuple(scene.channels.index(name) for name in self.channels)
-        return in_each(places, self.averaged_shapes(scene, average))
+        return in_each(places, self.shapes(scene, average))
 
 
 @dataclass(frozen=True)
@@ -62,10 +58,9 @@ class Step(_Shaped):
         """The jump of every channel."""
         return tuple(Parameter(f"jump_{name}", unit_of(scene, name)) for name in self.channels)
 
-    def shapes(self, scene: Scene) -> list[Array]:
+    def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
         """One after the moment."""
-        after = (scene.time >= self.moment).astype(float)
-        return [scene.seen(after[:, None])[:, 0]]
+        return average(scene.seen((scene.time >= self.moment).astype(float)[:, None]))
 
 
 @dataclass(frozen=True)
@@ -88,13 +83,13 @@ class Contact(_Shaped):
             for what in ("level", "bow")
         )
 
-    def shapes(self, scene: Scene) -> list[Array]:
+    def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
         """Box and half sine of every episode."""
         out = []
         for start, end in self.episodes:
             inside = ((scene.time >= start) & (scene.time <= end)).astype(float)
             out += [inside, inside * np.sin(np.pi * (scene.time - start) / max(end - start, 1e-9))]
-        return out
+        return average(np.stack(out, axis=-1))
 
 
 @dataclass(frozen=True)
@@ -122,12 +117,11 @@ class Vibration(_Shaped):
         """A line is as narrow as the recording is long; one line beside it the fit has the next hump."""
         return 1.0 + 1.0 / (float(np.ptp(scene.time)) * self.frequency)
 
-    def shapes(self, scene: Scene) -> list[Array]:
-        """Sine and cosine of the clock, growing and fading slowly."""
-        return list(self.averaged_shapes(scene, np.asarray).T)
+    def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
+        """Sine and cosine of the clock, growing and fading slowly.
 
-    def averaged_shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
-        """Waves and their slow changes are averaged apart: over neighbouring rows a slow change is a constant."""
+        Waves and their slow changes are averaged apart: over neighbouring rows a slow change is a constant.
+        """
         phase, whole = 2.0 * np.pi * self.frequency * scene.time, scene.whole or scene
         waves = average(scene.seen(np.stack([np.sin(phase), np.cos(phase)], axis=-1)))
         since, span = average(scene.time) - whole.time[0], max(float(np.ptp(whole.time)), 1e-9)

@@ -39,7 +39,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 _FIRST = threading.RLock()
-"""Two searches may ask at once, and a robot's model is not for two."""
+"""Two searches may ask at once, and one answer (`gravity_port`) changes the robot's gravity for a moment."""
 
 
 def once(method: F) -> F:

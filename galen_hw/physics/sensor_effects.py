@@ -48,8 +48,8 @@ class Bias(Effect):
         return in_channel(scene.channels.index(self.channel), [np.ones(len(scene))])
 
 
-WANDERS = 5
-"""Half cosines of a wander."""
+HALF_COSINES = 5
+"""Of a wander, over the length of the recording."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Drift(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Amplitudes over the whole recording."""
         one = "amplitude" if self.form == "warm_up" else "change"
-        names = [f"cosine_{k}" for k in range(1, WANDERS + 1)] if self.form == "wander" else [one]
+        names = [f"cosine_{k}" for k in range(1, HALF_COSINES + 1)] if self.form == "wander" else [one]
         if not self.channels:
             return tuple(Parameter(name, unit_of(scene, self.channel)) for name in names)
         return tuple(Parameter(f"{name}_{c}", unit_of(scene, c)) for c in self.channels for name in names)
@@ -103,7 +103,7 @@ class Drift(Effect):
         furthest = {"linear": 2.0 * self.length, "wander": self.length}.get(self.form, np.inf)
         t = np.clip(time - self.start, 0.0, furthest)
         if self.form == "wander":
-            return np.stack([np.cos(np.pi * k * t / self.length) for k in range(1, WANDERS + 1)], axis=-1)
+            return np.stack([np.cos(np.pi * k * t / self.length) for k in range(1, HALF_COSINES + 1)], axis=-1)
         if self.constant is not None:
             return np.asarray(-np.expm1(-t / self.constant))[:, None]
         return (t / self.length)[:, None]

@@ -214,8 +214,7 @@ class ElasticStream(GiveStream):
 
     def reset(self) -> None:
         """As at rest under the next load."""
-        self._t = None
-        self._jitter.gap()
+        self._t, self._jitter = None, Jitter(6)
         for part in self._all():
             part.slow, part.unsure = None, 0.0
         for slip in self._slips():
