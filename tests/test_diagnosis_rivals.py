@@ -12,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import diagnosis_cases as cases
 from diagnosis_cases import Beam, Bench, Servo
 
+from galen_hw.diagnosis import confusion
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.judge import judge
 from galen_hw.diagnosis.nonlinear import ahead, in_place
@@ -190,3 +191,35 @@ def test_stiffness_that_grows_with_load_and_friction_beside_a_spring() -> None:
     held = cases.played(load, 0.1) - load
     columns = Hysteresis.of_load("tilt", (0.1,)).columns(scene).full(len(scene.channels))
     assert columns[:, :, 0] == pytest.approx(port * held[:, None], abs=1e-12)
+
+
+def scaled_servo() -> Servo:
+    """One encoder's scale is off by a small part of the noise's size."""
+    servo = Servo()
+    servo.position[:, 0] = 1.001 * servo.command[:, 0]
+    return servo
+
+
+def test_a_lead_that_the_blocks_do_not_agree_on_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the likelihood says: the same rival is stated or not by what the blocks make of it."""
+    work = work_of(scaled_servo())
+    finding = work.diagnosis.findings[0]
+    assert finding.effect == "joint_scale"
+    near = [r for r in confusion.rivals(work.selection, finding, everyone=True) if np.isfinite(r.agreed)]
+    assert near, "some rival is so near that the blocks are asked"
+    key = max(near, key=lambda r: r.agreed).key
+    for clear, stated in ((-10.0, False), (100.0, True)):
+        monkeypatch.setattr(confusion, "CLEAR", clear)
+        assert (key in [c.effect for c in confusion.confusions(work.model, work.selection, finding)]) == stated
+
+
+def test_a_play_wider_than_the_motion_is_no_rival_of_a_scale() -> None:
+    """It makes the same signal with a share of a thousandth, which no play has."""
+    work = work_of(scaled_servo())
+    finding = work.diagnosis.findings[0]
+    everyone = confusion.rivals(work.selection, finding, everyone=True)
+    play = [r for r in everyone if r.key == "backlash"]
+    assert play
+    assert play[0].angle < 2.0
+    assert play[0].lead < confusion.CLOSE
+    assert "backlash" not in [c.effect for c in finding.confounded_with]

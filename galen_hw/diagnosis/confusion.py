@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 from galen_hw.diagnosis.algebra import WEAK, orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.bench import Hypothesis
 from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.nonlinear import bent, unbent, unclocked
+from galen_hw.diagnosis.nonlinear import ahead, bent, unbent, unclocked
 from galen_hw.diagnosis.result import Confusion, Finding
 from galen_hw.diagnosis.rows import Index
 from galen_hw.diagnosis.score import Scorer
@@ -27,6 +27,12 @@ from galen_hw.spatial import Array
 
 CLOSE = 7.0
 """Twice a log likelihood below which two effects count as equal: odds of about thirty to one."""
+CLEAR = 2.0
+"""Standard errors over the blocks of the recording below which a lead is none, whatever the likelihood says of it."""
+ASKED = 60.0
+"""Twice a log likelihood from which the blocks need not be asked: they would have to disagree four times over."""
+UNSURE = 0.2
+"""Standard deviation that a rival's share is allowed: its searched value stands where it is most like the found signal."""
 MOST = 5
 SHARPENED = 2
 """So many rivals of each effect are looked at between the points of their grids."""
@@ -48,6 +54,7 @@ class Rival:
         nearest: deg, smallest principal angle between the two spans.
         theta: (k,) the rival's parameters in the found one's place; own: the found one's.
         effect: the rival, its searched value where it is most like the found one.
+        agreed: the lead in standard errors over the blocks of the recording; infinite where they were not asked.
     """
 
     place: int
@@ -59,6 +66,7 @@ class Rival:
     theta: Array
     own: Array
     effect: Effect
+    agreed: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -106,7 +114,10 @@ def rivals(selection: Selection, finding: Finding, *, everyone: bool = False) ->
             for k, rival in enumerate(near):
                 one = sharp.sharpened(rival) if sharp and coarse[k] else rival
                 one = _at_its_best(scorer, own, one) if k < SHARPENED else one
-                if (everyone or one.lead < margin) and one.lead < found.get(one.key, one).lead + 1e-9:
+                if margin <= one.lead < margin + ASKED and one.angle < NEAR:
+                    one = replace(one, agreed=_agreed(scorer, own, one))
+                alike = (one.lead < margin or one.agreed < CLEAR) and _is_what_it_is_called(scorer, one)
+                if (everyone or alike) and one.lead < found.get(one.key, one).lead + 1e-9:
                     found[one.key] = one
     return sorted(found.values(), key=lambda rival: rival.lead)
 
@@ -121,6 +132,19 @@ def _at_its_best(scorer: Scorer, own: Own, rival: Rival) -> Rival:
     if score is None:
         return rival
     return replace(rival, lead=rival.lead + score.gain - bent(bench, scorer, others, rival.place, score).gain)
+
+
+def _is_what_it_is_called(scorer: Scorer, rival: Rival) -> bool:
+    """A play wider than the motion with a share of a thousandth is a scale, and no rival under the name of play."""
+    parameters = rival.effect.parameters(scorer.bench.scene)
+    return all(p.near(float(value), UNSURE) for p, value in zip(parameters, rival.theta, strict=True))
+
+
+def _agreed(scorer: Scorer, own: Own, rival: Rival) -> float:
+    """The lead over a rival by what the blocks make of it: noise that the whitening has missed makes likelihoods too sure."""
+    others = [j for j in own.chosen if j != own.i]
+    with scorer.trying([scorer.bench.add(rival.effect, scorer.library[rival.place].looked)]):
+        return ahead(scorer.bench, scorer, others, own.i, len(scorer.library) - 1)
 
 
 def _coarse(rival: Rival) -> bool:
@@ -293,4 +317,6 @@ def _why(found: str, rival: Rival) -> str:
         likely = (
             f"by likelihood alone it would do better ({1.0 / odds:.2g} times), held-out data and form speak against it"
         )
+    if rival.lead >= CLOSE and rival.agreed < CLEAR:
+        likely += f", but the blocks of the recording do not agree on that ({rival.agreed:.1f} standard errors)"
     return f"{why(found, rival.key)}: the two signals are {rival.angle:.1f} deg apart beside the rest, and {likely}"
