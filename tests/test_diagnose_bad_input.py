@@ -208,6 +208,10 @@ def milliseconds(c: Columns) -> None:
     c["time"] = 1000.0 * c["time"]
 
 
+def milliseconds_alone(c: Columns) -> None:
+    c["time"] = 1000.0 * c["time"]
+
+
 WRONG: dict[Callable[[Columns], None], str] = {
     swapped: "wrench.force: x, y, z read like y, x, z of the simulation",
     wrong_sign: "wrench.force: x, y, z read like -x, -y, -z",
@@ -216,6 +220,7 @@ WRONG: dict[Callable[[Columns], None], str] = {
     dead_channel: "wrench.force.y stands still at 0.25 while its simulation moves",
     degrees_per_second: "joint.roll.velocity is 57",
     milliseconds: "or time in ms?",
+    milliseconds_alone: "time advances by 100 s a row while the joints move smoothly: is it in ms?",
 }
 
 
@@ -229,6 +234,15 @@ def test_a_wrong_premise_is_said_and_nothing_else_claimed(spoil, tmp_path, capsy
     assert answer["verdict"] == "unexplained"
     said = capsys.readouterr().out
     assert WRONG[spoil] in said
+    assert [f["effect"] for f in answer["findings"]] == ["unknown"]
+
+
+def test_a_centre_of_mass_in_millimetres_is_no_payload(tmp_path, capsys):
+    """The tool's file is wrong, not the tool."""
+    tool = INFO["tool"] | {"com": (1000.0 * COM).tolist()}
+    status, answer = diagnose(write(tmp_path / "run", recording(), INFO | {"tool": tool}))
+    assert status == 1
+    assert "tool.com lies 70.33 m from the sensor: is it in mm?" in capsys.readouterr().out
     assert [f["effect"] for f in answer["findings"]] == ["unknown"]
 
 

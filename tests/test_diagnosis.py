@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -14,7 +15,8 @@ from diagnosis_cases import IN_EFFORT, IN_POSITION, IN_WRENCH, SIGMA, Beam, Benc
 from galen_hw.diagnosis.engine import diagnose
 from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.verdict import _followed
-from galen_hw.physics.observations import Observations
+from galen_hw.kinematics import GalenRobot
+from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.table import scene_of
 
 
@@ -223,3 +225,30 @@ def test_what_of_a_rounding_error_follows_its_signal(share):
     assert _followed(1.0, sigma) <= 0.2 / 12.0
     assert min(np.var(error), 0.2 / 12.0) == pytest.approx(_followed(1.0, sigma), rel=0.05, abs=2e-5)
     assert _followed(0.0, sigma) == 0.0
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("group", ["pose", "targets"])
+def test_noise_of_the_joints_is_no_physics_of_a_tracked_pose(group, seed):
+    """Carriages at rest jitter by their encoders' noise in all channels at once; an orientation is no difference of columns."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(2400) / 40.0
+    slides = 0.03 * (seed - 1)
+    q = np.stack([cases.sines(rng, t, s) for s in (slides, slides, slides, 0.4, 0.3)], axis=1)
+    T = GalenRobot().sensor_pose(q)
+    seen = q + np.array([1e-5, 1e-5, 1e-5, 2e-5, 2e-5]) * rng.normal(size=q.shape)
+    columns = {"time": t} | {f"joint.{n}.position": seen[:, i] for i, n in enumerate(cases.JOINTS)}
+    tip = np.array([0.045, 0.0, -0.14])
+    if group == "pose":
+        at = T[:, :3, 3] + T[:, :3, :3] @ tip + 1e-4 * rng.normal(size=(len(t), 3))
+        turned = Rotation.from_rotvec(5e-4 * rng.normal(size=(len(t), 3))) * Rotation.from_matrix(T[:, :3, :3])
+        columns |= {f"pose.position.{a}": at[:, i] for i, a in enumerate("xyz")}
+        columns |= {f"pose.orientation.{a}": turned.as_quat()[:, i] for i, a in enumerate("xyzw")}
+    else:
+        R, shift = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix(), np.array([0.4, -1.2, 0.3])
+        for k, point in enumerate(([0.05, 0.0, -0.1], [-0.04, 0.06, -0.12], [0.0, -0.05, -0.2])):
+            y = (T[:, :3, 3] + T[:, :3, :3] @ point) @ R.T + shift + 1e-4 * rng.normal(size=(len(t), 3))
+            columns |= {f"target.{k + 1}.position.{a}": y[:, i] for i, a in enumerate("xyz")}
+    work = diagnose(scene_of(Observations(group, columns, None, Belief(robot=GalenRobot(), tip=tip, bias_free=True))))
+    assert [f.effect for f in work.diagnosis.findings] == []
+    assert work.diagnosis.verdict == "agrees"

@@ -223,3 +223,24 @@ def test_a_play_wider_than_the_motion_is_no_rival_of_a_scale() -> None:
     assert play[0].angle < 2.0
     assert play[0].lead < confusion.CLOSE
     assert "backlash" not in [c.effect for c in finding.confounded_with]
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.8])
+def test_a_limit_clips_all_that_is_carried(offset: float) -> None:
+    """Under a heavier tool and an offset the reading stands at the limit; both are named alone, here and on another day."""
+    bench = Bench(seed=4, rows=3000)
+    cases.payload(bench)
+    bench.wrench[:, 1] += offset
+    limit = float(np.quantile(bench.wrench[:, 1], 0.93))
+    bench.wrench[:, 1] = np.minimum(bench.wrench[:, 1], limit)
+    work = work_of(bench)
+    assert sorted(named(work)) == ["payload", "saturation"]
+    found = next(f for f in work.diagnosis.findings if f.effect == "saturation")
+    assert found.parameters["limit"].value == pytest.approx(limit, abs=0.03)
+    assert found.parameters["share"].value == pytest.approx(1.0, abs=0.1)
+    assert work.model.rest(white=True)[work.bench.judged].std() < 1.06
+    other = Bench(seed=5, rows=3000)
+    cases.payload(other)
+    other.wrench[:, 1] = np.minimum(other.wrench[:, 1] + offset, limit)
+    judged = judge(work.model, scene_of(other.observations()))
+    assert np.all(np.sqrt(judged.after / judged.floor) < 1.1)

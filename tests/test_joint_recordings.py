@@ -13,7 +13,7 @@ from galen_hw.physics.elastic_effects import Compliance
 from galen_hw.physics.joint_effects import Friction
 from galen_hw.physics.memory_effects import Backlash, Hysteresis
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.smoothing import derivatives, ends, isolated
+from galen_hw.physics.smoothing import at_rest, denoised, derivatives, ends, isolated, motion_band
 from galen_hw.physics.table import scene_of
 from galen_hw.physics.time_effects import Lag, TimeDelay
 from galen_hw.physics.together import PAUSE, joined
@@ -231,3 +231,34 @@ def test_a_late_joint_delivers_everything_late():
         slow += (0.0 if k == 0 else -np.expm1(-0.02 / 0.2)) * (value - slow)
         expected.append(slow)
     np.testing.assert_allclose(lagged, expected, atol=1e-12)
+
+
+def test_a_noisy_encoder_is_differentiated_twice_as_well_as_its_motion_allows():
+    """Away from the ends Wiener's filter leaves a third of what a low-pass of the same band leaves, and the motion itself."""
+    t, w = np.arange(6000) * 0.01, 2.0 * np.pi * 0.7
+    left = {"plain": [], "fine": []}
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        x = (np.sin(w * t + seed) + 2e-4 * rng.normal(size=len(t)))[:, None]
+        for name, band in (("plain", motion_band(x[:, 0], 0.01)), ("fine", None)):
+            second = derivatives(t, x, [slice(0, 6000)], band=band)[1]
+            left[name].append((second + w**2 * np.sin(w * t + seed)[:, None])[1000:-1000])
+    plain, fine = (np.sqrt(np.mean(np.square(left[name]))) for name in ("plain", "fine"))
+    assert fine < 0.33 * plain
+    assert fine < 0.01 * w**2
+
+
+def test_a_resting_joint_stands_and_a_slow_one_keeps_its_place():
+    """Noise alone is no motion, whatever its law; a slow motion under noise is left as it was measured."""
+    t = np.arange(4000) * 0.025
+    rng = np.random.default_rng(3)
+    clean = np.stack([np.full_like(t, 0.3), 2e-5 * np.sin(0.6 * t), 0.4 * np.sin(1.3 * t) * np.cos(0.21 * t)], axis=1)
+    seen = clean + 1e-5 * rng.standard_t(4, size=clean.shape)
+    parts = [slice(0, 2500), slice(2500, 2530), slice(2530, 4000)]
+    still = at_rest(seen, parts)
+    assert np.array_equal(still[:, 1:], seen[:, 1:])
+    assert np.array_equal(still[parts[1]], seen[parts[1]]), "too short to tell"
+    for part in (parts[0], parts[2]):
+        assert np.ptp(still[part, 0]) == 0.0
+        assert still[part.start, 0] == pytest.approx(0.3, abs=2e-6)
+    assert np.abs(denoised(clean[:, 2]) - clean[:, 2])[200:-200].max() < 1e-6

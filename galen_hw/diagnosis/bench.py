@@ -13,6 +13,7 @@ import numpy as np
 from galen_hw.diagnosis.algebra import orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.noise import Noise, estimate, quantisation
 from galen_hw.diagnosis.rows import Index, Mask, Rows, blocks, set_aside
+from galen_hw.diagnosis.stream import through
 from galen_hw.physics.effect import Columns, Downstream, Effect
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
@@ -118,6 +119,7 @@ class Bench:
             at = np.arange(len(self.dropped))
             self.whole = np.stack([np.interp(at, good, self.whole[good, c]) for c in range(self.width)], axis=-1)
         self.y = self.whole
+        self.stream = self.scene.carrying(np.median(self.whole[good], axis=0) if len(good) else 0.0, 0.0)
 
     @property
     def train(self) -> Mask:
@@ -139,21 +141,17 @@ class Bench:
 
     def raw(self, effect: Effect) -> Columns:
         """An effect's averaged columns, as the late, lagging or clipping stream delivers them."""
-        through = self.through(effect)
-        if not through:
-            return effect.averaged(self.scene, self.rows.average)
-        columns = effect.columns(self.scene)
-        for downstream, theta in through:
-            columns = downstream.delivered(self.scene, columns, theta)
+        ends = through(effect, self.timing)
+        if not ends:
+            return effect.averaged(self.scene_of(effect), self.rows.average)
+        columns = effect.columns(self.scene_of(effect))
+        for downstream, theta in ends:
+            columns = downstream.delivered(self.stream, columns, theta)
         return self.averaged(columns)
 
-    def through(self, effect: Effect) -> list[tuple[Downstream, Array]]:
-        """What an effect's change goes through before it is read, with parameters; nothing for what belongs to moments."""
-        if effect.EPISODIC:
-            return []
-        if effect.DOWNSTREAM:
-            return [(other, theta) for other, theta in self.timing if other.KEY in effect.BEHIND]
-        return self.timing
+    def scene_of(self, effect: Effect) -> Scene:
+        """The scene as an effect meets it: at the end of the stream with all that the model adds."""
+        return self.stream if effect.DOWNSTREAM else self.scene
 
     def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
         """A hypothesis of given averaged columns."""

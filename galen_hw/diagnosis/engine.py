@@ -14,7 +14,7 @@ from galen_hw.diagnosis.confusion import confusions
 from galen_hw.diagnosis.experiment import next_experiment
 from galen_hw.diagnosis.final import Model, merit, offsets, settle_model, weighed
 from galen_hw.diagnosis.findings import findings_of, unknown_finding
-from galen_hw.diagnosis.guards import Premise, premises
+from galen_hw.diagnosis.guards import Premise, premises, quiet
 from galen_hw.diagnosis.judge import Judged, judge, judge_remainder
 from galen_hw.diagnosis.locate import channels_of, episodes_of, where_of
 from galen_hw.diagnosis.remainder import Remainder, learn
@@ -83,6 +83,7 @@ def diagnose(
     premise = premises(scene)
     scene = premise.scene
     held = 0.0 if holdout is not None else share
+    holdout = None if holdout is None else quiet(holdout)
     bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, COARSE)
     glitch = _glitches(bench)
     coarse.leave_out(bench.spoilt)
@@ -91,6 +92,7 @@ def diagnose(
     columns, coarser = _columns(effects, bench, coarse)
     tell("a first look", 0.25)
     known = _first_look(bench, coarse, effects, coarser, blind=bool(premise.wrong))
+    bench.stream = coarse.stream
     # What moves with the robot cannot be told from noise before it is known what is there: the first noise was too small
     # rather than too large. Now it is learnt from what the first model leaves, and everything is asked again.
     tell("learning the noise", 0.4)
@@ -137,7 +139,7 @@ def _columns(effects: list[Effect], *benches: Bench) -> tuple[list[Columns], ...
     """Columns of all effects on the rows of several benches of one scene, computed once."""
     out: tuple[list[Columns], ...] = tuple([] for _ in benches)
     for effect in effects:
-        columns = effect.columns(benches[0].scene)
+        columns = effect.columns(benches[0].scene_of(effect))
         for bench, mine in zip(benches, out, strict=True):
             mine.append(bench.averaged(columns))
     return out
@@ -270,7 +272,7 @@ def _chosen(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> tuple
     (selection, model), (other, rival) = both
     if merit(rival) <= merit(model) + MERIT:
         return selection, model
-    bench.y, bench.timing = twin.y, twin.timing
+    bench.y, bench.timing, bench.stream = twin.y, twin.timing, twin.stream
     other.scorer.bench = rival.bench = bench
     return other, rival
 

@@ -1,6 +1,7 @@
 """The chosen model, settled: what is held constant, its parameters with honest errors, and how it does on held-out rows."""
 
 import itertools
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.worth import PROVED
 from galen_hw.physics.effect import Columns
 from galen_hw.physics.geometry_effects import JointOffset
-from galen_hw.physics.sensor_effects import Bias
+from galen_hw.physics.sensor_effects import Bias, Saturation
 from galen_hw.physics.time_effects import joint_of
 from galen_hw.spatial import Array
 
@@ -71,8 +72,17 @@ class Model:
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
     def without(self, out: list[Hypothesis]) -> "Model":
-        """The same with some effects left out, fitted again."""
-        return Model(self.bench, self.nuisances, [h for h in self.effects if h not in out], self.white, self.plain)
+        """The same with some effects left out, fitted again; without a limit the others show where the readings clipped."""
+        kept, limits = (
+            [h for h in self.effects if h not in out],
+            [h.effect for h in out if isinstance(h.effect, Saturation)],
+        )
+        if not limits:
+            return Model(self.bench, self.nuisances, kept, self.white, self.plain)
+        bench = copy(self.bench)
+        bench.timing = [(effect, theta) for effect, theta in bench.timing if effect not in limits]
+        whole = [h if h.effect is None or h.theta is not None else bench.add(h.effect, h.looked) for h in kept]
+        return Model(bench, self.nuisances, whole, self.white, self.plain)
 
     def flat(self) -> tuple[list[Hypothesis], Array]:
         """Parts and residual with all frequencies weighed alike."""

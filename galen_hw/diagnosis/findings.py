@@ -30,7 +30,8 @@ def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list
         by_key.setdefault(h.effect.KEY, []).append(h)
     out = [_finding(model, selection, judged, key, parts) for key, parts in by_key.items()]
     out.sort(key=lambda f: -f.evidence["score"])
-    return out + [_glitch(model.bench, judged, g) for g in glitch]
+    isolated = [_glitch(model.bench, judged, g) for g in glitch]
+    return out + [one for one in isolated if one.evidence["false_alarm_probability"] < CHANCE]
 
 
 def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts: list[Hypothesis]) -> Finding:
@@ -174,19 +175,23 @@ def _glitch(bench: Bench, judged: Judged, glitch: Glitches) -> Finding:
     """Rows that stand alone; their share is of the whole excess of the recording, theirs included."""
     rows: Array = np.asarray(glitch.rows)
     places = [bench.scene.channels.index(name) for name in glitch.channels]
-    centred = bench.scene.residual - np.median(bench.scene.residual, axis=0)
-    z = np.abs(centred[rows][:, places]) / bench.noise.sigma[places]
-    size = float(np.median(np.abs(centred[rows][:, places]).max(axis=1)))
+    rest = bench.scene.raw_residual
+    away = np.abs(rest[rows] - np.median(rest, axis=0))[:, places]
+    z = away / bench.noise.sigma[places]
+    # In the channel that stands out most often: newtons and newton metres have no common size.
+    strongest = np.argmax(z, axis=1)
+    first = int(np.bincount(strongest).argmax())
+    size = float(np.median(away[strongest == first, first]))
     own = float(np.sum(z**2))
-    rest = float(np.sum(np.maximum(judged.before / judged.floor - 1.0, 0.0))) * len(bench.scene)
+    others = float(np.sum(np.maximum(judged.before / judged.floor - 1.0, 0.0))) * len(bench.scene)
     chance = float(np.clip(len(bench.scene) * bench.width * erfc(np.min(z.max(axis=1)) / np.sqrt(2.0)), 1e-300, 1.0))
     return Finding(
         "glitches",
         list(glitch.channels),
         [],
         f"{len(rows)} isolated samples stand far off their neighbours; they are left out of every fit.",
-        {"count": Value(float(len(rows)), 0.0, "1"), "size": Value(size, 0.0, bench.scene.units[places[0]])},
-        {"heldout_gain": own / max(own + rest, 1e-300), "score": own, "false_alarm_probability": chance},
+        {"count": Value(float(len(rows)), 0.0, "1"), "size": Value(size, 0.0, bench.scene.units[places[first]])},
+        {"heldout_gain": own / max(own + others, 1e-300), "score": own, "false_alarm_probability": chance},
     )
 
 

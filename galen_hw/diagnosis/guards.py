@@ -9,6 +9,7 @@ import numpy as np
 from galen_hw.diagnosis.rows import Index, Mask
 from galen_hw.errors import UsageError
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.smoothing import at_rest
 from galen_hw.physics.table import scene_of
 from galen_hw.spatial import Array
 
@@ -58,9 +59,12 @@ def premises(scene: Scene) -> Premise:
     out = Premise(scene)
     for step in (_ordered, _parted, _driven):
         out.scene = step(out.scene, out.notes)
+    mixups.clock(out)
+    mixups.bodies(out)
     mixups.joints(out)
     _complete(out)
     mixups.channels(out)
+    out.scene = quiet(out.scene)
     if out.scene.clock and len(out.scene) < SHORT:
         out.notes.append(f"only {len(out.scene)} rows: too short to tell any but gross effects")
     out.notes += out.wrong
@@ -174,6 +178,19 @@ def _driven(scene: Scene, notes: list[str]) -> Scene:
         return scene
     observations = replace(scene.observations, columns=dict(columns) | bridged)
     return scene_of(observations.taken(good))
+
+
+def quiet(scene: Scene) -> Scene:
+    """The scene with joints at rest where they stand, if their noise goes straight into what is compared.
+
+    In a tracked pose it is in all channels at once, and an arm that is wrong by a foot would explain it.
+    """
+    seen = scene.observations
+    if seen.predict not in ("pose", "targets") or not scene.clock or not np.isfinite(scene.q).all():
+        return scene
+    q = at_rest(scene.q, scene.segments)
+    places = {f"joint.{name}.position": q[:, i] for i, name in enumerate(scene.joint_names)}
+    return scene_of(replace(seen, columns=dict(seen.columns) | places))
 
 
 def enough(good: Mask) -> None:

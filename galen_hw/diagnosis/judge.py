@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from galen_hw.diagnosis import seek
+from galen_hw.diagnosis import seek, stream
 from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.final import Model
@@ -13,7 +13,6 @@ from galen_hw.diagnosis.noise import Noise
 from galen_hw.diagnosis.remainder import Remainder
 from galen_hw.diagnosis.rows import Mask, Rows
 from galen_hw.diagnosis.wanted import Guard, poor, support, sure
-from galen_hw.physics.effect import Columns
 from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
@@ -219,17 +218,14 @@ def apply(model: Model, scene: Scene, besides: Array | None = None) -> Array:
     """
     bench = model.bench
     rows = Rows(tuple(scene.segments), bench.rows.stride)
-    rest = scene.residual.copy()
-    refit: list[Hypothesis] = []
-    for h, s in zip(model.parts, model.slices(), strict=True):
-        if h.effect is None:
-            refit.append(h)
-        elif not h.effect.EPISODIC:
-            change = Columns(tuple(range(bench.width)), h.effect.change(scene, model.final[s])[:, :, None])
-            for late, theta in bench.through(h.effect):
-                change = late.delivered(scene, change, theta)
-            rest -= change.values[:, :, 0]
-    rest = rows.average(rest) - (0.0 if besides is None else besides)
+    refit = [h for h in model.parts if h.effect is None]
+    lasting = [
+        (h.effect, model.final[s])
+        for h, s in zip(model.parts, model.slices(), strict=True)
+        if h.effect is not None and not h.effect.EPISODIC
+    ]
+    rest = rows.average(scene.residual - stream.added(scene, lasting, bench.timing))
+    rest = rest - (0.0 if besides is None else besides)
     if refit:
         columns = _nuisances(refit, scene, rows, bench)
         stacked, y = columns.reshape(-1, columns.shape[2]), rest.reshape(-1)

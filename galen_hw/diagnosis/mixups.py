@@ -16,6 +16,11 @@ ALIKE: Final = 0.95
 FAR: Final = 0.15
 """Share of the squared error that is left when the right axes are taken, at most."""
 LONGEST_LEVER_M: Final = 5.0
+LONGEST_TOOL_M: Final = 2.5
+ROWS_OF_MOTION: Final = 200
+SLOW_S: Final = 0.5
+SMOOTH: Final = 0.02
+"""Mean squared step from row to row over the variance, of a joint that moves smoothly."""
 DEAD: Final = 0.05
 """Of the liveliest simulated channel of its unit: a channel that should move so much cannot stand still."""
 
@@ -39,6 +44,26 @@ def joints(out: "Premise") -> None:
                 out.refuse(f"joint.{name}.position", f"{line}: is it in degrees or mm?")
         if v is not None and scene.clock:
             _velocity(out, name, time, q, v)
+
+
+def clock(out: "Premise") -> None:
+    """Seconds from row to row in which an arm would have been anywhere, were they seconds."""
+    scene = out.scene
+    if not scene.clock or len(scene) < ROWS_OF_MOTION:
+        return
+    step = float(np.median(np.diff(scene.time)))
+    moving = [scene.q[:, scene.joint_index(name)] for name in scene.moved]
+    smooth = [float(np.mean(np.diff(q) ** 2)) < SMOOTH * float(np.var(q)) for q in moving]
+    if step >= SLOW_S and any(smooth):
+        out.refuse("time", f"time advances by {step:.4g} s a row while the joints move smoothly: is it in ms?")
+
+
+def bodies(out: "Premise") -> None:
+    """No tool is metres long."""
+    belief = out.scene.belief
+    for what, place in (("com", belief.tool.com), ("tip", belief.tip)):
+        if (size := float(np.linalg.norm(place))) > LONGEST_TOOL_M:
+            out.refuse("tool", f"tool.{what} lies {size:.4g} m from the sensor: is it in mm?")
 
 
 def _velocity(out: "Premise", name: str, time: Array, q: Array, v: Array) -> None:

@@ -8,15 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from galen_hw.diagnosis import stream
 from galen_hw.diagnosis.algebra import solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.linear import fit, rests
 from galen_hw.diagnosis.score import Score, Scorer
 from galen_hw.physics.effect import DOUBT, Columns, Downstream, Effect
+from galen_hw.physics.sensor_effects import Saturation
 from galen_hw.spatial import Array
 
 if TYPE_CHECKING:
     from galen_hw.diagnosis.rows import Index
+    from galen_hw.physics.scene import Scene
 
 
 def settle(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
@@ -159,11 +162,38 @@ def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
             t, done = theta[done : done + h.count], done + h.count
             if isinstance(h.effect, Downstream):
                 now.append((h.effect, t))
-        if _same_timing(bench.timing, now):
+        before = bench.stream
+        load(bench, scorer, chosen)
+        if _same_timing(bench.timing, now) and _same_clips(now, before, bench.stream):
             return
         bench.timing = now
+        bench.stream.limited = frozenset(stream.limited(now))
         scorer.retime()
         settle(bench, scorer, chosen)
+
+
+def load(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
+    """The bench's stream is given what the model adds to the simulation: a reading that clips, clips all of it."""
+    scene, theta = bench.scene, scorer.solve(chosen)[0]
+    standing, done = np.zeros(bench.width), 0
+    for h in scorer.base:
+        if len(h.raw.channels) == 1:
+            standing[h.raw.channels[0]] = theta[done]
+        done += h.count
+    effects = []
+    for i in chosen:
+        h = scorer.library[i]
+        t, done = theta[done : done + h.count], done + h.count
+        if h.effect is not None:
+            effects.append((h.effect, t))
+    carried = stream.carried(scene, effects, bench.timing)
+    bench.stream = scene.carrying(standing, carried, stream.limited(bench.timing))
+
+
+def _same_clips(timing: list[tuple[Downstream, Array]], old: "Scene", new: "Scene") -> bool:
+    """Whether the readings that clip are the same ones, and come back to the same constants."""
+    clips = [effect for effect, _ in timing if isinstance(effect, Saturation)]
+    return all(np.array_equal(c.clipped(old), c.clipped(new)) for c in clips)
 
 
 def _same_timing(old: list[tuple[Downstream, Array]], new: list[tuple[Downstream, Array]]) -> bool:

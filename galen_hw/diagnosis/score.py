@@ -112,7 +112,7 @@ class Scorer:
             h.effect is None
             or h.theta is not None
             or h.effect.EPISODIC
-            or (h.effect.DOWNSTREAM and not h.effect.BEHIND)
+            or (h.effect.DOWNSTREAM and not h.effect.BEHIND and not h.effect.BRIEF)
         ):
             return h
         return self.bench.made(h.effect, self.bench.raw(h.effect), h.looked, h.name)

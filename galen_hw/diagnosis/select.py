@@ -5,7 +5,7 @@ import numpy as np
 from galen_hw.diagnosis import seek
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.linear import crossed, rests
-from galen_hw.diagnosis.nonlinear import ahead, bent, in_place, polished, retime, settle, unbent
+from galen_hw.diagnosis.nonlinear import ahead, bent, in_place, load, polished, retime, settle, unbent
 from galen_hw.diagnosis.score import Score, Scorer, threshold
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.worth import WORTH, asked, plausible, worth
@@ -30,10 +30,14 @@ def library(bench: Bench) -> list[Effect]:
 
 def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[seek.Sought]:
     """What the rest of the present model shows by itself."""
+    load(bench, scorer, chosen)
     rest, _ = rests(bench, scorer, chosen)
     found = seek.steps(bench.scene, rest) + seek.contacts(bench.scene, rest)
     found += seek.drifts(bench.scene, rest, bench.rows.average(bench.scene.time))
-    found += seek.saturations(bench.scene, rest, bench.rows.average(bench.scene.simulated))
+    # A limit that was found before something else was is sought again as if it had not been.
+    added = bench.rows.average(np.asarray(bench.stream.standing + bench.stream.carried))
+    stream = bench.rows.average(bench.scene.simulated) + added
+    found += seek.saturations(bench.scene, bench.whole - added, stream)
     return found + seek.lines(bench.scene, rest, bench.rows.runs) + seek.ripples(bench.scene, rest)
 
 

@@ -21,6 +21,7 @@ class Parameter:
         unit: SI, as text.
         low, high: physical bounds.
         expected: what it must be if the physics is what it is called (the share of a plain play is 1).
+        furthest: size beyond which no machine is so wrong, whatever the data say: noise of the joints is made large by it.
     """
 
     name: str
@@ -28,13 +29,16 @@ class Parameter:
     low: float = -np.inf
     high: float = np.inf
     expected: float | None = None
+    furthest: float = np.inf
 
     def plausible(self, value: float, std: float) -> bool:
         """Within the bounds and, where one value is expected, near it: two fifths or three standard deviations."""
         return self.low - 3.0 * std <= value <= self.high + 3.0 * std and self.near(value, std)
 
     def near(self, value: float, std: float) -> bool:
-        """Near the one value that is expected, if any: two fifths or three standard deviations."""
+        """Near the one value that is expected, if any: two fifths or three standard deviations; and no size beyond belief."""
+        if abs(value) > self.furthest:
+            return False
         return self.expected is None or abs(value - self.expected) <= max(0.4, min(3.0 * std, 0.9))
 
 

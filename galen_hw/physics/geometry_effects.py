@@ -12,6 +12,9 @@ from galen_hw.physics.scene_pose import ArmScene
 from galen_hw.physics.screws import axis_screws, joint_screws
 from galen_hw.spatial import Array
 
+FURTHEST = {"m": 0.05, "rad": 0.5}
+"""An arm that is built so wrong is another arm."""
+
 
 @dataclass(frozen=True)
 class JointOffset(Effect):
@@ -104,7 +107,8 @@ class LinkGeometry(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Angles and lengths."""
         units = {port.name: port.unit for port in scene.geometry_ports() if port.joint == self.joint}
-        return tuple(Parameter(name, units.get(name, "m")) for name in self.errors)
+        unit = {name: units.get(name, "m") for name in self.errors}
+        return tuple(Parameter(name, u, furthest=FURTHEST[u]) for name, u in unit.items())
 
     def columns(self, scene: Scene) -> Columns:
         """The geometry's ports."""
@@ -144,7 +148,7 @@ class SensorMounting(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """About or along the sensor's axes."""
         unit = "rad" if self.part == "turn" else "m"
-        return tuple(Parameter(f"{self.part}_{letter}", unit) for letter in "xyz")
+        return tuple(Parameter(f"{self.part}_{letter}", unit, furthest=FURTHEST[unit]) for letter in "xyz")
 
     def columns(self, scene: Scene) -> Columns:
         """Slope of `exact`; a shifted wrench is linear."""

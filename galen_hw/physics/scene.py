@@ -5,7 +5,8 @@ An effect is then the same few lines whichever group is compared, and does nothi
 """
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, wraps
 from typing import Any, Self, TypeVar
@@ -70,6 +71,12 @@ class Scene:
     channels: tuple[str, ...] = ()
     rotational: tuple[bool, ...] = ()
     units: tuple[str, ...] = ()
+    standing: Array | float = 0.0
+    """(C,) constants that a model has found beside the simulation."""
+    carried: Array | float = 0.0
+    """(N, C) all else that it adds before it is read."""
+    limited: frozenset[str] = frozenset()
+    """Channels with a limit in the model: what is carried does not show there while they clip."""
     whole: "Self | None" = None
     """Of a single row: the recording that it belongs to, which knows what one row cannot show."""
 
@@ -87,6 +94,12 @@ class Scene:
     def __len__(self) -> int:
         """Number of rows."""
         return len(self.observations)
+
+    def carrying(self, standing: Array | float, carried: Array | float, limited: Iterable[str] = ()) -> Self:
+        """The same scene with what a model adds to its simulation: a reading that clips, clips all of it."""
+        one = copy(self)
+        one.standing, one.carried, one.limited = standing, carried, frozenset(limited)
+        return one
 
     def row(self, k: int, memory: Memory) -> Self:
         """Row k by itself, as a live sample; `memory` is handed on from row to row."""

@@ -127,6 +127,11 @@ class PoseScene(ArmScene):
         R = rotation_from_quaternion(self.observations.matrix(*QUATERNION))
         return np.concatenate([position, rotation_log(R @ np.swapaxes(self._pose[:, :3, :3], 1, 2))], axis=1)
 
+    @property
+    def raw_residual(self) -> Array:
+        """(N, C) recorded minus simulated; nothing is filtered here, and an orientation is no difference of columns."""
+        return self.residual
+
     @cached_property
     def _pose(self) -> Array:
         """(N, 4, 4) simulated tip: someone else's, or rigid with the baseline's give."""

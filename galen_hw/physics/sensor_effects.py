@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from galen_hw.physics.effect import (
     Columns,
@@ -235,16 +236,22 @@ class Saturation(Downstream):
         place = scene.channels.index(self.channel)
         if place not in columns.channels or not columns.count:
             return columns
-        clipped = self.columns(scene).values[:, 0, 0] != 0.0
+        clipped = self.clipped(scene)
         values = columns.values.copy()
         values[clipped, columns.channels.index(place)] *= 1.0 - np.clip(theta[0], 0.0, 1.0)
         return Columns(columns.channels, values)
 
     def columns(self, scene: Scene) -> Columns:
-        """How far the simulated channel goes beyond the limit, with the sign that takes it back."""
+        """What takes the reading back to the limit where it would be beyond it."""
         place = scene.channels.index(self.channel)
-        over = scene.simulated[:, place] - self.limit
-        return in_channel(place, [-np.maximum(over, 0.0) if self.upper else -np.minimum(over, 0.0)])
+        shown = scene.simulated + scene.standing + (0.0 if self.channel in scene.limited else scene.carried)
+        back = self.limit - shown[:, place]
+        return in_channel(place, [np.where(self.clipped(scene), back, 0.0)])
+
+    def clipped(self, scene: Scene) -> NDArray[np.bool_]:
+        """(N,) rows in which all that the channel carries goes beyond the limit."""
+        whole = (scene.simulated + scene.standing + scene.carried)[:, scene.channels.index(self.channel)]
+        return np.asarray(whole > self.limit if self.upper else whole < self.limit)
 
 
 def clipping_level(y: Array) -> float | None:

@@ -1,9 +1,10 @@
-"""Derivatives of recorded positions by local polynomials, after a low-pass that suits the noise; the same one for forces."""
+"""Derivatives of recorded positions by local polynomials, after a filter that suits the noise; low-passes for forces."""
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dst, idst
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import percentile_filter
+from scipy.ndimage import percentile_filter, uniform_filter1d
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from galen_hw.spatial import Array
@@ -26,7 +27,7 @@ def motion_band(x: Array, dt: float) -> float:
     it eightfold.
     """
     n = len(x)
-    if n < 64:
+    if n < SHORTEST:
         return 0.5 / dt
     straight = x - np.linspace(x[0], x[-1], n)
     power = np.abs(np.fft.rfft(straight * np.hanning(n))) ** 2
@@ -37,6 +38,66 @@ def motion_band(x: Array, dt: float) -> float:
         return 0.5 / dt
     above = np.flatnonzero(smooth > 8.0 * level)
     return float((above[-1] + 1 if len(above) else 1) / (n * dt))
+
+
+ABOVE_NOISE = 6.0
+"""Of the noise's power a signal's must be to be taken for motion at the highest of its frequencies."""
+SHORTEST = 64
+"""Rows too few to tell motion from noise."""
+WHITE = 0.75
+"""Mean squared step over twice the variance from which a signal is noise: 1 for white noise, nothing for motion."""
+SOFT = 2
+"""The filter's edge is this part of its band wide."""
+BINS = 200
+"""Parts of the spectrum over which its power is averaged."""
+
+
+def denoised(x: Array) -> Array:
+    """Signal (N,) by Wiener's filter: each frequency as far as it is motion, S / (S + N) of its power; no phase.
+
+    The noise N is white, its level the median power of the spectrum's upper half; nothing is left above the last frequency
+    that stands six times above it. What is best for the signal is best for its derivatives too (Wiener 1949): a noise that
+    two differentiations make large would otherwise pass for force. A signal without noise is left as it is.
+    """
+    n = len(x)
+    if n < SHORTEST:
+        return x
+    line = np.linspace(x[0], x[-1], n)
+    # The window keeps what the ends of a slow signal add to all frequencies from passing for motion.
+    power = np.abs(np.fft.rfft((x - line) * np.hanning(n))) ** 2
+    level = float(np.median(power[len(power) // 2 :])) / 0.69
+    if level <= 1e-18 * float(power.max()):
+        return x
+    mean = uniform_filter1d(power, max(len(power) // BINS, 3), mode="nearest")
+    above = np.flatnonzero(mean > ABOVE_NOISE * level)
+    share = np.clip(1.0 - level / np.maximum(mean, level), 0.0, 1.0)
+    last = int(above[-1]) + 1 if len(above) else 0
+    share[last:] = 0.0
+    # Falling and without edges: a filter with holes rings for long, most of all at the ends.
+    share = np.maximum.accumulate(share[::-1])[::-1]
+    share = np.maximum(share, uniform_filter1d(share, max(last // SOFT, 1), mode="nearest"))
+    # Sines: what begins and ends at zero goes on smoothly as an odd function. Two of them a line of the spectrum.
+    waves = dst((x - line)[1:-1], type=1)
+    line[1:-1] += idst(np.interp(0.5 * np.arange(1, n - 1), np.arange(len(share)), share) * waves, type=1)
+    return line
+
+
+def _derived(x: Array, dt: float, band: float | None) -> Array:
+    """(3, N) signal without noise, first and second derivative: low-passed at a given band (Hz), else by Wiener's filter.
+
+    The odd continuation beyond an end has a bend there, which Wiener's filter carries further in than the low-pass does:
+    near the ends that one is believed.
+    """
+    found = band or motion_band(x, dt)
+    plain = low_passed(x, dt, found)
+    plain = np.stack([plain, *_rates(plain, dt)])
+    if band is not None:
+        return plain
+    fine = denoised(x)
+    fine = np.stack([fine, *_rates(fine, dt)])
+    reach, at = END / (CUT * found * dt), np.arange(len(x))
+    inside = np.clip(np.minimum(at, at[::-1]) / max(4.0 * reach, 1.0) - 1.0, 0.0, 1.0)
+    return np.asarray(plain + inside * (fine - plain))
 
 
 def low_passed(x: Array, dt: float, band: float) -> Array:
@@ -105,8 +166,8 @@ def derivatives(
 ) -> tuple[Array, Array]:
     """First and second derivative (N, n) of signals (N, n) over time (N,) in s, each segment by itself.
 
-    A measured velocity is believed and differentiated once. Uneven samples go over an even grid. What lies above the band
-    of the motion (found here unless given, Hz) is noise and filtered off. Segments of fewer than five samples get zeros.
+    A measured velocity is believed and differentiated once. Uneven samples go over an even grid. Noise is filtered off, by
+    Wiener's filter or by the low-pass of a given band (Hz). Segments of fewer than five samples get zeros.
     """
     first, second = np.zeros_like(x), np.zeros_like(x)
     for part in segments:
@@ -121,13 +182,23 @@ def derivatives(
             measured = None if velocity is None or np.isnan(velocity[part, j]).any() else velocity[part, j]
             source = x[part, j] if measured is None else measured
             on_grid = source if even else np.interp(grid, t, source)
-            one, two = _rates(low_passed(on_grid, step, band or motion_band(on_grid, step)), step)
+            derived = _derived(on_grid, step, band)
             if not even:
-                one, two = CubicSpline(grid, one)(t), CubicSpline(grid, two)(t)
-            first[part, j], second[part, j] = (
-                (one, two) if measured is None else (_plain(on_grid, step, grid, t, even, band), one)
-            )
+                derived = CubicSpline(grid, derived, axis=1)(t)
+            first[part, j], second[part, j] = derived[1:] if measured is None else derived[:2]
     return first, second
+
+
+def at_rest(x: Array, segments: list[slice]) -> Array:
+    """Signals (N, n), those that hold noise alone in a segment (successive rows know nothing of each other) at its mean."""
+    out = x.copy()
+    for part in segments:
+        if part.stop - part.start < SHORTEST:
+            continue
+        spread = np.var(x[part], axis=0)
+        white = np.mean(np.diff(x[part], axis=0) ** 2, axis=0) > WHITE * 2.0 * spread
+        out[part] = np.where(white & (spread > 0.0), np.mean(x[part], axis=0), x[part])
+    return out
 
 
 END = 0.6
@@ -152,9 +223,3 @@ def ends(time: Array, x: Array, segments: list[slice], band: float | None = None
         reach = min(END / (CUT * lowest), LONGEST_END_S, MOST_OF_SEGMENT * float(t[-1] - t[0]))
         out[part] = (t < t[0] + reach) | (t > t[-1] - reach)
     return out
-
-
-def _plain(on_grid: Array, step: float, grid: Array, t: Array, even: bool, band: float | None) -> Array:
-    """A measured velocity without its noise."""
-    smooth = low_passed(on_grid, step, band or motion_band(on_grid, step))
-    return smooth if even else np.asarray(np.interp(t, grid, smooth))
