@@ -2,25 +2,32 @@
 
 import json
 import sys
+import threading
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zmq
+from rich.console import Console
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 from calibration_plant import Plant
 
+from galen_hw.bus import command_error, decode_request
+from galen_hw.config.paths import Addresses
 from galen_hw.drivers.virtual.truth import BIAS_BODY, TOOLS
 from galen_hw.errors import CommandRejectedError
 from galen_hw.kinematics import GalenRobot
-from galen_hw.messages import JointsState, Request, Vector3, WrenchRaw
+from galen_hw.messages import JointsState, Reply, Request, Vector3, WrenchRaw, encode
 from galen_hw.physics.rigid import gravity_in_sensor
 from galen_hw.recording import read_recording
 from galen_hw.services.calibration.plan import make_plan
 from galen_hw.services.calibration.settings import AxisSettings, CalibrationSettings
 from galen_hw.tools.calibration.poses import poses_of
 from galen_hw.tools.calibration.result import analyse
+from galen_hw.tools.calibration.sweep import Operator, run_check, run_sweep
 
 FEW = CalibrationSettings(
     axes={"tilt": AxisSettings(low=-0.6, high=0.6, count=3), "roll": AxisSettings(low=-0.9, high=0.9, count=4)},
@@ -298,3 +305,108 @@ def test_requests_that_make_no_sense_are_refused(plant):
         with pytest.raises(CommandRejectedError):
             plant.ask(name, tool="retractor")
     assert plant.until("waiting", "stopped").state == "waiting"
+
+
+@contextmanager
+def _served(plant, runtime):
+    """The plant's service at a command socket of its own; its addresses and what was asked."""
+    addresses, asked, ended = Addresses(runtime), [], threading.Event()
+    runtime.mkdir()
+    socket = zmq.Context.instance().socket(zmq.ROUTER)
+    socket.bind(addresses.command)
+
+    def serve():
+        while not ended.is_set():
+            if not socket.poll(20):
+                continue
+            *frames, payload = socket.recv_multipart()
+            request = decode_request(payload)
+            asked.append(request)
+            try:
+                outputs = plant.service.request(request, plant.now)
+            except CommandRejectedError as error:
+                outputs = [Reply(id=request.id, error=command_error(error))]
+            replies = [o for o in outputs if isinstance(o, Reply) and o.id == request.id]
+            plant.take([o for o in outputs if o not in replies])
+            for reply in replies:
+                socket.send_multipart([*frames, encode(reply)])
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield addresses, asked
+    finally:
+        ended.set()
+        thread.join()
+        socket.close()
+
+
+def test_a_second_client_is_refused_and_the_first_sweep_goes_on(plant, tmp_path):
+    """Neither its sweep nor its check stops the sweep that runs, and nobody is asked to touch the sensor for it."""
+    plant.begin(owner="first")
+    plant.heartbeats = False
+    touched = []
+    nobody = Operator(lambda: touched.append("bare"), lambda: touched.append("tool"))
+    with _served(plant, tmp_path / "run") as (addresses, asked):
+        with pytest.raises(CommandRejectedError, match="a sweep runs already"):
+            run_sweep(addresses, "pointer", {}, nobody, Console(quiet=True))
+        with pytest.raises(CommandRejectedError, match="a sweep runs already"):
+            run_check(addresses, "pointer", Console(quiet=True))
+
+    assert {request.name for request in asked} >= {"start", "stop"}
+    assert touched == []
+    assert plant.stopped == 0
+    plant.hooks.append(lambda p: p.ask("heartbeat", owner="first"))
+    assert plant.until("waiting", "stopped").state == "waiting"
+
+
+def test_another_clients_heartbeat_keeps_no_sweep_alive(plant):
+    """Only the heartbeat of whoever started it counts; an ownerless stop, and the owner's own, are always obeyed."""
+    plant.begin(owner="first")
+    plant.heartbeats = False
+    plant.hooks.append(lambda p: p.ask("heartbeat", owner="second"))
+    message = plant.until("stopped", seconds=6.0)
+    assert "client that started the sweep is gone" in message.detail
+
+    plant.hooks[-1] = lambda p: p.ask("heartbeat", owner="first")
+    for owner in ({}, {"owner": "first"}):
+        plant.begin(owner="first")
+        assert plant.ask("stop", owner="second").result == {"running": False}
+        assert plant.ask("stop", **owner).result == {"running": True}
+        assert "stopped by request" in plant.progress[-1].detail
+
+
+def test_a_held_sweep_moves_nothing_before_it_is_released(plant):
+    """Accepted, it waits for the bare sensor however saturated that is on the way; then it goes its way."""
+    plant.begin(hold=True)
+    plant.world.push(force=[900.0, 0.0, 0.0], seconds=1.0)
+    plant.run_for(2.0)
+    assert (plant.moves, plant.enabled, plant.progress[-1].state) == ([], False, "checking")
+    plant.ask("resume")
+    assert plant.until("waiting", "stopped").state == "waiting"
+
+
+@pytest.mark.parametrize("names", [("tilt", "roll"), ("roll", "carriage1")])
+def test_counts_leave_the_configured_ranges_as_they_are(tmp_path, names):
+    """`counts` change how many poses there are, never how far the robot goes nor which joints it moves."""
+    ranges = (AxisSettings(low=-0.1, high=0.12, count=9), AxisSettings(low=0.0, high=0.2, count=2))
+    axes = dict(zip(names, ranges, strict=True))
+    plant = Plant(tmp_path, FEW.model_copy(update={"axes": axes}))
+    plant.begin(counts=[2, 3])
+    assert plant.until("waiting", "stopped").state == "waiting"
+    goals = {name: [m["position"][name] for m in plant.moves if name in m["position"]] for name in names}
+
+    about = plant.service._run.settings.axes
+    assert {name: (axis.low, axis.high, axis.count) for name, axis in about.items()} == {
+        names[0]: (-0.1, 0.12, 2),
+        names[1]: (0.0, 0.2, 3),
+    }
+    assert all(axes[n].low - 1e-9 <= x <= axes[n].high + 1e-9 for n in names for x in goals[n])
+
+
+@pytest.mark.parametrize("counts", [[3], [3, 4, 5], "3x4", [0, 4], [3, 99]])
+def test_counts_that_do_not_fit_the_axes_are_refused(plant, counts):
+    """As many as there are axes, each possible."""
+    with pytest.raises(CommandRejectedError, match="count"):
+        plant.begin(counts=counts)
+    assert plant.moves == []

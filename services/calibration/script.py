@@ -34,6 +34,9 @@ Script: TypeAlias = Generator[Wait, None, None]
 
 def sweep(run: Run) -> Script:
     """Home, zero, poses without the tool, the tool, poses with it, home."""
+    if run.held:
+        run.show("checking", "any tool is taken off")
+        yield Wait(lambda: not run.held, 3600.0, lambda: "nobody said that the sensor is bare")
     yield from _prepare(run)
     yield from _zero(run)
     for step in run.plan.bare:

@@ -1,8 +1,13 @@
 """The calibration sweep: moves the robot through its poses and writes the raw sweep; the fit is done elsewhere.
 
-Requests: start {tool, kind: "sweep" | "check", ...overrides of the settings}, resume {} (the tool is on), heartbeat {},
-stop {}. A client that has started a sweep must send a heartbeat at least every second; when it falls silent, or when
-anything is wrong, the motors stop and the poses so far are kept.
+Requests: start {tool, kind: "sweep" | "check", owner, hold, counts, ...overrides of the settings}, resume {} (the sensor
+is bare, or the tool is on), heartbeat {owner}, stop {owner}. A client that has started a sweep must send a heartbeat at
+least every second; when it falls silent, or when anything is wrong, the motors stop and the poses so far are kept.
+
+`owner` is a word of the client's own: with it in start, only heartbeats that bear it count. `stop` without it always
+stops; with it, it stops that owner's sweep only, so that a client whose start was refused cannot end another's sweep.
+With `hold` a sweep that was accepted moves nothing before `resume`: whoever was refused has not touched the robot.
+`counts` are the positions of each swept axis, in the order of the settings, whose ranges stay.
 """
 
 import datetime as dt
@@ -43,7 +48,7 @@ class CalibrationService(Service):
         self._seq = self._sweeps = 0
         self._last_raw: WrenchRaw | None = None
         self._last_joints: JointsState | None = None
-        self._last_stop = ""
+        self._last_stop = self._owner = ""
 
     def handle(self, topic: str, message: Message, now_ns: int) -> list[Output]:
         """Take a raw wrench or a joint state."""
@@ -75,17 +80,23 @@ class CalibrationService(Service):
         if request.name == "start":
             return self._start(request, now_ns)
         run = self._run
+        owner = str(request.args.get("owner", ""))
         if request.name == "heartbeat":
-            self._heartbeat_ns = now_ns
+            if self._owner in ("", owner):
+                self._heartbeat_ns = now_ns
             return [Reply(id=request.id, result={"running": run is not None})]
-        if request.name == "resume" and run is not None and run.state == "waiting":
-            run.now_ns, run.tool_on = now_ns, True
+        if request.name == "resume" and run is not None and (run.held or run.state == "waiting"):
+            run.now_ns, run.tool_on, run.held = now_ns, not run.held, False
             return [Reply(id=request.id)]
         if request.name == "stop":
-            stopped = [] if run is None else self._stop(run, SweepStoppedError("stopped by request"))
-            return [*stopped, Reply(id=request.id, result={"running": run is not None})]
+            # A stop without a name is anybody's and always obeyed.
+            meant = run if owner in ("", self._owner) else None
+            stopped = [] if meant is None else self._stop(meant, SweepStoppedError("stopped by request"))
+            return [*stopped, Reply(id=request.id, result={"running": meant is not None})]
         todo = "calibration takes start, resume, heartbeat and stop"
-        what = "nothing waits for the tool" if request.name == "resume" else f"no request {request.name!r}"
+        what = f"no request {request.name!r}"
+        if request.name == "resume":
+            what = "nothing waits for the tool" + (f": {self._last_stop}" if self._last_stop else "")
         raise CommandRejectedError(what, where=self.name, todo=todo)
 
     def reply(self, reply: Reply, now_ns: int) -> list[Output]:
@@ -138,8 +149,10 @@ class CalibrationService(Service):
             CommandRejectedError: one runs already, or the arguments are not possible.
         """
         if self._run is not None:
-            raise CommandRejectedError("a sweep runs already", where=self.name, todo="wait, or stop it")
+            todo = "wait, or stop it: galen-hw command calibration stop"
+            raise CommandRejectedError(f"a {self._run.kind} runs already", where=self.name, todo=todo)
         args = dict(request.args)
+        owner, hold = str(args.pop("owner", "")), args.pop("hold", False) is True
         tool, kind = str(args.pop("tool", "")), str(args.pop("kind", "sweep"))
         if not re.match(NAME, tool) or kind not in ("sweep", "check"):
             todo = "start takes tool (a name) and kind (sweep or check)"
@@ -147,6 +160,7 @@ class CalibrationService(Service):
         settings = self._overridden(args)
         self._require_data(now_ns)
         run = self._make_run(tool, kind, settings, now_ns)
+        run.held, self._owner = hold, owner
         self._run, self._script = run, (sweep if kind == "sweep" else check)(run)
         self._heartbeat_ns, self._next_progress_ns, self._last_stop = now_ns, now_ns, ""
         try:
@@ -156,13 +170,25 @@ class CalibrationService(Service):
         folder = str(run.file.folder) if kind == "sweep" else ""
         seconds = duration_s(settings, (*run.plan.bare, *run.plan.tool))
         return [
-            Reply(id=request.id, result={"sweep": folder, "poses": run.poses, "seconds": seconds}),
+            Reply(
+                id=request.id,
+                result={"sweep": folder, "poses": run.poses, "seconds": seconds, "began_ns": run.began_ns},
+            ),
             *self._flush(run),
         ]
 
     def _overridden(self, args: dict[str, Any]) -> CalibrationSettings:
+        counts = args.pop("counts", None)
         try:
-            return CalibrationSettings.model_validate(self._settings.model_dump() | args)
+            settings = CalibrationSettings.model_validate(self._settings.model_dump() | args)
+            if counts is None:
+                return settings
+            axes = settings.model_dump()["axes"]
+            if not isinstance(counts, list) or len(counts) != len(axes):
+                what = f"counts {counts} do not fit the {len(axes)} axes of the sweep"
+                raise CommandRejectedError(what, where=self.name, todo=f"one number each for {', '.join(axes)}")
+            own = {name: axis | {"count": count} for (name, axis), count in zip(axes.items(), counts, strict=True)}
+            return CalibrationSettings.model_validate(settings.model_dump() | {"axes": own})
         except ValidationError as error:
             first = error.errors()[0]
             key = ".".join(str(part) for part in first["loc"])

@@ -37,6 +37,7 @@ class Run:
 
     Args:
         name: of the service; kind: "sweep" or "check"; began_ns: its start.
+        held: accepted, but nothing moves before the client says so; tool_on: the client says that the tool is on.
         home_bare: (6,) reading at home without the tool; noise: (6,) sigma of one sample, None until known.
     """
 
@@ -53,6 +54,7 @@ class Run:
     state: str = "checking"
     detail: str = ""
     done: bool = False
+    held: bool = False
     tool_on: bool = False
     paused: bool = False
     raw: WrenchRaw | None = None
@@ -103,7 +105,7 @@ class Run:
         sample = (f.x, f.y, f.z, t.x, t.y, t.z)
         if not message.valid or message.saturated or not abs(sum(sample)) < 1e6:
             self.bad_samples += 1
-            if message.saturated:
+            if message.saturated and not self.held:
                 raise SweepStoppedError("the sensor is saturated", "take off what presses on it")
             return
         limit = self.settings.overload_force_n

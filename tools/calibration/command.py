@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--yes", action="store_true", help="accept without asking (scripts)")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.add_argument("--report", metavar="DIR", type=Path, help="write figures and report.html there")
-    parser.add_argument("--poses", metavar="TILTSxROLLS", help="grid of the sweep, e.g. 7x8")
+    parser.add_argument("--poses", metavar="TILTSxROLLS", help="positions per swept axis, e.g. 7x8; ranges stay")
     parser.add_argument("--samples", type=int, metavar="N", help="samples averaged per pose")
     parser.add_argument("--seed", type=int, metavar="N", help="of the order of the poses")
     parser.add_argument("--no-bare", action="store_true", help="no poses without the tool: trust the zeroing")
@@ -164,15 +164,10 @@ def _overrides(args: argparse.Namespace) -> dict[str, Any]:
     """Arguments of the sweep that differ from its settings."""
     overrides: dict[str, Any] = {}
     if args.poses is not None:
-        found = re.fullmatch(r"(\d+)x(\d+)", args.poses)
-        if not found:
+        if not re.fullmatch(r"\d{1,4}(x\d{1,4})*", args.poses):
             raise UsageError(f"{args.poses!r} is not TILTSxROLLS", where="--poses", todo="e.g. --poses 7x8")
-        from galen_hw.services.calibration.settings import CalibrationSettings
-
-        axes = CalibrationSettings().model_dump()["axes"]
-        for axis, count in zip(axes.values(), found.groups(), strict=True):
-            axis["count"] = int(count)
-        overrides["axes"] = axes
+        # Only the counts: which joints are swept, and how far, is the daemon's to say.
+        overrides["counts"] = [int(count) for count in args.poses.split("x")]
     overrides |= {key: getattr(args, key) for key in ("samples", "seed") if getattr(args, key) is not None}
     return overrides | ({"bare_poses": 0} if args.no_bare else {})
 

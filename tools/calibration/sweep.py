@@ -3,6 +3,7 @@
 import sys
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -23,10 +24,14 @@ HEARTBEAT_S: Final = 0.5
 
 
 class Heartbeat:
-    """Tells the calibration service, from a thread, that its client lives; the robot stops when this ends early."""
+    """Tells the calibration service, from a thread, that its client lives; the robot stops when this ends early.
 
-    def __init__(self, address: str) -> None:
-        self._address = address
+    Args:
+        address: of the daemon's command socket; owner: the word given with `start`.
+    """
+
+    def __init__(self, address: str, owner: str) -> None:
+        self._address, self._owner = address, owner
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._beat, daemon=True)
 
@@ -44,7 +49,7 @@ class Heartbeat:
         with CommandClient(self._address) as client:
             while not self._end.wait(HEARTBEAT_S):
                 with suppress(GalenError):
-                    client.call("calibration", "heartbeat", timeout_s=2.0)
+                    client.call("calibration", "heartbeat", {"owner": self._owner}, timeout_s=2.0)
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,7 @@ class Operator:
     """Who puts the tool on.
 
     Args:
-        bare: called before the sweep: no tool may be on; tool: called when the tool is to be put on.
+        bare: called once the sweep is accepted, before it moves: no tool may be on; tool: called when the tool is to be put on.
     """
 
     bare: Callable[[], None]
@@ -71,11 +76,18 @@ def run_sweep(
         CommandRejectedError: it cannot be started. HardwareError: the daemon is gone.
         KeyboardInterrupt: Ctrl-C; the robot has been stopped.
     """
-    with Subscriber(addresses.bus, ("calibration/progress",)) as subscriber, CommandClient(addresses.command) as client:
+    owner = uuid.uuid4().hex
+    with (
+        Subscriber(addresses.bus, ("calibration/progress",)) as subscriber,
+        CommandClient(addresses.command) as client,
+        Heartbeat(addresses.command, owner),
+        _stopping(client, owner),
+    ):
+        # Held: whoever is refused because another sweep runs has asked nobody to touch the sensor.
+        started = _start(client, {"tool": tool, "kind": "sweep", "owner": owner, "hold": True, **overrides})
         operator.bare()
-        with Heartbeat(addresses.command), _stopping(client):
-            started = _start(client, {"tool": tool, "kind": "sweep", **overrides})
-            reason = _follow(subscriber, client, operator, console, started)
+        client.call("calibration", "resume")
+        reason = _follow(subscriber, client, operator, console, started)
     return Path(started["sweep"]), reason
 
 
@@ -85,14 +97,14 @@ def run_check(addresses: Addresses, tool: str, console: Console) -> None:
     Raises:
         HardwareError: it was stopped, with the reason.
     """
-    nobody = Operator(lambda: None, lambda: None)
+    nobody, owner = Operator(lambda: None, lambda: None), uuid.uuid4().hex
     with (
         Subscriber(addresses.bus, ("calibration/progress",)) as subscriber,
         CommandClient(addresses.command) as client,
-        Heartbeat(addresses.command),
-        _stopping(client),
+        Heartbeat(addresses.command, owner),
+        _stopping(client, owner),
     ):
-        started = _start(client, {"tool": tool, "kind": "check"})
+        started = _start(client, {"tool": tool, "kind": "check", "owner": owner})
         reason = _follow(subscriber, client, nobody, console, started)
     if reason:
         raise HardwareError(reason, where="check of the compensation")
@@ -111,13 +123,13 @@ def _start(client: CommandClient, args: dict[str, Any]) -> dict[str, Any]:
 
 
 @contextmanager
-def _stopping(client: CommandClient) -> Iterator[None]:
-    """Stop the robot if the block does not end by itself."""
+def _stopping(client: CommandClient, owner: str) -> Iterator[None]:
+    """Stop the robot if the block does not end by itself; only a sweep of ours, never another client's."""
     try:
         yield
     except BaseException:
         with suppress(GalenError):
-            client.call("calibration", "stop", timeout_s=5.0)
+            client.call("calibration", "stop", {"owner": owner}, timeout_s=5.0)
         raise
 
 
@@ -134,6 +146,8 @@ def _follow(
                     raise HardwareError("the calibration service is silent", where="bus", todo="galen-hw monitor")
                 continue
             heard, message = time.monotonic(), received[1]
+            if message.t_ns < started["began_ns"]:
+                continue  # of the sweep before ours
             display.update(message)
             if message.state in ("done", "stopped"):
                 return "" if message.state == "done" else message.detail
