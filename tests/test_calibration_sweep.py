@@ -208,6 +208,33 @@ def test_a_disturbance_stops_the_robot_and_keeps_the_poses(plant, case):
     assert len(kept) >= 10
 
 
+def test_a_disk_that_takes_nothing_more_stops_the_motors_and_is_said(plant):
+    """Pose and state cannot be written: the motors stop, the reason names the file, and the service goes on."""
+    _averaging_with_tool(plant)
+    kept = folder(plant)
+    kept.rename(kept.with_name("away"))
+    kept.write_text("a file where the folder was: nothing can be written below it")
+    message = plant.until("stopped", "done", seconds=30.0)
+
+    assert message.state == "stopped"
+    assert plant.stopped == 1
+    assert "recording.csv: cannot be written" in message.detail
+    assert "poses kept" in message.detail
+    assert plant.faults[-1].what in message.detail
+    plant.world.attach(None)
+    kept.unlink()
+    assert plant.sweep().state == "done"
+
+
+def test_after_an_emergency_stop_the_way_back_can_be_typed(plant):
+    """The advice names the commands as they are typed, for the configured name of the motors."""
+    _averaging_with_tool(plant)
+    plant.estop = True
+    message = plant.until("stopped")
+    words = "release it, then galen-hw command motors clear_fault, galen-hw command motors enable, and calibrate again"
+    assert message.detail.endswith(words)
+
+
 @pytest.mark.parametrize("device", ["ft", "motors"])
 def test_a_device_that_comes_back_is_waited_for_at_rest(plant, device):
     """Silent for two seconds: the robot is stopped, the pose begins anew, and the sweep ends as if nothing had been."""

@@ -275,9 +275,13 @@ class CalibrationService(Service):
     def _stop(self, run: Run, stop: SweepStoppedError) -> list[Output]:
         """Motors to rest, the poses so far kept, everyone told."""
         run.send(run.context.motors, "stop", {})
-        if run.kind == "sweep" and len(run.file):
-            run.file.note("stopped", stop.what)
         kept = f"; {len(run.file)} poses kept in {run.file.folder}" if len(run.file) else ""
+        if run.kind == "sweep" and len(run.file):
+            try:
+                run.file.note("stopped", stop.what)
+            except UsageError:
+                # The disk may be what stopped the sweep; the stop that is queued must leave all the same.
+                kept += ", whose sweep.json could not be brought up to date"
         run.show("stopped", f"{stop.what}{kept}" + (f"; {stop.todo}" if stop.todo else ""))
         self._last_stop = stop.what
         outputs = run.outputs

@@ -123,7 +123,9 @@ class Run:
         if not self.resting():
             self._rest_since_ns = message.t_ns
         if message.estop:
-            raise SweepStoppedError("emergency stop", "release it, then calibrate again")
+            again = f"galen-hw command {self.context.motors} clear_fault"
+            again += f", galen-hw command {self.context.motors} enable, and calibrate again"
+            raise SweepStoppedError("emergency stop", f"release it, then {again}")
 
     def begin_hold(self) -> None:
         """Forget the samples so far, and those that are still under way."""
