@@ -160,11 +160,11 @@ realtime_priority = 0
         self.sensor.close()
         self.motors.close()
 
-    def start_ready(self) -> "subprocess.Popen[str]":
+    def start_ready(self, *words: str) -> "subprocess.Popen[str]":
         """Start with both devices talking; back when the daemon says that it is ready."""
         self.sensor.chatter(lambda n: str(float(n)))
         self.motors.chatter("0.5", every_s=0.02)
-        process = self.start()
+        process = self.start(*words)
         assert process.stdout is not None
         line = process.stdout.readline()
         if not line.startswith("ready"):

@@ -3,6 +3,8 @@
 import os
 import signal
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -170,6 +172,30 @@ def test_sigterm_rests_the_robot_first_and_leaves_nothing(tree: Tree) -> None:
     assert process.wait(timeout=20) == 0
     assert tree.sensor.hear(b"REST")
     assert not any(alive(pid) for pid in pids.values())
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_the_end_of_the_parent_ends_the_daemon_with_the_robot_at_rest(tree: Tree, number: signal.Signals) -> None:
+    """However the process named with --parent-pid ends, the daemon ends in order, with status 0."""
+    parent = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    process = tree.start_ready("--parent-pid", str(parent.pid))
+    pids = tree.call("daemon", "info")["processes"].values()
+    parent.send_signal(number)
+    parent.communicate()
+
+    assert process.wait(timeout=15) == 0
+    assert tree.motors.hear(b"REST")
+    assert not any(alive(pid) for pid in pids)
+
+
+def test_sighup_ends_the_daemon_as_sigterm_does(tree: Tree) -> None:
+    """A terminal that is closed sends it to the whole tree: the robot is at rest, status 0."""
+    process = tree.start_ready()
+    for pid in (*tree.call("daemon", "info")["processes"].values(), process.pid):
+        os.kill(pid, signal.SIGHUP)
+
+    assert process.wait(timeout=15) == 0
+    assert tree.motors.hear(b"REST")
 
 
 def test_supervisor_killed_leaves_no_orphans_and_a_robot_at_rest(tree: Tree) -> None:

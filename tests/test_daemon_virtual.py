@@ -143,3 +143,49 @@ def test_signal_to_the_whole_group_ends_cleanly(tmp_path: Path, number: signal.S
 
     assert process.returncode == 0
     assert said == ""
+
+
+OWN = """
+import sys
+from pathlib import Path
+from galen_hw.cli import main
+from galen_hw.daemon.session import own_daemon
+import galen_hw.tools.record as record
+
+def run(args):
+    with own_daemon(config=sys.argv[1], runtime=Path(sys.argv[2])) as addresses:
+        print("up", flush=True)
+        sys.stdin.readline()
+    return 0
+
+record.run = run
+sys.exit(main(["record"]))
+"""
+"""A command that waits within a daemon of its own."""
+
+
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGTERM, 130), (signal.SIGHUP, 130), (signal.SIGKILL, -signal.SIGKILL)]
+)
+def test_a_command_that_is_ended_takes_its_daemon_along(tmp_path: Path, number: signal.Signals, status: int) -> None:
+    """SIGTERM and SIGHUP are a Ctrl-C; after SIGKILL the daemon and its virtual robot end by themselves."""
+    config = tmp_path / "galen.toml"
+    config.write_text(ROBOTOUS.replace("robotous_rft", "ati_netcanoem"))
+    process = subprocess.Popen(
+        [sys.executable, "-c", OWN, str(config), str(tmp_path / "run")],
+        env=environ(tmp_path),
+        text=True,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "up\n"
+    with CommandClient(Addresses(tmp_path / "run").command) as client:
+        pids = [*client.call("daemon", "info")["processes"].values(), *virtual_pids(tmp_path)]
+    assert len(pids) >= 2
+    process.send_signal(number)
+    process.communicate(timeout=30)
+
+    assert process.returncode == status
+    assert within(15.0, lambda: not any(alive(pid) for pid in pids))
+    assert within(5.0, lambda: not (tmp_path / "run" / "command").exists())

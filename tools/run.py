@@ -12,11 +12,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", metavar="FILE", help="settings (default: /etc/galen-hw/galen.toml)")
     parser.add_argument("--virtual", action="store_true", help="start a virtual robot and use its wires")
     parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory for the sockets")
+    parser.add_argument("--parent-pid", type=int, metavar="PID", help="end when that process ends")
     parser.epilog = "example: galen-hw run --virtual"
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until SIGTERM or Ctrl-C."""
+    """Run until SIGTERM, SIGHUP or Ctrl-C, or until the parent ends."""
     from galen_hw.config.paths import make_runtime, runtime_dir, state_dir
     from galen_hw.daemon.supervisor import Supervisor, install_signals
     from galen_hw.daemon.tables import TABLES, read_setup
@@ -29,7 +30,12 @@ def run(args: argparse.Namespace) -> int:
         if args.virtual:
             setup = stack.enter_context(virtual_setup(setup, TABLES, addresses.virtual))
         supervisor = Supervisor(
-            setup, TABLES, addresses, state_dir(), on_ready=lambda text: _say_ready(text, addresses.bus)
+            setup,
+            TABLES,
+            addresses,
+            state_dir(),
+            on_ready=lambda text: _say_ready(text, addresses.bus),
+            parent_pid=args.parent_pid,
         )
         install_signals(supervisor)
         return supervisor.run()

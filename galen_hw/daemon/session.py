@@ -2,14 +2,17 @@
 
 import os
 import select
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from types import FrameType
+from typing import Final, NoReturn
 
 from galen_hw.config.paths import Addresses
 from galen_hw.errors import GalenError, HardwareError
@@ -24,6 +27,8 @@ def own_daemon(
 ) -> Iterator[Addresses]:
     """Start `galen-hw run` in a runtime directory of its own, wait until samples flow, end it with the block.
 
+    SIGTERM and SIGHUP end the block as Ctrl-C does, and the daemon ends by itself when this process is gone.
+
     Args:
         config: settings file; virtual: on a virtual robot.
         runtime: for the sockets; a temporary directory if None.
@@ -32,12 +37,14 @@ def own_daemon(
     Raises:
         HardwareError: it did not become ready; its own lines on stderr say why.
     """
-    with tempfile.TemporaryDirectory(prefix="galen-hw-") as folder:
+    with _ended_by_signals(), tempfile.TemporaryDirectory(prefix="galen-hw-") as folder:
         where = runtime or Path(folder)
         words = [
             "run",
             "--dir",
             str(where),
+            "--parent-pid",
+            str(os.getpid()),
             *(["--virtual"] if virtual else []),
             *(["--config", config] if config else []),
         ]
@@ -49,6 +56,7 @@ def own_daemon(
             _wait_ready(process)
             yield Addresses(where)
         finally:
+            _ignore_signals()
             process.terminate()
             try:
                 process.wait(timeout=END_WITHIN_S)
@@ -57,6 +65,35 @@ def own_daemon(
                 process.wait()
             assert process.stdout is not None
             process.stdout.close()
+
+
+def _ending_signals() -> list[signal.Signals]:
+    """Those that end a command from outside; one that is ignored (nohup) stays so, other threads have no say."""
+    if threading.current_thread() is not threading.main_thread():
+        return []
+    return [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) != signal.SIG_IGN]
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """SIGTERM and SIGHUP are a Ctrl-C within the block: whatever it has begun ends in order."""
+    before = {number: signal.signal(number, _interrupt) for number in _ending_signals()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _ignore_signals() -> None:
+    """A second signal must not cut short what the first has begun."""
+    for number in _ending_signals():
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    del number, frame
+    raise KeyboardInterrupt
 
 
 def _wait_ready(process: "subprocess.Popen[bytes]") -> None:

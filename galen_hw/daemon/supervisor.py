@@ -27,7 +27,7 @@ from galen_hw.daemon.notify import Notifier
 from galen_hw.daemon.orders import Orders
 from galen_hw.daemon.port import Waker
 from galen_hw.daemon.readiness import Readiness
-from galen_hw.errors import EXIT_FOUND, EXIT_HARDWARE, EXIT_OK, EXIT_USAGE
+from galen_hw.errors import EXIT_FOUND, EXIT_HARDWARE, EXIT_OK, EXIT_USAGE, HardwareError
 from galen_hw.messages import TOPICS
 from galen_hw.version import VERSION
 
@@ -58,9 +58,10 @@ class Supervisor:
         addresses: of this daemon, in a runtime directory that exists.
         state_dir: where services keep what they have learnt.
         on_ready: called once, when samples flow.
+        parent_pid: end with that process.
 
     Raises:
-        UsageError: another daemon runs in this runtime directory.
+        UsageError: another daemon runs in this runtime directory. HardwareError: the parent has ended already.
     """
 
     def __init__(
@@ -70,7 +71,9 @@ class Supervisor:
         addresses: Addresses,
         state_dir: Path,
         on_ready: Callable[[str], None] = lambda _: None,
+        parent_pid: int | None = None,
     ) -> None:
+        self._parent = _watch(parent_pid)
         self._setup, self._tables, self._addresses, self._state_dir = setup, tables, addresses, state_dir
         self._lock = lock(addresses)
         self._on_ready = on_ready
@@ -131,10 +134,13 @@ class Supervisor:
         _give(process.popen.stdin, msgspec.json.encode(orders) + b"\n")
 
     def _wait(self) -> None:
-        fds = [self._waker.fd, *(s.FD for s in self._broker.sockets)]
+        fds = [self._waker.fd, *(s.FD for s in self._broker.sockets), *([self._parent] if self._parent else [])]
         pending = any(int(s.EVENTS) & 1 for s in self._broker.sockets)
-        if self._waker.fd in select.select(fds, (), (), 0.0 if pending else TURN_S)[0]:
+        ready = select.select(fds, (), (), 0.0 if pending else TURN_S)[0]
+        if self._waker.fd in ready:
             self._waker.clear()
+        if self._parent in ready:
+            self._stopping = True
 
     def _look_after(self) -> int:
         """Start again what has died or gone silent; an exit status when it is hopeless."""
@@ -255,15 +261,32 @@ class Supervisor:
                     popen.wait()
         self._broker.close()
         self._waker.close()
+        if self._parent:
+            os.close(self._parent)
         # ZeroMQ leaves them when a process ends fast; a client would take them for a daemon that does not answer.
         self._addresses.remove_sockets()
         os.close(self._lock)
 
 
 def install_signals(supervisor: Supervisor) -> None:
-    """SIGTERM and Ctrl-C end the daemon cleanly."""
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: supervisor.stop())
+    """SIGTERM, SIGHUP (a terminal that is closed; not with nohup) and Ctrl-C end the daemon cleanly."""
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, lambda *_: supervisor.stop())
+
+
+def _watch(pid: int | None) -> int | None:
+    """A descriptor that is readable once that process has ended; None without one.
+
+    Raises:
+        HardwareError: it has ended already.
+    """
+    if pid is None:
+        return None
+    try:
+        return os.pidfd_open(pid)
+    except OSError as error:
+        raise HardwareError(f"no process {pid} ({error.strerror})", where="--parent-pid") from None
 
 
 def _give(pipe: IO[bytes], content: bytes) -> None:

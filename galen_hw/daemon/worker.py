@@ -217,8 +217,8 @@ def _wire_counters(ports: dict[str, Port]) -> dict[str, int]:
 def main() -> int:
     """Entry point: orders on standard input, which then stays open as the lifeline."""
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        # Both may reach the whole group; the supervisor alone says who ends when, by ending the lifeline.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        # They may reach the whole group; the supervisor alone says who ends when, by ending the lifeline.
         signal.signal(number, signal.SIG_IGN)
     orders = msgspec.json.decode(_read_line(sys.stdin.fileno()), type=Orders)
     below_core = PRIORITY_BELOW_CORE.get(orders.name)
