@@ -145,3 +145,14 @@ def make_runtime(path: Path) -> Addresses:
             "runtime directory's path is too long for a socket", where=str(path), todo="give a shorter one"
         )
     return Addresses(path)
+
+
+def require_folder(path: Path, option: str) -> None:
+    """Refuse a path where no folder can be made because a file stands there, or above; `option` names it in the error.
+
+    Raises:
+        UsageError: the file by its name.
+    """
+    there = next((p for p in (path, *path.parents) if p.exists()), None)
+    if there is not None and not there.is_dir():
+        raise UsageError("is a file, not a folder", where=f"{option} {there}", todo="give another folder")

@@ -218,10 +218,10 @@ def parse_tool(text: str, where: str) -> ToolFile:
     try:
         return ToolFile.model_validate_json(text)
     except ValidationError as error:
-        raise _one_line(error, where) from error
+        raise one_line(error, where) from error
 
 
-def _one_line(error: ValidationError, where: str) -> UsageError:
+def one_line(error: ValidationError, where: str) -> UsageError:
     """The first complaint, and how many more there are."""
     first, more = error.errors()[0], error.error_count() - 1
     key = ".".join(str(part) for part in first["loc"])

@@ -101,7 +101,7 @@ class ToolStore:
         Raises:
             UsageError: no such tool.
         """
-        _check_name(name)
+        check_name(name)
         texts = self._nominal_texts()
         if name in texts:
             return parse_tool(*texts[name])
@@ -216,7 +216,7 @@ class ToolStore:
         return (False, True) if self.virtual is None else (self.virtual,)
 
     def _pointer(self, name: str, *, virtual: bool) -> int | None:
-        _check_name(name)
+        check_name(name)
         path = self._root / name / _file("active", virtual=virtual)
         number = _read_json(path).get("generation") if path.exists() else None
         return number if isinstance(number, int) else None
@@ -227,7 +227,7 @@ class ToolStore:
 
     def path(self, name: str, number: int) -> Path:
         """File of a generation, there or not."""
-        _check_name(name)
+        check_name(name)
         return self._root / name / f"{number:04d}.json"
 
     def _numbers(self, name: str) -> list[int]:
@@ -294,8 +294,13 @@ def _file(stem: str, *, virtual: bool) -> str:
     return f"{stem}-virtual.json" if virtual else f"{stem}.json"
 
 
-def _check_name(name: str) -> None:
-    if not re.match(NAME, name):
+def check_name(name: str) -> None:
+    """Refuse what cannot be a tool's name.
+
+    Raises:
+        UsageError: other letters than a file's name may have, or too many.
+    """
+    if not re.fullmatch(NAME, name):
         raise UsageError(f"{name!r} cannot be a tool's name", todo="small letters, digits, - and _, at most 40")
 
 

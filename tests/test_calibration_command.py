@@ -20,6 +20,7 @@ from galen_hw.recording.recording import SENSOR_ORIENTATION, WRENCH
 from galen_hw.recording.session import Session
 from galen_hw.services.calibration.settings import AxisSettings, CalibrationSettings
 from galen_hw.spatial import quaternion_from_rotation
+from galen_hw.tools.calibration.command import _can_be_fitted
 
 SETTINGS = CalibrationSettings(
     axes={"tilt": AxisSettings(low=-0.6, high=0.6, count=4), "roll": AxisSettings(low=-0.9, high=0.9, count=5)},
@@ -82,6 +83,51 @@ def test_the_report_holds_everything_in_one_file(capsys, poses, tmp_path):
     assert names == ["candidates.png", "compensation.png", "poses.png", "report.html", "residuals.png"]
     assert page.count("data:image/png;base64,") == 4
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
+
+
+def test_a_page_that_cannot_be_written_is_one_line_and_says_what_is_active(capsys, poses, tmp_path):
+    """After the activation: the calibration is in use and in the JSON, the line says so, exit 1; before: nothing is."""
+    (tmp_path / "out" / "report.html").mkdir(parents=True)
+    words = ["calibrate", "--from", str(poses), "--tool", "retractor", "--report", str(tmp_path / "out"), "--json"]
+    assert main([*words, "--yes"]) == 1
+    said = capsys.readouterr()
+    found = json.loads(said.out)
+    (line,) = (line for line in said.err.splitlines() if line.startswith("galen-hw calibrate:"))
+    assert (found["accepted"], found["report"]) == (True, None)
+    assert "the page cannot be written" in line
+    assert f"{found['tool']['origin']['id']} is active all the same" in line
+    assert as_json(capsys, "tool", "show", "retractor")[1]["calibrated"]
+
+    assert main(words) == 1
+    assert "nothing has changed" in capsys.readouterr().err
+
+
+def test_numbers_that_are_impossible_are_one_line(capsys, tmp_path):
+    """Readings in mN and mN m, whose mass of hundreds of kilograms no tool's file takes: no traceback is shown."""
+    found = sweep(np.random.default_rng(0), bare=0)
+    folder = table(tmp_path / "poses", found.R, 1e3 * found.wrench, zeroed_at=[0.0, 0.0, 0.0, 1.0])
+    capsys.readouterr()
+    assert main(["calibrate", "--from", str(folder), "--tool", "retractor", "--yes"]) == 2
+    error = capsys.readouterr().err
+    assert "impossible" in error
+    assert error.count("\n") == 1
+
+
+def test_a_stopped_sweep_is_offered_for_a_fit_only_if_it_is_enough_for_one(tmp_path):
+    """Bare poses alone are not, a dozen with the tool are: the advice is what the fit itself says."""
+    plant = Plant(tmp_path, SETTINGS)
+    plant.begin()
+    plant.until("waiting")
+    (folder,) = (tmp_path / "sweeps").iterdir()
+    assert (folder / "recording.csv").exists()
+    assert not _can_be_fitted("retractor", folder)
+    plant.world.attach("retractor")
+    plant.ask("resume")
+    for _ in range(14):
+        plant.until("averaging")
+    plant.ask("stop")
+    assert _can_be_fitted("retractor", folder)
+    assert not _can_be_fitted("retractor", tmp_path / "nowhere")
 
 
 def test_nothing_is_active_until_it_is_accepted(capsys, poses):
@@ -182,6 +228,11 @@ def test_without_a_daemon_it_says_so(capsys):
     [
         (["calibrate"], "which tool?"),
         (["calibrate", "--from", "nowhere", "--yes"], "nowhere"),
+        (["calibrate", "--from", "nowhere", "--tool", "A b"], "'A b' cannot be a tool's name"),
+        (["calibrate", "--virtual", "--tool", "../../evil"], "'../../evil' cannot be a tool's name"),
+        (["calibrate", "--virtual", "--tool", "pointer", "--report", __file__], "is a file, not a folder"),
+        (["collect", "deflection", "--virtual", "-o", __file__], "is a file, not a folder"),
+        (["collect", "deflection", "--virtual", "-o", f"{__file__}/session"], "is a file, not a folder"),
         (["tool", "show", "hammer"], "no tool 'hammer'"),
         (["tool", "show", "../x"], "cannot be a tool's name"),
         (["tool", "select", "retractor"], "never calibrated"),

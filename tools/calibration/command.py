@@ -53,12 +53,24 @@ def run(args: argparse.Namespace) -> int:
     console = Console(stderr=args.json)
     if not console.is_terminal:
         console = Console(stderr=args.json, width=128)
+    _check(args)
     if args.recording is not None:
         return _from_recording(args, console)
     if args.tool is None:
         raise UsageError("which tool?", where="--tool", todo="galen-hw tool list names them")
     with ExitStack() as stack:
         return _live(args, console, _daemon(args, stack))
+
+
+def _check(args: argparse.Namespace) -> None:
+    """What is wrong with the words themselves, before anything is read, started or moved."""
+    from galen_hw.config.paths import require_folder
+    from galen_hw.config.tool_store import check_name
+
+    if args.tool is not None:
+        check_name(args.tool)
+    if args.report is not None:
+        require_folder(args.report, "--report")
 
 
 def _from_recording(args: argparse.Namespace, console: "Console") -> int:
@@ -74,6 +86,8 @@ def _from_recording(args: argparse.Namespace, console: "Console") -> int:
     store = ToolStore(state_dir())
     named = recording.info.tool
     name = args.tool or _slug(named.name if named else "") or _slug(args.recording.stem)
+    if not name:
+        raise UsageError("no tool's name can be made of it", where=str(args.recording), todo="give one with --tool")
     if name in store.names():
         nominal = store.nominal(name)
     else:
@@ -146,12 +160,27 @@ def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") 
     folder, stopped = run_sweep(addresses, args.tool, _overrides(args), operator, console)
     if stopped:
         todo = f"what was measured can be fitted: galen-hw calibrate --from {folder} --tool {args.tool}"
-        raise _StoppedError(stopped, where="sweep", todo=todo if (folder / "recording.csv").exists() else "")
+        raise _StoppedError(stopped, where="sweep", todo=todo if _can_be_fitted(args.tool, folder) else "")
     recording = read_recording(folder)
     found = poses_of(recording)
     result = analyse(args.tool, found.poses, str(folder), found.notes)
     session = _Session(args, console, store, addresses)
     return _conclude(session, result, tool_file(result, nominal, _setting(recording)))
+
+
+def _can_be_fitted(tool: str, folder: Path) -> bool:
+    """Whether the poses of a sweep that was stopped are enough for a fit: asked of the fit itself."""
+    from galen_hw.recording import read_recording
+    from galen_hw.tools.calibration.poses import poses_of
+    from galen_hw.tools.calibration.result import analyse
+
+    if not (folder / "recording.csv").exists():
+        return False
+    try:
+        analyse(tool, poses_of(read_recording(folder)).poses, str(folder))
+    except GalenError:
+        return False
+    return True
 
 
 class _StoppedError(GalenError):
@@ -206,7 +235,8 @@ def _conclude(session: _Session, result: "Result", tool: "ToolFile") -> int:
     page = _report(session, result, tool, check, accepted=accepted) if wanted else None
     if args.json:
         print(json.dumps(_as_json(result, tool, check, page, accepted=accepted)))
-    return EXIT_OK if accepted and (check is None or check.passed) else EXIT_FOUND
+    passed = accepted and (check is None or check.passed) and (page is not None or not wanted)
+    return EXIT_OK if passed else EXIT_FOUND
 
 
 def _how_later(tool: "ToolFile") -> str:
@@ -240,8 +270,8 @@ def _select_and_check(session: _Session, tool: "ToolFile", result: "Result") -> 
 
 def _report(
     session: _Session, result: "Result", tool: "ToolFile", check: "LiveCheck | None", *, accepted: bool
-) -> Path:
-    """Figures and page; beside the tool's calibrations unless told where."""
+) -> Path | None:
+    """Figures and page, beside the tool's calibrations unless told where; None if they cannot be written."""
     from galen_hw.tools.calibration.figures import write_report
 
     number = tool.origin.generation if tool.origin else 0
@@ -249,7 +279,16 @@ def _report(
     folder = session.args.report or session.store.state_dir / "reports" / leaf
     state = f"accepted as {tool.calibration_id}" if accepted else "not accepted"
     more = _drift(session, tool) if check is not None else ()
-    page = write_report(result, folder, tool, check, state, more)
+    try:
+        page = write_report(result, folder, tool, check, state, more)
+    except OSError as error:
+        # What was accepted is in use whether there is a page or not: the calibration must not look as if it had failed.
+        done = f"{tool.calibration_id} is active all the same" if accepted else "nothing has changed"
+        problem = UsageError(
+            f"the page cannot be written ({error.strerror})", where=str(folder), todo=f"check space and rights; {done}"
+        )
+        print(f"galen-hw calibrate: {problem}", file=sys.stderr)
+        return None
     session.console.print(f"figures and page: {page}")
     return page
 
@@ -313,5 +352,5 @@ def _as_json(
 
 
 def _slug(text: str) -> str:
-    """A tool's name out of any text."""
-    return re.sub(r"[^a-z0-9_-]+", "-", text.lower()).strip("-")[:40]
+    """A tool's name out of any text; empty if there is none in it."""
+    return re.sub(r"[^a-z0-9_-]+", "-", text.lower()).strip("-_")[:40]

@@ -4,8 +4,9 @@ import datetime as dt
 from dataclasses import dataclass, replace
 
 import numpy as np
+from pydantic import ValidationError
 
-from galen_hw.config.tool_file import BiasBody, BodyStd, Origin, ToolFile
+from galen_hw.config.tool_file import BiasBody, BodyStd, Origin, ToolFile, one_line
 from galen_hw.identification.candidates import Candidate, Comparison, compare
 from galen_hw.identification.estimate import Estimate
 from galen_hw.identification.excitation import Excitation, require_excitation, require_precision
@@ -136,7 +137,7 @@ def tool_file(result: Result, nominal: ToolFile, setting: Setting) -> ToolFile:
     """The tool's file of a result; its generation is given when it is saved.
 
     Raises:
-        pydantic.ValidationError: the numbers are impossible.
+        UsageError: the numbers are impossible.
     """
     found, fit = result.estimate, result.fit
     bias_std = found.pick("bias.")[1]
@@ -177,7 +178,10 @@ def tool_file(result: Result, nominal: ToolFile, setting: Setting) -> ToolFile:
         "terms": nominal.terms,
         "origin": origin,
     }
-    return ToolFile.model_validate(data)
+    try:
+        return ToolFile.model_validate(data)
+    except ValidationError as error:
+        raise one_line(error, setting.sweep) from error
 
 
 def _bias_body(result: Result) -> BiasBody | None:

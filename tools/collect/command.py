@@ -95,7 +95,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Numbers that make a session."""
+    """Numbers that make a session, and a folder that can hold it."""
+    from galen_hw.config.paths import require_folder
+
     limits = {
         "force": (1.0, LARGEST_N),
         "dwell": (0.2, 60.0),
@@ -109,6 +111,8 @@ def _check(args: argparse.Namespace) -> None:
     for name, (low, high) in limits.items():
         if not low <= getattr(args, name) <= high:
             raise UsageError("is out of range", where=f"--{name}", todo=f"{low:g} to {high:g}")
+    if args.output is not None:
+        require_folder(args.output, "-o")
 
 
 def _left(plan: "Plan") -> None:

@@ -70,7 +70,6 @@ class Plan:
 
     def save(self) -> None:
         """Write it into its folder."""
-        self.folder.mkdir(parents=True, exist_ok=True)
         values = {k: v for k, v in asdict(self).items() if k != "folder"}
         write_atomic(self.folder / PLAN, json.dumps(values, indent=1) + "\n")
 
