@@ -3,12 +3,13 @@
 `devices.NAME.transport`, `devices.NAME.settings` and `services.NAME` are checked by the classes that they configure.
 """
 
+import math
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 from annotated_types import Len
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from galen_hw.config.paths import VIEWERS_ADDRESS
 from galen_hw.units import STANDARD_GRAVITY
@@ -16,6 +17,16 @@ from galen_hw.units import STANDARD_GRAVITY
 Metres = Annotated[float, Field(ge=-2.0, le=2.0)]
 """A length of this robot's size; millimetres by mistake are out of bounds."""
 Vector = tuple[Metres, Metres, Metres]
+
+
+def _within_a_turn(value: float) -> float:
+    if abs(value) > 2.0 * math.pi:
+        raise ValueError(f"{value:g} rad is more than a turn: is it in degrees?")
+    return value
+
+
+Radians = Annotated[float, AfterValidator(_within_a_turn)]
+"""An angle of at most one turn; what is beyond is degrees by mistake."""
 NAME_PATTERN = r"^[a-z][a-z0-9_]*$"
 
 
@@ -30,7 +41,7 @@ class DeltaSection(Section):
 
     rod_length_m: float = Field(default=0.400, gt=0.0, le=2.0)
     radius_m: float = Field(default=0.150, gt=0.0, le=2.0)
-    azimuths_rad: tuple[float, float, float] = (1.5707963267948966, 3.6651914291880923, 5.759586531581287)
+    azimuths_rad: tuple[Radians, Radians, Radians] = (1.5707963267948966, 3.6651914291880923, 5.759586531581287)
 
     @model_validator(mode="after")
     def _rods_reach(self) -> Self:
@@ -53,8 +64,8 @@ class RobotSection(Section):
     tilt_to_sensor_m: Vector = (0.055, 0.0, 0.0)
     carriage_lower_m: Vector = (-0.233, -0.272, -0.237)
     carriage_upper_m: Vector = (0.263, 0.241, 0.254)
-    roll_limits_rad: tuple[float, float] = (-1.57, 1.57)
-    tilt_limits_rad: tuple[float, float] = (-1.04, 0.96)
+    roll_limits_rad: tuple[Radians, Radians] = (-1.57, 1.57)
+    tilt_limits_rad: tuple[Radians, Radians] = (-1.04, 0.96)
 
     @field_validator("gravity_m_per_s2")
     @classmethod

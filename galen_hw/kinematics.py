@@ -291,6 +291,8 @@ Robot = GalenRobot | UrdfRobot
 
 def _load(urdf: Path | str) -> pin.Model:
     text = str(urdf)
+    if not text.lstrip().startswith("<") and not Path(text).is_file():
+        raise UsageError("no such file", where=text, todo="check the path")
     try:
         return pin.buildModelFromXML(text) if text.lstrip().startswith("<") else pin.buildModelFromUrdf(text)
     except (ValueError, RuntimeError) as error:

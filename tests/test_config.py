@@ -121,6 +121,27 @@ def test_good_file_becomes_a_setup() -> None:
             ),
         ),
         (
+            GOOD + "[robot]\nroll_limits_rad = [-1.57, 90]",
+            (
+                "8: robot.roll_limits_rad.1: 90 rad is more than a turn: is it in degrees? (it is 90); "
+                "e.g. roll_limits_rad = [-1.57, 1.57]"
+            ),
+        ),
+        (
+            GOOD + "[robot]\ntilt_limits_rad = [-60.0, 0.96]",
+            (
+                "8: robot.tilt_limits_rad.0: -60 rad is more than a turn: is it in degrees? (it is -60.0); "
+                "e.g. tilt_limits_rad = [-1.04, 0.96]"
+            ),
+        ),
+        (
+            GOOD + "[robot.delta]\nazimuths_rad = [0, 2.1, 240]",
+            (
+                "8: robot.delta.azimuths_rad.2: 240 rad is more than a turn: is it in degrees? (it is 240); "
+                "e.g. azimuths_rad = [1.5707963267948966, 3.6651914291880923, 5.759586531581287]"
+            ),
+        ),
+        (
             GOOD + "[robot]\nroll_limits_rad = [1, -1]",
             "7: robot: each lower limit must be below its upper limit",
         ),

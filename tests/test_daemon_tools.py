@@ -188,6 +188,48 @@ def test_check_names_everything_at_once(tmp_path: Path) -> None:
     assert found["devices/ft/answer"]["state"] == "ok"
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[robot]\nurdf = '/nowhere/robot.urdf'", "/nowhere/robot.urdf: no such file"),
+        ("[robot]\nurdf = 'ROBOT'\nsensor_link = 'sensr'", "no link 'sensr'"),
+    ],
+)
+def test_check_builds_the_robot(tmp_path: Path, text: str, said: str) -> None:
+    """A URDF that is not there, or a link that is not in it, is a problem of the settings; a good robot is shown."""
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text('<robot name="r"><link name="base"/></robot>')
+    with daemon_tree(tmp_path) as tree:
+        tree.write_config(text.replace("ROBOT", str(urdf)))
+        status, found = check(tree)
+        assert status == 2
+        assert found["robot"]["state"] == "problem"
+        assert said in str(found["robot"]["text"])
+        tree.write_config()
+        _, found = check(tree)
+        assert found["robot"]["state"] == "ok"
+        assert "roll, tilt" in str(found["robot"]["text"])
+
+
+def test_check_names_a_device_that_nothing_uses_and_a_state_that_cannot_be_kept(tmp_path: Path) -> None:
+    """`motorz` is noted with what was meant; a file where the state's folder or one below it should be is a problem."""
+    with daemon_tree(tmp_path) as tree:
+        tree.write_config("[devices.motorz]\ndriver = 'motors'\ntransport.url = '/dev/none'")
+        (tree.folder / "state").mkdir()
+        (tree.folder / "state" / "sweeps").write_text("not a folder")
+        _, found = check(tree)
+        assert found["devices/motorz"]["state"] in ("ok", "note")
+        notes = [f for f in found["devices"]["below"] if f["name"] == "motorz"]  # type: ignore[attr-defined]
+        assert ("note", "did you mean motors?") in [(f["state"], f["todo"]) for f in notes]
+        assert found["machine/disk"]["state"] == "problem"
+        assert "state/sweeps cannot be written (Not a directory)" in str(found["machine/disk"]["text"])
+        (tree.folder / "state" / "sweeps").unlink()
+        (tree.folder / "state").rmdir()
+        (tree.folder / "state").write_text("not a folder")
+        _, found = check(tree)
+        assert "state cannot be written" in str(found["machine/disk"]["text"])
+
+
 def snippets(page: str, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", (ROOT / "docs" / page).read_text(encoding="utf-8"), re.DOTALL)
 

@@ -34,7 +34,16 @@ def run(args: argparse.Namespace) -> int:
     """Look at everything, print the tree."""
     from galen_hw.config.load import examine, read_document
     from galen_hw.config.paths import Addresses, client_runtime_dir, config_path, state_dir
-    from galen_hw.daemon.checks import Finding, check_device, check_machine, check_settings, check_tools, exit_status
+    from galen_hw.daemon.checks import (
+        Finding,
+        check_device,
+        check_machine,
+        check_names,
+        check_robot,
+        check_settings,
+        check_tools,
+        exit_status,
+    )
     from galen_hw.daemon.tables import TABLES
 
     path = config_path(args.config)
@@ -42,9 +51,9 @@ def run(args: argparse.Namespace) -> int:
     setup, problems = examine(document, path, places, TABLES)
     looked_at, seen, source, found = _look(args, setup, Addresses(args.dir or client_runtime_dir()))
     devices = Finding("devices", source, below=[check_device(n, looked_at, seen[n]) for n in seen])
-    devices.below += found
+    devices.below += [*check_names(setup.devices), *found]
     serial = next((s.serial_number for s in seen.values() if s.serial_number), "")
-    parts = [check_settings(path, problems), devices, check_tools(setup, state_dir(), serial)]
+    parts = [check_settings(path, problems), check_robot(document), devices, check_tools(setup, state_dir(), serial)]
     root = Finding("galen-hw check", below=[*parts, check_machine(setup, state_dir())])
     _print(root, as_json=args.json)
     return exit_status(root)

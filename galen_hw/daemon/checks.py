@@ -4,6 +4,7 @@ import ctypes
 import math
 import os
 import shutil
+import tempfile
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -11,9 +12,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic import ValidationError
+
 from galen_hw.config.load import Setup
-from galen_hw.config.problems import Problem
+from galen_hw.config.problems import Problem, unknown
+from galen_hw.config.robot import build_robot
+from galen_hw.config.schema import Config, RobotSection
 from galen_hw.config.tool_store import ToolStore, binding_problems
+from galen_hw.daemon.layout import MOTORS, SENSOR, TRACKER
 from galen_hw.daemon.probe import QUIET_TOPICS, Seen, nominal_hz
 from galen_hw.errors import EXIT_FOUND, EXIT_HARDWARE, EXIT_OK, EXIT_USAGE, UsageError
 from galen_hw.messages import TOPICS
@@ -22,6 +28,8 @@ OK, NOTE, PROBLEM = "ok", "note", "problem"
 RATE_TOLERANCE: Final = 0.1
 OLD_AFTER_DAYS: Final = 90.0
 LITTLE_DISK: Final = 1 << 30
+KEPT: Final = ("tools", "services", "sweeps", "reports")
+"""Folders of the state directory."""
 _CLOCK_UNSYNCHRONISED: Final = 5
 _WORRYING: Final = ("error", "bus_off", "overrun", "malformed", "unsent", "short")
 
@@ -68,6 +76,26 @@ def check_settings(path: Path, problems: list[Problem]) -> Finding:
         for p in problems
     ]
     return Finding("settings", str(path), below=below)
+
+
+def check_robot(document: dict[str, Any]) -> Finding:
+    """The robot of a settings file, built as the daemon builds it: a URDF and its links are read, not just named."""
+    try:
+        section = RobotSection.model_validate(document.get("robot", {}))
+        robot = build_robot(Config.model_construct(robot=section))
+    except ValidationError:
+        return Finding("robot", "cannot be built from these settings", NOTE, "correct the settings first")
+    except UsageError as error:
+        text = f"{error.where}: {error.what}" if error.where else error.what
+        return Finding("robot", text, PROBLEM, error.todo, EXIT_USAGE)
+    return Finding("robot", f"{section.name}: {', '.join(robot.joint_names)}")
+
+
+def check_names(names: Iterable[str]) -> list[Finding]:
+    """Devices that nothing is made of: services ask for theirs by name, so that a slip leaves them without."""
+    known = (SENSOR, MOTORS, TRACKER)
+    what = "no service uses a device of this name"
+    return [Finding(name, what, NOTE, unknown(name, known)) for name in names if name not in known]
 
 
 def check_device(name: str, setup: Setup, seen: Seen) -> Finding:
@@ -196,13 +224,25 @@ def check_machine(setup: Setup, state_dir: Path) -> Finding:
 
 def _disk(state_dir: Path) -> Finding:
     there = next(p for p in (state_dir, *state_dir.absolute().parents) if p.exists())
-    if not os.access(there, os.W_OK):
-        return Finding("disk", f"{there} cannot be written", PROBLEM, "check its owner, or set GALEN_HW_STATE")
+    # Below it there may be folders that another user has made, e.g. root before the service ran.
+    for folder in (there, *(p for name in KEPT if there == state_dir and (p := state_dir / name).exists())):
+        if (why := _not_writable(folder)) is not None:
+            text = f"{folder} cannot be written ({why})"
+            return Finding("disk", text, PROBLEM, "check its owner and its disk, or set GALEN_HW_STATE")
     free = shutil.disk_usage(there).free
     text = f"{free / 1e9:.1f} GB free at {there}"
     return (
         Finding("disk", text) if free > LITTLE_DISK else Finding("disk", text, PROBLEM, "make room: recordings need it")
     )
+
+
+def _not_writable(folder: Path) -> str | None:
+    """Why no file can be made there, found by making one that leaves no trace; None if it can."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return None
+    except OSError as error:
+        return error.strerror or str(error)
 
 
 def _clock() -> Finding:
