@@ -39,7 +39,8 @@ def test_emergency_stop_is_seen_and_must_be_cleared(how):
     bench.peer.amplifier, bench.peer.abort = 0, 1
     bench.run(0.15)
     assert not bench.joints.estop
-    with pytest.raises(CommandRejectedError, match="clear_fault"):
+    typed = "galen-hw command motors clear_fault and galen-hw command motors enable"
+    with pytest.raises(CommandRejectedError, match=typed):
         bench.ask("move_jp", position={"roll": 0.1})
     assert bench.ask("clear_fault").error is None
     assert bench.ask("move_jp", position={"roll": 0.1}).error is None

@@ -41,6 +41,11 @@ class Axes:
                 raise self.rejected(f"{joint}: {key} {value!r} is not a finite number", "")
         return {joint: float(value) for joint, value in table.items()}
 
+    @property
+    def again(self) -> str:
+        """What clears a fault and switches the motors on again, as it is typed."""
+        return f"galen-hw command {self.where} clear_fault and galen-hw command {self.where} enable"
+
     def rejected(self, what: str, todo: str) -> CommandRejectedError:
         """The error of a request that is not carried out."""
         return CommandRejectedError(what, where=self.where, todo=todo)

@@ -226,7 +226,7 @@ class GalilDmc(Device[bytes]):
         self._state.latched["motors"] = what
         out = self._finish_all(self._jobs.cancel(), t_ns)
         self._add("disable", disable(self._axes.letters), urgent=True)
-        return out + self._report.fault(t_ns, "motors", what, "find the axis that tripped, then clear_fault and enable")
+        return out + self._report.fault(t_ns, "motors", what, f"find the axis that tripped, then {self._axes.again}")
 
     def _finish_all(self, ended: list[Finished], now_ns: int) -> list[Output]:
         return [output for finished in ended for output in self._finish(finished, now_ns)]

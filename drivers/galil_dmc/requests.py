@@ -161,9 +161,13 @@ class GalilRequests:
 
     def _no_fault(self) -> None:
         if self._state.estop:
-            raise self._axes.rejected("emergency stop or abort input is engaged", "release it, then clear_fault")
+            raise self._axes.rejected(
+                "emergency stop or abort input is engaged", f"release it, then {self._axes.again}"
+            )
         if self._state.latched:
-            raise self._axes.rejected("; ".join(self._state.latched.values()), "remove the cause, then clear_fault")
+            raise self._axes.rejected(
+                "; ".join(self._state.latched.values()), f"remove the cause, then {self._axes.again}"
+            )
 
     def _may_move(self) -> None:
         self._no_fault()

@@ -97,7 +97,7 @@ class GalilState:
             self.latched["amplifier"] = ", ".join(what for what, _ in faults)
         if self.estop and not before:
             self.latched["estop"] = "emergency stop or abort input engaged"
-            faults.append((self.latched["estop"], "release it, then clear_fault and enable"))
+            faults.append((self.latched["estop"], f"release it, then {self._axes.again}"))
         return faults
 
     def take_record(self, record: DataRecord) -> list[tuple[str, str]]:
@@ -114,7 +114,7 @@ class GalilState:
             if code not in LIMIT_STOPS:
                 self.status_due = True  # an emergency stop may be behind it
                 self.latched[f"stop code {joint}"] = f"{joint}: {text}"
-            todo = "move it the other way" if code in LIMIT_STOPS else "remove the cause, then clear_fault and enable"
+            todo = "move it the other way" if code in LIMIT_STOPS else f"remove the cause, then {self._axes.again}"
             faults.append((f"{joint}: {text}", todo))
         return faults
 
