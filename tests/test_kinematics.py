@@ -100,8 +100,10 @@ def test_unreadable_urdf_and_unknown_link_are_one_line() -> None:
     """What, where and what to do."""
     with pytest.raises(UsageError, match=r"no link 'gripper'.*one of:.*sensor"):
         UrdfRobot(URDF, sensor_link="gripper")
-    with pytest.raises(UsageError, match="not a readable URDF"):
+    with pytest.raises(UsageError, match="no such file"):
         UrdfRobot("no/such/file.urdf")
+    with pytest.raises(UsageError, match="not a readable URDF"):
+        UrdfRobot("<robot")
 
 
 def _pendulum(rpy: str) -> str:
