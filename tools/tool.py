@@ -167,19 +167,15 @@ def _export(args: argparse.Namespace, store: "ToolStore") -> int:
 
 
 def _import(args: argparse.Namespace, store: "ToolStore") -> int:
-    from galen_hw.config.tool_file import parse_tool
+    from galen_hw.config.paths import Addresses, client_runtime_dir
+    from galen_hw.tools.tool_import import hardware_here, read_tool, refuse_foreign, refuse_unservable
 
-    try:
-        text = args.file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"cannot be read ({error})", where=str(args.file), todo="give a tool's file") from None
-    _refuse_bare_terms(text, args.file)
-    tool = parse_tool(text, str(args.file))
-    problems = [] if args.force else _foreign(args, tool)
-    if problems:
-        raise UsageError(
-            f"tool {tool.name!r} {problems[0]}", where=str(args.file), todo="calibrate it here, or --force"
-        )
+    tool = read_tool(args.file)
+    bus = Addresses(args.dir or client_runtime_dir()).bus
+    here = hardware_here(_ask_daemon(args.dir, "daemon", "info", {}), store, bus)
+    if not args.force:
+        refuse_foreign(tool, here, args.file)
+    refuse_unservable(tool, here.robot, args.file)
     saved = store.save(tool)
     of_kind = replace(store, virtual=bool(saved.origin and saved.origin.virtual))
     live = store.virtual == of_kind.virtual and of_kind.selected() == saved.name
@@ -188,25 +184,6 @@ def _import(args: argparse.Namespace, store: "ToolStore") -> int:
     text = f"imported {saved.calibration_id}" + (f" with {effects}" if effects else "")
     text += "; the daemon uses it now" if live else ""
     return _done(args, {"name": saved.name, "calibration": saved.calibration_id}, text)
-
-
-def _refuse_bare_terms(text: str, file: Path) -> None:
-    """Terms that a diagnosis saved without knowing the tool."""
-    try:
-        data = json.loads(text)
-    except ValueError:
-        return
-    if isinstance(data, dict) and "terms" in data and "name" not in data:
-        todo = "galen-hw diagnose ... --tool NAME --save-model writes a whole one"
-        raise UsageError("holds effects, but no tool that they belong to", where=str(file), todo=todo)
-
-
-def _foreign(args: argparse.Namespace, tool: "ToolFile") -> list[str]:
-    """Why the file does not belong to the running daemon's hardware, as far as that is known."""
-    from galen_hw.config.tool_store import binding_problems
-
-    info = _ask_daemon(args.dir, "daemon", "info", {})
-    return binding_problems(tool, sensor_serial="", robot=str(info.get("robot", "")), virtual=info.get("virtual"))
 
 
 def _summary(tool: "ToolFile") -> dict[str, Any]:
