@@ -14,6 +14,7 @@ from galen_hw.tools.blind_proof.generator.galen import TOOLS
 from galen_hw.tools.deflection.robots import GivingRobot
 
 ROBOT = GivingRobot.drawn(1)
+LEFT_OUT = {"no tracker": "pose.", "no column": "applied.force."}
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,8 @@ def fit(folder: Path, state: Path, *options: str) -> int:
         ("one way", "pull back through zero"),
         ("saturated", "at its limit"),
         ("two tools", "fit each tool by itself"),
-        ("no force", "force"),
+        ("no force", "no force was applied"),
+        ("no column", "no applied.force column"),
     ],
 )
 def test_bad_data_are_named_in_one_line_with_what_to_record_next(
@@ -61,8 +63,8 @@ def test_bad_data_are_named_in_one_line_with_what_to_record_next(
         pose = [c for c in columns if c.startswith("pose.")]
         if spoil == "one place" and number > 0:
             break
-        if spoil == "no tracker":
-            columns = {k: v for k, v in columns.items() if k not in pose}
+        if spoil in LEFT_OUT:
+            columns = {k: v for k, v in columns.items() if not k.startswith(LEFT_OUT[spoil])}
         elif spoil == "not seen":
             columns |= {k: np.where(np.arange(len(columns[k])) < 30, columns[k], np.nan) for k in pose}
         elif spoil == "one way":
@@ -80,6 +82,30 @@ def test_bad_data_are_named_in_one_line_with_what_to_record_next(
     if spoil != "one way":
         assert status != 0
         assert DeflectionStore(tmp_path / "state").names() == []
+
+
+@pytest.mark.parametrize(
+    ("info", "words"),
+    [
+        ({"tool": {"name": ROBOT.tool, "tip": [0.0, 0.0, -0.1]}}, "tool.tip differs: (0.00, 0.00, -100.00) mm in"),
+        ({"virtual": True}, "sets of a virtual robot ("),
+    ],
+)
+def test_sets_that_one_model_cannot_hold_are_refused_by_name(
+    tmp_path: Path,
+    recorded: dict[str, dict[str, Array]],
+    capsys: pytest.CaptureFixture[str],
+    info: dict[str, object],
+    words: str,
+) -> None:
+    """One of them has another tip under the tool's name, or is of a virtual robot: one line with every set, status 2."""
+    for number, (name, columns) in enumerate(recorded.items()):
+        write(tmp_path / "data", name, columns, **(info if number == 1 else {}))
+    assert fit(tmp_path / "data", tmp_path / "state") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert words in line
+    assert all(name in line for name in recorded)
+    assert DeflectionStore(tmp_path / "state").names() == []
 
 
 def test_a_fit_ends_in_a_saved_model_and_a_page(
@@ -100,3 +126,22 @@ def test_a_fit_ends_in_a_saved_model_and_a_page(
     with pytest.raises(SystemExit):
         main(["deflection"])
     assert main(["deflection", "--state", str(state), "rollback", "mine"]) == 2
+
+
+def test_the_last_lines_of_a_fit_are_what_is_still_to_be_typed(
+    tmp_path: Path, recorded: dict[str, dict[str, Array]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The tool is neither calibrated nor selected: both commands, then the reload; of a virtual robot the rigid arm is said."""
+    for name, columns in recorded.items():
+        write(tmp_path / "data", name, columns, virtual=True)
+    assert fit(tmp_path / "data", tmp_path / "state") == 0
+    lines = [line.strip() for line in capsys.readouterr().err.splitlines()]
+    wanted = [
+        f"galen-hw calibrate --tool {ROBOT.tool}",
+        f"galen-hw tool select {ROBOT.tool}",
+        "galen-hw command deflection reload",
+    ]
+    assert lines[lines.index(wanted[0]) :][:3] == wanted
+    assert "on a virtual robot" in lines[lines.index(wanted[0]) - 1]
+    assert "rigid until galen-hw collect deflection" in lines[-1]
+    assert DeflectionStore(tmp_path / "state").load(ROBOT.tool).virtual, "it must never serve a real robot"

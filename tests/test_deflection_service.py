@@ -158,15 +158,18 @@ def test_a_gap_grows_the_covariance_and_another_clock_resets(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("file", "word"),
+    ("file", "word", "todo"),
     [
-        ({"robot": "other"}, "robot"),
-        ({"virtual": True}, "virtual robot"),
-        ({"tool": "pointer"}, "tool"),
-        ({"tip": (0.0, 0.0, -0.2)}, "tip"),
+        ({"robot": "other"}, "robot", "galen-hw deflection"),
+        ({"virtual": True}, "virtual robot", "galen-hw deflection"),
+        ({"tool": "pointer"}, "tool", "galen-hw calibrate --tool pointer, then galen-hw tool select pointer"),
+        ({"tip": (0.0, 0.0, -0.2)}, "tip", "galen-hw deflection"),
+        ({"robot": "other", "tool": "pointer"}, "robot", "galen-hw deflection"),
     ],
 )
-def test_a_model_of_another_robot_or_tool_is_refused(tmp_path: Path, file: dict[str, Any], word: str) -> None:
+def test_a_model_of_another_robot_or_tool_is_refused(
+    tmp_path: Path, file: dict[str, Any], word: str, todo: str
+) -> None:
     """A fault says what, where and what to do, and no corrected pose is valid."""
     service = service_at(tmp_path, **file)
     feed(service, joints(MS, Q, np.zeros(5)))
@@ -174,7 +177,21 @@ def test_a_model_of_another_robot_or_tool_is_refused(tmp_path: Path, file: dict[
     (fault,) = [o[1] for o in service.tick(3 * MS) if isinstance(o, tuple) and isinstance(o[1], Fault)]
     assert word in fault.what
     assert fault.where == "deflection"
-    assert "galen-hw deflection" in fault.todo
+    assert fault.todo.startswith(todo)
+
+
+def test_with_no_tool_in_hand_the_missing_command_is_named(tmp_path: Path) -> None:
+    """Calibrated and not selected: one command; selected and yet not compensated: the compensation's switch."""
+    service = service_at(tmp_path)
+    feed(service, joints(MS, Q, np.zeros(5)))
+    for selected, todo in ((None, "galen-hw tool select retractor"), ("retractor", "set_enabled enabled=true")):
+        ToolStore(tmp_path).select(selected)
+        feed(service, wrench(2 * MS, (1.0, 0.0, 0.0), tool="retractor"))
+        feed(service, wrench(3 * MS, (1.0, 0.0, 0.0), tool=""))
+        found = [o[1] for o in service.tick(4_000_000_000 * (1 + bool(selected))) if isinstance(o, tuple)]
+        (fault,) = [m for m in found if isinstance(m, Fault)]
+        assert "in hand is 'no tool'" in fault.what
+        assert todo in fault.todo
 
 
 def test_the_toggle_stops_it_and_reload_takes_a_new_generation(tmp_path: Path) -> None:

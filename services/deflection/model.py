@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from galen_hw.identification.deflection.stream import GiveStream, Triple
 
 TIP_TOLERANCE_M: Final = 1e-3
+TOOL_SELECT: Final = "galen-hw tool select"
+SWITCH_ON: Final = "galen-hw command compensation set_enabled enabled=true"
 REFIT: Final = "galen-hw deflection fit DATA... --save NAME, or galen-hw deflection select NAME"
 
 
@@ -98,4 +100,28 @@ class ServedModel:
             self.problem = f"model {file.id} is of tool {file.tool!r}, in hand is {self.tool or 'no tool'!r}"
         elif file.tip is not None and np.linalg.norm(np.subtract(file.tip, self.tip)) > TIP_TOLERANCE_M:
             self.problem = f"model {file.id} was fitted for a tip at {file.tip} m, the tool's is at {self.tip} m"
-        self.todo = REFIT if self.problem else ""
+        other_tool = file.tool and file.tool != self.tool and file.robot == robot
+        other_tool = other_tool and not (file.virtual and self._context.virtual is False)
+        self.todo = "" if not self.problem else self._tool_todo(file.tool) if other_tool else REFIT
+
+    def _tool_todo(self, tool: str) -> str:
+        """What brings the model's tool in hand: another fit does not help."""
+        store = ToolStore(self._context.state_dir, virtual=self._context.virtual)
+        with suppress(GalenError):
+            if steps := steps_to_hold(store, tool):
+                return ", then ".join(steps)
+        return f"{TOOL_SELECT} {tool}, and {SWITCH_ON} if the compensation is off"
+
+
+def steps_to_hold(store: ToolStore, tool: str) -> list[str]:
+    """The commands that are missing until the daemon compensates a tool, as they are typed; none if it is selected.
+
+    Args:
+        store: of the kind of hardware, virtual or real, that is meant.
+
+    Raises:
+        UsageError: the store is damaged.
+    """
+    if not store.load(tool).calibrated:
+        return [f"galen-hw calibrate --tool {tool}", f"{TOOL_SELECT} {tool}"]
+    return [] if store.selected() == tool else [f"{TOOL_SELECT} {tool}"]

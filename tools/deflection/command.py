@@ -120,8 +120,30 @@ def _fit(args: argparse.Namespace, store: "DeflectionStore") -> int:
         robot = sets[0].observations.belief.robot
         name = args.save or re.sub(r"[^a-z0-9_-]", "-", (sets[0].tool or "arm").lower())
         saved = store.save(file_of(out, name, "" if robot is None else robot.name, virtual=virtual))
-        print(f"saved as {saved.id}; the service takes it up with: galen-hw command deflection reload", file=sys.stderr)
+        for line in next_steps(saved, store.state_dir):
+            print(line, file=sys.stderr)
     return EXIT_OK
+
+
+def next_steps(saved: "DeflectionFile", state_dir: Path) -> list[str]:
+    """What is still to be typed until a saved model serves: the tool in hand must be the model's own.
+
+    Raises:
+        UsageError: the tools' store is damaged.
+    """
+    from galen_hw.config.tool_store import ToolStore
+    from galen_hw.services.deflection.model import steps_to_hold
+
+    store = ToolStore(state_dir, virtual=saved.virtual)
+    steps = steps_to_hold(store, saved.tool) if saved.tool in store.names() else []
+    where = " on a virtual robot" if saved.virtual else ""
+    lines = [f"saved as {saved.id}; with the daemon running{where} it serves after:"]
+    lines += [f"  {step}" for step in [*steps, "galen-hw command deflection reload"]]
+    if saved.virtual:
+        lines.append(
+            "the arm of galen-hw run --virtual is rigid until galen-hw collect deflection -o DIR runs beside it"
+        )
+    return lines
 
 
 def _fit_to_be_fitted(remarks: list[str]) -> bool:

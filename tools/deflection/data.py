@@ -13,6 +13,8 @@ from galen_hw.recording import Recording, read_recording
 from galen_hw.tools.diagnose_input import observations_of
 
 SAME_M, SAME_RAD = 0.02, 0.05
+SAME_TIP_M = 1e-4
+"""A tip that was measured again lies this near; the tracker's noise is as large."""
 LEAST_SEEN = 60
 MOVED = 0.1
 KINDS = ("same configuration", "new configuration", "other day")
@@ -24,9 +26,11 @@ def read_sets(paths: Sequence[Path]) -> tuple[list[DeflectionSet], dict[str, str
     Calibration sets without force are left out.
 
     Raises:
-        UsageError: not a deflection recording, or sets of different tools; one line with what to record next.
+        UsageError: not a deflection recording, or sets of different tools, tips or kinds of robot; one line with what to
+            record next.
     """
-    sets, days, virtual = [], {}, False
+    sets, days = [], {}
+    virtual: dict[str, bool] = {}
     for path in _folders(paths):
         recording = read_recording(path)
         extra = recording.info.model_extra or {}
@@ -39,12 +43,34 @@ def read_sets(paths: Sequence[Path]) -> tuple[list[DeflectionSet], dict[str, str
             name, observations_of(recording), configuration=str(extra.get("configuration", "")), tool=tool
         )
         days[name] = str(extra.get("session", ""))
-        virtual = virtual or extra.get("virtual") is True
+        virtual[name] = recording.info.virtual
         sets.append(made)
     if not sets:
         raise UsageError("no set with pushes", todo="record one: galen-hw collect deflection")
     check(sets)
-    return _labelled(sets), days, virtual
+    _refuse_mixed(sets, virtual)
+    return _labelled(sets), days, any(virtual.values())
+
+
+def _refuse_mixed(sets: Sequence[DeflectionSet], virtual: dict[str, bool]) -> None:
+    """Sets of one tool's name whose tips differ, or of a virtual and a real robot: one model cannot be both.
+
+    Raises:
+        UsageError: they are mixed; one line that names the sets.
+    """
+    real, simulated = ([s.name for s in sets if virtual[s.name] is kind] for kind in (False, True))
+    if real and simulated:
+        what = f"sets of a virtual robot ({', '.join(simulated)}) beside sets of a real one ({', '.join(real)})"
+        raise UsageError(what, todo="fit each by itself")
+    tip = sets[0].observations.belief.tip
+    other = [s for s in sets if np.linalg.norm(s.observations.belief.tip - tip) > SAME_TIP_M]
+    if other:
+        there, here = (
+            f"({', '.join(f'{1e3 * x:.2f}' for x in s.observations.belief.tip)}) mm" for s in (other[0], sets[0])
+        )
+        alike = [s.name for s in sets if all(s is not o for o in other)]
+        what = f"tool.tip differs: {there} in {', '.join(s.name for s in other)}, {here} in {', '.join(alike)}"
+        raise UsageError(what, todo="fit each tip by itself, or correct tool.tip in recording.json")
 
 
 def _folders(paths: Sequence[Path]) -> list[Path]:

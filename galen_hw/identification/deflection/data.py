@@ -57,6 +57,9 @@ class DeflectionSet:
         force, give = scene.force, scene.residual
         size = np.linalg.norm(force, axis=1)
         if not np.any(size > 0.0):
+            if all(column in observations.columns for column in APPLIED):
+                what = "no force was applied: applied.force is 0 in every row"
+                raise UsageError(what, where=name, todo="push and pull the tip, and record the set again")
             raise UsageError("no applied.force column", where=name, todo="record the force on the tip with the pose")
         free = size < max(0.05 * size.max(), 0.1)
         if np.count_nonzero(free) < 10:
