@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -100,7 +101,6 @@ def test_a_replay_repeats_every_bit(
 
 def test_one_bit_is_a_difference(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The last bit of one torque of one sample is found, named, and makes the command fail."""
-    import msgspec
 
     def tampered() -> Iterator[tuple[str, Message]]:
         for topic, message in live(tmp_path / "state"):
@@ -141,6 +141,57 @@ def test_lost_messages_are_named_and_not_taken_for_differences(tmp_path: Path) -
     assert verdict.difference is None
     assert verdict.skipped["its raw wrench was not recorded"] == 2
     assert 20 <= verdict.skipped["its joint state was not recorded"] <= 30
+
+
+def without(stream: Iterator[tuple[str, Message]], first_ms: int, last_ms: int) -> Iterator[tuple[str, Message]]:
+    """What a reader gets of a file with a damaged chunk: nothing of any topic for a while."""
+    return (item for item in stream if not first_ms * MS <= item[1].t_ns < last_ms * MS)
+
+
+@pytest.mark.parametrize("settings", [{}, {"alignment": "interpolate"}, {"dynamic": True, "dynamic_window": 3}])
+@pytest.mark.parametrize(("first", "last"), [(400, 460), (480, 560), (560, 810), (140, 420), (880, 960)])
+def test_a_damaged_recording_is_equal_where_it_can_be_compared(
+    tmp_path: Path, first: int, last: int, settings: dict[str, Any]
+) -> None:
+    """All topics are lost for a while, with and without a change of tool, tare or contact in it: what is missing and what
+    depends on it is counted with the reason, the rest is equal; one bit of it is still a difference."""
+    messages_ = list(live(tmp_path / "state", seconds=2.4, **settings))
+    everything = recorded(record(tmp_path / "run.mcap", without(iter(messages_), first, last)))
+    verdict = verify(everything, service_for(everything, ROBOT, tmp_path / "none"))
+    assert verdict.difference is None
+    assert verdict.skipped["they are missing from the recording"] == pytest.approx(last - first, abs=3)
+    total = sum(topic == "wrench/compensated" for topic, _ in messages_)
+    assert sum(verdict.skipped.values()) + verdict.compared == total
+    assert verdict.compared > total - (last - first) - 1050
+
+    at = next(i for i, m in enumerate(everything.compensated) if m.seq == 2300)
+    right = everything.compensated[at]
+    bent = msgspec.structs.replace(right.force, x=float(np.nextafter(right.force.x, np.inf)))
+    everything.compensated[at] = msgspec.structs.replace(right, force=bent)
+    again_ = verify(everything, service_for(everything, ROBOT, tmp_path / "none"))
+    assert again_.difference is not None
+    assert (again_.difference.seq, again_.difference.field) == (2300, "force")
+
+
+def test_only_raw_samples_are_missing_and_nothing_differs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Wrenches of both kinds are lost: status 0, and the count with its reason; a number that comes twice differs."""
+    kept = [
+        item
+        for item in live(tmp_path / "state")
+        if not (item[0].startswith("wrench/") and 400 <= item[1].seq % 2000 < 440)
+    ]
+    path = record(tmp_path / "run.mcap", iter(kept))
+    assert main(["replay", str(path), "--verify"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.endswith("samples cannot be compared: they are missing from the recording") for line in lines)
+    assert lines[-1].endswith("samples are equal, bit for bit")
+
+    everything = recorded(path)
+    twice = everything.compensated[700]
+    everything.compensated[700] = msgspec.structs.replace(twice, seq=twice.seq - 1)
+    verdict = verify(everything, service_for(everything, ROBOT, tmp_path / "none"))
+    assert verdict.difference is not None
+    assert verdict.difference.field == "seq"
 
 
 def test_another_tool_can_be_tried_on_a_recording(

@@ -5,11 +5,13 @@ came from different processes. But every compensated wrench says how old the new
 `compensation/state` after which sample it holds, so that the order can be restored exactly.
 """
 
+import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from math import isnan
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.kinematics import Robot
@@ -17,6 +19,11 @@ from galen_hw.messages import CompensationState, JointsState, Message, WrenchCom
 from galen_hw.services.compensation.service import CompensationService
 from galen_hw.services.compensation.settings import CompensationSettings
 from galen_hw.services.service import ServiceContext
+
+MEMORYLESS: Final = frozenset(
+    "bias step drift gain cross_talk payload base_tilt joint_offset joint_scale link_geometry sensor_mounting".split()
+)
+"""Effects that depend on the sample alone; what others add differs once samples before it are missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +53,9 @@ class Verdict:
     difference: Difference | None = None
     skipped: dict[str, int] = field(default_factory=dict)
 
-    def skip(self, why: str) -> None:
-        """Count a sample that cannot be compared."""
-        self.skipped[why] = self.skipped.get(why, 0) + 1
+    def skip(self, why: str, samples: int = 1) -> None:
+        """Count samples that cannot be compared."""
+        self.skipped[why] = self.skipped.get(why, 0) + samples
 
 
 class Recorded:
@@ -104,23 +111,32 @@ def verify(recorded: Recorded, service: CompensationService) -> Verdict:
     verdict = Verdict()
     feeder = _Feeder(recorded, service)
     for message in recorded.compensated:
-        raw = recorded.raw.get(message.t_ns)
-        why = "its raw wrench was not recorded" if raw is None else feeder.prepare(message)
+        raw, why = recorded.raw.get(message.t_ns), feeder.prepare(message)
+        if missing := feeder.missing:
+            verdict.skip("they are missing from the recording", missing)
         if raw is None or why:
-            verdict.skip(why)
-            service.pass_over(1)
+            verdict.skip("its raw wrench was not recorded" if raw is None else why)
+            feeder.leave_out(message)
             continue
         outputs = service.compensate(raw)
         computed = next(o[1] for o in outputs if isinstance(o, tuple) and o[0] == "wrench/compensated")
-        verdict.compared += 1
         if encode(computed) != encode(message):
-            verdict.difference = _first_difference(message, computed)
+            difference = _first_difference(message, computed)
+            if feeder.forgot and feeder.remembers and difference.field in ("force", "torque"):
+                verdict.skip("the tool's effects remember samples that were not recorded")
+                continue
+            verdict.compared += 1
+            verdict.difference = difference
             return verdict
+        verdict.compared += 1
     return verdict
 
 
 class _Feeder:
-    """Gives the service what it had seen when it made a certain message."""
+    """Gives the service what it had seen when it made a certain message, and knows what the recorder lost on the way.
+
+    Every topic counts its messages: a number that is missing is a message that was lost, not one that came out otherwise.
+    """
 
     def __init__(self, recorded: Recorded, service: CompensationService) -> None:
         self._service = service
@@ -130,23 +146,61 @@ class _Feeder:
         settings = recorded.settings()
         from_start = bool(recorded.states) and recorded.states[0].samples == 0
         self._needed = 0 if from_start or not settings.dynamic else settings.dynamic_window
-        self._last_ns: int | None = None
+        self._window = settings.dynamic_window if settings.dynamic else 1
+        self._between = settings.alignment == "interpolate"
+        self._state_lost = False
+        self.missing = 0
+        """Samples between the last message and this one of which nothing was recorded."""
+        self.remembers = False
+        """The tool in hand has effects that remember earlier samples."""
+        self.forgot = not from_start
+        """The live service has seen samples that this one has not: what effects remember may differ."""
 
     def prepare(self, message: WrenchCompensated) -> str:
         """Feed what came before it; why it cannot be computed, empty if it can."""
         self._take_states(message)
         if self._next_state == 0:
             return "the compensation's state was not recorded yet"
+        self.missing = self._service.pass_over(message.seq)
+        if self.missing:
+            self.forgot = True
+            self._state_lost = self._is_state_lost()
+        if self._state_lost:
+            return "a change of the compensation may have been lost before it"
         if isnan(message.joints_age_s):
             return "" if self._next_joints == 0 else "joint states are missing"
         if not self._take_joints(message.t_ns, round(message.joints_age_s * NS_PER_S)):
             return "its joint state was not recorded"
-        return "" if self._next_joints >= self._needed else "joint states before the recording are missing"
+        if self._next_joints < self._needed:
+            return "joint states before the recording are missing"
+        return "joint states before it were not recorded" if self._are_joints_lost() else ""
+
+    def leave_out(self, message: WrenchCompensated) -> None:
+        """This message is not computed again."""
+        self._service.pass_over(message.seq + 1)
+        self.forgot = True
 
     def _take_states(self, message: WrenchCompensated) -> None:
         while self._next_state < len(self._states) and self._states[self._next_state].samples <= message.seq:
-            self._service.adopt(self._states[self._next_state])
-            self._next_state += 1
+            state = self._states[self._next_state]
+            self._service.adopt(state)
+            self.remembers = any(t not in MEMORYLESS for t in _effects(state))
+            self._next_state, self._state_lost = self._next_state + 1, False
+
+    def _is_state_lost(self) -> bool:
+        """Whether a state may be missing after the last one that was taken: the next one's number tells."""
+        if self._next_state == len(self._states):
+            return True
+        last, following = self._states[self._next_state - 1], self._states[self._next_state]
+        return following.seq > last.seq + 1
+
+    def _are_joints_lost(self) -> bool:
+        """Whether one is missing among the last joint states that this sample depends on."""
+        newest = self._joints[self._next_joints - 1]
+        # Between two of them, and where rates are not measured, it takes the one before.
+        two = self._between or any(map(isnan, newest.velocity.values()))
+        last = self._joints[: self._next_joints][-max(self._window, 2 if two else 1) :]
+        return any(b.seq > a.seq + 1 for a, b in pairwise(last))
 
     def _take_joints(self, t_ns: int, age_ns: int) -> bool:
         newest = t_ns - age_ns
@@ -159,6 +213,12 @@ class _Feeder:
             self._next_joints += 1
         last = self._joints[self._next_joints - 1].t_ns if self._next_joints else None
         return last is not None and (last == newest if age_ns > 0 else last >= t_ns)
+
+
+def _effects(state: CompensationState) -> list[str]:
+    """Of the tool's file in hand."""
+    terms = json.loads(state.tool_file).get("terms", []) if state.tool_file else []
+    return [str(term["effect"]) for term in terms]
 
 
 def _first_difference(recorded: WrenchCompensated, computed: Message) -> Difference:

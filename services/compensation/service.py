@@ -235,9 +235,11 @@ class CompensationService(Service):
         self._update_inertial()
         self._seq, self._commands.serial, self._commands.problem = state.samples, state.sensor_serial, state.problem
 
-    def pass_over(self, samples: int) -> None:
-        """Leave out samples that a replay does not have."""
-        self._seq += samples
+    def pass_over(self, seq: int) -> int:
+        """Leave out the samples before `seq` that a replay does not have; how many (0 if it was there already)."""
+        missing = max(0, seq - self._seq)
+        self._seq += missing
+        return missing
 
     def snapshot(self) -> dict[str, Any]:
         """The switch; the tool in hand is remembered by the tools' store, a tare never outlives the process."""
