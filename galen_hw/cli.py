@@ -9,6 +9,7 @@ from typing import Any, Final
 from galen_hw.errors import EXIT_USAGE, GalenError
 from galen_hw.version import VERSION
 
+EXIT_PIPE: Final = 128 + 13
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
     # name: (module with `add_arguments(parser)` and `run(args) -> int`, help)
     "run": ("galen_hw.tools.run", "run the daemon beside the robot"),
@@ -32,7 +33,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; the exit status: 0 fine, 1 found a problem, 2 wrong use or input, 3 hardware."""
+    """Run one command; the exit status: 0 fine, 1 found a problem, 2 wrong use or input, 3 hardware, 141 output cut off."""
     argv = sys.argv[1:] if argv is None else argv
     parser, command = _parser(argv)
     args = parser.parse_args(argv)
@@ -41,7 +42,8 @@ def main(argv: list[str] | None = None) -> int:
         return EXIT_USAGE
     assert command is not None
     try:
-        return int(importlib.import_module(COMMANDS[command][0]).run(args))
+        status = int(importlib.import_module(COMMANDS[command][0]).run(args))
+        sys.stdout.flush()  # Here, where a reader that has gone can still be told in the status.
     except GalenError as error:
         if os.environ.get("GALEN_HW_TRACEBACK"):
             raise
@@ -50,10 +52,14 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"galen-hw {command}: interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        # The reader of our output has gone (head, less): not an error, but stop Python's flush from saying so.
+    except (BrokenPipeError, SystemExit) as error:
+        if isinstance(error, SystemExit) and not isinstance(error.__context__, BrokenPipeError):
+            raise
+        # The reader of our output has gone (head, less; rich turns it into an exit with 1). Nobody has seen all of it, so
+        # that 0 or 1 would claim too much: the status is the shell's for SIGPIPE. Stop Python's flush from saying it again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        return EXIT_PIPE
+    return status
 
 
 def _parser(argv: list[str]) -> tuple[argparse.ArgumentParser, str | None]:

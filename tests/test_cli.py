@@ -1,6 +1,7 @@
 """The command line's face: quick help, one line for wrong use, and documents that know every command."""
 
 import importlib
+import os
 import re
 import subprocess
 import sys
@@ -62,3 +63,14 @@ def test_an_error_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(err.strip().splitlines()) == 1
     assert "no/such/recording" in err
     assert "Traceback" not in err
+
+
+def test_output_that_nobody_reads_is_not_a_success(tmp_path: Path) -> None:
+    """`galen-hw tool list | head`, the reader gone: the shell's status for SIGPIPE, and nothing on stderr."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "galen_hw.cli", "tool", "list"]
+    environ = os.environ | {"GALEN_HW_STATE": str(tmp_path), "GALEN_HW_RUNTIME": str(tmp_path)}
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False, env=environ)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, "")

@@ -145,3 +145,39 @@ def test_the_last_lines_of_a_fit_are_what_is_still_to_be_typed(
     assert "on a virtual robot" in lines[lines.index(wanted[0]) - 1]
     assert "rigid until galen-hw collect deflection" in lines[-1]
     assert DeflectionStore(tmp_path / "state").load(ROBOT.tool).virtual, "it must never serve a real robot"
+
+
+def test_a_model_that_misses_its_own_measures_says_so(
+    tmp_path: Path, recorded: dict[str, dict[str, Array]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Linear models of an arm that sticks and creeps: how much is left and what to record next, for people and scripts."""
+    for name, columns in recorded.items():
+        write(tmp_path / "data", name, columns)
+    assert fit(tmp_path / "data", tmp_path / "state") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "times the tracker's noise: the model misses some; record four or more configurations" in said
+    assert fit(tmp_path / "data", tmp_path / "state", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["models"][found["recommended"]]["times_noise"] > 1.2
+    assert any("what is left is" in line for line in found["doubts"])
+
+
+def test_saved_models_are_listed_and_chosen_for_scripts_and_people(
+    tmp_path: Path, recorded: dict[str, dict[str, Array]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """list, select and rollback print JSON; select says what was selected."""
+    for name, columns in recorded.items():
+        write(tmp_path / "data", name, columns)
+    for _ in range(2):
+        assert fit(tmp_path / "data", tmp_path / "state", "--save", "mine") == 0
+    words = ["deflection", "--state", str(tmp_path / "state")]
+    capsys.readouterr()
+    assert main([*words, "list", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert (row["id"], row["selected"], row["tool"]) == ("mine/0002", True, ROBOT.tool)
+    assert main([*words, "rollback", "mine", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"model": "mine/0001"}
+    assert main([*words, "select", "none", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"selected": None, "model": None}
+    assert main([*words, "select", "mine"]) == 0
+    assert capsys.readouterr().out.startswith("selected mine/0001; ")

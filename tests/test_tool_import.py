@@ -121,3 +121,34 @@ def test_the_running_sensor_says_its_serial_number(store: ToolStore, tmp_path: P
         thread.join()
     assert (here.robot.name, here.serial, here.virtual, here.running) == ("galen", "FT7", False, True)
     assert hardware_here({}, store, "").serial == "FT1"
+
+
+def test_an_export_overwrites_nothing_unless_told(store: ToolStore, capsys: pytest.CaptureFixture[str]) -> None:
+    """A file that is there, a folder that is not: one line each, status 2; --force writes both."""
+    Path("mine.json").write_text("mine", encoding="utf-8")
+    for file, text in (("mine.json", "is there already"), ("no/such/mine.json", "there is no such folder")):
+        assert main(["tool", "export", "retractor", file]) == 2
+        error = capsys.readouterr().err
+        assert text in error
+        assert error.count("\n") == 1
+    assert Path("mine.json").read_text(encoding="utf-8") == "mine"
+    assert not Path("no").exists()
+    for file in ("mine.json", "no/such/mine.json"):
+        assert main(["tool", "export", "retractor", file, "--force"]) == 0
+        assert json.loads(Path(file).read_text(encoding="utf-8"))["name"] == "retractor"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["tool", part] for part in ("list", "show", "select", "history", "rollback", "export", "import")]
+    + [["deflection", part] for part in ("fit", "list", "show", "select", "rollback", "import")],
+)
+def test_every_part_of_a_command_has_a_description_and_an_example(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`galen-hw tool show --help` and its like."""
+    with pytest.raises(SystemExit):
+        main([*words, "--help"])
+    text = capsys.readouterr().out
+    assert f"example: galen-hw {' '.join(words)}" in " ".join(text.split())
+    assert len(text.split("\n\n")[1].split()) >= 3, "a sentence that says what it does"

@@ -19,6 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parts = parser.add_subparsers(dest="part", metavar="PART", required=True)
     for name, (_, text) in PARTS.items():
         part = parts.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        part.epilog = f"example: galen-hw tool {EXAMPLES[name]}"
         if name not in ("list", "import"):
             optional = "?" if name == "select" else None
             part.add_argument("name", metavar="NAME", nargs=optional, help="the tool")
@@ -26,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             part.add_argument("--generation", type=int, metavar="N", help="of the history; default: see above")
         if name == "export":
             part.add_argument("file", metavar="FILE", nargs="?", type=Path, help="to write; default: NAME.json")
+            part.add_argument("--force", action="store_true", help="overwrite the file, make missing folders")
         if name == "import":
             part.add_argument("file", metavar="FILE", type=Path, help="a tool's file, as export writes it")
             part.add_argument("--force", action="store_true", help="take the calibration of another sensor or robot")
@@ -162,6 +164,10 @@ def _export(args: argparse.Namespace, store: "ToolStore") -> int:
 
     tool = store.load(args.name) if args.generation is None else store.generation(args.name, args.generation)
     file = args.file or Path(f"{args.name}.json")
+    if not args.force and file.exists():
+        raise UsageError("is there already", where=str(file), todo="give another name, or --force")
+    if not args.force and not file.parent.is_dir():
+        raise UsageError("there is no such folder", where=str(file.parent), todo="make it, or --force")
     write_atomic(file, tool.to_json() + "\n")
     return _done(args, {"file": str(file)}, f"wrote {file}")
 
@@ -278,4 +284,13 @@ PARTS: dict[str, tuple[Callable[[argparse.Namespace, "ToolStore"], int], str]] =
     "rollback": (_rollback, "use an earlier calibration again"),
     "export": (_export, "write a tool's file"),
     "import": (_import, "add a tool's file as a new generation"),
+}
+EXAMPLES: dict[str, str] = {
+    "list": "list --json",
+    "show": "show retractor --generation 2",
+    "select": "select retractor",
+    "history": "history retractor",
+    "rollback": "rollback retractor --generation 1",
+    "export": "export retractor retractor.json",
+    "import": "import retractor.json",
 }

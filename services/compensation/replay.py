@@ -20,9 +20,8 @@ from galen_hw.services.compensation.service import CompensationService
 from galen_hw.services.compensation.settings import CompensationSettings
 from galen_hw.services.service import ServiceContext
 
-MEMORYLESS: Final = frozenset(
-    "bias step drift gain cross_talk payload base_tilt joint_offset joint_scale link_geometry sensor_mounting".split()
-)
+_OF_GEOMETRY: Final = ("joint_offset", "joint_scale", "link_geometry", "sensor_mounting")
+MEMORYLESS: Final = frozenset(("bias", "step", "drift", "gain", "cross_talk", "payload", "base_tilt", *_OF_GEOMETRY))
 """Effects that depend on the sample alone; what others add differs once samples before it are missing."""
 
 

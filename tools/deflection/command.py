@@ -5,7 +5,7 @@ import json
 import re
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
 
@@ -13,28 +13,39 @@ if TYPE_CHECKING:
     from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore
     from galen_hw.tools.deflection.fit import Comparison
 
+RELOAD: Final = "the service takes it up with: galen-hw command deflection reload"
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("--state", metavar="DIR", type=Path, help="state directory (default: the daemon's)")
     sub = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    fit = sub.add_parser("fit", help="fit all models, judge them on held-out sets, recommend one and save it")
+    fit = _part(sub, "fit", "fit all models, judge them on held-out sets, recommend one and save it", "fit session/")
     fit.add_argument("data", nargs="+", type=Path, metavar="DATA", help="recordings, or folders of recordings")
     fit.add_argument("--report", metavar="OUT.html", type=Path, help="write figures and tables as one page")
-    fit.add_argument("--json", action="store_true", help="print the result as JSON")
     fit.add_argument("--save", metavar="NAME", help="save under this name (default: the tool's)")
     fit.add_argument("--no-save", action="store_true", help="save nothing")
     fit.add_argument("--holdout", nargs="+", default=[], metavar="SET", help="sets to judge on (default: chosen)")
     fit.add_argument("--models", nargs="+", metavar="MODEL", help="only these, by a part of their names")
-    sub.add_parser("list", help="saved models")
-    for name, text in (("show", "one saved model"), ("select", "serve this model ('none': none)")):
-        sub.add_parser(name, help=text).add_argument("name")
-    take = sub.add_parser("import", help="take up a model's file, as galen-hw diagnose --save-model writes it")
-    take.add_argument("file", type=Path, metavar="FILE")
-    back = sub.add_parser("rollback", help="go back to an earlier generation")
-    back.add_argument("name")
-    back.add_argument("generation", nargs="?", type=int)
+    _part(sub, "list", "the saved models, and the one that serves (*)", "list --json")
+    show = _part(sub, "show", "one saved model: the whole file, which is JSON", "show pointer")
+    select = _part(sub, "select", "serve this model ('none': none)", "select pointer")
+    for part in (show, select):
+        part.add_argument("name", metavar="NAME", help="of the saved model")
+    text = "take up a model's file, as galen-hw diagnose --save-model writes it"
+    take = _part(sub, "import", text, "import arm.json")
+    take.add_argument("file", type=Path, metavar="FILE", help="of a deflection model")
+    back = _part(sub, "rollback", "go back to an earlier generation of a model", "rollback pointer 1")
+    back.add_argument("name", metavar="NAME", help="of the saved model")
+    back.add_argument("generation", nargs="?", type=int, metavar="N", help="default: the one before")
     parser.epilog = "example: galen-hw deflection fit session/ --report out.html"
+
+
+def _part(sub: Any, name: str, text: str, example: str) -> argparse.ArgumentParser:
+    part: argparse.ArgumentParser = sub.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    part.epilog = f"example: galen-hw deflection {example}"
+    part.add_argument("--json", action="store_true", help="print JSON")
+    return part
 
 
 def run(args: argparse.Namespace) -> int:
@@ -46,25 +57,41 @@ def run(args: argparse.Namespace) -> int:
     if args.action == "fit":
         return _fit(args, store)
     if args.action == "list":
-        selected = store.selected()
-        for name in store.names():
-            file = store.load(name)
-            mark = "*" if name == selected else " "
-            print(f"{mark} {file.id:24s} {file.model:18s} tool {file.tool or '-':10s} {file.date}  {file.reason}")
-        if not store.names():
-            print(f"no deflection models in {store.folder}; fit one: galen-hw deflection fit DATA...")
+        _list(store, as_json=args.json)
     elif args.action == "show":
         file = store.load(args.name)
         print(json.dumps(file.model_dump(mode="json", by_alias=True), indent=1))
     elif args.action == "import":
         saved = store.save(read_model(args.file))
-        print(f"imported {saved.id}; the service takes it up with: galen-hw command deflection reload")
+        _done(args, {"model": saved.id}, f"imported {saved.id}; {RELOAD}")
     elif args.action == "select":
-        store.select(None if args.name == "none" else args.name)
-        print("the service takes it up with: galen-hw command deflection reload")
+        name = None if args.name == "none" else args.name
+        store.select(name)
+        chosen = None if name is None else store.load(name).id
+        _done(args, {"selected": name, "model": chosen}, f"selected {chosen or 'no model'}; {RELOAD}")
     else:
-        print(f"{store.rollback(args.name, args.generation).id} is in use again")
+        found = store.rollback(args.name, args.generation)
+        _done(args, {"model": found.id}, f"{found.id} is in use again; {RELOAD}")
     return EXIT_OK
+
+
+def _done(args: argparse.Namespace, data: dict[str, Any], text: str) -> None:
+    print(json.dumps(data) if args.json else text)
+
+
+def _list(store: "DeflectionStore", *, as_json: bool) -> None:
+    """All saved models, what they are of, and which one serves."""
+    selected, files = store.selected(), [store.load(name) for name in store.names()]
+    if as_json:
+        shown = {"name", "model", "robot", "virtual", "tool", "tip", "date", "rmse_m", "reason"}
+        rows = [f.model_dump(mode="json", include=shown) | {"id": f.id, "selected": f.name == selected} for f in files]
+        print(json.dumps(rows))
+        return
+    for file in files:
+        mark = "*" if file.name == selected else " "
+        print(f"{mark} {file.id:24s} {file.model:18s} tool {file.tool or '-':10s} {file.date}  {file.reason}")
+    if not files:
+        print(f"no deflection models in {store.folder}; fit one: galen-hw deflection fit DATA...")
 
 
 def read_model(path: Path) -> "DeflectionFile":
@@ -170,3 +197,5 @@ def _show(out: "Comparison") -> None:
     for note in out.notes:
         console.print(f"note: {note}", markup=False)
     console.print(f"recommended: {out.best}: {out.reason}", markup=False)
+    for line in out.doubts:
+        console.print(line, markup=False, style="yellow")

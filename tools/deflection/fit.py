@@ -18,6 +18,8 @@ from galen_hw.identification.deflection.table import MODELS, model_class
 from galen_hw.services.deflection.store import DeflectionFile
 from galen_hw.version import VERSION
 
+ENOUGH: Final = 1.2
+"""Times the tracker's noise: a held-out error below it leaves nothing that more could be learnt from."""
 SIMPLER: Final = 1.05
 """A simpler model within this factor of the best is preferred."""
 ORDER: Final = ("new configuration", "other day", "same configuration")
@@ -50,6 +52,33 @@ class Comparison:
         return next((rmse[kind] for kind in ORDER if kind in rmse), float("nan"))
 
     @property
+    def doubts(self) -> list[str]:
+        """Why the recommendation is not to be relied on, one line each with what to record next; empty when it is."""
+        served = [n for n in self.models if n != "gradient boosting"]
+        error, lines = self.figure(self.best), []
+        if not self.held:
+            return ["no set was held out: how good it is is not known; record a second set at each of four places"]
+        times, places = error / self.noise_m, len({s.configuration for s in self.learn})
+        if not times <= ENOUGH:
+            wanted = (
+                "longer holds and all axes both ways" if places >= 4 else "four or more configurations, two sets each"
+            )
+            lines.append(
+                f"what is left is {times:.1f} times the tracker's noise: the model misses some; record {wanted}"
+            )
+        rivals = [n for n in served if n != self.best]
+        rival = min(rivals, key=self.figure, default=None)
+        # Two errors within the noise of one another: their squares, as errors add, differ by less than the uncertainty
+        # of a mean square over so many samples (three axes each).
+        if rival is not None:
+            samples = sum(len(s) for s in self.held[self.judged_on])
+            unsure = 2.0 * max(error, self.noise_m) ** 2 * np.sqrt(2.0 / (3.0 * samples)) * np.sqrt(2.0)
+            if abs(self.figure(rival) ** 2 - error**2) <= unsure:
+                text = f"{self.best} and {rival} cannot be told apart by these held-out sets"
+                lines.append(f"{text}: record more sets at configurations that are new")
+        return lines
+
+    @property
     def judged_on(self) -> str:
         """Which kind of held-out sets decides."""
         return next((kind for kind in ORDER if kind in self.held), "nothing")
@@ -66,7 +95,7 @@ def compare(
     out = Comparison(learn, held, float(np.sqrt(np.sum(noise**2))))
     for name in names:
         if name.startswith("LSTM") and importlib.util.find_spec("torch") is None:
-            out.notes.append("LSTM (report) left out: torch is not installed; pip install 'galen-hw[torch]'")
+            out.notes.append("LSTM (report) left out: torch is not installed; pip install -e '.[torch]' (in a clone)")
             continue
         say(name)
         begin = time.perf_counter()
@@ -145,5 +174,6 @@ def summary(out: Comparison) -> dict[str, Any]:
         "recommended": out.best,
         "reason": out.reason,
         "notes": out.notes,
+        "doubts": out.doubts,
         "decisions": decisions,
     }
