@@ -19,6 +19,13 @@ _ASSIGNMENT: Final = re.compile(r"^\s*([A-Za-z0-9_\-.\"]+)\s*=")
 _INLINE: Final = re.compile(r"[{,]\s*([A-Za-z0-9_\-\"]+)\s*=")
 
 
+_TOML: Final = {
+    "devices": 'devices.ft = { driver = "ati_netcanoem", '
+    'transport = { interface = "socketcan", channel = "can0", bitrate = 1000000 } }'
+}
+"""What to write for a whole table that is missing; to be put at the top of the file, before any table."""
+
+
 @dataclass(frozen=True, slots=True)
 class Problem:
     """One thing that is wrong: what, where (file:line: key), what to do."""
@@ -124,6 +131,8 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
 def _example(field: FieldInfo | None, name: str) -> str:
     if field is None:
         return ""
+    if name in _TOML:
+        return f"e.g. at the top of the file: {_TOML[name]}"
     value = (
         field.examples[0]
         if field.examples

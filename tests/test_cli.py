@@ -3,6 +3,7 @@
 import importlib
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from galen_hw.cli import COMMANDS, main
 from galen_hw.errors import EXIT_USAGE
+from galen_hw.tools.command import parse_arguments
 
 ROOT = Path(__file__).parent.parent
 
@@ -74,3 +76,10 @@ def test_output_that_nobody_reads_is_not_a_success(tmp_path: Path) -> None:
     done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False, env=environ)
     os.close(writer)
     assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_commands_of_the_topics_page_can_be_pasted() -> None:
+    """What stands there in code reads as a command, through a shell."""
+    lines = re.findall(r"`(galen-hw command motors [^`]+)`", (ROOT / "docs" / "topics.md").read_text())
+    found = {shlex.split(line)[3]: parse_arguments(shlex.split(line)[4:]) for line in lines}
+    assert found == {"move_jp": {"position": {"roll": 0.3}}, "servo_jv": {"velocity": {"roll": 0.1}}}

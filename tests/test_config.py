@@ -202,7 +202,7 @@ def test_good_file_becomes_a_setup() -> None:
             GOOD + '[bus]\nviewers = "tcp://0.0.0.0:9872"',
             "8: bus.viewers: viewers may connect from this machine only",
         ),
-        ("", "1: devices: this key is missing; e.g. devices ="),
+        ("", "1: devices: this key is missing; e.g. at the top of the file: devices.ft = {"),
     ],
 )
 def test_each_problem_is_one_line_with_place_and_remedy(text: str, expected: str) -> None:
@@ -210,6 +210,15 @@ def test_each_problem_is_one_line_with_place_and_remedy(text: str, expected: str
     found = problems(text)
 
     assert any(line.startswith(f"galen.toml:{expected}") for line in found), found
+
+
+def test_the_example_for_an_empty_file_is_a_configuration() -> None:
+    """What the message offers can be pasted: it is TOML, and with the real drivers nothing is wrong with it."""
+    (line,) = problems("")
+    text = line.partition("the file: ")[2]
+
+    setup = check_document(tomllib.loads(text), Path("galen.toml"), Places("galen.toml", text), TABLES)
+    assert list(setup.devices) == ["ft"]
 
 
 def test_all_problems_at_once_in_the_order_of_the_file() -> None:

@@ -1,5 +1,6 @@
 """Collecting: the plan covers what the fit needs, a set that cannot be used is refused with what to do."""
 
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from galen_hw.errors import UsageError
 from galen_hw.identification.deflection.registration import MarkerWatch
 from galen_hw.kinematics import GalenRobot
 from galen_hw.messages import Quaternion, TrackedPose, Vector3, WrenchRaw
+from galen_hw.tools.collect import command
 from galen_hw.tools.collect.command import sparkline
 from galen_hw.tools.collect.plan import PLAN, Plan, make_steps
 from galen_hw.tools.collect.rows import Rows
@@ -104,3 +106,40 @@ def test_a_trace_has_zero_in_the_middle() -> None:
     line = sparkline(np.array([-10.0, 0.0, 10.0]))
     assert line == " ▄█"
     assert sparkline(np.array([0.0, 0.05, -0.05])) == "▄▄▄"
+
+
+def arguments(*words: str) -> tuple[argparse.Namespace, dict[str, float]]:
+    """Of the command, and the numbers among them that were given."""
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    args = parser.parse_args(["deflection", *words])
+    return args, command._complete(args)
+
+
+def test_a_begun_session_says_which_numbers_it_does_not_take(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Those that differ from what it was begun with, one line each; defaults and equal ones are not spoken of."""
+    folder = str(tmp_path / "s")
+    args, given = arguments("-o", folder, "--configurations", "3", "--rounds", "1", "--dwell", "0.5")
+    begun = command._plan(args, GalenRobot(), "pointer", given)
+    assert (len(begun.steps), begun.dwell_s, begun.rest_s) == (5, 0.5, 2.0)
+    capsys.readouterr()
+    args, given = arguments("-o", folder, "--configurations", "2", "--dwell", "0.5", "--force", "5")
+    assert len(command._plan(args, GalenRobot(), "pointer", given).steps) == 5
+    _, *lines = capsys.readouterr().out.splitlines()
+    assert lines == [
+        "--configurations 2 is ignored: the session was begun with 3; give a new folder",
+        "--force 5 is ignored: the session was begun; give a new folder",
+    ]
+    args, given = arguments("-o", folder)
+    command._plan(args, GalenRobot(), "pointer", given)
+    assert len(capsys.readouterr().out.splitlines()) == 1
+
+
+def test_the_advice_to_go_on_keeps_the_virtual_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What was begun with --virtual is gone on with --virtual."""
+    plan = Plan(tmp_path, "galen", "pointer", "2026-01-01", make_steps(GalenRobot(), 2, 10.0))
+    for virtual, words in ((True, "collect deflection --virtual -o "), (False, "collect deflection -o ")):
+        command._left(plan, virtual=virtual)
+        assert f"go on with: galen-hw {words}{tmp_path}" in capsys.readouterr().out

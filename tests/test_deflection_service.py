@@ -19,6 +19,7 @@ from galen_hw.services.deflection.service import DeflectionService
 from galen_hw.services.deflection.settings import DeflectionSettings
 from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore
 from galen_hw.services.service import Output, ServiceContext
+from galen_hw.tools.deflection.figures import units
 from tests.compensation_parts import BASE, MS, RETRACTOR, ROBOT, joints, tool_file
 
 TIP = RETRACTOR["tip"]
@@ -249,3 +250,16 @@ def test_a_sample_costs_little(tmp_path: Path) -> None:
         service.handle("wrench/compensated", message, message.t_ns)
         spent.append(time.thread_time_ns() - begin)
     assert np.quantile(spent, 0.99) < 300_000
+
+
+def test_parameters_of_the_page_have_their_units() -> None:
+    """Joints that turn in rad under N m, structure in m under N; hardening by its power, play without a load."""
+    assert units(arm(), ROBOT) == [
+        "rad/(N m)",
+        "rad/(N m)",
+        "m/N",
+        "rad/(N m)",
+        "rad/(N m)",
+        "rad/(N m)^2",
+        "rad",
+    ]

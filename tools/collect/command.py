@@ -21,6 +21,17 @@ if TYPE_CHECKING:
 
 VIRTUAL_TOOL: Final = "pointer"
 LARGEST_N: Final = 30.0
+DEFAULTS: Final[dict[str, float]] = {
+    "configurations": 4,
+    "force": 12.0,
+    "dwell": 2.0,
+    "rise": 1.0,
+    "rest": 2.0,
+    "rounds": 2,
+    "places": 8,
+    "still": 1.5,
+}
+"""Of a new session; what is given on the command line when a begun one is gone on with is said to be ignored."""
 BESIDE: Final = ("compensation/state", "status", "fault")
 """What is recorded beside the topics that the rows are made of; poses and contact can be had from these again."""
 BLOCKS: Final = " ▁▂▃▄▅▆▇█"
@@ -31,14 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("what", choices=["deflection"], help="which data")
     parser.add_argument("-o", "--output", metavar="DIR", type=Path, help="session folder; a begun one is gone on with")
     parser.add_argument("--tool", metavar="NAME", help="tool in the holder (default: the selected one)")
-    parser.add_argument("--configurations", type=int, default=4, metavar="N", help="places with two sets each (4)")
-    parser.add_argument("--force", type=float, default=12.0, metavar="N", help="largest push, newtons (12)")
-    parser.add_argument("--dwell", type=float, default=2.0, metavar="S", help="hold each push so long, for creep (2)")
-    parser.add_argument("--rise", type=float, default=1.0, metavar="S", help="seconds for a push to rise and fall (1)")
-    parser.add_argument("--rest", type=float, default=2.0, metavar="S", help="rest before and after pushes (2)")
-    parser.add_argument("--rounds", type=int, default=2, metavar="N", help="sets at each place (2)")
-    parser.add_argument("--places", type=int, default=8, metavar="N", help="places of a calibration set (8)")
-    parser.add_argument("--still", type=float, default=1.5, metavar="S", help="time at each of them (1.5)")
+    parser.add_argument("--configurations", type=int, metavar="N", help="places with two sets each (4)")
+    parser.add_argument("--force", type=float, metavar="N", help="largest push, newtons (12)")
+    parser.add_argument("--dwell", type=float, metavar="S", help="hold each push so long, for creep (2)")
+    parser.add_argument("--rise", type=float, metavar="S", help="seconds for a push to rise and fall (1)")
+    parser.add_argument("--rest", type=float, metavar="S", help="rest before and after pushes (2)")
+    parser.add_argument("--rounds", type=int, metavar="N", help="sets at each place (2)")
+    parser.add_argument("--places", type=int, metavar="N", help="places of a calibration set (8)")
+    parser.add_argument("--still", type=float, metavar="S", help="time at each of them (1.5)")
     parser.add_argument("--config", metavar="FILE", help="settings for --virtual")
     parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory of the daemon")
     parser.add_argument("--virtual", action="store_true", help="on a virtual robot that gives; a virtual hand pushes")
@@ -57,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
     from galen_hw.tools.collect.session import CollectSession
     from galen_hw.tools.record import session_context
 
+    given = _complete(args)
     _check(args)
     console, plan = Console(), None
     try:
@@ -73,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
             if name is None:
                 raise UsageError("no tool is selected", where="--tool", todo=f"one of: {', '.join(store.names())}")
             robot, tool = _robot(info), store.load(name)
-            plan = _plan(args, robot, name)
+            plan = _plan(args, robot, name, given)
             hand = _hand(addresses, name, robot, stack) if info["virtual"] else _Operator()
             subscriber = stack.enter_context(Subscriber(addresses.bus, [*TOPICS, *BESIDE], queue=50_000))
             live = stack.enter_context(_live(console))
@@ -90,8 +102,15 @@ def run(args: argparse.Namespace) -> int:
             ).run()
     finally:
         if plan is not None:
-            _left(plan)
+            _left(plan, virtual=args.virtual)
     return EXIT_FOUND if plan.left else EXIT_OK
+
+
+def _complete(args: argparse.Namespace) -> dict[str, float]:
+    """Fill in the numbers that were not given; those that were."""
+    given = {name: value for name in DEFAULTS if (value := getattr(args, name)) is not None}
+    vars(args).update(DEFAULTS | given)
+    return given
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -115,18 +134,18 @@ def _check(args: argparse.Namespace) -> None:
         require_folder(args.output, "-o")
 
 
-def _left(plan: "Plan") -> None:
+def _left(plan: "Plan", *, virtual: bool = False) -> None:
     """How far the session is, and what comes next."""
     left = len(plan.left)
     print(f"{len(plan.steps) - left} of {len(plan.steps)} sets in {plan.folder}", flush=True)
     if left:
-        print(f"go on with: galen-hw collect deflection -o {plan.folder}", flush=True)
+        print(f"go on with: galen-hw collect deflection{' --virtual' * virtual} -o {plan.folder}", flush=True)
     else:
         print(f"next: galen-hw deflection fit {plan.folder} --report out.html", flush=True)
 
 
-def _plan(args: argparse.Namespace, robot: "Robot", tool: str) -> "Plan":
-    """A begun session's plan, or a new one."""
+def _plan(args: argparse.Namespace, robot: "Robot", tool: str, given: dict[str, float] | None = None) -> "Plan":
+    """A begun session's plan, or a new one; of `given` numbers those that a begun session does not have are said."""
     from datetime import UTC, datetime
 
     from galen_hw.tools.collect.plan import Plan, make_steps
@@ -140,6 +159,11 @@ def _plan(args: argparse.Namespace, robot: "Robot", tool: str) -> "Plan":
                 todo = "give a new folder"
                 raise UsageError(f"the session is of {what} {kept!r}, not {here!r}", where=str(folder), todo=todo)
         print(f"going on: {len(plan.left)} of {len(plan.steps)} sets are left", flush=True)
+        for name, value in (given or {}).items():
+            had = plan.numbers.get(name)
+            if had != value:
+                begun = "" if had is None else f" with {had:g}"
+                print(f"--{name} {value:g} is ignored: the session was begun{begun}; give a new folder", flush=True)
         return plan
     steps = make_steps(robot, args.configurations, args.force, rounds=args.rounds, places=args.places)
     plan = Plan(folder, robot.name, tool, f"{now:%Y-%m-%d}", steps)

@@ -68,6 +68,21 @@ class Plan:
         """Steps without a recording yet."""
         return [s for s in self.steps if not (self.folder / s.name / "recording.json").exists()]
 
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What it was begun with, by option of the command; the force is in each push alone."""
+        pushes = [s for s in self.steps if s.purpose == "pushes"]
+        configurations = len({s.name.partition("-")[0] for s in pushes})
+        return {
+            "configurations": configurations,
+            "rounds": len(pushes) // max(configurations, 1),
+            "places": max((len(s.places) for s in self.steps if s.purpose == "calibration"), default=0),
+            "dwell": self.dwell_s,
+            "rise": self.rise_s,
+            "rest": self.rest_s,
+            "still": self.still_s,
+        }
+
     def save(self) -> None:
         """Write it into its folder."""
         values = {k: v for k, v in asdict(self).items() if k != "folder"}

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from galen_hw.kinematics import Robot
+
 NUMBERS: Final = {
     "independent linear": "3, 4, 10 and 11",
     "coupled linear": "5, 10 and 11",
@@ -47,7 +49,31 @@ def _render(out: Comparison, pictures: list[dict[str, str]]) -> str:
     text = (resources.files("galen_hw.tools.deflection") / "report.html.j2").read_text(encoding="utf-8")
     elastic = out.models.get("elastic arm")
     arm = elastic if isinstance(elastic, ElasticArm) else None
-    return Environment(autoescape=True).from_string(text).render(out=out, pictures=pictures, arm=arm)
+    return (
+        Environment(autoescape=True)
+        .from_string(text)
+        .render(
+            out=out,
+            pictures=pictures,
+            arm=arm,
+            units=[] if arm is None else units(arm, out.learn[0].observations.belief.robot),
+        )
+    )
+
+
+def units(arm: ElasticArm, robot: "Robot | None") -> list[str]:
+    """SI unit of each parameter: a joint that turns gives in rad under N m, all other ports in m under N."""
+    turning: set[str] = set()
+    if robot is not None:
+        J = robot.sensor_jacobian(0.5 * (robot.lower + robot.upper))[0]
+        turning = {name for name, w in zip(robot.joint_names, J[3:].T, strict=True) if np.any(np.abs(w) > 0.0)}
+    out = []
+    for term in arm.terms:
+        motion, load = ("rad", "(N m)") if term.port in turning else ("m", "N")
+        power = getattr(term.effect, "power", 1) if getattr(term.effect, "knee", None) is None else 1
+        raised = f"^{power}" if term.kind == "hardening" and power > 1 else ""
+        out.append(motion if term.kind == "play" else f"{motion}/{load}{raised}")
+    return out
 
 
 def figures(out: Comparison) -> Iterator[tuple[str, str, "Figure"]]:
