@@ -47,7 +47,7 @@ SHORTEST = 64
 WHITE = 0.75
 """Mean squared step over twice the variance from which a signal is noise: 1 for white noise, nothing for motion."""
 SOFT = 2
-"""The filter's edge is this part of its band wide."""
+"""The filter's edge is one over this of its band wide."""
 BINS = 200
 """Parts of the spectrum over which its power is averaged."""
 
