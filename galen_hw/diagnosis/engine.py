@@ -22,10 +22,10 @@ from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import FLEXIBLE, at_first_sight, library, select
 from galen_hw.diagnosis.selection import Selection
-from galen_hw.diagnosis.verdict import beyond, strong, verdict_of
+from galen_hw.diagnosis.verdict import beyond, bursts, strong, verdict_of
 from galen_hw.diagnosis.wanted import poor
 from galen_hw.physics.effect import Columns, Effect
-from galen_hw.physics.event_effects import Glitches
+from galen_hw.physics.event_effects import Contact, Glitches
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.table import effect_class
 from galen_hw.spatial import Array
@@ -201,6 +201,9 @@ def _earned(model: Model, holdout: Scene | None, judged: Judged | None = None) -
         model = model.without(out)
 
 
+_Rest = tuple[Model, Remainder | None]
+"""A model, and what generic functions predict of what it leaves."""
+
 YIELDING = (*FLEXIBLE, "contact")
 """Effects that bend far enough to take part of what has no name."""
 
@@ -219,11 +222,41 @@ def _predicted(
         less, plainly = _earned(model.without([h for h in model.effects if id(h) in out]), holdout, judged)
         its_rest = strong(_left(model.bench, generic, less), judged, model.bench)
         reached, its_own = _explained(less, its_rest)
-        if reached > now + MERIT:
+        touches = [h for h in model.effects if id(h) in out and isinstance(h.effect, Contact)]
+        always = bool(touches) and all(_is_always_there(h, (model, remainder), (less, its_own)) for h in touches)
+        if reached > now + MERIT or always:
             other = judge_remainder(less, holdout, plainly, its_own)
-            if float(np.sum(other.reached / judged.floor)) < float(np.sum(judged.reached / judged.floor)):
+            # A contact is fitted to the moments that it is judged on: nothing else can do as well there.
+            if always or float(np.sum(other.reached / judged.floor)) < float(np.sum(judged.reached / judged.floor)):
                 return less, other, its_rest
     return model, judged, rest
+
+
+FORETOLD = 0.5
+"""Share of what a contact takes in its moments from which functions of the motion that foretell it make it none."""
+
+
+def _is_always_there(contact: Hypothesis, whole: _Rest, less: _Rest) -> bool:
+    """Whether what was taken for a contact follows from the motion, as a model without it and generic functions say.
+
+    Nobody pushes by the arm's position: a force that is there all along is loud wherever the arm goes far.
+
+    Args:
+        whole: the model with the contact and what is predicted of its rest; less: the same without the contact.
+    """
+    bench, channels = whole[0].bench, list(contact.raw.channels)
+    during = bench.train & np.asarray(contact.raw.values.any(axis=(1, 2)))
+
+    def left(model: Model, remainder: Remainder | None) -> Array:
+        rest = model.rest() if remainder is None else model.rest() - remainder.own(bench.width)
+        return np.asarray(np.mean(rest[during][:, channels] ** 2, axis=0) / bench.noise.sigma[channels] ** 2)
+
+    if not during.any():
+        return False
+    taken, missed = left(less[0], None) - left(*whole), left(*less) - left(*whole)
+    # A touch acts in all channels at once: one in which the motion says much does not speak for the others.
+    matters = taken > 1.0
+    return bool(matters.any() and np.all(missed[matters] <= (1.0 - FORETOLD) * taken[matters]))
 
 
 def _explained(model: Model, rest: list[adequacy.Left]) -> tuple[float, Remainder | None]:
@@ -324,7 +357,7 @@ def _said(
     findings = findings_of(model, selection, judged, glitch)
     for finding in findings:
         finding.confounded_with = confusions(model, selection, finding)
-    rest = left or beyond(judged, bench)
+    rest = left or beyond(judged, bench) or bursts(model)
     if premise.wrong or rest:
         findings.append(unknown_finding(bench, judged, rest, premise))
     verdict = verdict_of(findings, rest, premise)

@@ -13,6 +13,8 @@ from galen_hw.kinematics import Robot
 from galen_hw.spatial import Array
 
 PLAN: Final = "session.json"
+FIRST_SET: Final = "calibration-1"
+"""Registers the markers for the whole session."""
 REACH: Final = 0.55
 """Share of each joint's range, about its middle, that is visited; of the sliding joints half of that."""
 
@@ -117,7 +119,7 @@ def make_steps(
     rng = np.random.default_rng(seed)
     held = _places(robot, configurations, 11)
     calibration = _places(robot, places, 101)
-    steps = [Step("calibration-1", "calibration", [p.tolist() for p in calibration])]
+    steps = [Step(FIRST_SET, "calibration", [p.tolist() for p in calibration])]
     for turn in range(1, rounds + 1):
         for k, place in enumerate(held, start=1):
             pushes = [

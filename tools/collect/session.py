@@ -19,7 +19,7 @@ from galen_hw.recording import Recording, RecordingInfo, write_table
 from galen_hw.recording.session import Session
 from galen_hw.services.recorder import open_new
 from galen_hw.spatial import Array, inverse, transform
-from galen_hw.tools.collect.plan import Plan, Push, Step
+from galen_hw.tools.collect.plan import FIRST_SET, Plan, Push, Step
 from galen_hw.tools.collect.rows import REGISTERED, Rows, middle, tip_columns
 
 MOVE_WITHIN_S: Final = 60.0
@@ -180,6 +180,12 @@ class CollectSession:
             )
         M = np.array([middle(m) for m, _ in usable])
         B = np.array([self._tip(np.median(q, axis=0)[None])[0] for _, q in usable])
+        if step.name != FIRST_SET:
+            self._register_again()
+        if self.registration is not None:
+            # A marker that slipped makes as good a registration as before: of another tool.
+            off = np.median([self.registration.off(m, b) for m, b in zip(M, B, strict=True)], axis=0)
+            self._refuse_moved(step, self.registration, float(off[0]), float(off[1]))
         self._compare(step, register_both(M, B), len(M))
         joined = {k: np.concatenate([p[k] for p in parts]) for k in ("q", "M", "force")}
         steps = np.cumsum([0.0] + [p["time"][-1] + 1.0 for p in parts[:-1]])
@@ -243,9 +249,14 @@ class CollectSession:
         if np.count_nonzero(seen) < LEAST_FRAMES:
             return  # What is not seen is said at the end of the set.
         T_base_tip = self._tip(np.median(found["q"], axis=0)[None])[0]
-        off, limits = self.registration.off(middle(found["M"][seen]), T_base_tip), self.registration.limits
-        if off[0] > limits[0] or off[1] > limits[1]:
-            what = f"the marker is {1e3 * off[0]:.1f} mm and {1e3 * off[1]:.0f} mrad from where it was registered"
+        self._refuse_moved(step, self.registration, *self.registration.off(middle(found["M"][seen]), T_base_tip))
+
+    @staticmethod
+    def _refuse_moved(step: Step, registration: Places, off_m: float, off_rad: float) -> None:
+        """Raise if the tool's marker is farther (m, rad) from its place than noise and give explain."""
+        limits = registration.limits
+        if off_m > limits[0] or off_rad > limits[1]:
+            what = f"the marker is {1e3 * off_m:.1f} mm and {1e3 * off_rad:.0f} mrad from where it was registered"
             todo = "put marker and base back and go on, or begin a new session folder"
             raise HardwareError(what, where=step.name, todo=todo)
 
@@ -253,7 +264,7 @@ class CollectSession:
         """The registration of this session's first calibration set, when the session is taken up again."""
         if self.registration is not None:
             return
-        path = self.plan.folder / "calibration-1" / "recording.json"
+        path = self.plan.folder / FIRST_SET / "recording.json"
         try:
             kept = json.loads(path.read_text(encoding="utf-8"))["registration"]
             X, Z, position, rotation = (np.array(kept[k], dtype=float) for k in REGISTERED)
