@@ -223,7 +223,10 @@ def _predicted(
         its_rest = strong(_left(model.bench, generic, less), judged, model.bench)
         reached, its_own = _explained(less, its_rest)
         touches = [h for h in model.effects if id(h) in out and isinstance(h.effect, Contact)]
-        always = bool(touches) and all(_is_always_there(h, (model, remainder), (less, its_own)) for h in touches)
+        # Asked of contacts alone: what else leaves with them may have been there.
+        always = len(touches) == len(out) and all(
+            _is_always_there(h, (model, remainder), (less, its_own)) for h in touches
+        )
         if reached > now + MERIT or always:
             other = judge_remainder(less, holdout, plainly, its_own)
             # A contact is fitted to the moments that it is judged on: nothing else can do as well there.
