@@ -166,8 +166,10 @@ class Scene:
         return self._derivatives(self.band)
 
     def _derivatives(self, band: float | None) -> tuple[Array, Array]:
-        velocity = self.observations.joints("velocity") if self.observations.predict != "position" else None
-        return derivatives(self.time, self.q, self.segments, velocity, band)
+        # Positions are predicted from commands, which nobody measures.
+        measured = self.observations.predict != "position"
+        velocity = self.observations.joints("velocity") if measured else None
+        return derivatives(self.time, self.q, self.segments, velocity, band, fine=measured)
 
     @cached_property
     def band(self) -> float | None:
@@ -214,7 +216,8 @@ class Scene:
     @cached_property
     def simulated_rate(self) -> Array:
         """(N, C) time derivative of the simulated channels."""
-        return derivatives(self.time, self.simulated, self.segments)[0]
+        measured = self.observations.predict != "position"
+        return derivatives(self.time, self.simulated, self.segments, fine=measured)[0]
 
     def joint_index(self, name: str) -> int:
         """Place of a joint."""

@@ -82,7 +82,7 @@ def denoised(x: Array) -> Array:
     return line
 
 
-def _derived(x: Array, dt: float, band: float | None) -> Array:
+def _derived(x: Array, dt: float, band: float | None, *, fine: bool) -> Array:
     """(3, N) signal without noise, first and second derivative: low-passed at a given band (Hz), else by Wiener's filter.
 
     The odd continuation beyond an end has a bend there, which Wiener's filter carries further in than the low-pass does:
@@ -91,13 +91,13 @@ def _derived(x: Array, dt: float, band: float | None) -> Array:
     found = band or motion_band(x, dt)
     plain = low_passed(x, dt, found)
     plain = np.stack([plain, *_rates(plain, dt)])
-    if band is not None:
+    if band is not None or not fine:
         return plain
-    fine = denoised(x)
-    fine = np.stack([fine, *_rates(fine, dt)])
+    best = denoised(x)
+    best = np.stack([best, *_rates(best, dt)])
     reach, at = END / (CUT * found * dt), np.arange(len(x))
     inside = np.clip(np.minimum(at, at[::-1]) / max(4.0 * reach, 1.0) - 1.0, 0.0, 1.0)
-    return np.asarray(plain + inside * (fine - plain))
+    return np.asarray(plain + inside * (best - plain))
 
 
 def low_passed(x: Array, dt: float, band: float) -> Array:
@@ -162,12 +162,19 @@ def isolated(x: Array) -> NDArray[np.bool_]:
 
 
 def derivatives(
-    time: Array, x: Array, segments: list[slice], velocity: Array | None = None, band: float | None = None
+    time: Array,
+    x: Array,
+    segments: list[slice],
+    velocity: Array | None = None,
+    band: float | None = None,
+    *,
+    fine: bool = True,
 ) -> tuple[Array, Array]:
     """First and second derivative (N, n) of signals (N, n) over time (N,) in s, each segment by itself.
 
     A measured velocity is believed and differentiated once. Uneven samples go over an even grid. Noise is filtered off, by
-    Wiener's filter or by the low-pass of a given band (Hz). Segments of fewer than five samples get zeros.
+    Wiener's filter (if `fine`; commands have no noise to speak of) or by the low-pass of a given or found band (Hz).
+    Segments of fewer than five samples get zeros.
     """
     first, second = np.zeros_like(x), np.zeros_like(x)
     for part in segments:
@@ -182,7 +189,7 @@ def derivatives(
             measured = None if velocity is None or np.isnan(velocity[part, j]).any() else velocity[part, j]
             source = x[part, j] if measured is None else measured
             on_grid = source if even else np.interp(grid, t, source)
-            derived = _derived(on_grid, step, band)
+            derived = _derived(on_grid, step, band, fine=fine)
             if not even:
                 derived = CubicSpline(grid, derived, axis=1)(t)
             first[part, j], second[part, j] = derived[1:] if measured is None else derived[:2]
