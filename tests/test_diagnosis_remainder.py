@@ -162,20 +162,6 @@ def test_what_warms_up_moves_several_zeros_with_one_constant() -> None:
         assert abs(value.value - size) < 3.0 * value.std
 
 
-def swelling(bench: Bench, size: float) -> Bench:
-    """A force that grows with the fourth power of how far two joints have gone to one side together."""
-    together = bench.q[:, 3] * bench.q[:, 4] / 0.16
-    bench.wrench[:, 2] += size * SIGMA[2] * np.maximum(together, 0.0) ** 2
-    return bench
-
-
-def test_what_stands_in_few_moments_does_not_pass_for_slow_noise() -> None:
-    """No function that is tried catches it all: the spectrum alone would call it noise, eleven times the sensor's own."""
-    work = judged(swelling(Bench(1, rows=3000), 8.0))
-    assert work.diagnosis.verdict in ("unexplained", "partly_explained")
-    assert "unknown" in named(work)
-
-
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_force_that_is_there_all_along_is_no_contact(seed: int) -> None:
     """It is loud where the arm goes far, and functions of the motion foretell it: nobody pushes by the arm's position."""

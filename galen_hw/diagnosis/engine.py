@@ -22,7 +22,7 @@ from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import FLEXIBLE, at_first_sight, library, select
 from galen_hw.diagnosis.selection import Selection
-from galen_hw.diagnosis.verdict import beyond, bursts, strong, verdict_of
+from galen_hw.diagnosis.verdict import beyond, strong, verdict_of
 from galen_hw.diagnosis.wanted import poor
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.event_effects import Contact, Glitches
@@ -360,7 +360,7 @@ def _said(
     findings = findings_of(model, selection, judged, glitch)
     for finding in findings:
         finding.confounded_with = confusions(model, selection, finding)
-    rest = left or beyond(judged, bench) or bursts(model)
+    rest = left or beyond(judged, bench)
     if premise.wrong or rest:
         findings.append(unknown_finding(bench, judged, rest, premise))
     verdict = verdict_of(findings, rest, premise)

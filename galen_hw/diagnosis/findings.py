@@ -15,7 +15,6 @@ from galen_hw.diagnosis.select import CHANCE
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.sizes import SIGNAL, headline
 from galen_hw.diagnosis.variables import joint_units
-from galen_hw.diagnosis.verdict import BURSTS
 from galen_hw.diagnosis.wander import frequency_spread
 from galen_hw.diagnosis.words import BELIEVED, SAYS
 from galen_hw.physics.event_effects import Glitches, Vibration
@@ -216,11 +215,6 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
             says = (
                 f"Structure is left in {where} that no named effect explains: {dependence(best.kind, bench.scene)}, "
                 f"which makes up {100 * share:.2g} % of what is left and holds on blocks that it was not fitted on."
-            )
-        elif best.kind == BURSTS:
-            says = (
-                f"What is left in {where} is slow and yet {100 * share:.2g} % of it stands in few moments, as no noise does; "
-                "nothing that was tried explains it."
             )
         else:
             says = (

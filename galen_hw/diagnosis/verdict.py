@@ -4,14 +4,10 @@ import numpy as np
 
 from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench
-from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.guards import Premise
 from galen_hw.diagnosis.judge import Judged
 from galen_hw.diagnosis.result import Finding, Verdict
 
-BURSTS = "bursts"
-FEWEST = 200
-"""Rows below which a kurtosis is luck."""
 BEYOND = 1.5
 """Held-out mean square over the noise's above which something is left, whether or not any function tried has caught it."""
 SURE = 6.0
@@ -36,33 +32,6 @@ def beyond(judged: Judged, bench: Bench) -> list[Left]:
         for c in np.argsort(-ratio)
         if ratio[c] > enough[c]
     ]
-
-
-SMOOTH = 0.8
-"""Correlation of neighbouring rows from which what is left is slow."""
-PEAKED = 12.0
-"""Kurtosis beyond any slow noise's: 3 for a normal one, and sums over many rows become normal."""
-
-
-def bursts(model: Model) -> list[Left]:
-    """Channels whose rest is slow and yet nearly all of it in few moments: no noise does that, whatever its spectrum.
-
-    The spectrum alone would call it slow noise and the recording explained, if no function that was tried catches it.
-    """
-    bench, out = model.bench, []
-    rest, none = model.rest()[~bench.dropped], np.zeros((len(bench.rows), 0))
-    rest = rest - rest.mean(axis=0)
-    square = np.mean(rest**2, axis=0)
-    if not bench.scene.clock or len(rest) < FEWEST:
-        return []
-    for c in np.flatnonzero(square > 0.0).tolist():
-        peaked = float(np.mean(rest[:, c] ** 4) / square[c] ** 2)
-        together = float(np.mean(rest[1:, c] * rest[:-1, c]) / square[c])
-        if together > SMOOTH and peaked > PEAKED:
-            usual = float(np.median(np.abs(rest[:, c])) / 0.6745)
-            share = max(0.0, 1.0 - usual**2 / float(square[c]))
-            out.append(Left(c, BURSTS, peaked, share, float(np.sqrt(square[c])), none))
-    return sorted(out, key=lambda left: -left.z)
 
 
 def strong(left: list[Left], judged: Judged, bench: Bench) -> list[Left]:
