@@ -1,6 +1,7 @@
 """End to end, over ptys and ZeroMQ: collect on a virtual arm that gives, stop, go on, fit, and serve the model."""
 
 import json
+import signal
 import subprocess
 import sys
 from collections import deque
@@ -102,16 +103,8 @@ def test_a_session_that_was_stopped_goes_on_and_ends_in_a_corrected_pose(
     """Ctrl-C after the registration, a marker that slips, then the rest; the model that is fitted halves the tip's error."""
     addresses, state = daemon
     folder = tmp_path / "session"
-    command = [sys.executable, "-u", "-m", "galen_hw.cli", *collect(addresses, folder)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as stopped:
-        assert stopped.stdout is not None
-        lines = []
-        for line in stopped.stdout:
-            lines.append(line)
-            if "calibration-1: kept" in line:
-                stopped.send_signal(2)
-        assert stopped.wait(20) == 130
-    assert any("go on with" in line for line in lines)
+    # A busy machine can lose so many frames of a set that it is not kept: then the command is given again, as one would.
+    assert any(stopped_once_registered(collect(addresses, folder)) == 130 for _ in range(TRIES))
     kept = folder / "calibration-1" / "recording.csv"
     before = kept.read_bytes()
 
@@ -125,7 +118,6 @@ def test_a_session_that_was_stopped_goes_on_and_ends_in_a_corrected_pose(
         world.fault("tracker.moved_marker", on=False)
     assert "from where it was registered" in capfd.readouterr().err
 
-    # A busy machine can lose so many frames of a set that it is not kept: then the command is given again, as one would.
     assert any(main(collect(addresses, folder)) == 0 for _ in range(TRIES))
     assert kept.read_bytes() == before, "what was kept is not touched"
     names = {"calibration-1", "place1-1", "place2-1", "place3-1", "calibration-2"}
@@ -141,6 +133,21 @@ def test_a_session_that_was_stopped_goes_on_and_ends_in_a_corrected_pose(
     assert DeflectionStore(state).load("retractor").model in {"elastic arm", "coupled linear"}
     reported, corrected = served(addresses)
     assert corrected < 0.5 * reported, f"{1e3 * reported:.2f} mm reported, {1e3 * corrected:.2f} mm corrected"
+
+
+def stopped_once_registered(words: list[str]) -> int:
+    """Exit status of a collection that Ctrl-C stops after its first set, if it gets so far."""
+    command = [sys.executable, "-u", "-m", "galen_hw.cli", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as collecting:
+        assert collecting.stdout is not None
+        lines = []
+        for line in collecting.stdout:
+            lines.append(line)
+            if "calibration-1: kept" in line:
+                collecting.send_signal(signal.SIGINT)
+        status = collecting.wait(20)
+    assert status != 130 or any("go on with" in line for line in lines)
+    return status
 
 
 def served(addresses: Addresses) -> tuple[float, float]:
