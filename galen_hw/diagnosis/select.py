@@ -5,7 +5,8 @@ import numpy as np
 from galen_hw.diagnosis import seek
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.linear import crossed, rests
-from galen_hw.diagnosis.nonlinear import ahead, bent, in_place, load, polished, retime, settle, unbent
+from galen_hw.diagnosis.nonlinear import bent, in_place, load, polished, retime, settle, unbent
+from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
 from galen_hw.diagnosis.score import Score, Scorer, threshold
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.worth import WORTH, asked, plausible, worth
@@ -152,82 +153,6 @@ def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int,
     return sorted([*able, *(i for i in fresh if i in scores)], key=lambda i: -scores[i].rank)
 
 
-SLACK = 0.25
-NOISE_ALONE = 1.1
-"""Whitened mean square up to which a model is taken to leave noise alone: rounded readings are not quite white."""
-
-
-PLAIN = {
-    "time_delay": 0,
-    "bias": 0,
-    "joint_offset": 0,
-    "gain": 1,
-    "payload": 1,
-    "base_tilt": 1,
-    "friction": 1,
-    "backlash": 1,
-    "lag": 2,
-}
-"""Of look-alikes that do nearly as well while the model still misses much, the plainer goes first."""
-
-
-def _slack(misfit: float) -> float:
-    """Share of a gain that is no evidence between look-alikes; none where hardly more than noise is left."""
-    return SLACK * float(np.clip(misfit - NOISE_ALONE, 0.0, 1.0))
-
-
-ALIKE = 0.002
-"""Share of a gain, and of an error on blocks left out, that decides nothing unless the blocks agree on it."""
-AGREED = 1.64
-"""Standard errors over the blocks from which a small difference of likelihood is evidence (one side, 5 %)."""
-TIE = 2.0
-"""Difference of rank within which two hypotheses count as equal."""
-
-
-def plainest(
-    bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], able: list[int], misfit: float
-) -> int:
-    """The plainest hypothesis that reaches nearly the gain of the best: the margin grows with what the model misses.
-
-    Where only noise is left (misfit 1) the likelihood decides, but for ties; where physics is missing, small differences of
-    likelihood between look-alikes are that physics, not evidence.
-    """
-    best = able[0]
-    share = _slack(misfit)
-    slack = share * scores[best].gain
-    slack = slack if slack > 6.0 else TIE
-    alike = max(slack, ALIKE * scores[best].gain)
-
-    def cost(i: int) -> tuple[int, int, float]:
-        return (_plainness(scorer, i), scores[i].count, -scores[i].rank)
-
-    for i in sorted((i for i in able if scores[i].rank >= scores[best].rank - alike), key=cost):
-        if scores[i].rank >= scores[best].rank - slack or ahead(bench, scorer, chosen, best, i) < AGREED:
-            return i
-    return best
-
-
-def _plainness(scorer: Scorer, i: int) -> int:
-    """The lower, the plainer."""
-    effect = scorer.library[i].effect
-    return PLAIN.get("" if effect is None else effect.KEY, 3)
-
-
-def _favour(scorer: Scorer, i: int, j: int) -> int:
-    """1 where j is plainer than i, -1 where i is, 0 where neither is."""
-    return int(np.sign(_plainness(scorer, i) - _plainness(scorer, j)))
-
-
-def _handicap(bench: Bench, scorer: Scorer, others: list[int], i: int, j: int, rivals: dict[int, Score]) -> float:
-    """What is added to the rank of j in the place of i: the plainer is better where the blocks do not agree on the other."""
-    favour, alike = _favour(scorer, i, j), ALIKE * rivals[i].gain
-    lead = favour * (rivals[i].rank - rivals[j].rank)
-    if not favour or lead <= TIE or lead > alike:
-        return favour * alike
-    plainer, leader = (j, i) if favour > 0 else (i, j)
-    return favour * alike if ahead(bench, scorer, others, leader, plainer) < AGREED else 0.0
-
-
 def place_of(effect: Effect | None) -> tuple[str, ...]:
     """Where an effect sits: one hypothesis of a kind a place; those of moments may stand side by side."""
     if effect is None or effect.KEY in ("step", "vibration", "torque_ripple", "contact"):
@@ -262,12 +187,12 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
             continue
         # A plainer one need not be better, only as good: what came first in an earlier turn must not decide.
         with unbent(scorer, i):
-            able = {j: s.rank + _handicap(bench, scorer, others, i, j, rivals) for j, s in rivals.items() if j != i}
+            able = {j: s.rank + handicap(bench, scorer, others, i, j, rivals) for j, s in rivals.items() if j != i}
         better = sorted((j for j in able if able[j] > rivals[i].rank), key=lambda j: -able[j])
         best = next((j for j in better[:TRIES] if plausible(bench, scorer, others, j)), i)
         misfit = scorer.misfit([*others, best])
-        margin = 6.0 + _slack(misfit) * rivals[i].gain
-        if best in _kin(scorer, i) or (best != i and _favour(scorer, i, best) > 0):
+        margin = 6.0 + slack(misfit) * rivals[i].gain
+        if best in _kin(scorer, i) or (best != i and favour(scorer, i, best) > 0):
             margin = 1.0  # the same thing at a better value, or a plainer one that does as well
         if best == i or able[best] <= rivals[i].rank + margin:
             continue
@@ -319,7 +244,7 @@ def _split(bench: Bench, scorer: Scorer, out: Selection) -> bool:
             chains = [_chain(scorer, others, a, ranks, out.needed) for a in firsts]
         total, chain = max(chains, default=(0.0, []), key=lambda x: x[0])
         misfit = scorer.misfit(out.chosen)
-        if len(chain) < 2 or total < ranks[i].rank + 6.0 + _slack(misfit) * ranks[i].gain:
+        if len(chain) < 2 or total < ranks[i].rank + 6.0 + slack(misfit) * ranks[i].gain:
             continue
         real = all(plausible(bench, scorer, [*others, *(x for x in chain if x != one)], one) for one in chain)
         before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, [*others, *chain])
