@@ -11,9 +11,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 from diagnosis_cases import SIGMA, WRENCH, Bench
 
 from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.findings import dependence
 from galen_hw.diagnosis.generic import Inputs, dictionaries
 from galen_hw.diagnosis.remainder import learn
 from galen_hw.diagnosis.rows import Rows
+from galen_hw.diagnosis.seek import spikes
 from galen_hw.diagnosis.wanted import support
 from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.table import scene_of
@@ -170,3 +172,41 @@ def test_a_force_that_is_there_all_along_is_no_contact(seed: int) -> None:
     work = judged(bench)
     assert "contact" not in named(work)
     assert "unknown" in named(work)
+
+
+def test_a_force_in_a_corner_of_the_motion_is_neither_slow_noise_nor_a_touch() -> None:
+    """It is there whenever roll and tilt go far to the same side: seldom, loud, and foretold by where the joints are."""
+    bench = Bench(2, rows=6000, rate=50.0)
+    roll, tilt = (bench.q[:, k] / bench.q[:, k].std() for k in (3, 4))
+    corner = np.maximum(roll * tilt, 0.0) ** 2
+    bench.wrench[:, 2] += 3.0 * SIGMA[2] * corner / corner.std()
+    work = judged(bench)
+    assert (work.diagnosis.verdict, named(work)) == ("unexplained", ["unknown"])
+    assert "roll and tilt together" in dependence("input 4 and input 5 together", work.bench.scene)
+
+
+def test_noise_with_heavy_tails_has_no_glitches() -> None:
+    """Far samples that are but the end of a tail of nearer ones; as far ones out of nothing are glitches."""
+    bench = Bench(12, rows=6000, rate=50.0)
+    heavy = np.random.default_rng(12).standard_t(4, size=bench.noise.shape)
+    bench.noise = heavy / heavy.std(axis=0) * SIGMA
+    assert spikes(scene_of(bench.observations()).raw_residual, (slice(0, 6000),)).any()
+    work = judged(bench)
+    assert (work.diagnosis.verdict, named(work)) == ("agrees", [])
+    other = Bench(12, rows=6000, rate=50.0)
+    other.wrench[[900, 2500, 4400], 1] += 12.0 * SIGMA[1]
+    assert named(judged(other)) == ["glitches"]
+
+
+def test_noise_that_grows_ever_slower_is_not_what_a_model_leaves() -> None:
+    """Flicker noise moves the held-out blocks by more than what a recording can measure of its spectrum."""
+    bench = Bench(14, rows=6000, rate=50.0)
+    frequency = np.fft.rfftfreq(6000)
+    frequency[0] = frequency[1]
+    flicker = np.fft.irfft(
+        np.fft.rfft(bench.rng.normal(size=(6000, 6)), axis=0) / np.sqrt(frequency)[:, None], n=6000, axis=0
+    )
+    bench.noise = flicker / flicker.std(axis=0) * SIGMA
+    work = judged(bench)
+    assert work.diagnosis.verdict == "agrees"
+    assert np.all(work.bench.noise.slower > 1.1)

@@ -1,13 +1,16 @@
 """What physics left over, and where: whether any function of the known inputs and their past explains it."""
 
+import itertools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from joblib import Parallel, delayed
 from scipy.stats import chi2
 
 from galen_hw.diagnosis.algebra import orthonormal, scaled
 from galen_hw.diagnosis.bench import Bench, rich_basis
-from galen_hw.diagnosis.generic import Inputs, dictionaries
+from galen_hw.diagnosis.generic import Inputs, broad, local
 from galen_hw.diagnosis.rows import Index
 from galen_hw.physics.effect import Columns
 from galen_hw.spatial import Array
@@ -18,6 +21,10 @@ LEAST_RIDGE = 0.1
 """Of a function a tenth at least must lie in the blocks that it is learnt on before it is half believed in the others."""
 T_NEEDED = 3.0
 """Standard errors by which generic functions must win on blocks that they were not fitted on."""
+LEAST_OWN = 1e-6
+"""Share of a function's square that the model must not be able to do."""
+T_SHUFFLED, Z_SHUFFLED, SHUFFLES = 1.2, 8.0, 60
+"""And fewer where shuffled blocks show that no order of the same blocks is predicted nearly so well, by standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -41,23 +48,34 @@ class Left:
     place: int = 0
 
 
-def families(bench: Bench) -> list[tuple[str, Array]]:
-    """The generic functions of a bench as orthonormal bases (M, k), a constant first, the strongest directions next."""
+class Family(NamedTuple):
+    """Generic functions of one kind: what they are of, an orthonormal basis (M, k) of them, whether they are local."""
+
+    kind: str
+    basis: Array
+    local: bool
+
+
+def families(bench: Bench) -> list[Family]:
+    """The generic functions of a bench, in each family a constant first, the strongest directions next."""
     ones, most = np.ones((len(bench.rows), 1)), max(int((~bench.dropped).sum()) // 6, 3)
-    all_of_them = dictionaries(Inputs.of(bench.scene, bench.rows))
-    return [(kind, rich_basis(ones, [X], 12 * min(most, X.shape[1]))) for kind, X in all_of_them if X.shape[1]]
+    inputs = Inputs.of(bench.scene, bench.rows)
+    return [
+        Family(kind, rich_basis(ones, [X], 12 * min(most, X.shape[1])), is_local)
+        for is_local, functions in ((False, broad), (True, local))
+        for kind, X in functions(inputs)
+        if X.shape[1]
+    ]
 
 
-def compact(bench: Bench, generic: list[tuple[str, Array]]) -> list[Columns]:
-    """The leading directions of every family, in all channels: what they explain must not pass for noise."""
+def compact(bench: Bench, generic: list[Family]) -> list[Columns]:
+    """The leading directions of every broad family, in all channels: what they explain must not pass for noise."""
     if len(bench.rows) < 2000:
         return []
-    return [Columns((c,), X[:, None, 1:9]) for _, X in generic for c in range(bench.width)]
+    return [Columns((c,), one.basis[:, None, 1:9]) for one in generic if not one.local for c in range(bench.width)]
 
 
-def leftovers(
-    bench: Bench, generic: list[tuple[str, Array]], model: list[Columns], rest: Array, white: Array
-) -> list[Left]:
+def leftovers(bench: Bench, generic: list[Family], model: list[Columns], rest: Array, white: Array) -> list[Left]:
     """Structure in the rest (M, C) of a model, strongest first; only what also predicts blocks it was not fitted on.
 
     Args:
@@ -65,63 +83,89 @@ def leftovers(
         model: whitened columns of nuisances and effects, so that generic functions get no credit for what these could do.
         rest, white: the model's rest, raw and whitened.
     """
-    good = ~bench.dropped
-    block = bench.block[good]
-    out: list[Left] = []
-    transformed = [bench.noise.transformed(X) for _, X in generic]
-    for c in range(bench.width):
+    good, known = ~bench.dropped, [bench.noise.transformed(one.basis) for one in generic]
+
+    def of(c: int) -> list[Left]:
         own = [x.values[:, x.channels.index(c)] for x in model if c in x.channels and x.count]
         base = orthonormal(scaled(np.concatenate([*own, np.zeros((len(rest), 0))], axis=1)[good]), weakest=1e-12)
         y = white[good, c] - base @ (base.T @ white[good, c])
-        for place, ((kind, X), known) in enumerate(zip(generic, transformed, strict=True)):
-            Xw = bench.noise.whitened(known, c)[good]
-            V, A = _beside(Xw, base)
-            k = V.shape[1]
-            if not k:
-                continue
-            projected = V.T @ (A.T @ y)
-            T = float(projected @ projected)
-            z = (T - k) / np.sqrt(2.0 * k)
-            if z < Z_NEEDED or chi2.sf(T, k) > CHANCE / (len(generic) * bench.width):
-                continue
-            sure, gain = _crossed(A @ V, y, block, ridge=LEAST_RIDGE + k / T)
-            if sure >= T_NEEDED:
-                share = gain / max(float(y @ y), 1e-300)
-                w = V @ projected  # slow structure is larger in raw units than the whitening makes it look
-                size = float(np.sqrt(gain / len(y)) * np.std(X[good] @ w) / max(np.std(Xw @ w), 1e-300))
-                out.append(Left(c, kind, z, share, size, X, place))
-    return sorted(out, key=lambda left: -left.z)
+        out = []
+        for place, (one, transformed) in enumerate(zip(generic, known, strict=True)):
+            Xw = bench.noise.whitened(transformed, c)[good]
+            found = _found(Xw, base, y, bench.block[good], CHANCE / (len(generic) * bench.width))
+            if found is not None:
+                z, gain, w = found
+                # Slow structure is larger in raw units than the whitening makes it look.
+                size = float(np.sqrt(gain / len(y)) * np.std(one.basis[good] @ w) / max(np.std(Xw @ w), 1e-300))
+                out.append(Left(c, one.kind, z, gain / max(float(y @ y), 1e-300), size, one.basis, place))
+        return out
+
+    each = Parallel(n_jobs=2, require="sharedmem")(delayed(of)(c) for c in range(bench.width))
+    return sorted(itertools.chain(*each), key=lambda left: -left.z)
 
 
-def _beside(Xw: Array, base: Array) -> tuple[Array, Array]:
-    """Columns less what the model can do, A (n, k), and V so that A V is orthonormal."""
-    A = Xw - base @ (base.T @ Xw)
-    size = np.linalg.norm(A, axis=0)
-    own = size > 1e-3 * np.linalg.norm(Xw, axis=0)
-    if not own.any():
-        return np.zeros((A.shape[1], 0)), A
-    value, vector = np.linalg.eigh((A[:, own].T @ A[:, own]) / np.outer(size[own], size[own]))
-    good = value > 1e-6 * max(float(value[-1]), 1e-300)
-    V = np.zeros((A.shape[1], int(good.sum())))
-    V[own] = vector[:, good] / np.sqrt(value[good]) / size[own, None]
-    return V, A
+def _found(Xw: Array, base: Array, y: Array, block: Index, chance: float) -> tuple[float, float, Array] | None:
+    """Whether columns (n, k) explain a rest (n,) more than chance does: z, gain on blocks left out, weights (k,) of the columns.
+
+    Args:
+        base: (n, r) orthonormal, what the model can do; the rest has no part in it.
+    """
+    B = base.T @ Xw
+    squares, V = np.einsum("nk,nk->k", Xw, Xw), np.zeros((Xw.shape[1], 0))
+    own = squares - np.einsum("rk,rk->k", B, B) > LEAST_OWN * squares
+    if own.any():
+        # Inner products of the columns less what the model can do.
+        G = Xw[:, own].T @ Xw[:, own] - B[:, own].T @ B[:, own]
+        size = np.sqrt(np.diag(G))
+        value, vector = np.linalg.eigh(G / np.outer(size, size))
+        good = value > LEAST_OWN * float(value[-1])
+        V = np.zeros((Xw.shape[1], int(good.sum())))
+        V[own] = vector[:, good] / np.sqrt(value[good]) / size[:, None]
+    k, projected = V.shape[1], V.T @ (Xw.T @ y)
+    T = float(projected @ projected)
+    z = (T - k) / np.sqrt(2.0 * max(k, 1))
+    if not k or z < Z_NEEDED or chi2.sf(T, k) > chance:
+        return None
+    U, ridge = (Xw - base @ B) @ V, LEAST_RIDGE + k / T
+    each = _crossed(U, y[:, None], block, ridge=ridge)[:, 0]
+    sure = _sureness(each)
+    if sure < T_NEEDED and not (sure >= T_SHUFFLED and _beyond_shuffled(U, y, block, ridge=ridge)):
+        return None
+    return z, float(each.sum()), V @ projected
 
 
-def _crossed(U: Array, y: Array, block: Index, *, ridge: float, folds: int = 5) -> tuple[float, float]:
-    """How surely orthonormal functions U (n, k) predict blocks that they were not fitted on: mean gain over its error; gain.
+def _crossed(U: Array, Y: Array, block: Index, *, ridge: float, folds: int = 5) -> Array:
+    """(blocks, m) falls of the sums of squares of m residuals Y (n, m) by orthonormal functions U (n, k) learnt on other blocks.
 
     Ridge regression, so that many functions of which few matter may win and none is trusted that mostly lives in the blocks
     left out. Blocks are the unit: slow noise inside a block is one piece of luck.
     """
-    fold = np.unique(block, return_inverse=True)[1] % folds
-    gain = np.zeros(len(y))
+    number = np.unique(block, return_inverse=True)[1]
+    fold, gain = number % folds, np.zeros(Y.shape)
     for f in range(folds):
         learn, judge = fold != f, fold == f
         if not judge.any() or not learn.any():
             continue
         G = U[learn].T @ U[learn] + ridge * np.eye(U.shape[1])
-        predicted = U[judge] @ np.linalg.solve(G, U[learn].T @ y[learn])
-        gain[judge] = predicted * (2.0 * y[judge] - predicted)
-    each = np.bincount(block, gain)[np.unique(block)]
+        predicted = U[judge] @ np.linalg.solve(G, U[learn].T @ Y[learn])
+        gain[judge] = predicted * (2.0 * Y[judge] - predicted)
+    return np.stack([np.bincount(number, column) for column in gain.T], axis=-1)
+
+
+def _sureness(each: Array) -> float:
+    """Mean gain of the blocks over its standard error."""
     spread = float(np.std(each, ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else np.inf
-    return float(np.mean(each)) / max(spread, 1e-300), float(gain.sum())
+    return float(np.mean(each)) / max(spread, 1e-300)
+
+
+def _beyond_shuffled(U: Array, y: Array, block: Index, *, ridge: float) -> bool:
+    """Whether functions predict blocks left out far better than they predict the same blocks in another order.
+
+    What acts in a few corners of the motion lies in a few blocks: their gains differ so much that a mean over its error says
+    little. That the rest is large at just the moments that the motion foretells is no luck.
+    """
+    rng = np.random.default_rng(len(y))
+    pieces = [np.flatnonzero(block == b) for b in np.unique(block)]
+    shuffled = [np.concatenate([pieces[i] for i in rng.permutation(len(pieces))]) for _ in range(SHUFFLES)]
+    gains = _crossed(U, np.stack([y, *(y[order] for order in shuffled)], axis=-1), block, ridge=ridge).sum(axis=0)
+    return bool(gains[0] > np.mean(gains[1:]) + Z_SHUFFLED * np.std(gains[1:]))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from joblib import Parallel, delayed
+from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
 from galen_hw.diagnosis import adequacy, seek
@@ -19,6 +20,7 @@ from galen_hw.diagnosis.judge import Judged, judge, judge_remainder
 from galen_hw.diagnosis.locate import channels_of, episodes_of, where_of
 from galen_hw.diagnosis.remainder import Remainder, learn
 from galen_hw.diagnosis.result import Diagnosis
+from galen_hw.diagnosis.rows import Mask
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import FLEXIBLE, at_first_sight, library, select
 from galen_hw.diagnosis.selection import Selection
@@ -107,7 +109,7 @@ def diagnose(
         left = _left(bench, generic, model)
     glitch = [] if premise.wrong else _confirmed(glitch, model)
     left = strong(left, judged, bench)
-    if left and not premise.wrong:
+    if (left or _touches(model)) and not premise.wrong:
         model, judged, left = _predicted(generic, model, holdout, judged, left)
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
     diagnosis.holdout = judged.name
@@ -122,7 +124,7 @@ class _Known:
     effects: list[tuple[Effect, Array]]
     left: dict[int, str]
 
-    def columns(self, bench: Bench, generic: list[tuple[str, Array]]) -> list[Columns]:
+    def columns(self, bench: Bench, generic: list[adequacy.Family]) -> list[Columns]:
         """On the rows of a bench: what must not pass for noise."""
         out = [bench.raw(effect) for effect, _ in self.effects]
         everywhere = tuple(range(bench.width))
@@ -131,7 +133,7 @@ class _Known:
             if change is not None:
                 out.append(Columns(everywhere, bench.rows.average(change)[:, :, None]))
         for channel, kind in self.left.items():
-            out += [Columns((channel,), X[:, None, :]) for name, X in generic if name == kind]
+            out += [Columns((channel,), one.basis[:, None, :]) for one in generic if one.kind == kind]
         return out
 
 
@@ -163,7 +165,7 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
 
 
 def _searched(
-    bench: Bench, effects: list[Effect], columns: list[Columns], generic: list[tuple[str, Array]], *, blind: bool
+    bench: Bench, effects: list[Effect], columns: list[Columns], generic: list[adequacy.Family], *, blind: bool
 ) -> tuple[Selection, Model, list[adequacy.Left]]:
     """The chosen model under the present noise, and what it leaves."""
     hypotheses = [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)]
@@ -171,7 +173,7 @@ def _searched(
     return selection, model, _left(bench, generic, model)
 
 
-def _left(bench: Bench, generic: list[tuple[str, Array]], model: Model) -> list[adequacy.Left]:
+def _left(bench: Bench, generic: list[adequacy.Family], model: Model) -> list[adequacy.Left]:
     return adequacy.leftovers(bench, generic, [h.white for h in model.parts], model.rest(), model.rest(white=True))
 
 
@@ -209,7 +211,7 @@ YIELDING = (*FLEXIBLE, "contact")
 
 
 def _predicted(
-    generic: list[tuple[str, Array]], model: Model, holdout: Scene | None, judged: Judged, rest: list[adequacy.Left]
+    generic: list[adequacy.Family], model: Model, holdout: Scene | None, judged: Judged, rest: list[adequacy.Left]
 ) -> tuple[Model, Judged, list[adequacy.Left]]:
     """What is left predicted without a name, where held-out data support that.
 
@@ -222,7 +224,7 @@ def _predicted(
         less, plainly = _earned(model.without([h for h in model.effects if id(h) in out]), holdout, judged)
         its_rest = strong(_left(model.bench, generic, less), judged, model.bench)
         reached, its_own = _explained(less, its_rest)
-        touches = [h for h in model.effects if id(h) in out and isinstance(h.effect, Contact)]
+        touches = [h for h in _touches(model) if id(h) in out]
         # Asked of contacts alone: what else leaves with them may have been there.
         always = len(touches) == len(out) and all(
             _is_always_there(h, (model, remainder), (less, its_own)) for h in touches
@@ -240,7 +242,7 @@ FORETOLD = 0.5
 
 
 def _is_always_there(contact: Hypothesis, whole: _Rest, less: _Rest) -> bool:
-    """Whether what was taken for a contact follows from the motion, as a model without it and generic functions say.
+    """Whether what was taken for a contact follows from the motion, as generic functions learnt on other blocks say.
 
     Nobody pushes by the arm's position: a force that is there all along is loud wherever the arm goes far.
 
@@ -251,7 +253,7 @@ def _is_always_there(contact: Hypothesis, whole: _Rest, less: _Rest) -> bool:
     during = bench.train & np.asarray(contact.raw.values.any(axis=(1, 2)))
 
     def left(model: Model, remainder: Remainder | None) -> Array:
-        rest = model.rest() if remainder is None else model.rest() - remainder.own(bench.width)
+        rest = model.rest() if remainder is None else model.rest() - remainder.crossed
         return np.asarray(np.mean(rest[during][:, channels] ** 2, axis=0) / bench.noise.sigma[channels] ** 2)
 
     if not during.any():
@@ -260,6 +262,10 @@ def _is_always_there(contact: Hypothesis, whole: _Rest, less: _Rest) -> bool:
     # A touch acts in all channels at once: one in which the motion says much does not speak for the others.
     matters = taken > 1.0
     return bool(matters.any() and np.all(missed[matters] <= (1.0 - FORETOLD) * taken[matters]))
+
+
+def _touches(model: Model) -> list[Hypothesis]:
+    return [h for h in model.effects if isinstance(h.effect, Contact)]
 
 
 def _explained(model: Model, rest: list[adequacy.Left]) -> tuple[float, Remainder | None]:
@@ -327,6 +333,8 @@ def _glitches(bench: Bench) -> list[Glitches]:
 
 FAR = 6.0
 """Standard deviations by which a glitch must stand off what the model says, not only off its neighbours."""
+NEAR, TAIL = 3.5, 3.0
+"""Noise with heavy tails: so many times more samples between so many standard deviations and `FAR` than beyond it."""
 
 
 def _confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
@@ -340,11 +348,20 @@ def _confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
         channels = [bench.scene.channels.index(name) for name in one.channels]
         rest = bench.scene.raw_residual[rows] - explained[place[rows]]
         far = np.abs(rest) > FAR * np.sqrt(bench.rows.stride) * bench.noise.sigma
+        far &= ~_heavy_tailed(bench.scene.raw_residual - explained[place], bench, far.sum(axis=0))
         kept = far[:, channels].any(axis=1)
         names = tuple(bench.scene.channels[c] for c in channels if far[kept, c].any())
         if kept.sum() >= FEWEST:
             out.append(Glitches(names, tuple(int(r) for r in rows[kept])))
     return out
+
+
+def _heavy_tailed(rest: Array, bench: Bench, far: Array) -> Mask:
+    """(C,) whether a channel's far samples (C,) are but the end of a tail that thins out towards them (N, C)."""
+    z = np.abs(rest) / (np.sqrt(bench.rows.stride) * bench.noise.sigma)
+    between = np.sum((z > NEAR) & (z <= FAR), axis=0)
+    usual = 2.0 * len(z) * float(norm.sf(NEAR))
+    return np.asarray(between - 2.0 * usual > TAIL * far)
 
 
 def _said(

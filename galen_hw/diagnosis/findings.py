@@ -238,4 +238,6 @@ def dependence(kind: str, scene: Scene) -> str:
     number = re.fullmatch(r"periodic in input (\d+)", kind)
     if number and int(number[1]) <= len(scene.moved):
         return f"it repeats along {scene.moved[int(number[1]) - 1]}"
+    for i, joint in enumerate(scene.moved):
+        kind = re.sub(rf"input {i + 1}\b", joint, kind)
     return f"it follows {kind}"

@@ -1,5 +1,6 @@
 """Generic functions of the known inputs and their past: what explains without a name is sought, and predicted, with these."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
@@ -12,6 +13,10 @@ from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
 MOST_PRODUCTS = 40
+MOST_PAIRS = 25
+PLACES = np.array([-1.5, -0.5, 0.5, 1.5])
+WIDTH = 0.8
+"""Centres and width of local functions of one input, in its standard deviations."""
 LAGS = (2, 5, 12, 30, 80, 200)
 """Rows by which inputs are taken from the past."""
 
@@ -121,7 +126,13 @@ class Inputs:
 
 
 def dictionaries(inputs: Inputs) -> Iterator[tuple[str, Array]]:
-    """Generic functions (M, k) of the known inputs, a family at a time, with what they are functions of."""
+    """Generic functions (M, k) of the known inputs, a family at a time, with what they are functions of, plain ones first."""
+    yield from broad(inputs)
+    yield from local(inputs)
+
+
+def broad(inputs: Inputs) -> Iterator[tuple[str, Array]]:
+    """Functions that are large over most of the motion."""
     z, load, rate, second = inputs.position, inputs.load, inputs.rate, inputs.second
     if not z.size:
         return
@@ -155,6 +166,22 @@ def _products(a: Array, b: Array) -> Array:
     """(M, k) products of columns, each pair once."""
     pairs = [(i, j) for i in range(a.shape[1]) for j in range(b.shape[1]) if a is not b or j >= i]
     return np.stack([a[:, i] * b[:, j] for i, j in pairs[:MOST_PRODUCTS]], axis=-1) if pairs else a[:, :0]
+
+
+def local(inputs: Inputs) -> Iterator[tuple[str, Array]]:
+    """Functions of two inputs each, large in one corner of their plane alone."""
+    z, rate = inputs.position, inputs.rate
+    yield from _planes("input {} and input {} together", z, z)
+    yield from _planes("input {} and the speed of input {}", z, rate)
+    yield from _planes("the speeds of input {} and input {}", rate, rate)
+
+
+def _planes(name: str, a: Array, b: Array) -> Iterator[tuple[str, Array]]:
+    """Bumps (M, 16) over the plane of each pair of columns."""
+    every = itertools.product(range(a.shape[1]), range(b.shape[1]))
+    for i, j in itertools.islice((pair for pair in every if a is not b or pair[0] < pair[1]), MOST_PAIRS):
+        first, second = (np.exp(-0.5 * ((x[:, None] - PLACES) / WIDTH) ** 2) for x in (a[:, i], b[:, j]))
+        yield name.format(i + 1, j + 1), (first[:, :, None] * second[:, None, :]).reshape(len(a), -1)
 
 
 def _waves(z: Array, scale: float) -> Array:

@@ -123,6 +123,13 @@ class Noise:
         return np.asarray(rows * np.mean(level, axis=0) ** 2 / np.mean(level**2, axis=0))
 
     @cached_property
+    def slower(self) -> Array:
+        """(C,) mean square over all rows, with what is too slow to be measured, over `sigma` squared."""
+        M = len(self.rows)
+        frequency = np.linspace(0.25 / M, 0.5 - 0.25 / M, M)
+        return np.asarray(np.maximum(np.mean(self.spectrum(frequency), axis=0) / self.sigma**2, 1.0))
+
+    @cached_property
     def effective(self) -> float:
         """Number of independent values that a slow regressor meets, over all channels."""
         slow = self.spectrum(np.array([0.003]))[0]

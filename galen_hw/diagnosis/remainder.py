@@ -35,12 +35,14 @@ class Remainder:
         parts: per channel, names of the families and the coefficient of each of their functions.
         offsets: per channel, the mean of their sum over the rows that it was learnt on.
         gain: fall of the whitened sum of squares on blocks left out, all channels together.
+        crossed: (M, C) prediction of each row that it was learnt on from other blocks, 0 elsewhere.
     """
 
     inputs: Inputs
     parts: dict[int, dict[str, Array]]
     offsets: dict[int, float]
     gain: float
+    crossed: Array
 
     def predict(self, scene: Scene, rows: Rows, width: int) -> Array | None:
         """(M, C) for another recording; None where it cannot speak of it."""
@@ -76,7 +78,7 @@ def learn(model: Model, kinds: dict[int, set[str]]) -> Remainder | None:
     functions = _by_name(inputs)
     rest, white = model.rest() / bench.noise.sigma, model.rest(white=True)
     parts: dict[int, dict[str, Array]] = {}
-    offsets, gain = {}, 0.0
+    offsets, gain, crossed = {}, 0.0, np.zeros_like(rest)
     for c, names in kinds.items():
         mine = {name: X for name, X in functions.items() if name in names}
         candidates = [_Ridge(bench, mine, rest[:, c], white[:, c], c, weighed=weighed) for weighed in (True, False)]
@@ -85,7 +87,8 @@ def learn(model: Model, kinds: dict[int, set[str]]) -> Remainder | None:
             parts[c] = best.coefficients()
             offsets[c] = float(sum(mine[name][bench.train].mean(axis=0) @ t for name, t in parts[c].items()))
             gain += best.white_gain
-    return Remainder(inputs, parts, offsets, gain) if parts else None
+            crossed[bench.train, c] = best.crossed() * bench.noise.sigma[c]
+    return Remainder(inputs, parts, offsets, gain, crossed) if parts else None
 
 
 def _by_name(inputs: Inputs) -> dict[str, Array]:
@@ -150,6 +153,15 @@ class _Ridge:
         sizes = np.concatenate([self._sizes[n] for n in self.chosen])
         ends = np.cumsum([self._raw[n].shape[1] for n in self.chosen])[:-1]
         return dict(zip(self.chosen, np.split(theta / sizes, ends), strict=True))
+
+    def crossed(self) -> Array:
+        """(n,) what the chosen families predict of each training row from other blocks, over the noise's deviation."""
+        out, X = np.zeros(len(self._fold)), _joined(self._raw, self.chosen)
+        for f in range(FOLDS):
+            learn, judge = self._fold != f, self._fold == f
+            if learn.any() and judge.any():
+                out[judge] = X[judge] @ self._solutions(self.chosen, learn)[:, self._ridge]
+        return out
 
     def _gains(self, names: list[str]) -> tuple[Array, Array]:
         """Falls (len(RIDGES),) of the sum of squares on blocks left out in turn, raw and whitened."""

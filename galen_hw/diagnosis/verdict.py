@@ -16,7 +16,8 @@ SURE = 6.0
 
 def beyond(judged: Judged, bench: Bench) -> list[Left]:
     """Channels in which the model does not hold on data that it did not learn from; z is the ratio of mean squares here."""
-    ratio = judged.after / judged.floor
+    # Of noise that grows ever slower a recording holds more than a single sample's variance shows.
+    ratio = judged.after / judged.floor / bench.noise.slower
     rows = int(bench.judged.sum() or bench.train.sum())
     enough = 1.0 + np.maximum(BEYOND - 1.0, SURE * np.sqrt(2.0 / bench.noise.independent(rows)))
     none = np.zeros((len(bench.rows), 0))
