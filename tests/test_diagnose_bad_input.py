@@ -3,6 +3,7 @@
 import csv
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,9 @@ import numpy as np
 import pytest
 
 from galen_hw.cli import main
+from galen_hw.diagnosis.guards import premises
+from galen_hw.physics.table import scene_of
+from tests import physics_scenes
 
 ROWS, RATE = 400, 10.0
 MASS, COM = 0.287, np.array([0.031, 0.004, -0.063])
@@ -282,3 +286,15 @@ def test_small_faults_are_noted_and_the_rest_agrees(spoil, tmp_path, capsys):
     said = capsys.readouterr().out
     for text in NOTED[spoil]:
         assert text in said
+
+
+@pytest.mark.parametrize(("group", "column"), [("effort", "joint.elbow.effort"), ("pose", "pose.orientation.y")])
+def test_what_was_not_measured_is_left_out_and_the_rest_compared(group: Any, column: str) -> None:
+    """An empty column is a channel that nobody measured: said, and no reason to stop."""
+    scene = physics_scenes.scene(group, np.random.default_rng(3), 400)
+    columns = dict(scene.observations.columns) | {column: np.full(400, np.nan)}
+    out = premises(scene_of(replace(scene.observations, columns=columns)))
+    assert f"{column} was not measured and is left out" in out.notes
+    assert out.scene.channels
+    assert not any("elbow" in name or "orientation" in name for name in out.scene.channels)
+    assert np.isfinite(out.scene.measured).all()

@@ -9,6 +9,7 @@ import numpy as np
 from galen_hw.diagnosis.rows import Index, Mask
 from galen_hw.errors import UsageError
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.scene_pose import QUATERNION
 from galen_hw.physics.smoothing import at_rest
 from galen_hw.physics.table import scene_of
 from galen_hw.spatial import Array
@@ -57,7 +58,7 @@ def premises(scene: Scene) -> Premise:
         raise UsageError(f"no column of the group {group!r} is there to compare", where="recording", todo="see predict")
     _drivable(scene)
     out = Premise(scene)
-    for step in (_ordered, _parted, _driven):
+    for step in (_measured, _ordered, _parted, _driven):
         out.scene = step(out.scene, out.notes)
     mixups.clock(out)
     mixups.bodies(out)
@@ -88,6 +89,18 @@ def _drivable(scene: Scene) -> None:
     if absent and not turned:
         what = f"{len(absent)} of the robot's joints have no position, first {absent[0]}"
         raise UsageError(what, where="recording", todo=f"add the column joint.{absent[0]}.position")
+
+
+def _measured(scene: Scene, notes: list[str]) -> Scene:
+    """Without the joints and orientations of which nothing was measured: the others can be compared."""
+    columns = scene.observations.columns
+    may_lack = {name for name in scene.channels if name.startswith("joint.")}
+    may_lack |= set(QUATERNION) if scene.observations.predict == "pose" else set()
+    empty = {name for name in may_lack & set(columns) if not np.isfinite(columns[name]).any()}
+    if not empty or empty >= set(scene.channels):
+        return scene
+    notes += [f"{name} was not measured and is left out" for name in sorted(empty)]
+    return scene_of(replace(scene.observations, columns={k: v for k, v in columns.items() if k not in empty}))
 
 
 def _ordered(scene: Scene, notes: list[str]) -> Scene:
