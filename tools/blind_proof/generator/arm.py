@@ -186,7 +186,7 @@ def columns(scene: ArmScene, reading: Array, rng: np.random.Generator) -> dict[s
     """The recording's columns."""
     out = {"time": scene.path.t}
     if scene.case.group == "effort":
-        noisy = scene.path.q + rng.normal(0, 1e-5, scene.path.q.shape)
+        noisy = scene.path.q + rng.normal(0, max(scene.case.encoder, 1e-5), scene.path.q.shape)
         for k, joint in enumerate(JOINTS):
             out |= {f"joint.{joint}.position": noisy[:, k], f"joint.{joint}.effort": reading[:, k]}
         return out

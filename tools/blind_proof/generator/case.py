@@ -47,6 +47,7 @@ class Case:
         effects: what is concealed; empty for a null case.
         premise: what is wrong with the recording, for wrong-premise cases.
         mask: how the effect is masked, empty if it is not.
+        encoder: rms of what the encoders' readings add to where the joints are, in rad.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Case:
     premise: str = ""
     mask: str = ""
     bias_free: bool = True
+    encoder: float = 0.0
     noise_rms: dict[str, float] = field(default_factory=dict)
     holdout_noise_rms: dict[str, float] = field(default_factory=dict)
 

@@ -54,4 +54,28 @@ def spinning_drill(scene: Scene, hidden: Injected, rng: np.random.Generator, a: 
     scene.after.append(lambda x: x + np.hstack([np.zeros_like(torque), torque]))
 
 
-OUTSIDE: dict[str, Maker] = {f.__name__: f for f in (quadratic_gauge, eddy_pick_up, air_drag, spinning_drill)}
+def magnet(scene: Scene, hidden: Injected, rng: np.random.Generator, a: float) -> None:
+    """A magnet in the tool, a steel post beside the workspace: a pull that dies away with the fourth power of the distance."""
+    position, _ = tip_along(scene.path.q, scene.tool, scene.mech)
+    centre, side = position.mean(axis=0), rng.normal(size=3)
+    radius = float(np.max(np.linalg.norm(position - centre, axis=1)))
+    at = centre + 1.2 * radius * side / np.linalg.norm(side)
+    post = np.array([scene.of_machine(hidden, f"post_{axis}", float(x)) for axis, x in zip("xyz", at, strict=True)])
+    near = scene.of_machine(hidden, "near", 0.5 * radius)
+    reach = post - position
+    distance = np.linalg.norm(reach, axis=1, keepdims=True)
+    hidden.kind = "pull of a magnet"
+    scene.mech.tip_forces = 0.1 * a * reach / (distance + near) / (1.0 + (distance / near) ** 2) ** 2
+
+
+def tight_drape(scene: Scene, hidden: Injected, rng: np.random.Generator, a: float) -> None:
+    """A drape that is pulled tight where roll and tilt are both far to one side, and slack elsewhere."""
+    c, side = int(rng.integers(6)), float(rng.choice([-1.0, 1.0]))
+    pull = np.maximum(side * scene.path.q[:, 3] / 0.6 + scene.path.q[:, 4] / 0.4 - 1.0, 0.0) ** 1.5
+    hidden.kind = "drape tight in a corner"
+    scene.after.append(lambda x: x + a * SIGMA[c] * pull[:, None] * np.eye(6)[c])
+
+
+OUTSIDE: dict[str, Maker] = {
+    f.__name__: f for f in (quadratic_gauge, eddy_pick_up, air_drag, spinning_drill, magnet, tight_drape)
+}

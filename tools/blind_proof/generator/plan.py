@@ -60,6 +60,10 @@ def plan(seed: int, count: int) -> list[Case]:
     return cases
 
 
+ENCODERS = (0.0, 1e-5, 1e-4)
+"""Rms of an encoder's jitter in rad: none, a fine one's, a magnetic one's."""
+
+
 def _blank(rng: np.random.Generator, number: int, share: str) -> Case:
     """A case without effects."""
     group = str(rng.choice(["wrench", "pose", "effort", "position"], p=[0.5, 0.2, 0.2, 0.1]))
@@ -71,6 +75,7 @@ def _blank(rng: np.random.Generator, number: int, share: str) -> Case:
         noise=str(rng.choice(NOISES)),
         motion=str(rng.choice(["stream", "sweep"], p=[0.7, 0.3])),
         bias_free=bool(group == "wrench" or rng.random() < 0.5),
+        encoder=float(rng.choice(ENCODERS)),
     )
 
 

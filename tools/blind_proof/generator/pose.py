@@ -15,6 +15,7 @@ from galen_hw.tools.blind_proof.generator import signal
 from galen_hw.tools.blind_proof.generator.case import Case, Injected
 from galen_hw.tools.blind_proof.generator.galen import BIAS_COM, BIAS_MASS, GRAVITY, JOINTS, TOOLS, carriages
 from galen_hw.tools.blind_proof.generator.motion import Path, between, pushes
+from galen_hw.tools.blind_proof.generator.wrench import JITTER
 
 Array = NDArray[np.float64]
 
@@ -174,6 +175,7 @@ def make_scene(rng: np.random.Generator, case: Case) -> PoseScene:
 def columns(scene: PoseScene, reading: Array, rng: np.random.Generator) -> dict[str, Array]:
     """The recording's columns; a third of the recordings are of tracked points instead of poses."""
     q = np.hstack([carriages(scene.path.q[:, :3]), scene.path.q[:, 3:]])
+    q += scene.case.encoder * JITTER * rng.normal(size=q.shape)
     out = {"time": scene.path.t}
     out |= {f"joint.{name}.position": q[:, i] for i, name in enumerate(JOINTS)}
     measured = scene.force + rng.normal(0, 0.01, scene.force.shape)

@@ -64,11 +64,15 @@ def baseline(scene: Scene) -> Array:
     return wrench_along(path, scene.tool, Mechanics())
 
 
+JITTER = np.array([0.04] * 3 + [1.0] * 2)
+"""m a rad of a carriage's encoder on its screw's motor, and of the joints' own."""
+
+
 def columns(scene: Scene, reading: Array, rng: np.random.Generator) -> dict[str, Array]:
     """The recording's columns: time, reported joints (encoder steps), wrench, temperature."""
     q = np.hstack([carriages(scene.path.q[:, :3]), scene.path.q[:, 3:]])
     steps = np.array([1e-6] * 3 + [2.4e-5] * 2)
-    q = np.round(q / steps) * steps
+    q = np.round((q + scene.case.encoder * JITTER * rng.normal(size=q.shape)) / steps) * steps
     out = {"time": scene.path.t}
     out |= {f"joint.{name}.position": q[:, i] for i, name in enumerate(JOINTS)}
     out |= {name: reading[:, i] for i, name in enumerate(CHANNELS)}
