@@ -14,6 +14,7 @@ from galen_hw.cli import main
 from galen_hw.diagnosis.guards import premises
 from galen_hw.physics.table import scene_of
 from tests import physics_scenes
+from tests.diagnosis_cases import Bench
 
 ROWS, RATE = 400, 10.0
 MASS, COM = 0.287, np.array([0.031, 0.004, -0.063])
@@ -298,3 +299,12 @@ def test_what_was_not_measured_is_left_out_and_the_rest_compared(group: Any, col
     assert out.scene.channels
     assert not any("elbow" in name or "orientation" in name for name in out.scene.channels)
     assert np.isfinite(out.scene.measured).all()
+
+
+def test_a_far_heavier_tool_is_no_change_of_units() -> None:
+    """4.2 times the believed weight is a payload, 1 / 4.448 of it a sensor that reads in pounds-force."""
+    heavier, pounds = Bench(1), Bench(1)
+    heavier.wrench *= 4.2
+    pounds.wrench /= 4.44822
+    assert premises(scene_of(heavier.observations())).wrong == []
+    assert "pounds-force" in premises(scene_of(pounds.observations())).wrong[0]

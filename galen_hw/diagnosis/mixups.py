@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from galen_hw.diagnosis.guards import Premise
 
 FACTORS: Final = {1000.0: "milli", 57.29578: "degrees", 9.80665: "kilograms-force", 4.44822: "pounds-force"}
+HEAVIER: Final = 20.0
+"""Times its believed weight that a tool could be."""
 ALIKE: Final = 0.95
 """Correlation from which two signals are one signal in another scale."""
 FAR: Final = 0.15
@@ -186,4 +188,5 @@ def _scale(y: Array, x: Array) -> float | None:
 
 
 def _near(scale: float, factor: float) -> bool:
-    return min(abs(scale / factor - 1.0), abs(scale * factor - 1.0)) < 0.1
+    # A tool of some times the believed weight is no unit: a small factor must be met closely.
+    return min(abs(scale / factor - 1.0), abs(scale * factor - 1.0)) < (0.1 if factor > HEAVIER else 0.02)
