@@ -10,7 +10,7 @@ from galen_hw.diagnosis.rows import Index, Mask
 from galen_hw.errors import UsageError
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.scene_pose import QUATERNION
-from galen_hw.physics.smoothing import at_rest
+from galen_hw.physics.smoothing import at_rest, denoised
 from galen_hw.physics.table import scene_of
 from galen_hw.spatial import Array
 
@@ -202,6 +202,9 @@ def quiet(scene: Scene) -> Scene:
     if seen.predict not in ("pose", "targets") or not scene.clock or not np.isfinite(scene.q).all():
         return scene
     q = at_rest(scene.q, scene.segments)
+    for part in scene.segments:
+        # A dead band or a filter that does no more than quieten the encoders would be believed.
+        q[part] = np.stack([denoised(x) for x in q[part].T], axis=-1)
     places = {f"joint.{name}.position": q[:, i] for i, name in enumerate(scene.joint_names)}
     return scene_of(replace(seen, columns=dict(seen.columns) | places))
 
