@@ -1,10 +1,9 @@
-"""Derivatives of recorded positions by local polynomials, after a filter that suits the noise; low-passes for forces."""
+"""Derivatives of recorded positions by regression splines, or by local polynomials behind a low-pass; low-passes for forces."""
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dst, idst
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import percentile_filter, uniform_filter1d
+from scipy.interpolate import BSpline, CubicSpline, make_lsq_spline
+from scipy.ndimage import percentile_filter
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from galen_hw.spatial import Array
@@ -40,64 +39,62 @@ def motion_band(x: Array, dt: float) -> float:
     return float((above[-1] + 1 if len(above) else 1) / (n * dt))
 
 
-ABOVE_NOISE = 6.0
-"""Of the noise's power a signal's must be to be taken for motion at the highest of its frequencies."""
 SHORTEST = 64
 """Rows too few to tell motion from noise."""
 WHITE = 0.75
 """Mean squared step over twice the variance from which a signal is noise: 1 for white noise, nothing for motion."""
-SOFT = 2
-"""The filter's edge is one over this of its band wide."""
-BINS = 200
-"""Parts of the spectrum over which its power is averaged."""
+DEGREE = 5
+"""Of the splines: their second derivative is still a cubic."""
+KNOTS = (2, 3, 4, 6, 8, 12)
+"""Per period of the highest frequency of the motion, of which cross-validation takes one."""
+MOST_KNOTS = 0.7
+"""Of the rows; more would smooth nothing."""
+ROUGH = 1.3
+"""Times the noise's own variance, beyond which what a spline leaves is motion that it could not follow."""
 
 
-def denoised(x: Array) -> Array:
-    """Signal (N,) by Wiener's filter: each frequency as far as it is motion, S / (S + N) of its power; no phase.
+def _spline(x: Array) -> BSpline | None:
+    """Regression spline with even knots through a signal (N,) under white noise, over the rows; None: it cannot be told from noise.
 
-    The noise N is white, its level the median power of the spectrum's upper half; nothing is left above the last frequency
-    that stands six times above it. What is best for the signal is best for its derivatives too (Wiener 1949): a noise that
-    two differentiations make large would otherwise pass for force. A signal without noise is left as it is.
+    How many knots, generalised cross-validation says (Craven and Wahba 1979). Unlike a filter it needs no continuation
+    beyond the ends, and is as good there, its derivatives too. None for a signal without noise or too quick for its rows.
     """
     n = len(x)
     if n < SHORTEST:
-        return x
-    line = np.linspace(x[0], x[-1], n)
-    # The window keeps what the ends of a slow signal add to all frequencies from passing for motion.
-    power = np.abs(np.fft.rfft((x - line) * np.hanning(n))) ** 2
-    level = float(np.median(power[len(power) // 2 :])) / 0.69
-    if level <= 1e-18 * float(power.max()):
-        return x
-    mean = uniform_filter1d(power, max(len(power) // BINS, 3), mode="nearest")
-    above = np.flatnonzero(mean > ABOVE_NOISE * level)
-    share = np.clip(1.0 - level / np.maximum(mean, level), 0.0, 1.0)
-    last = int(above[-1]) + 1 if len(above) else 0
-    share[last:] = 0.0
-    # Falling and without edges: a filter with holes rings for long, most of all at the ends.
-    share = np.maximum.accumulate(share[::-1])[::-1]
-    share = np.maximum(share, uniform_filter1d(share, max(last // SOFT, 1), mode="nearest"))
-    # Sines: what begins and ends at zero goes on smoothly as an odd function. Two of them a line of the spectrum.
-    waves = dst((x - line)[1:-1], type=1)
-    line[1:-1] += idst(np.interp(0.5 * np.arange(1, n - 1), np.arange(len(share)), share) * waves, type=1)
-    return line
+        return None
+    band = motion_band(x, 1.0)
+    power = np.abs(np.fft.rfft((x - np.linspace(x[0], x[-1], n)) * np.hanning(n))) ** 2
+    noise = float(np.median(power[len(power) // 2 :])) / 0.69 / float(np.sum(np.hanning(n) ** 2))
+    rows, best, least = np.arange(n, dtype=float), None, np.inf
+    for knots in KNOTS:
+        pieces = max(round(knots * band * n), 4)
+        if band >= 0.5 or pieces > MOST_KNOTS * n:
+            break
+        inner = np.linspace(0.0, n - 1.0, pieces + 1)
+        places = np.concatenate([[0.0] * DEGREE, inner, [n - 1.0] * DEGREE])
+        found = make_lsq_spline(rows, x, places, DEGREE, method="norm-eq")
+        left = float(np.sum((x - found(rows)) ** 2))
+        score = left / (1.0 - (pieces + DEGREE) / n) ** 2
+        if score >= least:
+            break
+        best, least = (found if left <= ROUGH * noise * (n - pieces - DEGREE) else None), score
+    return best
+
+
+def denoised(x: Array) -> Array:
+    """Signal (N,) without its white noise: the regression spline through it; as it is where none can be told from noise."""
+    found = _spline(x)
+    return x if found is None else np.asarray(found(np.arange(len(x), dtype=float)))
 
 
 def _derived(x: Array, dt: float, band: float | None, *, fine: bool) -> Array:
-    """(3, N) signal without noise, first and second derivative: low-passed at a given band (Hz), else by Wiener's filter.
-
-    The odd continuation beyond an end has a bend there, which Wiener's filter carries further in than the low-pass does:
-    near the ends that one is believed.
-    """
-    found = band or motion_band(x, dt)
-    plain = low_passed(x, dt, found)
-    plain = np.stack([plain, *_rates(plain, dt)])
-    if band is not None or not fine:
-        return plain
-    best = denoised(x)
-    best = np.stack([best, *_rates(best, dt)])
-    reach, at = END / (CUT * found * dt), np.arange(len(x))
-    inside = np.clip(np.minimum(at, at[::-1]) / max(4.0 * reach, 1.0) - 1.0, 0.0, 1.0)
-    return np.asarray(plain + inside * (best - plain))
+    """(3, N) signal without noise, first and second derivative: low-passed at a given band (Hz), else a regression spline."""
+    found = _spline(x) if fine and band is None else None
+    if found is not None:
+        rows = np.arange(len(x), dtype=float)
+        return np.stack([found(rows), found(rows, 1) / dt, found(rows, 2) / dt**2])
+    plain = low_passed(x, dt, band or motion_band(x, dt))
+    return np.stack([plain, *_rates(plain, dt)])
 
 
 def low_passed(x: Array, dt: float, band: float) -> Array:
@@ -172,8 +169,8 @@ def derivatives(
 ) -> tuple[Array, Array]:
     """First and second derivative (N, n) of signals (N, n) over time (N,) in s, each segment by itself.
 
-    A measured velocity is believed and differentiated once. Uneven samples go over an even grid. Noise is filtered off, by
-    Wiener's filter (if `fine`; commands have no noise to speak of) or by the low-pass of a given or found band (Hz).
+    A measured velocity is believed and differentiated once. Uneven samples go over an even grid. Noise is smoothed away,
+    by a regression spline (if `fine`; commands have no noise to speak of) or by the low-pass of a given or found band (Hz).
     Segments of fewer than five samples get zeros.
     """
     first, second = np.zeros_like(x), np.zeros_like(x)
