@@ -234,18 +234,23 @@ def test_a_late_joint_delivers_everything_late():
 
 
 def test_a_noisy_encoder_is_differentiated_twice_as_well_as_its_motion_allows():
-    """Away from the ends Wiener's filter leaves a third of what a low-pass of the same band leaves, and the motion itself."""
+    """A regression spline leaves a third of what a low-pass of the same band leaves, and the motion itself; at its ends too."""
     t, w = np.arange(6000) * 0.01, 2.0 * np.pi * 0.7
-    left = {"plain": [], "fine": []}
+    left, ends_of = {"plain": [], "fine": []}, []
     for seed in range(5):
         rng = np.random.default_rng(seed)
         x = (np.sin(w * t + seed) + 2e-4 * rng.normal(size=len(t)))[:, None]
         for name, band in (("plain", motion_band(x[:, 0], 0.01)), ("fine", None)):
             second = derivatives(t, x, [slice(0, 6000)], band=band)[1]
             left[name].append((second + w**2 * np.sin(w * t + seed)[:, None])[1000:-1000])
+        quiet = denoised(x[:, 0]) - np.sin(w * t + seed)
+        ends_of.append(np.concatenate([quiet[:50], quiet[-50:]]))
     plain, fine = (np.sqrt(np.mean(np.square(left[name]))) for name in ("plain", "fine"))
     assert fine < 0.33 * plain
     assert fine < 0.01 * w**2
+    assert np.sqrt(np.mean(np.square(ends_of))) < 2e-4, (
+        "no filter may bend the ends by more than the noise that it takes away"
+    )
 
 
 def test_a_resting_joint_stands_and_a_slow_one_keeps_its_place():

@@ -3,7 +3,7 @@
 import itertools
 from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 BETTER = 0.98
 """Error on blocks left out, over that of the weighed fit, below which the plain one is taken."""
+
+MERIT: Final = 6.0
+"""Difference of merit from which the other of two models is taken."""
 
 
 @dataclass

@@ -194,16 +194,16 @@ def _driven(scene: Scene, notes: list[str]) -> Scene:
 
 
 def quiet(scene: Scene) -> Scene:
-    """The scene with joints at rest where they stand, if their noise goes straight into what is compared.
+    """The scene with joints at rest where they stand and moving ones without noise, if that goes straight into what is compared.
 
-    In a tracked pose it is in all channels at once, and an arm that is wrong by a foot would explain it.
+    In a tracked pose it is in all channels at once: an arm that is wrong by a foot would explain what shakes it at rest, and
+    a dead band or a filter that does no more than quieten the encoders would be believed.
     """
     seen = scene.observations
     if seen.predict not in ("pose", "targets") or not scene.clock or not np.isfinite(scene.q).all():
         return scene
     q = at_rest(scene.q, scene.segments)
     for part in scene.segments:
-        # A dead band or a filter that does no more than quieten the encoders would be believed.
         q[part] = np.stack([denoised(x) for x in q[part].T], axis=-1)
     places = {f"joint.{name}.position": q[:, i] for i, name in enumerate(scene.joint_names)}
     return scene_of(replace(seen, columns=dict(seen.columns) | places))

@@ -15,6 +15,7 @@ from galen_hw.diagnosis.rows import Mask, Rows
 from galen_hw.diagnosis.wanted import Guard, poor, support, sure
 from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.table import effect_class
 from galen_hw.spatial import Array
 
 ELSEWHERE = "another recording"
@@ -242,3 +243,29 @@ def _nuisances(refit: list[Hypothesis], scene: Scene, rows: Rows, bench: Bench) 
         out.append(column)
     out += [rows.average(column) for column in scene.nuisances()] if len(constants) < len(refit) else []
     return np.stack(out, axis=-1)
+
+
+def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) -> tuple[Model, Judged]:
+    """The model without what held-out data do not support, the least supported first; what belongs to moments shows nowhere else.
+
+    Where a kind stands in several places (friction in five joints), each place has to earn its own.
+
+    Args:
+        judged: of a larger model, whose rows are judged on again.
+    """
+    while True:
+        judged = judge(model, holdout, judged)
+        lasting = [k for k in judged.without if not effect_class(k).EPISODIC and not effect_class(k).BRIEF]
+        sole = len(judged.without) == 1
+        weak = [
+            (judged.support[key], key) for key in lasting if poor(judged.support[key], judged.sure[key], alone=sole)
+        ]
+        places = [(support, k) for k, (support, sure) in judged.places.items() if poor(support, sure, alone=False)]
+        if places:
+            # One place first: the kind may earn its name without it.
+            out = [model.effects[min(places)[1]]]
+        elif weak:
+            out = [h for h in model.effects if h.effect is not None and min(weak)[1] == h.effect.KEY]
+        else:
+            return model, judged
+        model = model.without(out)

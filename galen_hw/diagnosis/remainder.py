@@ -4,6 +4,7 @@ It shows how far any function of the known inputs and their past would go (the c
 live services: a function that nobody can explain does not act on a robot.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -157,23 +158,25 @@ class _Ridge:
     def crossed(self) -> Array:
         """(n,) what the chosen families predict of each training row from other blocks, over the noise's deviation."""
         out, X = np.zeros(len(self._fold)), _joined(self._raw, self.chosen)
-        for f in range(FOLDS):
-            learn, judge = self._fold != f, self._fold == f
-            if learn.any() and judge.any():
-                out[judge] = X[judge] @ self._solutions(self.chosen, learn)[:, self._ridge]
+        for judge, theta in self._folds(self.chosen):
+            out[judge] = X[judge] @ theta[:, self._ridge]
         return out
 
     def _gains(self, names: list[str]) -> tuple[Array, Array]:
         """Falls (len(RIDGES),) of the sum of squares on blocks left out in turn, raw and whitened."""
         raw, white = np.zeros(len(RIDGES)), np.zeros(len(RIDGES))
-        for f in range(FOLDS):
-            learn, judge = self._fold != f, self._fold == f
-            if not learn.any() or not judge.any():
-                continue
-            theta = self._solutions(names, learn)
-            raw += _falls(_joined(self._raw, names)[judge] @ theta, self._rest[judge])
-            white += _falls(_joined(self._whitened, names)[judge] @ theta, self._white[judge])
+        X, Z = _joined(self._raw, names), _joined(self._whitened, names)
+        for judge, theta in self._folds(names):
+            raw += _falls(X[judge] @ theta, self._rest[judge])
+            white += _falls(Z[judge] @ theta, self._white[judge])
         return raw, white
+
+    def _folds(self, names: list[str]) -> Iterator[tuple[Mask, Array]]:
+        """Rows of the blocks left out in turn, and coefficients (k, len(RIDGES)) learnt on the others."""
+        for f in range(FOLDS):
+            judge = self._fold == f
+            if judge.any() and not judge.all():
+                yield judge, self._solutions(names, ~judge)
 
     def _solutions(self, names: list[str], rows: Mask) -> Array:
         """(k, len(RIDGES)) coefficients learnt on some rows, one column a ridge."""

@@ -54,7 +54,7 @@ ROUGH = 1.3
 
 
 def _spline(x: Array) -> BSpline | None:
-    """Regression spline with even knots through a signal (N,) under white noise, over the rows; None: it cannot be told from noise.
+    """Regression spline with even knots through a signal (N,) under white noise, over its rows; None: no noise can be told.
 
     How many knots, generalised cross-validation says (Craven and Wahba 1979). Unlike a filter it needs no continuation
     beyond the ends, and is as good there, its derivatives too. None for a signal without noise or too quick for its rows.
