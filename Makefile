@@ -42,7 +42,8 @@ demo: $(BASE)
 	$(BIN)/galen-hw calibrate --tool retractor --virtual --yes --report demo-output
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not long and not live"
+	$(BIN)/python -m pytest -m live
 
 loop-test: $(STAMP)
 	$(BIN)/python -m pytest -m long

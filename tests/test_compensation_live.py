@@ -30,6 +30,9 @@ viewers = ""
 """
 
 
+pytestmark = pytest.mark.live
+
+
 def listen(subscriber: Subscriber, seconds: float) -> list[tuple[str, object]]:
     """What is published until the sensor's own clock has gone on by so long."""
     found: list[tuple[str, object]] = []

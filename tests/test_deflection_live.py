@@ -41,6 +41,7 @@ transport = {{ url = "/dev/serial/by-id/tracker", baud_rate = 115200 }}
 [bus]
 viewers = ""
 """
+pytestmark = pytest.mark.live
 SHORT = "--configurations 3 --rounds 1 --places 4 --rise 0.1 --dwell 0.2 --rest 0.5 --still 0.5 --tool retractor"
 TRIES = 4
 
