@@ -24,6 +24,7 @@ from galen_hw.identification.fit import fit
 from galen_hw.identification.model import Unknowns
 from galen_hw.identification.poses import Poses
 from galen_hw.spatial import Array, rotation_about
+from galen_hw.tools.bench_floor import ages_us
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -134,9 +135,11 @@ def _sweep(rng: np.random.Generator, mass: float = 0.287, com: Array | None = No
 def stream(seconds: float, each: float) -> list[Row]:
     """Latency and losses at 1 kHz, and the rates above it."""
     slow = _latency(["--rates", "1000", "--seconds", str(seconds), "--motors"])[0]
+    bare = np.percentile(ages_us(1000.0, each), [50.0, 99.0])
     fast = _latency(["--rates", "2000", "3000", "--seconds", str(each)])[-1]
     where = f"bench_latency, {seconds:.0f} s"
     latency = f"lost {slow['lost']} of {slow['received']}; p50 {slow['p50_us']:.0f} us, p99 {slow['p99_us']:.0f} us"
+    latency += f" (bare processes, nothing done: p50 {bare[0]:.0f} us, p99 {bare[1]:.0f} us)"
     good = slow["lost"] == 0 and slow["p50_us"] <= 150 and slow["p99_us"] <= 500
     missed = fast["nominal_hz"] - fast["rate_hz"]
     top = f"{fast['rate_hz']:.0f} /s on the bus of {fast['nominal_hz']:.0f} asked, lost {fast['lost']}"
