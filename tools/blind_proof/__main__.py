@@ -120,15 +120,19 @@ def _rivals(
 
 
 def _rival_row(case: Case, folder: Path) -> dict[str, Any]:
-    """Each rival's held-out error over the noise, rms over the touched channels."""
+    """Each rival's held-out error over the noise, rms over the touched channels; kept with the case."""
     from galen_hw.tools.blind_proof import rivals
 
+    if (kept := folder / "rivals.json").exists():
+        return dict(json.loads(kept.read_text()))
     names = list(CHANNELS[case.group])
     errors = rivals.errors(folder, {"train": nominal(case, 0), "test": nominal(case, 1)}, names)
     touched = {c for e in case.effects for c in e.channels}
     noise = case.holdout_noise_rms
     at = [k for k, n in enumerate(names) if n in touched]
-    return {r: float(np.sqrt(np.mean([(e[k] / noise[names[k]]) ** 2 for k in at]))) for r, e in errors.items()}
+    row = {r: float(np.sqrt(np.mean([(e[k] / noise[names[k]]) ** 2 for k in at]))) for r, e in errors.items()}
+    kept.write_text(json.dumps(row))
+    return row
 
 
 if __name__ == "__main__":
