@@ -49,50 +49,60 @@ KNOTS = (2, 3, 4, 6, 8, 12)
 """Per period of the highest frequency of the motion, of which cross-validation takes one."""
 MOST_KNOTS = 0.7
 """Of the rows; more would smooth nothing."""
-ROUGH = 1.3
-"""Times the noise's own variance, beyond which what a spline leaves is motion that it could not follow."""
+CLOSE = 1e-12
+"""Share of a signal's variance that a spline may leave, whatever it looks like."""
+ROUGH = 0.4
+"""Correlation of successive rows of what a spline leaves, beyond which that is motion that it could not follow."""
 
 
-def _spline(x: Array) -> BSpline | None:
-    """Regression spline with even knots through a signal (N,) under white noise, over its rows; None: no noise can be told.
+def _spline(t: Array, x: Array) -> BSpline | None:
+    """Regression spline through a signal (N,) under white noise at rising times (N,) in s; None: no noise can be told.
 
-    How many knots, generalised cross-validation says (Craven and Wahba 1979). Unlike a filter it needs no continuation
-    beyond the ends, and is as good there, its derivatives too. None for a signal without noise or too quick for its rows.
+    How many knots, evenly over the rows, generalised cross-validation says (Craven and Wahba 1979). Unlike a filter it needs
+    no continuation beyond the ends, and is as good there, its derivatives too. None for a signal without noise or too quick
+    for its rows.
     """
     n = len(x)
     if n < SHORTEST:
         return None
-    band = motion_band(x, 1.0)
-    power = np.abs(np.fft.rfft((x - np.linspace(x[0], x[-1], n)) * np.hanning(n))) ** 2
-    noise = float(np.median(power[len(power) // 2 :])) / 0.69 / float(np.sum(np.hanning(n) ** 2))
-    rows, best, least = np.arange(n, dtype=float), None, np.inf
+    even = np.interp(np.linspace(t[0], t[-1], n), t, x)
+    band = motion_band(even, 1.0)
+    best, least = None, np.inf
     for knots in KNOTS:
         pieces = max(round(knots * band * n), 4)
         if band >= 0.5 or pieces > MOST_KNOTS * n:
             break
-        inner = np.linspace(0.0, n - 1.0, pieces + 1)
-        places = np.concatenate([[0.0] * DEGREE, inner, [n - 1.0] * DEGREE])
-        found = make_lsq_spline(rows, x, places, DEGREE, method="norm-eq")
-        left = float(np.sum((x - found(rows)) ** 2))
-        score = left / (1.0 - (pieces + DEGREE) / n) ** 2
+        inner = np.interp(np.linspace(0.0, n - 1.0, pieces + 1), np.arange(n), t)
+        places = np.concatenate([[t[0]] * DEGREE, inner, [t[-1]] * DEGREE])
+        found = make_lsq_spline(t, x, places, DEGREE, method="norm-eq")
+        left = x - found(t)
+        score = float(left @ left) / (1.0 - (pieces + DEGREE) / n) ** 2
         if score >= least:
             break
-        best, least = (found if left <= ROUGH * noise * (n - pieces - DEGREE) else None), score
+        close = float(left @ left) < CLOSE * n * float(np.var(x))
+        best, least = (found if close or abs(float(left[1:] @ left[:-1])) < ROUGH * float(left @ left) else None), score
     return best
 
 
-def denoised(x: Array) -> Array:
-    """Signal (N,) without its white noise: the regression spline through it; as it is where none can be told from noise."""
-    found = _spline(x)
-    return x if found is None else np.asarray(found(np.arange(len(x), dtype=float)))
+def denoised(time: Array, x: Array, segments: list[slice]) -> Array:
+    """Signals (N, n) over time (N,) in s without their white noise, each segment by itself: regression splines through them.
+
+    A signal in which no noise can be told stays as it is.
+    """
+    out = x.copy()
+    for part in segments:
+        t = time[part] - time[part.start]
+        if len(t) < NARROW or np.any(np.diff(t) <= 0):
+            continue
+        for j in range(x.shape[1]):
+            found = _spline(t, x[part, j])
+            if found is not None:
+                out[part, j] = found(t)
+    return out
 
 
-def _derived(x: Array, dt: float, band: float | None, *, fine: bool) -> Array:
-    """(3, N) signal without noise, first and second derivative: low-passed at a given band (Hz), else a regression spline."""
-    found = _spline(x) if fine and band is None else None
-    if found is not None:
-        rows = np.arange(len(x), dtype=float)
-        return np.stack([found(rows), found(rows, 1) / dt, found(rows, 2) / dt**2])
+def _filtered(x: Array, dt: float, band: float | None) -> Array:
+    """(3, N) signal low-passed at a band (Hz; else its own), first and second derivative."""
     plain = low_passed(x, dt, band or motion_band(x, dt))
     return np.stack([plain, *_rates(plain, dt)])
 
@@ -175,22 +185,26 @@ def derivatives(
     """
     first, second = np.zeros_like(x), np.zeros_like(x)
     for part in segments:
-        t = time[part]
-        if len(t) < NARROW or t[-1] <= t[0] or np.any(np.diff(t) <= 0):
+        t = time[part] - time[part.start]
+        if len(t) < NARROW or t[-1] <= 0.0 or np.any(np.diff(t) <= 0):
             continue
-        dt = float(np.median(np.diff(t)))
-        grid = np.linspace(t[0], t[-1], max(round((t[-1] - t[0]) / dt) + 1, NARROW))
-        step = float(grid[1] - grid[0])
-        even = bool(len(grid) == len(t) and np.max(np.abs(grid - t)) < 0.02 * dt)
         for j in range(x.shape[1]):
             measured = None if velocity is None or np.isnan(velocity[part, j]).any() else velocity[part, j]
             source = x[part, j] if measured is None else measured
-            on_grid = source if even else np.interp(grid, t, source)
-            derived = _derived(on_grid, step, band, fine=fine)
-            if not even:
-                derived = CubicSpline(grid, derived, axis=1)(t)
+            found = _spline(t, source) if fine and band is None else None
+            derived = _on_grid(t, source, band) if found is None else [found(t), found(t, 1), found(t, 2)]
             first[part, j], second[part, j] = derived[1:] if measured is None else derived[:2]
     return first, second
+
+
+def _on_grid(t: Array, x: Array, band: float | None) -> Array:
+    """What `_filtered` gives of a signal (N,) at times (N,), by way of an even grid where they are uneven."""
+    dt = float(np.median(np.diff(t)))
+    grid = np.linspace(t[0], t[-1], max(round((t[-1] - t[0]) / dt) + 1, NARROW))
+    step = float(grid[1] - grid[0])
+    if len(grid) == len(t) and np.max(np.abs(grid - t)) < 0.02 * dt:
+        return _filtered(x, step, band)
+    return np.asarray(CubicSpline(grid, _filtered(np.interp(grid, t, x), step, band), axis=1)(t))
 
 
 def at_rest(x: Array, segments: list[slice]) -> Array:
