@@ -90,6 +90,13 @@ def test_touched_poses_are_named():
     assert fit(poses, Unknowns(body=True)).outliers.tolist() == touched
 
 
+def test_noise_alone_touches_no_pose():
+    """Of 200 sweeps that nobody touched at most a twentieth has an outlier: one in a hundred is promised."""
+    rng = np.random.default_rng(11)
+    called = sum(len(fit(sweep(rng).fit, Unknowns(body=True)).outliers) > 0 for _ in range(200))
+    assert called <= 10
+
+
 def test_56_poses_with_intervals_take_less_than_50_ms():
     """The recommended fit of the nominal sweep with its covariance, processor time, best of ten."""
     poses, best = sweep(np.random.default_rng(0)).fit, np.inf

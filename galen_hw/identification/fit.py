@@ -23,7 +23,8 @@ ROUGH: Final = 6
 """Iterations with Huber's function: it only has to find the neighbourhood."""
 HUBER, TUKEY = 3.2, 6.0
 """Tuning for the norm of six whitened residuals (its median is 2.3): Huber's knee and Tukey's zero."""
-OUTLIER_WEIGHT: Final = 0.1
+OUTLIER_CHANCE: Final = 0.01
+"""Of calling any good pose of a sweep an outlier."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +61,12 @@ class Fit:
 
     @property
     def outliers(self) -> NDArray[np.int64]:
-        """Rows whose weight is low."""
-        return np.flatnonzero(self.weight < OUTLIER_WEIGHT)
+        """Rows that lie further out than noise would bring any of so many, or that have no weight at all.
+
+        The weight falls with the distance, which squared over six has Fisher's distribution: its scale is estimated too.
+        """
+        far = 6.0 * stats.f.isf(OUTLIER_CHANCE / len(self.weight), 6, self.freedom)
+        return np.flatnonzero(self.weight <= _tukey(np.sqrt(np.minimum(far, TUKEY**2))))
 
     def value(self, name: str) -> float:
         """One parameter."""
