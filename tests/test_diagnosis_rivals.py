@@ -60,6 +60,22 @@ def test_a_filter_that_the_blocks_agree_on_is_no_delay(filtered: bool) -> None:
     assert named(work_of(servo)) == ["lag" if filtered else "time_delay"]
 
 
+@pytest.mark.parametrize(("pan", "lift"), [(0.05, 0.05), (0.09, 0.13), (0.05, 0.15)])
+def test_joints_have_lags_of_their_own_only_where_they_differ(pan: float, lift: float) -> None:
+    """One number for all is found first; it stays unless what it leaves in one joint is the opposite of what it leaves in another."""
+    servo = Servo()
+    servo.command = servo.command + 0.03 * np.sin(2.0 * np.pi * 1.5 * servo.t)[:, None]
+    servo.position = np.stack(
+        [cases.lagged(servo.t, x, T) for x, T in zip(servo.command.T, (pan, lift), strict=True)], 1
+    )
+    servo.sigma = 2e-3
+    work = work_of(servo)
+    assert named(work) == ["lag"]
+    found = {h.effect.joint: h.effect.constant for h in work.model.effects if isinstance(h.effect, Lag)}
+    expected = {"": pan} if pan == lift else {"pan": pan, "lift": lift}
+    assert found == {joint: pytest.approx(T, rel=0.03) for joint, T in expected.items()}
+
+
 def test_a_lag_explains_what_all_of_the_stream_in_it_does() -> None:
     """Twice the change of a lag of half the delay is the delay to second order: a fitted share would take that for a lag."""
     servo = Servo()

@@ -9,6 +9,7 @@ from galen_hw.diagnosis.nonlinear import bent, in_place, load, polished, retime,
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
 from galen_hw.diagnosis.score import Score, Scorer, threshold
 from galen_hw.diagnosis.selection import Selection
+from galen_hw.diagnosis.severally import severally
 from galen_hw.diagnosis.worth import WORTH, asked, plausible, worth
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.table import EFFECTS, effect_class
@@ -63,7 +64,11 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         best = _best(bench, scorer, out, scores, refused)
         if best is not None:
             out.chosen.append(best)
-        elif not (_split(bench, scorer, out) or (moved and _exchanged(bench, scorer, out, refused))):
+        elif not (
+            _split(bench, scorer, out)
+            or severally(bench, scorer, out)
+            or (moved and _exchanged(bench, scorer, out, refused))
+        ):
             break
         settle(bench, scorer, out.chosen)
         _drop(scorer, out)
