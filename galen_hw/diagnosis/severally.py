@@ -5,7 +5,6 @@ import numpy as np
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.linear import crossed
 from galen_hw.diagnosis.nonlinear import bent, polished, settle
-from galen_hw.diagnosis.plainness import slack
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.physics.time_effects import Lag, TimeDelay, Timing
@@ -38,9 +37,7 @@ def severally(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     # Each has one parameter: a lag its constant.
     price = (len(own) - len(clocks)) * float(np.log(bench.noise.effective))
     fall = before - scorer.solve(trial)[2] - price
-    if fall > MARGIN + slack(scorer.misfit(trial)) * abs(fall) and _richer(
-        bench, errors, crossed(bench, scorer, trial)
-    ):
+    if fall > MARGIN and _richer(bench, errors, crossed(bench, scorer, trial)):
         out.chosen = trial
         return True
     bench.y = y
