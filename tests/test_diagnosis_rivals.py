@@ -62,7 +62,7 @@ def test_a_filter_that_the_blocks_agree_on_is_no_delay(filtered: bool) -> None:
 
 @pytest.mark.parametrize(("pan", "lift"), [(0.05, 0.05), (0.09, 0.13), (0.05, 0.15)])
 def test_joints_have_lags_of_their_own_only_where_they_differ(pan: float, lift: float) -> None:
-    """One number for all is found first; it stays unless what it leaves in one joint is the opposite of what it leaves in another."""
+    """One number for all is found first; it stays unless what it leaves in one joint is the opposite of the other's."""
     servo = Servo()
     servo.command = servo.command + 0.03 * np.sin(2.0 * np.pi * 1.5 * servo.t)[:, None]
     servo.position = np.stack(
