@@ -14,7 +14,6 @@ from galen_hw.config.tool_store import ToolStore
 from galen_hw.drivers.virtual.truth import TOOLS
 from galen_hw.recording import read_recording
 
-pytestmark = pytest.mark.live
 QUICK = ("--poses", "3x4", "--samples", "80", "--no-check")
 
 

@@ -14,7 +14,6 @@ from galen_hw.config.paths import DEFAULT_CONFIG, Addresses
 from galen_hw.messages import JointsState, Message
 from tests.daemon_tree import alive, within
 
-pytestmark = pytest.mark.live
 ROBOTOUS = """
 [devices.ft]
 driver = "robotous_rft"
