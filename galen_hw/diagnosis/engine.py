@@ -21,7 +21,7 @@ from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import at_first_sight, library, select
 from galen_hw.diagnosis.selection import Selection
-from galen_hw.diagnosis.unnamed import left_by, predicted, touches_of
+from galen_hw.diagnosis.unnamed import left_by, predict_unnamed, touches_of
 from galen_hw.diagnosis.verdict import beyond, strong, verdict_of
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.event_effects import Glitches
@@ -102,7 +102,7 @@ def diagnose(
     glitch = [] if premise.wrong else glitches.confirmed(glitch, model)
     left = strong(left, judged, bench)
     if (left or touches_of(model)) and not premise.wrong:
-        model, judged, left = predicted(generic, model, holdout, judged, left)
+        model, judged, left = predict_unnamed(generic, model, holdout, judged, left)
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
     diagnosis.holdout = judged.name
     tell("done", 1.0)

@@ -10,7 +10,7 @@ from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slac
 from galen_hw.diagnosis.score import Score, Scorer, threshold
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.severally import severally
-from galen_hw.diagnosis.worth import WORTH, asked, plausible, worth
+from galen_hw.diagnosis.worth import WORTH, asked, plausible, taken, worth
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.table import EFFECTS, effect_class
 
@@ -321,8 +321,7 @@ def _enrich(bench: Bench, scorer: Scorer, out: Selection) -> bool:
         for j in list(forms.values())[:RICHER_FORMS]:
             trial = [*out.chosen[:place], j, *out.chosen[place + 1 :]]
             before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, trial)
-            floor = bench.noise.sigma**2
-            richer = float(np.max((before - after) / np.maximum(before - floor, 0.02 * floor)))
+            richer = float(np.max(taken(before, after, bench.noise.sigma**2)))
             if richer >= RICHER and plausible(bench, scorer, trial[:place] + trial[place + 1 :], j):
                 out.chosen, changed = trial, True
                 break

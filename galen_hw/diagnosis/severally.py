@@ -7,6 +7,7 @@ from galen_hw.diagnosis.linear import crossed
 from galen_hw.diagnosis.nonlinear import bent, polished, settle
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
+from galen_hw.diagnosis.worth import taken
 from galen_hw.physics.time_effects import Lag, TimeDelay, Timing
 from galen_hw.spatial import Array
 
@@ -80,6 +81,5 @@ def _clock_of(bench: Bench, scorer: Scorer, others: list[int], places: list[int]
 
 def _richer(bench: Bench, before: Array, after: Array) -> bool:
     """Whether errors (C,) on blocks left out fall, by enough of the excess in some channel."""
-    floor = bench.noise.sigma**2
-    most = float(np.max((before - after) / np.maximum(before - floor, 0.02 * floor)))
+    most = float(np.max(taken(before, after, bench.noise.sigma**2)))
     return most >= RICHER and float(np.mean(after / before)) < 1.0

@@ -35,7 +35,7 @@ def touches_of(model: Model) -> list[Hypothesis]:
     return [h for h in model.effects if isinstance(h.effect, Contact)]
 
 
-def predicted(
+def predict_unnamed(
     generic: list[adequacy.Family], model: Model, holdout: Scene | None, judged: Judged, rest: list[adequacy.Left]
 ) -> tuple[Model, Judged, list[adequacy.Left]]:
     """What is left predicted without a name, where held-out data support that.

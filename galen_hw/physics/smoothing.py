@@ -179,8 +179,8 @@ def derivatives(
 ) -> tuple[Array, Array]:
     """First and second derivative (N, n) of signals (N, n) over time (N,) in s, each segment by itself.
 
-    A measured velocity is believed and differentiated once. Uneven samples go over an even grid. Noise is smoothed away,
-    by a regression spline (if `fine`; commands have no noise to speak of) or by the low-pass of a given or found band (Hz).
+    A measured velocity is believed and differentiated once. Noise is smoothed away, by a regression spline (if `fine`; commands
+    have no noise to speak of) or by the low-pass of a given or found band (Hz), over an even grid where samples are uneven.
     Segments of fewer than five samples get zeros.
     """
     first, second = np.zeros_like(x), np.zeros_like(x)
