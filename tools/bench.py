@@ -25,6 +25,7 @@ from galen_hw.identification.model import Unknowns
 from galen_hw.identification.poses import Poses
 from galen_hw.spatial import Array, rotation_about
 from galen_hw.tools.bench_floor import ages_us
+from galen_hw.tools.bench_sample import spent_us
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -59,6 +60,7 @@ def main(argv: list[str] | None = None) -> int:
         lambda: coverage(40 if args.quick else 200),
         lambda: stream(seconds, min(seconds, 60.0)),
         lambda: residual(1 if args.quick else 4),
+        deflection_sample,
         diagnosis,
     ]
     rows: list[Row] = []
@@ -192,6 +194,13 @@ def _calibrated(seed: int) -> dict[str, Any]:
         done = subprocess.run(command, capture_output=True, text=True, check=False, env=env)
     check: dict[str, Any] = json.loads(done.stdout)["check"]
     return check
+
+
+def deflection_sample() -> list[Row]:
+    """Processor time that a corrected pose adds to a sample."""
+    p50, p99 = np.percentile(spent_us(20000), [50.0, 99.0])
+    text = f"p50 {p50:.0f} us, p99 {p99:.0f} us"
+    return [Row("corrected pose, one sample", "p99 <= 300 us", text, bool(p99 <= 300.0), "bench_sample")]
 
 
 def diagnosis() -> list[Row]:
