@@ -74,9 +74,7 @@ def _service(folder: Path) -> DeflectionService:
     origin = Origin(date="2026-01-01", software="bench", robot="galen", method="bench", sensor_serial="")
     tools.save(ToolFile(name=TOOL, tip=TIP, mass=0.3, com=(0.03, 0.004, -0.06), origin=origin))
     tools.select(TOOL)
-    file = DeflectionFile(
-        name="arm", robot="galen", tool=TOOL, tip=TIP, model="elastic arm", values=_arm().to_json()
-    )
+    file = DeflectionFile(name="arm", robot="galen", tool=TOOL, tip=TIP, model="elastic arm", values=_arm().to_json())
     DeflectionStore(folder).save(file)
     return DeflectionService("deflection", DeflectionSettings(), ServiceContext(ROBOT, BASE, folder))
 
