@@ -1,17 +1,20 @@
 """The elastic arm: finds what gives on generated robots, serves the same numbers sample by sample."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 
 from galen_hw.identification.deflection.blocks import Blocks, Rows
+from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.elastic_stream import Jitter
 from galen_hw.identification.deflection.elastic_terms import Term, Weight
 from galen_hw.identification.deflection.stream import Place
 from galen_hw.physics.elastic_effects import Compliance
 from galen_hw.physics.memory_effects import Hysteresis
+from galen_hw.physics.scene_giving import RestingLoad
 from galen_hw.tools.deflection import robots
 from galen_hw.tools.deflection.robots import NOISE_M, GivingRobot
 
@@ -92,6 +95,19 @@ def test_the_stream_gives_the_numbers_of_the_batch(robot: GivingRobot, arm: Elas
     assert np.abs(np.array(rows)[:, :3] - arm.predict(data)).max() < 1e-15
     variance = np.diag(np.reshape(stream.covariance(), (6, 6)))[:3]
     assert variance == pytest.approx(arm.variance(data)[-1], rel=1e-2), "the levers' bend alone is left out"
+
+
+def test_one_noisy_sample_at_rest_does_not_stay_in_all_that_follows(robot: GivingRobot, arm: ElasticArm) -> None:
+    """Friction begins at the mean of a load that rests; beginning at the first sample, the tip would be off by 10 um."""
+    data = robot.sets(1, each=1, first=6)[0].rows(slice(0, 1200))
+    columns = data.observations.columns
+    spoilt = {k: np.r_[v[0] + 0.06, v[1:]] if k.startswith("applied.force.") else v for k, v in columns.items()}
+    other = DeflectionSet.of("spoilt", dataclasses.replace(data.observations, columns=spoilt), tool=data.tool)
+    moved = np.linalg.norm((arm.predict(other) - arm.predict(data))[300:], axis=1)
+    assert moved.max() < 4e-6
+    start, loads = RestingLoad(), [1.0, 1.1, 0.9] * 10 + [5.0, 1.0]
+    assert [start.take(load, 3.0) for load in loads] == [True] * 30 + [False, True]
+    assert start.mean == pytest.approx(1.0), "a load that moves is no part of it"
 
 
 def test_the_interval_grows_where_noise_of_the_force_moves_the_give() -> None:

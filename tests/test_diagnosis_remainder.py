@@ -10,10 +10,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import SIGMA, WRENCH, Bench
 
+from galen_hw.diagnosis import adequacy
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.findings import dependence
 from galen_hw.diagnosis.generic import Inputs, dictionaries
-from galen_hw.diagnosis.remainder import learn
+from galen_hw.diagnosis.remainder import RIDGES, Functions, Ridge, learn
 from galen_hw.diagnosis.rows import Rows
 from galen_hw.diagnosis.seek import spikes
 from galen_hw.diagnosis.wanted import support
@@ -98,6 +99,37 @@ def test_a_remainder_speaks_only_of_recordings_like_its_own() -> None:
     assert remainder.predict(quicker, Rows(tuple(quicker.segments), rows.stride), 6) is None
     short = scene_of(Bench(2, rows=150).observations())
     assert remainder.predict(short, Rows(tuple(short.segments), rows.stride), 6) is None
+
+
+def test_inner_products_say_what_the_predictions_do() -> None:
+    """Coefficients solve the ridge's normal equations, and the gain is that of predicting each fold from the others."""
+    work = judged(stray(Bench(1, rows=4000)))
+    bench, names = work.bench, ["products of speeds", "speeds and accelerations"]
+    functions = Functions(bench)
+    sums, y = functions.plain(names, 0), work.model.rest()[functions.rows, 0] / bench.noise.sigma[0]
+    ridge = Ridge(sums, functions.white(names, 0), y, work.model.rest(white=True)[functions.rows, 0], weighed=False)
+    assert ridge.chosen == ["products of speeds"]
+    X, out = functions.columns[ridge.chosen[0]][functions.rows] / bench.noise.sigma[0], np.zeros(len(y))
+    X /= np.linalg.norm(X, axis=0)
+    for rows in functions.folds:
+        others = np.setdiff1d(np.arange(len(y)), np.arange(len(y))[rows])
+        G, b = X[others].T @ X[others], X[others].T @ y[others]
+        gains = {r: X[rows] @ np.linalg.solve(G + r * np.eye(len(G)), b) for r in RIDGES}
+        out[rows] = min(gains.values(), key=lambda p, rows=rows: np.sum((ridge.crossed()[rows] - p) ** 2))  # type: ignore[misc]
+    assert ridge.crossed() == pytest.approx(out, abs=1e-9)
+    assert ridge.reached == pytest.approx(float(np.sum(out * (2.0 * y - out))), rel=1e-9)
+
+
+def test_models_asked_together_leave_what_each_leaves_alone() -> None:
+    """The generic functions are whitened once for all; the answers are those of asking one by one."""
+    work = judged(rotor(Bench(3, rows=4000)))
+    generic, white = adequacy.families(work.bench), [h.white for h in work.model.parts]
+    some = [adequacy.Fitted(parts, work.model.rest(), work.model.rest(white=True)) for parts in (white, white[:1])]
+    together = adequacy.leftovers(work.bench, generic, some)
+    for mine, one in zip(together, some, strict=True):
+        (alone,) = adequacy.leftovers(work.bench, generic, [one])
+        assert [(x.channel, x.kind, x.z) for x in mine] == [(x.channel, x.kind, x.z) for x in alone]
+    assert together[1]
 
 
 def test_inputs_of_another_recording_are_in_the_units_of_the_first() -> None:

@@ -98,7 +98,7 @@ def diagnose(
     chosen = weighed(model)
     model, judged = earned(chosen, holdout)
     if model is not chosen:
-        left = left_by(model, generic)
+        left = left_by([model], generic)[0]
     glitch = [] if premise.wrong else glitches.confirmed(glitch, model)
     left = strong(left, judged, bench)
     if (left or touches_of(model)) and not premise.wrong:
@@ -148,9 +148,9 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
     if not left and len(coarse.noise.edges):
         # What is finely structured passes for quick noise. Only blocks that it was not fitted on can tell, whatever the noise.
         coarse.noise = coarse.noise.flat()
-        left = adequacy.leftovers(
-            coarse, generic, [h.raw for h in model.parts], model.rest(), model.rest() / coarse.noise.sigma
-        )
+        rest = model.rest()
+        plain = adequacy.Fitted([h.raw for h in model.parts], rest, rest / coarse.noise.sigma)
+        (left,) = adequacy.leftovers(coarse, generic, [plain])
     parts = zip(model.parts, model.slices(), strict=True)
     chosen = [(h.effect, model.final[s]) for h, s in parts if h.effect is not None]
     return _Known(chosen, {x.channel: x.kind for x in reversed(left)})
@@ -162,7 +162,7 @@ def _searched(
     """The chosen model under the present noise, and what it leaves."""
     hypotheses = [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)]
     selection, model = _chosen(bench, hypotheses, blind=blind)
-    return selection, model, left_by(model, generic)
+    return selection, model, left_by([model], generic)[0]
 
 
 def _silent(stage: str, share: float) -> None:

@@ -4,8 +4,9 @@ It shows how far any function of the known inputs and their past would go (the c
 live services: a function that nobody can explain does not act on a robot.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import itertools
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.generic import Inputs, dictionaries
-from galen_hw.diagnosis.rows import Mask, Rows
+from galen_hw.diagnosis.rows import Rows
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
@@ -25,6 +26,8 @@ WORTH: Final = 0.1
 """Share of what is explained by which a family must be better than a plainer one, or another family add."""
 LEAST: Final = 1e-3
 """And share of the whole rest."""
+TRIED: Final = 8
+"""Families that are tried beside those chosen: the ones that explain most of what these leave."""
 
 
 @dataclass(frozen=True)
@@ -68,28 +71,100 @@ class Remainder:
         return out
 
 
-def learn(model: Model, kinds: dict[int, set[str]]) -> Remainder | None:
+class Functions:
+    """The generic functions of a bench with their inner products, fold by fold, which many a rest is asked with.
+
+    Args:
+        bench: whose training rows they are learnt on.
+    """
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench, self.inputs = bench, Inputs.of(bench.scene, bench.rows)
+        self.columns = {name: X - X[bench.train].mean(axis=0) for name, X in _by_name(self.inputs).items()}
+        fold = np.unique(bench.block[bench.train], return_inverse=True)[1] % FOLDS
+        order = np.argsort(fold, kind="stable")
+        self.rows = np.flatnonzero(bench.train)[order]
+        edges = np.searchsorted(fold[order], np.arange(FOLDS + 1)).tolist()
+        self.folds = [slice(a, b) for a, b in itertools.pairwise(edges)]
+        self._plain: dict[tuple[str, str], Array] = {}
+        self._white: dict[int, dict[tuple[str, str], Array]] = {}
+
+    def plain(self, names: list[str], channel: int) -> "Sums":
+        """Of some families, over a channel's standard deviation."""
+        sigma = float(self.bench.noise.sigma[channel])
+        return Sums({n: self.columns[n][self.rows] for n in names}, self.folds, self._plain, 1.0 / sigma)
+
+    def white(self, names: list[str], channel: int) -> "Sums":
+        """Of some families, whitened as a channel's noise wants it."""
+        columns = {n: self.bench.noise.whiten(self.columns[n], channel)[self.rows] for n in names}
+        return Sums(columns, self.folds, self._white.setdefault(channel, {}))
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Inner products of families of functions over each fold's rows.
+
+    Args:
+        columns: (n, k) by name, the folds' rows one after the other.
+        folds: where each fold's rows are.
+        known: (folds, k, k) of pairs of families, kept from rest to rest.
+        scale: factor of all columns.
+    """
+
+    columns: dict[str, Array]
+    folds: list[slice]
+    known: dict[tuple[str, str], Array]
+    scale: float = 1.0
+
+    def pair(self, a: str, b: str) -> Array:
+        """(folds, k, l) of two families with each other."""
+        if (b, a) in self.known:
+            return np.swapaxes(self.known[b, a], 1, 2) * self.scale**2
+        if (a, b) not in self.known:
+            X, Y = self.columns[a], self.columns[b]
+            self.known[a, b] = np.stack([X[f].T @ Y[f] for f in self.folds])
+        return self.known[a, b] * self.scale**2
+
+    def gram(self, names: list[str]) -> Array:
+        """(folds, k, k) of several families together."""
+        return np.concatenate([np.concatenate([self.pair(a, b) for b in names], axis=2) for a in names], axis=1)
+
+    def against(self, y: Array) -> dict[str, Array]:
+        """(folds, k) of each family with a target (n,)."""
+        return {n: np.stack([X[f].T @ y[f] for f in self.folds]) * self.scale for n, X in self.columns.items()}
+
+    def joined(self, names: list[str]) -> Array:
+        """(n, k) columns of several families."""
+        return np.concatenate([self.columns[n] for n in names], axis=1) * self.scale
+
+
+def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None = None) -> Remainder | None:
     """The remainder of a model, from its training rows.
 
     Args:
         kinds: per channel the families of functions in which structure is left.
+        functions: of the model's bench, where they are known already.
     """
     bench = model.bench
-    inputs = Inputs.of(bench.scene, bench.rows)
-    functions = _by_name(inputs)
+    functions = functions if functions is not None and functions.bench is bench else Functions(bench)
     rest, white = model.rest() / bench.noise.sigma, model.rest(white=True)
     parts: dict[int, dict[str, Array]] = {}
     offsets, gain, crossed = {}, 0.0, np.zeros_like(rest)
-    for c, names in kinds.items():
-        mine = {name: X for name, X in functions.items() if name in names}
-        candidates = [_Ridge(bench, mine, rest[:, c], white[:, c], c, weighed=weighed) for weighed in (True, False)]
-        best = max(candidates, key=lambda ridge: ridge.reached)
+    for c, kind in kinds.items():
+        names = [name for name in functions.columns if name in kind]
+        plain, whitened = functions.plain(names, c), functions.white(names, c)
+        targets = rest[functions.rows, c], white[functions.rows, c]
+        best = max(
+            (Ridge(plain, whitened, *targets, weighed=w) for w in (True, False)), key=lambda ridge: ridge.reached
+        )
         if best.chosen:
             parts[c] = best.coefficients()
-            offsets[c] = float(sum(mine[name][bench.train].mean(axis=0) @ t for name, t in parts[c].items()))
+            crossed[functions.rows, c] = best.crossed() * bench.noise.sigma[c]
+            # The functions of another recording are not less their mean on this one.
+            whole = _by_name(functions.inputs)
+            offsets[c] = float(sum(whole[n][bench.train].mean(axis=0) @ t for n, t in parts[c].items()))
             gain += best.white_gain
-            crossed[bench.train, c] = best.crossed() * bench.noise.sigma[c]
-    return Remainder(inputs, parts, offsets, gain, crossed) if parts else None
+    return Remainder(functions.inputs, parts, offsets, gain, crossed) if parts else None
 
 
 def _by_name(inputs: Inputs) -> dict[str, Array]:
@@ -100,97 +175,144 @@ def _by_name(inputs: Inputs) -> dict[str, Array]:
     return {name: np.concatenate(parts, axis=1) for name, parts in out.items()}
 
 
-class _Ridge:
+@dataclass
+class Ridge:
     """Ridge regression of one channel's rest on families of functions, few of them.
 
     Args:
-        functions: (M, k) by name, the plain ones first.
-        rest, white: (M,) over the noise's standard deviation, and whitened.
+        plain, white: inner products of the families, the plain ones first.
+        rest, white_rest: (n,) over the noise's standard deviation, and whitened.
         weighed: fitted as whitened (generalised) or as it is: the first is best where noise is the rest's larger part, the
             second where physics is.
     """
 
-    def __init__(
-        self, bench: Bench, functions: dict[str, Array], rest: Array, white: Array, channel: int, *, weighed: bool
-    ) -> None:
-        train = bench.train
-        self._fold = np.unique(bench.block[train], return_inverse=True)[1] % FOLDS
-        self._weighed = weighed
-        self._rest, self._white = rest[train], white[train]
-        self._raw: dict[str, Array] = {}
-        self._whitened: dict[str, Array] = {}
-        self._sizes: dict[str, Array] = {}
-        for name, X in functions.items():
-            centred = X - X[train].mean(axis=0)
-            raw, whitened = centred[train] / bench.noise.sigma[channel], bench.noise.whiten(centred, channel)[train]
-            size = np.linalg.norm(whitened if weighed else raw, axis=0)
-            size = np.where(size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300), size, np.inf)
-            self._raw[name], self._whitened[name], self._sizes[name] = raw / size, whitened / size, size
-        self.chosen, self.reached, self.white_gain, self._ridge = self._choose()
+    plain: Sums
+    white: Sums
+    rest: Array
+    white_rest: Array
+    weighed: bool
+    chosen: list[str] = field(init=False, default_factory=list)
+    reached: float = field(init=False, default=0.0)
+    white_gain: float = field(init=False, default=0.0)
+    _ridge: int = field(init=False, default=0)
 
-    def _choose(self) -> tuple[list[str], float, float, int]:
-        """Families, one after the other as long as each explains more of blocks left out; what they reach; the ridge's place.
+    def __post_init__(self) -> None:
+        """Chooses families, one after the other as long as each explains more of blocks left out.
 
         Another motion is where many functions that say the same of this one differ: the plainest that does nearly as well
         as the best is taken, and another beside it must be worth it.
         """
-        names: list[str] = []
-        reached, white, ridge, total = 0.0, 0.0, 0, float(self._rest @ self._rest)
-        while len(names) < MOST_FAMILIES:
-            tried = {n: self._gains([*names, n]) for n in self._raw if n not in names}
+        self._learnt = self.white if self.weighed else self.plain
+        self._plain_b, self._white_b = self.plain.against(self.rest), self.white.against(self.white_rest)
+        self._b = self._white_b if self.weighed else self._plain_b
+        self._alone: dict[str, list[tuple[Array, Array]]] = {}
+        total, names = float(self.rest @ self.rest), list(self.plain.columns)
+        while len(self.chosen) < MOST_FAMILIES:
+            left = [n for n in names if n not in self.chosen]
+            if self.chosen:
+                promise = self._promises(left)
+                left = [n for n in left if n in sorted(left, key=lambda n: -promise[n])[:TRIED]]
+            tried = {n: self._gains([*self.chosen, n]) for n in left}
             gains = {n: float(raw.max()) for n, (raw, _) in tried.items()}
             best = max(gains.values(), default=0.0)
-            if best - reached < max(WORTH * best, LEAST * total):
-                break
-            name = next(n for n, gain in gains.items() if gain >= best - WORTH * (best - reached))
-            names.append(name)
-            reached, ridge = gains[name], int(np.argmax(tried[name][0]))
-            white = float(tried[name][1][ridge])
-        return names, reached, white, ridge
+            if best - self.reached < max(WORTH * best, LEAST * total):
+                return
+            name = next(n for n, gain in gains.items() if gain >= best - WORTH * (best - self.reached))
+            self.chosen.append(name)
+            self.reached, self._ridge = gains[name], int(np.argmax(tried[name][0]))
+            self.white_gain = float(tried[name][1][self._ridge])
+
+    @cached_property
+    def _sizes(self) -> dict[str, Array]:
+        """Norms (k,) of the columns as they are fitted; a column that is hardly there counts as none."""
+        out = {}
+        for name in self.plain.columns:
+            size = np.sqrt(np.einsum("fkk->k", self._learnt.pair(name, name)))
+            out[name] = np.where(size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300), size, np.inf)
+        return out
 
     def coefficients(self) -> dict[str, Array]:
         """Of every function of the chosen families, in the channel's unit."""
-        theta = self._solutions(self.chosen, np.ones(len(self._fold), dtype=bool))[:, self._ridge]
-        sizes = np.concatenate([self._sizes[n] for n in self.chosen])
-        ends = np.cumsum([self._raw[n].shape[1] for n in self.chosen])[:-1]
-        return dict(zip(self.chosen, np.split(theta / sizes, ends), strict=True))
+        theta = self._whole(self.chosen)[:, self._ridge] / self._size(self.chosen)
+        ends = np.cumsum([len(self._sizes[n]) for n in self.chosen])[:-1]
+        return dict(zip(self.chosen, np.split(theta, ends), strict=True))
 
     def crossed(self) -> Array:
-        """(n,) what the chosen families predict of each training row from other blocks, over the noise's deviation."""
-        out, X = np.zeros(len(self._fold)), _joined(self._raw, self.chosen)
-        for judge, theta in self._folds(self.chosen):
-            out[judge] = X[judge] @ theta[:, self._ridge]
+        """(n,) what the chosen families predict of each row from other folds, over the noise's deviation."""
+        out, X = np.zeros(len(self.rest)), self.plain.joined(self.chosen) / self._size(self.chosen)
+        for rows, theta in zip(self.plain.folds, self._thetas(self.chosen), strict=True):
+            out[rows] = X[rows] @ theta[:, self._ridge]
         return out
 
+    def _size(self, names: list[str]) -> Array:
+        return np.concatenate([self._sizes[n] for n in names])
+
     def _gains(self, names: list[str]) -> tuple[Array, Array]:
-        """Falls (len(RIDGES),) of the sum of squares on blocks left out in turn, raw and whitened."""
-        raw, white = np.zeros(len(RIDGES)), np.zeros(len(RIDGES))
-        X, Z = _joined(self._raw, names), _joined(self._whitened, names)
-        for judge, theta in self._folds(names):
-            raw += _falls(X[judge] @ theta, self._rest[judge])
-            white += _falls(Z[judge] @ theta, self._white[judge])
-        return raw, white
+        """Falls (len(RIDGES),) of the sum of squares on folds left out in turn, plain and whitened."""
+        thetas, size = self._thetas(names), self._size(names)
+        return tuple(  # type: ignore[return-value]
+            sum(
+                _falls(theta, G / np.outer(size, size), b / size)
+                for theta, G, b in zip(thetas, sums.gram(names), _joined(inner, names), strict=True)
+            )
+            for sums, inner in ((self.plain, self._plain_b), (self.white, self._white_b))
+        )
 
-    def _folds(self, names: list[str]) -> Iterator[tuple[Mask, Array]]:
-        """Rows of the blocks left out in turn, and coefficients (k, len(RIDGES)) learnt on the others."""
-        for f in range(FOLDS):
-            judge = self._fold == f
-            if judge.any() and not judge.all():
-                yield judge, self._solutions(names, ~judge)
+    def _promises(self, names: list[str]) -> dict[str, float]:
+        """What each family takes of what the chosen ones leave, on folds left out: less than beside them, but soon told."""
+        chosen, size, out = self.chosen, self._size(self.chosen), {}
+        thetas = [theta[:, self._ridge] / size for theta in self._thetas(chosen)]
+        for name in names:
+            mine = self._sizes[name]
+            learnt = self._left(self._learnt, self._b, name, thetas)
+            judged = self._left(self.plain, self._plain_b, name, thetas)
+            G = self.plain.pair(name, name) / np.outer(mine, mine)
+            gain = np.zeros(len(RIDGES))
+            for f, (value, vector) in enumerate(self._eigen(name)):
+                others = sum(learnt[f][g] for g in range(len(thetas)) if g != f)
+                theta = _ridged(value, vector, np.asarray(others) / mine)
+                gain += _falls(theta, G[f], judged[f][f] / mine)
+            out[name] = float(gain.max())
+        return out
 
-    def _solutions(self, names: list[str], rows: Mask) -> Array:
-        """(k, len(RIDGES)) coefficients learnt on some rows, one column a ridge."""
-        columns, target = (self._whitened, self._white) if self._weighed else (self._raw, self._rest)
-        A = _joined(columns, names)[rows]
-        value, vector = np.linalg.eigh(A.T @ A)
-        turned = vector.T @ (A.T @ target[rows])
-        return np.asarray(vector @ (turned[:, None] / (np.maximum(value, 0.0)[:, None] + RIDGES)))
+    def _left(self, sums: Sums, inner: dict[str, Array], name: str, thetas: list[Array]) -> list[Array]:
+        """For each fold's parameters of the chosen families, (folds, k) of a family with what they leave."""
+        cross = np.concatenate([sums.pair(name, other) for other in self.chosen], axis=2)
+        return [inner[name] - cross @ theta for theta in thetas]
+
+    def _eigen(self, name: str) -> list[tuple[Array, Array]]:
+        """Of a family by itself without each fold, kept."""
+        if name not in self._alone:
+            G = self._learnt.pair(name, name) / np.outer(self._sizes[name], self._sizes[name])
+            self._alone[name] = [tuple(np.linalg.eigh(G.sum(axis=0) - one)) for one in G]  # type: ignore[misc]
+        return self._alone[name]
+
+    def _thetas(self, names: list[str]) -> list[Array]:
+        """For each fold (k, len(RIDGES)) coefficients learnt on the others, one column a ridge."""
+        b = _joined(self._b, names)
+        rests = (b.sum(axis=0) - b) / self._size(names)
+        if len(names) == 1:
+            return [_ridged(*eigen, rest) for eigen, rest in zip(self._eigen(names[0]), rests, strict=True)]
+        size = self._size(names)
+        G = self._learnt.gram(names) / np.outer(size, size)
+        return [_ridged(*np.linalg.eigh(G.sum(axis=0) - one), rest) for one, rest in zip(G, rests, strict=True)]
+
+    def _whole(self, names: list[str]) -> Array:
+        """(k, len(RIDGES)) coefficients learnt on all rows."""
+        size = self._size(names)
+        G = self._learnt.gram(names).sum(axis=0) / np.outer(size, size)
+        return _ridged(*np.linalg.eigh(G), _joined(self._b, names).sum(axis=0) / size)
 
 
-def _falls(predicted: Array, target: Array) -> Array:
-    """(k,) falls of the sum of squares of a target (n,) by predictions (n, k)."""
-    return np.asarray(np.sum(predicted * (2.0 * target[:, None] - predicted), axis=0))
+def _ridged(value: Array, vector: Array, b: Array) -> Array:
+    """(k, len(RIDGES)) solutions of normal equations by their eigenvalues and -vectors."""
+    return np.asarray(vector @ ((vector.T @ b)[:, None] / (np.maximum(value, 0.0)[:, None] + RIDGES)))
 
 
-def _joined(columns: dict[str, Array], names: list[str]) -> Array:
-    return np.concatenate([columns[n] for n in names], axis=1)
+def _falls(theta: Array, G: Array, b: Array) -> Array:
+    """(m,) falls of a sum of squares by parameters (k, m), from inner products with each other (k, k) and the target (k,)."""
+    return np.asarray(2.0 * b @ theta - np.einsum("km,km->m", theta, G @ theta))
+
+
+def _joined(inner: dict[str, Array], names: list[str]) -> Array:
+    return np.concatenate([inner[n] for n in names], axis=1)

@@ -217,7 +217,9 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
     for share in (0.004, 0.01, 0.02):
         length = max(int(share * N), 5)
         z = uniform_filter1d(away / level, length, axis=0)
-        z = z / np.maximum(1.4826 * np.median(np.abs(z), axis=0), 1e-300)
+        spread = 1.4826 * np.median(np.abs(z), axis=0)
+        # A channel that hardly ever differs shows no touch by that.
+        z = np.where(spread > 0.0, z / np.where(spread > 0.0, spread, 1.0), 0.0)
         loud = np.sum(z**2, axis=1) > chi2.isf(1e-3 * length / N, C)
         found = _contact(scene, loud, length, away)
         if found is not None:

@@ -1,5 +1,6 @@
 """What is left once everything with a name is named: found, predicted, weighed against names that bend far enough to hide it."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -8,7 +9,7 @@ from galen_hw.diagnosis import adequacy
 from galen_hw.diagnosis.bench import Hypothesis
 from galen_hw.diagnosis.final import MERIT, Model, merit
 from galen_hw.diagnosis.judge import Judged, earned, judge_remainder
-from galen_hw.diagnosis.remainder import Remainder, learn
+from galen_hw.diagnosis.remainder import Functions, Remainder, learn
 from galen_hw.diagnosis.select import FLEXIBLE
 from galen_hw.diagnosis.verdict import strong
 from galen_hw.physics.event_effects import Contact
@@ -24,10 +25,15 @@ FORETOLD: Final = 0.5
 """Share of what a contact takes in its moments from which functions of the motion that foretell it make it none."""
 
 
-def left_by(model: Model, generic: list[adequacy.Family]) -> list[adequacy.Left]:
-    """What a model leaves above the noise."""
-    parts = [h.white for h in model.parts]
-    return adequacy.leftovers(model.bench, generic, parts, model.rest(), model.rest(white=True))
+def left_by(models: Sequence[Model], generic: list[adequacy.Family]) -> list[list[adequacy.Left]]:
+    """What each of some models of one recording leaves above the noise."""
+    benches = {id(model.bench): model.bench for model in models}
+    known: dict[int, list[adequacy.Left]] = {}
+    for bench in benches.values():
+        mine = [model for model in models if model.bench is bench]
+        fitted = [adequacy.Fitted([h.white for h in m.parts], m.rest(), m.rest(white=True)) for m in mine]
+        known |= {id(m): left for m, left in zip(mine, adequacy.leftovers(bench, generic, fitted), strict=True)}
+    return [known[id(model)] for model in models]
 
 
 def touches_of(model: Model) -> list[Hypothesis]:
@@ -43,12 +49,15 @@ def predict_unnamed(
     A flexible effect has a name only if it says more than generic functions do in its place: what these explain better alone
     has none. A contact is asked even if nothing else is left.
     """
-    now, remainder = _explained(model, rest)
+    functions = Functions(model.bench)
+    now, remainder = _explained(model, rest, functions)
     judged = judge_remainder(model, holdout, judged, remainder)
-    for out in _yielding(model):
-        less, plainly = earned(model.without([h for h in model.effects if id(h) in out]), holdout, judged)
-        its_rest = strong(left_by(less, generic), judged, model.bench)
-        reached, its_own = _explained(less, its_rest)
+    yielding = _yielding(model)
+    smaller = [earned(model.without([h for h in model.effects if id(h) in out]), holdout, judged) for out in yielding]
+    theirs = left_by([less for less, _ in smaller], generic)
+    for out, (less, plainly), left in zip(yielding, smaller, theirs, strict=True):
+        its_rest = strong(left, judged, model.bench)
+        reached, its_own = _explained(less, its_rest, functions)
         touches = [h for h in touches_of(model) if id(h) in out]
         # Asked of contacts alone: what else leaves with them may have been there.
         always = len(touches) == len(out) and all(
@@ -85,12 +94,12 @@ def _is_always_there(contact: Hypothesis, whole: _Rest, less: _Rest) -> bool:
     return bool(matters.any() and np.all(missed[matters] <= (1.0 - FORETOLD) * taken[matters]))
 
 
-def _explained(model: Model, rest: list[adequacy.Left]) -> tuple[float, Remainder | None]:
+def _explained(model: Model, rest: list[adequacy.Left], functions: Functions) -> tuple[float, Remainder | None]:
     """Merit of a model together with what generic functions predict of its rest on blocks left out; and these."""
     kinds: dict[int, set[str]] = {}
     for one in rest:
         kinds.setdefault(one.channel, set()).add(one.kind)
-    remainder = learn(model, kinds)
+    remainder = learn(model, kinds, functions)
     return merit(model) + (0.0 if remainder is None else remainder.gain), remainder
 
 

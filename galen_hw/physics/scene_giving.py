@@ -5,6 +5,7 @@ The effects of joints (compliance, hardening, creep) work on every port: the sce
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
@@ -138,9 +139,43 @@ class GivingScene(PoseScene):
         return np.concatenate([move, screw[:, 3:]], axis=1)[:, :width]
 
 
+RESTING, FEW, SIGMAS = 0.2, 10, 4.5
+"""A load rests within this share of a play's half width about its mean, and within so many standard deviations once some
+loads have shown it."""
+
+
+@dataclass(slots=True)
+class RestingLoad:
+    """Mean of a load from the start, for as long as it rests.
+
+    A play begins in the middle of its band. Nothing moves inside the band, so that the noise of a single first sample would
+    stay in all that follows.
+    """
+
+    count: int = 0
+    mean: float = 0.0
+    square: float = 0.0
+
+    def take(self, load: float, half_width: float) -> bool:
+        """Whether it rests still; a load that moves is no part of the mean."""
+        away = load - self.mean
+        if self.count and abs(away) > RESTING * half_width:
+            return False
+        if self.count >= FEW and away * away > SIGMAS * SIGMAS * self.square / self.count:
+            return False
+        self.count += 1
+        self.mean += away / self.count
+        self.square += away * (load - self.mean)
+        return True
+
+
 def _played(x: list[float], r: float) -> list[float]:
-    p, out = x[0], []
+    """Play of half width r, beginning in the middle of its band."""
+    start, rests, p, out = RestingLoad(), True, x[0], []
     for value in x:
+        if rests:
+            rests = start.take(value, r)
+            p = start.mean
         if value - r > p:
             p = value - r
         elif value + r < p:

@@ -21,7 +21,6 @@ from galen_hw.identification.deflection.stream import GiveStream
 from galen_hw.physics.scene_giving import Slip
 from galen_hw.spatial import Array
 
-SMOOTH_S = 0.25
 LEAST_REST = 10
 """Rows of a first rest whose mean is worth taking for the unloaded tip."""
 
@@ -129,10 +128,11 @@ class ElasticArm(DeflectionModel):
 def _floor(model: ElasticArm, sets: Sequence[DeflectionSet], blocks: Blocks) -> Array:
     """(d,) one sigma of what is left at held-out configurations, from each set's first rest on, without the tracker's noise.
 
-    The tracker's noise is white and falls in short means, the model's error is slow and stays. What the force's noise
-    makes of the prediction is white too, and differs from load to load (`Jitter`). One standard error over the sets comes on
-    top: few configurations have been seen, and a floor that is too low is the worse mistake. For the same reason the three
-    axes of a position (and those of a turn) share one floor: what is left is no property of an axis of the base.
+    The tracker's noise is white and the model's error lasts: the product of neighbouring rows holds that alone. What the
+    force's noise makes of the prediction is white too, and differs from load to load (`Jitter`). One standard error over the
+    sets comes on top: few configurations have been seen, and a floor that is too low is the worse mistake. For the same
+    reason the three axes of a position (and those of a turn) share one floor: what is left is no property of an axis of the
+    base.
     """
     by_fold = {int(f): blocks.solve([*model.terms, DELAY], without=int(f))[:-1] for f in np.unique(blocks.fold)}
     squares = []
@@ -141,14 +141,11 @@ def _floor(model: ElasticArm, sets: Sequence[DeflectionSet], blocks: Blocks) -> 
         late = np.stack([np.interp(s.time - model.delay_s, s.time, c) for c in give.T], axis=1)
         left, rest = s.give - late, np.asarray(first_rest(s), dtype=bool)
         seen = np.isfinite(left).all(axis=1)
-        size = max(1, round(SMOOTH_S / max(float(np.median(np.diff(s.time))), 1e-6)))
-        whole = np.count_nonzero(seen & ~rest) // size * size
-        if np.count_nonzero(seen & rest) < LEAST_REST or not whole:
+        if np.count_nonzero(seen & rest) < LEAST_REST or np.count_nonzero(seen & ~rest) < LEAST_REST:
             continue
-        after = left[seen & ~rest][:whole].reshape(-1, size, left.shape[1]).mean(axis=1)
-        after = after - left[seen & rest].mean(axis=0)
-        noise = model.noise**2 * (1.0 / size + 1.0 / np.count_nonzero(seen & rest))
-        squares.append(np.mean(after**2, axis=0) - noise)
+        after = left[seen & ~rest] - left[seen & rest].mean(axis=0)
+        white = np.mean(np.diff(left[seen], axis=0) ** 2, axis=0) / 2.0
+        squares.append(np.mean(after[1:] * after[:-1], axis=0) - white / np.count_nonzero(seen & rest))
     each = np.array(squares or [np.zeros(len(model.noise))])
     each = np.repeat(each.reshape(len(each), -1, 3).mean(axis=2), 3, axis=1)
     total = each.mean(axis=0) + each.std(axis=0, ddof=min(1, len(each) - 1)) / np.sqrt(len(each))

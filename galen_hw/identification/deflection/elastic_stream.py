@@ -14,7 +14,7 @@ from galen_hw.identification.deflection.stream import GiveStream, Place, Six, Tr
 from galen_hw.kinematics import NOMINAL_GRAVITY
 from galen_hw.physics.elastic_effects import Hardening
 from galen_hw.physics.memory_effects import Backlash, Creep, Hysteresis
-from galen_hw.physics.scene_giving import FRAMES, Slip
+from galen_hw.physics.scene_giving import FRAMES, RestingLoad, Slip
 from galen_hw.spatial import Array
 
 
@@ -31,19 +31,28 @@ class Arm(Protocol):
 
 @dataclass(slots=True)
 class _Slip:
-    """A play operator with the band in which its output may truly lie."""
+    """A play operator with the band in which its output may truly lie.
+
+    Until the load moves for the first time it is at the mean of `start`; None: it has moved.
+    """
 
     half_width: float
     share: float = 0.0
     output: float | None = None
     low: float = 0.0
     high: float = 0.0
+    start: RestingLoad | None = None
 
     def take(self, x: float) -> float:
-        """Output for the next load; at first the load itself."""
+        """Output for the next load."""
         r = self.half_width
         if self.output is None:
-            self.output, self.low, self.high = x, x, x
+            self.start = RestingLoad()
+        if self.start is not None:
+            rests = self.start.take(x, r)
+            self.output = self.low = self.high = self.start.mean
+            self.start = self.start if rests else None
+        assert self.output is not None, "it has begun"
         low, high = x - r, x + r
         self.low, self.high = min(max(self.low, low), high), min(max(self.high, low), high)
         self.output = min(max(self.output, low), high)
@@ -52,6 +61,7 @@ class _Slip:
     def gap(self) -> None:
         """The load was anywhere: so may the output be, until the load has moved by the whole width."""
         if self.output is not None:
+            self.start = None
             self.low, self.high = self.output - 2.0 * self.half_width, self.output + 2.0 * self.half_width
 
 
