@@ -14,7 +14,8 @@ from galen_hw.diagnosis import adequacy
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.findings import dependence
 from galen_hw.diagnosis.generic import Inputs, dictionaries
-from galen_hw.diagnosis.remainder import RIDGES, Functions, Ridge, learn
+from galen_hw.diagnosis.inner_products import Functions
+from galen_hw.diagnosis.remainder import RIDGES, Ridge, learn
 from galen_hw.diagnosis.rows import Rows
 from galen_hw.diagnosis.seek import spikes
 from galen_hw.diagnosis.wanted import support

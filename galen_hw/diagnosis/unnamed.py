@@ -8,8 +8,9 @@ import numpy as np
 from galen_hw.diagnosis import adequacy
 from galen_hw.diagnosis.bench import Hypothesis
 from galen_hw.diagnosis.final import MERIT, Model, merit
+from galen_hw.diagnosis.inner_products import Functions
 from galen_hw.diagnosis.judge import Judged, earned, judge_remainder
-from galen_hw.diagnosis.remainder import Functions, Remainder, learn
+from galen_hw.diagnosis.remainder import Remainder, learn
 from galen_hw.diagnosis.select import FLEXIBLE
 from galen_hw.diagnosis.verdict import strong
 from galen_hw.physics.event_effects import Contact
