@@ -1,6 +1,6 @@
 """Benchmark of the deflection models on generated robots with concealed parameters.
 
-python -m galen_hw.tools.bench_deflection --robots 20 --results bench.jsonl --write docs/deflection.md
+python -m galen_hw.tools.bench_deflection --robots 40 --results bench.jsonl --write docs/deflection.md
 """
 
 import argparse
