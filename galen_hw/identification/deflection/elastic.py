@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from scipy.stats import norm, t
 
 from galen_hw.identification.deflection.blocks import Blocks
 from galen_hw.identification.deflection.compare import first_rest
@@ -129,10 +130,10 @@ def _floor(model: ElasticArm, sets: Sequence[DeflectionSet], blocks: Blocks) -> 
     """(d,) one sigma of what is left at held-out configurations, from each set's first rest on, without the tracker's noise.
 
     The tracker's noise is white and the model's error lasts: the product of neighbouring rows holds that alone. What the
-    force's noise makes of the prediction is white too, and differs from load to load (`Jitter`). One standard error over the
-    sets comes on top: few configurations have been seen, and a floor that is too low is the worse mistake. For the same
-    reason the three axes of a position (and those of a turn) share one floor: what is left is no property of an axis of the
-    base.
+    force's noise makes of the prediction is white too, and differs from load to load (`Jitter`). Few
+    configurations have been seen, and the more they differ the less is known: the interval of 95 % is Student's, with
+    degrees of freedom by the scatter over the sets (Satterthwaite 1946). For the same reason the three axes of a position
+    (and those of a turn) share one floor: what is left is no property of an axis of the base.
     """
     by_fold = {int(f): blocks.solve([*model.terms, DELAY], without=int(f))[:-1] for f in np.unique(blocks.fold)}
     squares = []
@@ -148,5 +149,7 @@ def _floor(model: ElasticArm, sets: Sequence[DeflectionSet], blocks: Blocks) -> 
         squares.append(np.mean(after[1:] * after[:-1], axis=0) - white / np.count_nonzero(seen & rest))
     each = np.array(squares or [np.zeros(len(model.noise))])
     each = np.repeat(each.reshape(len(each), -1, 3).mean(axis=2), 3, axis=1)
-    total = each.mean(axis=0) + each.std(axis=0, ddof=min(1, len(each) - 1)) / np.sqrt(len(each))
+    mean, error = each.mean(axis=0), each.std(axis=0, ddof=min(1, len(each) - 1)) / np.sqrt(len(each))
+    freedom = np.clip(2.0 * mean**2 / np.maximum(error**2, 1e-300), 1.0, 1e6)
+    total = mean * (t.ppf(0.975, freedom) / norm.ppf(0.975)) ** 2
     return np.asarray(np.sqrt(np.maximum(total, (0.05 * model.noise) ** 2)))
