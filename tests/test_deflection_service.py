@@ -1,6 +1,5 @@
 """The deflection service: right where it can be, silent or not valid where it cannot, and quick."""
 
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,34 +10,23 @@ import pytest
 from galen_hw.config.tool_store import ToolStore
 from galen_hw.errors import CommandRejectedError, UsageError
 from galen_hw.identification.deflection.elastic import ElasticArm
-from galen_hw.identification.deflection.elastic_terms import Term, Weight
+from galen_hw.identification.deflection.elastic_terms import Weight
 from galen_hw.messages import Fault, Message, Pose, Request, Vector3, WrenchCompensated
-from galen_hw.physics.elastic_effects import Compliance, Hardening
-from galen_hw.physics.memory_effects import Backlash, Creep, Hysteresis
 from galen_hw.services.deflection.service import DeflectionService
 from galen_hw.services.deflection.settings import DeflectionSettings
 from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore
 from galen_hw.services.service import Output, ServiceContext
+from galen_hw.tools.bench_sample import SPRINGS, arm_of_all, spent_us
 from galen_hw.tools.deflection.figures import units
 from tests.compensation_parts import BASE, MS, RETRACTOR, ROBOT, joints, tool_file
 
 TIP = RETRACTOR["tip"]
 Q = np.array([0.02, -0.01, 0.03, 0.4, -0.3])
-SPRINGS = {"roll": 2e-3, "tilt": 3e-3, "structure.z": 3e-5}
 
 
 def arm(**changes: Any) -> ElasticArm:
-    """Springs, friction in the tilt joint, creep, hardening and play: all there is."""
-    terms = [Term("compliance", p, Compliance("joint", p)) for p in SPRINGS]
-    terms += [
-        Term("hysteresis", "tilt", Hysteresis.of_load("tilt", (0.2,))),
-        Term("creep", "roll", Creep(3.0, joint="roll")),
-    ]
-    terms += [Term("hardening", "tilt", Hardening("tilt", 2)), Term("play", "roll", Backlash("roll", None, 0.02))]
-    values = np.array([*SPRINGS.values(), 2.5e-3, 3e-4, -1e-4, 2e-4])
-    made = ElasticArm(tuple(terms), values, np.diag((0.02 * values) ** 2), {"tilt": [(0.2, 0.8)]})
-    made.floor, made.weight = np.full(3, 1e-5), Weight(0.3, (0.009, 0.0012, -0.018))
-    return replace(made, **changes)
+    """With every kind of term."""
+    return replace(arm_of_all(), **changes)
 
 
 def service_at(folder: Path, **file: Any) -> DeflectionService:
@@ -238,21 +226,12 @@ def test_old_joints_make_it_not_valid_and_moving_ones_carry_it_on(tmp_path: Path
 
 
 @pytest.mark.slow
-def test_a_sample_costs_little(tmp_path: Path) -> None:
+def test_a_sample_costs_little() -> None:
     """CPU time of nine samples of ten within 300 us in the quietest of ten stretches: other tests take caches and cycles away.
 
     The p99 of a machine of its own is what `make bench` measures.
     """
-    service = service_at(tmp_path)
-    spent = []
-    for k in range(5000):
-        if k % 25 == 0:
-            feed(service, joints((1 + k) * MS, Q, np.zeros(5)))
-        message = wrench((1 + k) * MS, (5.0 * np.sin(0.01 * k), 2.0, 1.0))
-        begin = time.thread_time_ns()
-        service.handle("wrench/compensated", message, message.t_ns)
-        spent.append(time.thread_time_ns() - begin)
-    assert np.quantile(np.reshape(spent, (10, -1)), 0.9, axis=1).min() < 300_000
+    assert np.quantile(np.reshape(spent_us(5000), (10, -1)), 0.9, axis=1).min() < 300.0
 
 
 def test_parameters_of_the_page_have_their_units() -> None:

@@ -36,6 +36,8 @@ MS: Final = 1_000_000
 JOINTS_EVERY: Final = 25
 TOOL: Final = "retractor"
 TIP: Final = (0.045, 0.0, -0.140)
+SPRINGS: Final = {"roll": 2e-3, "tilt": 3e-3, "structure.z": 3e-5}
+"""Port to compliance, rad/(N m) and m/N."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -74,23 +76,26 @@ def _service(folder: Path) -> DeflectionService:
     origin = Origin(date="2026-01-01", software="bench", robot="galen", method="bench", sensor_serial="")
     tools.save(ToolFile(name=TOOL, tip=TIP, mass=0.3, com=(0.03, 0.004, -0.06), origin=origin))
     tools.select(TOOL)
-    file = DeflectionFile(name="arm", robot="galen", tool=TOOL, tip=TIP, model="elastic arm", values=_arm().to_json())
+    file = DeflectionFile(
+        name="arm", robot="galen", tool=TOOL, tip=TIP, model="elastic arm", values=arm_of_all().to_json()
+    )
     DeflectionStore(folder).save(file)
     return DeflectionService("deflection", DeflectionSettings(), ServiceContext(ROBOT, BASE, folder))
 
 
-def _arm() -> ElasticArm:
+def arm_of_all() -> ElasticArm:
+    """Springs, friction in the tilt joint, creep, hardening and play: every kind of term that a model may have."""
     terms = (
-        *(Term("compliance", place, Compliance("joint", place)) for place in ("roll", "tilt", "structure.z")),
+        *(Term("compliance", place, Compliance("joint", place)) for place in SPRINGS),
         Term("hysteresis", "tilt", Hysteresis.of_load("tilt", (0.2,))),
         Term("creep", "roll", Creep(3.0, joint="roll")),
         Term("hardening", "tilt", Hardening("tilt", 2)),
         Term("play", "roll", Backlash("roll", None, 0.02)),
     )
-    values = np.array([2e-3, 3e-3, 3e-5, 2.5e-3, 3e-4, -1e-4, 2e-4])
-    arm = ElasticArm(terms, values, np.diag((0.02 * values) ** 2), {"tilt": [(0.2, 0.8)]})
-    arm.floor, arm.weight = np.full(3, 1e-5), Weight(0.3, (0.009, 0.0012, -0.018))
-    return arm
+    values = np.array([*SPRINGS.values(), 2.5e-3, 3e-4, -1e-4, 2e-4])
+    made = ElasticArm(terms, values, np.diag((0.02 * values) ** 2), {"tilt": [(0.2, 0.8)]})
+    made.floor, made.weight = np.full(3, 1e-5), Weight(0.3, (0.009, 0.0012, -0.018))
+    return made
 
 
 def _joints(t_ns: int) -> JointsState:

@@ -133,7 +133,8 @@ class Ridge:
             left = [n for n in names if n not in self.chosen]
             if self.chosen:
                 promise = self._promises(left)
-                left = [n for n in left if n in sorted(left, key=lambda n: -promise[n])[:TRIED]]
+                best_few = sorted(left, key=lambda n: -promise[n])[:TRIED]
+                left = [n for n in left if n in best_few]
             tried = {n: self._gains([*self.chosen, n]) for n in left}
             gains = {n: float(raw.max()) for n, (raw, _) in tried.items()}
             best = max(gains.values(), default=0.0)
