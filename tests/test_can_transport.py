@@ -131,10 +131,12 @@ def test_slcan_notices_that_the_adapter_is_gone(adapter):
 
 def test_slcan_waits_for_parts_of_a_millisecond(slcan):
     """A time-out of 0.2 ms is not rounded up to whole milliseconds (at 3 kHz that would lose slots)."""
-    begun = time.monotonic()
+    quickest = 1.0
     for _ in range(100):
+        begun = time.monotonic()
         assert slcan.receive(0.0002) == []
-    assert time.monotonic() - begun < 0.095
+        quickest = min(quickest, time.monotonic() - begun)
+    assert quickest < 0.0009
 
 
 def test_a_busy_port_is_refused(slcan, adapter):

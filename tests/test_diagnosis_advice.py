@@ -119,11 +119,11 @@ def test_what_cannot_be_told_apart_is_named_with_the_number() -> None:
 
 
 def test_the_recording_that_would_settle_a_delay_has_quick_starts() -> None:
-    """Quick starts part a delay from a lag; slow motion and rest do not; all within two seconds of work."""
+    """Quick starts part a delay from a lag; slow motion and rest do not; the advice is a small part of the work."""
     work = parts.diagnosed("late")
-    start = time.process_time()
+    begun = time.process_time()
     said = next_experiment(work.model, work.selection, work.diagnosis.findings[:1], [])
-    assert time.process_time() - start < 2.0
+    assert time.process_time() - begun < 0.3 * parts.cpu_s["late"]
     assert said == work.diagnosis.next_experiment
     assert said.startswith("To tell time delay from lag: move ")
     assert "quick starts" in said
