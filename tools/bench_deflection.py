@@ -8,13 +8,14 @@ import json
 import resource
 import sys
 import time
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from galen_hw.identification.deflection.compare import first_rest, residual_give, wall_shares
+from galen_hw.identification.deflection.compare import counted, judged, residual_give, wall_shares
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.table import MODELS, model_class
@@ -28,19 +29,19 @@ NEW, SAME, OTHER = "new configuration", "same configuration", "other day"
 LEARN, JUDGE, FIRST_NEW = 4, 2, 5
 BAND_95: Final = 1.959964
 SEEN_RESIDUAL_M: Final = 3e-5
-FRESH: Final = 7000
-"""First of the robots that nobody looked at while the model was built; those from 4000 and from 6000 on were."""
+FRESH: Final = 8000
+"""First of the robots that nobody looked at while the model was built; those from 4000, 6000 and 7000 on were."""
 
 
 def true_give(data: DeflectionSet) -> Array:
-    """(N, 3) true tip, from the first rest on; the tracker's noise and delay are not in it."""
+    """(N, 3) true tip, counted from the rests; the tracker's noise and delay are not in it."""
     true = np.stack([data.observations.columns[f"covariate.true.{a}"] for a in "xyz"], axis=1)
-    return np.asarray(true - true[first_rest(data)].mean(axis=0))
+    return counted(data, true)
 
 
-def from_rest(data: DeflectionSet, give: Array) -> Array:
-    """(N, 3) less its mean over the first rest."""
-    return np.asarray(give[:, :3] - give[first_rest(data), :3].mean(axis=0))
+def errors(pairs: Iterable[tuple[DeflectionSet, Array]]) -> Array:
+    """(K, 3) of values (N, 3) of sets, counted from the rests, on the rows that count."""
+    return np.concatenate([counted(s, values)[judged(s)] for s, values in pairs])
 
 
 def rms(error: Array) -> float:
@@ -58,7 +59,7 @@ def judge_robot(seed: int, names: list[str]) -> dict[str, Any]:
         OTHER: robot.sets(JUDGE, each=1, day=1),
     }
     out: dict[str, Any] = {"seed": seed, "present": robot.present, "models": {}}
-    out["give"] = rms(np.concatenate([true_give(s) for s in held[NEW]]))
+    out["give"] = rms(errors((s, true_give(s)) for s in held[NEW]))
     out["largest"] = float(max(np.linalg.norm(true_give(s), axis=1).max() for s in held[NEW]))
     for name in names:
         model = model_class(name)()
@@ -79,8 +80,8 @@ def _errors(held: dict[str, list[DeflectionSet]], gives: dict[str, list[Array]])
     out: dict[str, Any] = {"tracked": {}, "true": {}}
     for kind, sets in held.items():
         pairs = list(zip(sets, gives[kind], strict=True))
-        out["tracked"][kind] = rms(np.concatenate([from_rest(s, s.give) - from_rest(s, g) for s, g in pairs]))
-        out["true"][kind] = rms(np.concatenate([true_give(s) - from_rest(s, g) for s, g in pairs]))
+        out["tracked"][kind] = rms(errors((s, s.give[:, :3] - g[:, :3]) for s, g in pairs))
+        out["true"][kind] = rms(errors((s, true_give(s) - g[:, :3]) for s, g in pairs))
     pairs = list(zip(held[NEW], gives[NEW], strict=True))
     # Against the true tip: beside a residual of 0.03 mm the tracker's noise alone would be a quarter of it.
     left = np.concatenate([residual_give(replace(s, give=true_give(s)), g) for s, g in pairs])
@@ -95,9 +96,10 @@ def _coverage(arm: ElasticArm, sets: list[DeflectionSet], gives: list[Array]) ->
     """Shares of coordinates inside the 95 % interval, of the true tip and of the tracked one."""
     true, tracked = [], []
     for s, g in zip(sets, gives, strict=True):
-        variance, model = arm.variance(s)[:, :3], from_rest(s, g)
-        true.append(np.abs(true_give(s) - model) <= BAND_95 * np.sqrt(variance))
-        tracked.append(np.abs(from_rest(s, s.give) - model) <= BAND_95 * np.sqrt(variance + arm.noise[:3] ** 2))
+        variance = arm.variance(s)[judged(s), :3]
+        true.append(np.abs(errors([(s, true_give(s) - g[:, :3])])) <= BAND_95 * np.sqrt(variance))
+        band = BAND_95 * np.sqrt(variance + arm.noise[:3] ** 2)
+        tracked.append(np.abs(errors([(s, s.give[:, :3] - g[:, :3])])) <= band)
     return {
         "covers_true": float(np.mean(np.concatenate(true))),
         "covers_tracked": float(np.mean(np.concatenate(tracked))),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from galen_hw.identification.deflection.compare import first_rest
+from galen_hw.identification.deflection.compare import counted, judged
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.lstm import Lstm
@@ -132,7 +132,7 @@ def _model(out: Comparison, name: str, figure: "Figure") -> "Figure":
 
 
 def _centred(data: DeflectionSet, give: Array) -> Array:
-    return np.asarray(1e3 * (give[:, :3] - give[first_rest(data), :3].mean(axis=0)))
+    return 1e3 * counted(data, give[:, :3])
 
 
 def _over_force(axes: Any, data: DeflectionSet, give: Array, title: str) -> None:
@@ -154,7 +154,7 @@ def _over_time(ax: "Axes", data: DeflectionSet, out: Comparison, name: str) -> N
         half = 1.96e3 * np.sqrt(arm.variance(data)[:, axis])
         ax.fill_between(data.time, model - half, model + half, color=BAND, alpha=0.7, lw=0)
     ax.plot(data.time, model, color=DONE, lw=1.0, label="predicted")
-    rms = float(np.sqrt(np.nanmean((measured - model) ** 2)))
+    rms = float(np.sqrt(np.nanmean((measured - model)[judged(data)] ** 2)))
     ax.set(
         xlabel="time, s", ylabel=f"give {'xyz'[axis]}, mm", title=f"{data.name}: {rms:.3f} mm rms along {'xyz'[axis]}"
     )

@@ -1,6 +1,6 @@
 """Generated robots that give: deflection sets of the MuJoCo arm, whose parameters the fit does not see."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,16 +31,25 @@ _WAY = ((0.0, 0.0), (0.8, 1.0), (2.8, 1.0), (4.2, -1.0), (6.2, -1.0), (7.0, 0.0)
 """One push: s and share of its force; both ways through zero, with dwells and a rest."""
 
 
+COMES_S, STAYS_S = 3.0, 2.0
+"""Before each set, unseen: the way from somewhere else, and a while at the place."""
+
+
 @dataclass
 class GivingRobot:
-    """One robot and what is concealed in it."""
+    """One robot and what is concealed in it.
+
+    Args:
+        comes_from_afar: before each set the arm comes from another place, and its friction remembers the tool's weight
+            there; False: it begins relaxed.
+    """
 
     seed: int
     tool: str
     give: pose.Give
     present: dict[str, bool]
     latency_s: float
-    places: Array = field(default_factory=lambda: np.zeros((0, 5)))
+    comes_from_afar: bool = True
 
     @classmethod
     def drawn(cls, seed: int) -> "GivingRobot":
@@ -96,17 +105,29 @@ class GivingRobot:
         n = len(force)
         t = np.arange(n) / RATE_HZ
         case = Case("deflection", self.seed, "pose", "single", rate_hz=RATE_HZ)
-        path = Path(t, np.tile(place, (n, 1)), np.zeros((n, 5)), np.zeros((n, 5)))
-        tip = pose.simulate(pose.PoseScene(case, path, force, self.tool, self.give))
+        q = np.vstack([self._way(place, seed), np.tile(place, (n, 1))])
+        path = Path(np.arange(len(q)) / RATE_HZ, q, np.zeros_like(q), np.zeros_like(q))
+        before = len(q) - n
+        loads = np.vstack([np.zeros((before, 3)), force])
+        tip = pose.simulate(pose.PoseScene(case, path, loads, self.tool, self.give))[before:]
         seen = signal.delayed(t, self._registered(tip, seed[2]), self.latency_s)
         seen = seen + rng.normal(0.0, NOISE_M, (n, 3)) + rng.normal(0.0, 1e-4, 3)
-        q = np.hstack([carriages(path.q[:, :3]), path.q[:, 3:]])
+        q = np.hstack([carriages(q[before:, :3]), q[before:, 3:]])
         columns = {"time": t} | {f"joint.{j}.position": q[:, i] for i, j in enumerate(JOINTS)}
         felt = force + rng.normal(0.0, FORCE_NOISE_N, force.shape)
         columns |= {f"applied.force.{a}": felt[:, i] for i, a in enumerate("xyz")}
         columns |= {f"pose.position.{a}": seen[:, i] for i, a in enumerate("xyz")}
         columns |= {f"covariate.true.{a}": tip[:, i] for i, a in enumerate("xyz")}
         return DeflectionSet.of(name, Observations("pose", columns, None, self.belief), tool=self.tool)
+
+    def _way(self, place: Array, seed: list[int]) -> Array:
+        """(N, 5) from somewhere in the workspace to the place, and a while there."""
+        if not self.comes_from_afar:
+            return np.zeros((0, 5))
+        rng = np.random.default_rng([*seed, 8])
+        origin = np.array([*rng.uniform(-0.06, 0.06, 3), rng.uniform(-1.0, 1.0), rng.uniform(-0.6, 0.6)])
+        share = np.linspace(0.0, 1.0, round(COMES_S * RATE_HZ))[:, None]
+        return np.vstack([origin + share * (place - origin), np.tile(place, (round(STAYS_S * RATE_HZ), 1))])
 
     def _registered(self, tip: Array, day: int) -> Array:
         """(N, 3) in the base as it was registered on that day: the first day's base is the one that counts."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from galen_hw.identification.deflection.compare import judged
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.spatial import Array
 
@@ -37,9 +38,12 @@ class Rows:
 
     @classmethod
     def of(cls, data: DeflectionSet, tip: Array, noise: Array) -> "Rows":
-        """Rows with a seen tip, thinned; the frame's six small motions orthonormalised."""
-        seen = np.flatnonzero(np.isfinite(data.give).all(axis=1) & np.isfinite(data.force).all(axis=1))
-        index = seen[::EVERY]
+        """Rows with a seen tip, thinned; the frame's six small motions orthonormalised.
+
+        Rows before the first hold are left out: what the friction remembers there is not known.
+        """
+        seen = np.isfinite(data.give).all(axis=1) & np.isfinite(data.force).all(axis=1)
+        index = np.flatnonzero(seen & judged(data))[::EVERY]
         d = data.give.shape[1]
         columns = np.zeros((len(index), d, 6))
         columns[:, :3, :3] = np.eye(3)

@@ -4,15 +4,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.model import DeflectionModel
 from galen_hw.spatial import Array
 
+HELD = 0.95
+"""Of a push's largest force: it is held."""
+LEAST_REST = 20
+"""Rows of a rest whose mean is worth taking; shorter ones are crossings of zero, and their means are noise."""
+
 
 @dataclass(frozen=True)
 class Score:
-    """How a model did on held-out sets.
+    """How a model did on held-out sets; all errors are counted as `counted` does.
 
     Args:
         model: its name.
@@ -30,16 +36,15 @@ class Score:
 
 
 def judge(model: DeflectionModel, held_out: Mapping[str, Sequence[DeflectionSet]]) -> Score:
-    """Errors of a fitted model; what is left of the registration, a set's constant, goes by its first rest."""
+    """Errors of a fitted model on the rows that count."""
     rmse, released, predicted, residuals = {}, [], {}, []
     for kind, sets in held_out.items():
         errors = []
         for s in sets:
             give = model.predict(s)
             predicted[s.name] = give
-            error = s.give[:, :3] - give[:, :3]
-            error = error - error[first_rest(s)].mean(axis=0)
-            errors.append(error)
+            error = counted(s, s.give[:, :3] - give[:, :3])
+            errors.append(error[judged(s)])
             released.append(error[after_push(s)])
             residuals.append(residual_give(s, give))
         if errors:
@@ -50,23 +55,17 @@ def judge(model: DeflectionModel, held_out: Mapping[str, Sequence[DeflectionSet]
     return Score(model.NAME, rmse, _rms(late) if len(late) else float("nan"), share, predicted)
 
 
-def residual_give(data: DeflectionSet, give: Array, settle_s: float = 0.3) -> Array:
-    """(K, 2, 3) what is left of the give after each of K releases, measured and predicted, from the first rest on."""
-    start, free = first_rest(data), after_push(data)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], free.astype(int), [0]])))
-    out = []
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
-        rows = np.flatnonzero(data.time[a:b] > data.time[a] + settle_s) + a
-        if len(rows) >= 20:  # Shorter rests are crossings of zero, and their means are noise.
-            both = [(g[rows, :3].mean(axis=0) - g[start, :3].mean(axis=0)) for g in (data.give, give)]
-            out.append(np.stack(both))
-    return np.array(out).reshape(-1, 2, 3)
+def residual_give(data: DeflectionSet, give: Array) -> Array:
+    """(K, 2, 3) what is left of the give after each of K releases, measured and predicted, from the mean of all K on."""
+    found = rests(data)
+    means = np.array([[g[rows, :3].mean(axis=0) for g in (data.give, give)] for rows in found]).reshape(-1, 2, 3)
+    return np.asarray(means - means.mean(axis=0)) if len(means) > 1 else np.zeros((0, 2, 3))
 
 
 def wall_shares(data: DeflectionSet, give: Array, walls: int = 9) -> tuple[float, float]:
     """Mean of `wrong_side` over walls across the way that the tip gives, for the reported and the corrected tip."""
-    true = data.give[:, :3] - data.give[first_rest(data), :3].mean(axis=0)
-    corrected = give[:, :3] - give[first_rest(data), :3].mean(axis=0)
+    rows = judged(data)
+    true, corrected = (counted(data, g[:, :3])[rows] for g in (data.give, give))
     _, vectors = np.linalg.eigh(true.T @ true)
     normal = vectors[:, -1]
     places = np.quantile(true @ normal, np.linspace(0.1, 0.9, walls))
@@ -74,8 +73,37 @@ def wall_shares(data: DeflectionSet, give: Array, walls: int = 9) -> tuple[float
     return float(np.mean([s[0] for s in shares])), float(np.mean([s[1] for s in shares]))
 
 
-def first_rest(data: DeflectionSet) -> Array:
-    """(N,) bool: rows before the first push, where the arm has not been loaded yet."""
+def counted(data: DeflectionSet, values: Array) -> Array:
+    """(N, ...) values less their mean over the later half of the rests, which takes what is left of the registration out.
+
+    Not over the earlier ones: what the friction remembers there of the way to the place nobody knows, and the pushes wipe
+    that out one joint after the other. A set without a rest is counted from the mean of the rows that count.
+    """
+    found = rests(data)
+    found = found[len(found) // 2 :]
+    zero = (
+        np.mean([values[rows].mean(axis=0) for rows in found], axis=0) if found else values[judged(data)].mean(axis=0)
+    )
+    return np.asarray(values - zero)
+
+
+def judged(data: DeflectionSet) -> NDArray[np.bool_]:
+    """(N,) bool: rows from the first hold on; before it nobody knows what the friction remembers."""
+    size, free = np.linalg.norm(data.force, axis=1), np.flatnonzero(after_push(data))
+    first = size[: free[0]] if len(free) else size
+    return np.arange(len(data)) >= np.argmax(first >= HELD * first.max())
+
+
+def rests(data: DeflectionSet, settle_s: float = 0.3) -> list[NDArray[np.intp]]:
+    """Rows of each rest after a push, without its first moments; crossings of zero are too short to be one."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], after_push(data).astype(int), [0]])))
+    spans = [np.arange(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    settled = [rows[data.time[rows] > data.time[rows[0]] + settle_s] for rows in spans]
+    return [rows for rows in settled if len(rows) >= LEAST_REST]
+
+
+def first_rest(data: DeflectionSet) -> NDArray[np.bool_]:
+    """(N,) bool: rows before the first push."""
     size = np.linalg.norm(data.force, axis=1)
     pushed = np.flatnonzero(size > max(0.05 * size.max(), 0.1))
     rows = np.zeros(len(data), dtype=bool)
@@ -83,11 +111,11 @@ def first_rest(data: DeflectionSet) -> Array:
     return rows
 
 
-def after_push(data: DeflectionSet) -> Array:
+def after_push(data: DeflectionSet) -> NDArray[np.bool_]:
     """(N,) bool: rows without force that come after a push."""
     size = np.linalg.norm(data.force, axis=1)
     free = size < max(0.05 * size.max(), 0.1)
-    return np.asarray(free & ~np.asarray(first_rest(data), dtype=bool))
+    return np.asarray(free & ~first_rest(data))
 
 
 def wrong_side(reported: Array, corrected: Array, true: Array, normal: Array, offset_m: float) -> tuple[float, float]:

@@ -12,18 +12,20 @@ import numpy as np
 from scipy.stats import norm, t
 
 from galen_hw.identification.deflection.blocks import Blocks
-from galen_hw.identification.deflection.compare import first_rest
+from galen_hw.identification.deflection.compare import judged, rests
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.elastic_fit import DELAY, Decision, Search
 from galen_hw.identification.deflection.elastic_stream import ElasticStream, Jitter
 from galen_hw.identification.deflection.elastic_terms import Term, Weight, scenes
 from galen_hw.identification.deflection.model import DeflectionModel
 from galen_hw.identification.deflection.stream import GiveStream
+from galen_hw.physics.memory_effects import Hysteresis
+from galen_hw.physics.operators import play
 from galen_hw.physics.scene_giving import Slip
 from galen_hw.spatial import Array
 
-LEAST_REST = 10
-"""Rows of a first rest whose mean is worth taking for the unloaded tip."""
+SURE = 0.1
+"""Times the tracker's noise: memory that is no less sure than that is known."""
 
 
 def _none() -> Array:
@@ -84,12 +86,28 @@ class ElasticArm(DeflectionModel):
         return np.asarray(self.columns(data) @ self.values)
 
     def variance(self, data: DeflectionSet) -> Array:
-        """(N, d) of the corrected tip: parameters, what the model leaves, what the force's noise makes of the give here."""
+        """(N, d) of the corrected tip.
+
+        Parameters, what the model leaves, what the force's noise makes of the give here, and the friction's memory, which
+        is not known until the pushes have moved each load by its width.
+        """
         X = self.columns(data)
         known = np.einsum("ndi,ij,ndj->nd", X, self.covariance, X)
         jitter, steps = Jitter(X.shape[1]), np.diff(data.time, prepend=data.time[0])
         white = [jitter.take(give, dt) for give, dt in zip(X @ self.values, steps.tolist(), strict=True)]
-        return np.asarray(known + self.floor**2 + np.array(white))
+        return np.asarray(known + self.floor**2 + np.array(white) + self.unsure(data))
+
+    def unsure(self, data: DeflectionSet) -> Array:
+        """(N, d) variance of the friction's output, which lies anywhere between those of the least and the largest start."""
+        known = dict(zip(self.terms, self.values.tolist(), strict=True))
+        ((bare, _),) = scenes([data], self.weight, known, self.slips)
+        out = np.zeros(data.give.shape)
+        for term, value in known.items():
+            if isinstance(term.effect, Hysteresis):
+                load, r = bare.bare_load(term.port)[:, None], np.array(term.effect.widths)
+                low, high = (play(load, r, load[0] + side * r)[0][:, 0] for side in (-1.0, 1.0))
+                out += ((high - low) ** 2 / 12.0)[:, None] * (value * bare.joint_port(term.port)) ** 2
+        return out
 
     def to_json(self) -> dict[str, Any]:
         """Terms, parameters and how sure they are."""
@@ -127,29 +145,34 @@ class ElasticArm(DeflectionModel):
 
 
 def _floor(model: ElasticArm, sets: Sequence[DeflectionSet], blocks: Blocks) -> Array:
-    """(d,) one sigma of what is left at held-out configurations, from each set's first rest on, without the tracker's noise.
+    """(d,) one sigma of what is left at held-out configurations, where the friction's memory is known; the tracker's noise is not in it.
 
     The tracker's noise is white and the model's error lasts: the product of neighbouring rows holds that alone. What the
     force's noise makes of the prediction is white too, and differs from load to load (`Jitter`). Few
     configurations have been seen, and the more they differ the less is known: the interval of 95 % is Student's, with
-    degrees of freedom by the scatter over the sets (Satterthwaite 1946). For the same reason the three axes of a position
-    (and those of a turn) share one floor: what is left is no property of an axis of the base.
+    degrees of freedom by the scatter over the sets (Satterthwaite 1946); where next to nothing is left, the scatter is the
+    noise's own, and two standard errors are the most that it hides. The three axes of a position (and those of a turn)
+    share one floor: what is left is no property of an axis of the base.
     """
     by_fold = {int(f): blocks.solve([*model.terms, DELAY], without=int(f))[:-1] for f in np.unique(blocks.fold)}
     squares = []
     for number, s in enumerate(sets):
         give = model.columns(s) @ by_fold[int(blocks.fold[blocks.owner == number][0])]
         late = np.stack([np.interp(s.time - model.delay_s, s.time, c) for c in give.T], axis=1)
-        left, rest = s.give - late, np.asarray(first_rest(s), dtype=bool)
-        seen = np.isfinite(left).all(axis=1)
-        if np.count_nonzero(seen & rest) < LEAST_REST or np.count_nonzero(seen & ~rest) < LEAST_REST:
+        sure = judged(s) & (model.unsure(s) <= (SURE * model.noise) ** 2).all(axis=1)
+        still = np.concatenate([np.zeros(0, np.intp), *rests(s)])
+        still = still[sure[still]]
+        if len(still) == 0:
             continue
-        after = left[seen & ~rest] - left[seen & rest].mean(axis=0)
-        white = np.mean(np.diff(left[seen], axis=0) ** 2, axis=0) / 2.0
-        squares.append(np.mean(after[1:] * after[:-1], axis=0) - white / np.count_nonzero(seen & rest))
+        left = s.give - late
+        left = (left - left[still].mean(axis=0))[sure]
+        white = np.mean(np.diff(left, axis=0) ** 2, axis=0) / 2.0
+        squares.append(np.mean(left[1:] * left[:-1], axis=0) - white / len(still))
     each = np.array(squares or [np.zeros(len(model.noise))])
     each = np.repeat(each.reshape(len(each), -1, 3).mean(axis=2), 3, axis=1)
     mean, error = each.mean(axis=0), each.std(axis=0, ddof=min(1, len(each) - 1)) / np.sqrt(len(each))
     freedom = np.clip(2.0 * mean**2 / np.maximum(error**2, 1e-300), 1.0, 1e6)
-    total = mean * (t.ppf(0.975, freedom) / norm.ppf(0.975)) ** 2
+    student = mean * (t.ppf(0.975, freedom) / norm.ppf(0.975)) ** 2
+    most = mean + 2.0 * error
+    total = np.where(mean < error, most, np.minimum(student, most))
     return np.asarray(np.sqrt(np.maximum(total, (0.05 * model.noise) ** 2)))

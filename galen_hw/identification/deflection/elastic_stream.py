@@ -33,7 +33,8 @@ class Arm(Protocol):
 class _Slip:
     """A play operator with the band in which its output may truly lie.
 
-    Until the load moves for the first time it is at the mean of `start`; None: it has moved.
+    Until the load moves for the first time it is at the mean of `start`; None: it has moved. What happened before the
+    first load is not known: the band is whole until the load has moved by its width.
     """
 
     half_width: float
@@ -50,7 +51,8 @@ class _Slip:
             self.start = RestingLoad()
         if self.start is not None:
             rests = self.start.take(x, r)
-            self.output = self.low = self.high = self.start.mean
+            self.output = self.start.mean
+            self.low, self.high = self.output - r, self.output + r
             self.start = self.start if rests else None
         assert self.output is not None, "it has begun"
         low, high = x - r, x + r
