@@ -6,6 +6,7 @@ import os
 import re
 import select
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -67,6 +68,25 @@ def test_monitor_once_for_people_shows_topics_bars_and_states(
 
     for word in ("wrench/compensated", "joints/state", "force z", "N m", "daemon.motion", "ready"):
         assert word in text
+
+
+def test_monitor_in_a_pipe_writes_one_screen_after_the_other(running: Tree) -> None:
+    """Whole lines as they come, the wrench in each screen; Ctrl-C ends it with status 130 and one line."""
+    command = running.command("monitor", *directory(running))
+    with subprocess.Popen(
+        command, env=running.environ, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        seen = 0
+        for line in process.stdout:
+            seen += "force z" in line
+            if seen == 2:
+                break
+        process.send_signal(signal.SIGINT)
+        left, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert not left or left.endswith("\n")
+    assert said.splitlines() == ["galen-hw monitor: interrupted"]
 
 
 @pytest.mark.parametrize("command", [["monitor", "--once"], ["command", "motors", "stop"]])

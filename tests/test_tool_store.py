@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -216,40 +217,46 @@ sys.path.insert(0, {tests!r})
 from test_tool_store import tool
 from galen_hw.config.tool_store import ToolStore
 
-steps, last = 0, {last}
-def cut(event, args):
-    global steps
-    if event in ("open", "os.rename", "os.mkdir", "os.remove") and {state!r} in str(args[0]):
-        steps += 1
-        if steps > last:
-            os._exit(9)
+def save_until(state, last):
+    steps = 0
+    def cut(event, args):
+        nonlocal steps
+        if event in ("open", "os.rename", "os.mkdir", "os.remove") and state in str(args[0]):
+            steps += 1
+            if steps > last:
+                os._exit(9)
+    sys.addaudithook(cut)
+    store = ToolStore(Path(state))
+    store.save(tool(0.29))
+    store.select("retractor")
+    os._exit(0)
 
-sys.addaudithook(cut)
-store = ToolStore(Path({state!r}))
-store.save(tool(0.29))
-store.select("retractor")
+for last in range(40):
+    state = os.path.join({folder!r}, str(last))
+    ToolStore(Path(state)).save(tool(0.28))
+    child = os.fork()
+    if child == 0:
+        save_until(state, last)
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    print(last, status, flush=True)
+    if status == 0:
+        break
 """
 
 
 def test_no_power_cut_leaves_an_invalid_file(tmp_path):
     """The process dies before each of its file operations in turn: the store always reads, the old or the new tool."""
-    from pathlib import Path
+    code = CUT.format(tests=str(Path(__file__).parent), folder=str(tmp_path))
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
 
     seen = set()
-    for last in range(40):
-        state = tmp_path / str(last)
-        store = ToolStore(state)
-        store.save(tool(0.28))
-        code = CUT.format(tests=str(Path(__file__).parent), state=str(state), last=last)
-        done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    for last, status in (map(int, line.split()) for line in done.stdout.splitlines()):
+        store = ToolStore(tmp_path / str(last))
         found = store.load("retractor").mass
         assert found in (0.28, 0.29)
         assert all(not g.error for g in store.history("retractor"))
         assert store.selected() in (None, "retractor")
-        seen.add((done.returncode, found))
-        if done.returncode == 0:
-            break
-
+        seen.add((status, found))
     assert {(9, 0.28), (9, 0.29), (0, 0.29)} <= seen
 
 

@@ -74,7 +74,11 @@ def _live(view: "View", subscriber: "Subscriber", about: str) -> int:
     from galen_hw.tools.monitor.screen import screen
 
     console = Console()
-    with Live(console=console, auto_refresh=False, screen=console.is_terminal) as live:
+    while not console.is_terminal:  # A pipe or a file keeps one screen after the other.
+        view.listen(subscriber, SECONDS)
+        _print_once(view, subscriber, about, as_json=False)
+        sys.stdout.flush()
+    with Live(console=console, auto_refresh=False, screen=True) as live:
         while True:
             view.listen(subscriber, 0.25)
             live.update(

@@ -145,14 +145,15 @@ class ElasticArm(DeflectionModel):
 
 
 def _floor(model: ElasticArm, sets: Sequence[DeflectionSet], blocks: Blocks) -> Array:
-    """(d,) one sigma of what is left at held-out configurations, where the friction's memory is known; the tracker's noise is not in it.
+    """(d,) one sigma of what is left at held-out configurations, the tracker's noise apart.
 
-    The tracker's noise is white and the model's error lasts: the product of neighbouring rows holds that alone. What the
-    force's noise makes of the prediction is white too, and differs from load to load (`Jitter`). Few
-    configurations have been seen, and the more they differ the less is known: the interval of 95 % is Student's, with
-    degrees of freedom by the scatter over the sets (Satterthwaite 1946); where next to nothing is left, the scatter is the
-    noise's own, and two standard errors are the most that it hides. The three axes of a position (and those of a turn)
-    share one floor: what is left is no property of an axis of the base.
+    Rows count where the friction's memory is known. The tracker's noise is white and the model's error lasts: the
+    product of neighbouring rows holds that alone. What the force's noise makes of the prediction is white too, and
+    differs from load to load (`Jitter`). Few configurations have been seen, and the more they differ the less is
+    known: the interval of 95 % is Student's, with degrees of freedom by the scatter over the sets (Satterthwaite
+    1946); where next to nothing is left, the scatter is the noise's own, and two standard errors are the most that it
+    hides. The three axes of a position (and those of a turn) share one floor: what is left is no property of an axis
+    of the base.
     """
     by_fold = {int(f): blocks.solve([*model.terms, DELAY], without=int(f))[:-1] for f in np.unique(blocks.fold)}
     squares = []
