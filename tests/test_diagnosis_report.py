@@ -15,7 +15,7 @@ from galen_hw.diagnosis.draw import traces_of
 from galen_hw.diagnosis.page import write_page
 from galen_hw.diagnosis.result import Diagnosis, Finding, Value
 from galen_hw.diagnosis.sizes import headline, quantity, text
-from galen_hw.diagnosis.summary import lines, summary
+from galen_hw.diagnosis.summary import lines, summary, times_words
 from galen_hw.diagnosis.traces import Curve, Traces
 from galen_hw.tools.diagnose_screen import show, table
 from tests import diagnosis_parts as parts
@@ -198,3 +198,8 @@ def test_a_scheduler_that_does_not_answer_is_said_in_one_line(folder: Path, caps
     said = capsys.readouterr().err
     assert "no scheduler answers" in said
     assert "Traceback" not in said
+
+
+def test_ratios_are_written_out() -> None:
+    """Two digits without an exponent."""
+    assert [times_words(ratio) for ratio in (2345.6, 41.2, 1.26)] == ["2300", "41", "1.3"]

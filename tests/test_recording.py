@@ -223,6 +223,7 @@ ODD = [
     ("time,a,b\n0,1,\n1,2,\n", None, "b: every cell is empty; the column is left out"),
     ("time,a\n0,1\n1,inf\n", None, "a: 1 infinite values are taken as not measured"),
     ("time,a\n0,5\n1,5\n2,5\n", None, "a: constant at 5"),
+    ("time,a,b,c,d,e\n" + "".join(f"{t},0,0,7,0,0\n" for t in range(3)), None, "a, b, d and 1 more: constant at 0"),
     ("joint.a.position,x\n10,1\n90,2\n", None, "joint.a.position: reaches 90: is it in degrees or mm?"),
     ("pose.position.x,x\n10,1\n90,2\n", None, "pose.position.x: reaches 90 m: is it in mm?"),
     ("temperature.x,x\n290,1\n300,2\n", None, "is it in kelvin?"),

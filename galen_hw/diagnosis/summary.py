@@ -52,6 +52,11 @@ def _pair(a: float, b: float, unit: str) -> tuple[str, str]:
     return f"{factor * a:.3g}", f"{factor * b:.3g} {shown.unit}".strip()
 
 
+def times_words(ratio: float) -> str:
+    """Two digits, written out: 2300, 41, 1.3."""
+    return f"{float(f'{ratio:.2g}'):.10g}"
+
+
 def _what(d: Diagnosis) -> str:
     worst = d.channels[0] if d.channels else None
     if worst is None:
@@ -61,7 +66,7 @@ def _what(d: Diagnosis) -> str:
     if d.verdict == "agrees":
         count = "in its one channel" if len(d.channels) == 1 else f"in all {len(d.channels)} channels"
         return f"what is left {count} is noise, {b} rms in {channel_words(name)}"
-    times = f", {off / floor:.2g} times as much" if floor > 0.0 else ""
+    times = f", {times_words(off / floor)} times as much" if floor > 0.0 else ""
     return f"{channel_words(name)} is off by {a} {b.partition(' ')[2]} rms where its noise is {b}{times}"
 
 

@@ -18,6 +18,8 @@ from galen_hw.spatial import Array
 
 GAP_FACTOR = 5.0
 """A step of time this many times the median is a gap."""
+FEW = 3
+"""Names that are shown of many columns with the same remark."""
 
 
 def check(recording: Recording) -> list[str]:
@@ -74,12 +76,16 @@ def _clock(recording: Recording) -> Iterator[str]:
 
 
 def _cells(recording: Recording) -> Iterator[str]:
+    still: dict[str, list[str]] = {}
     for name, values in recording.columns.items():
         missing = int(np.isnan(values).sum())
         if missing:
             yield f"{name}: {missing} of {len(values)} cells are empty"
         if name not in ("time", "segment") and len(values) > 2 and np.nanmax(values) == np.nanmin(values):
-            yield f"{name}: constant at {values[~np.isnan(values)][0]:.6g}"
+            still.setdefault(f"{values[~np.isnan(values)][0]:.6g}", []).append(name)
+    for value, names in still.items():
+        shown = ", ".join(names[:FEW]) + (f" and {len(names) - FEW} more" if len(names) > FEW else "")
+        yield f"{shown}: constant at {value}"
 
 
 def _largest(values: Array) -> float:
