@@ -1,6 +1,7 @@
 """The diagnosis against concealed effects: each by itself, nulls, pairs, what has no name, and a tilted axis in a sweep."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -139,6 +140,11 @@ def coloured() -> Observations:
     return bench.observations()
 
 
+def unclocked(seen: Observations) -> Observations:
+    """The rows in their order alone."""
+    return replace(seen, columns={k: v for k, v in seen.columns.items() if k != "time"})
+
+
 def quantised() -> Observations:
     bench = Bench(4)
     step = 3.0 * SIGMA
@@ -154,6 +160,7 @@ NULLS = {
     "position": lambda: Servo(1).observations(),
     "pose": cases.tracked,
     "poses without a clock": lambda: cases.tracked(clock=False),
+    "coloured without a clock": lambda: unclocked(coloured()),
     "sweep without a clock": lambda: cases.sweep(np.array([0.0, 1.0, 0.0]), seed=2),
 }
 

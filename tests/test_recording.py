@@ -135,6 +135,10 @@ def test_a_quaternion_and_joints_can_both_say_where_it_was_zeroed() -> None:
     assert quaternion.zeroed_joints(five) is None
     assert quaternion.zeroed_quaternion(five) == (0, 0, 0, 1)
     assert RecordingInfo(zeroed_at=dict.fromkeys(five, 0.5)).zeroed_joints(five) == (0.5,) * 5
+    named = RecordingInfo(zeroed_at={"x": 0.0, "y": 0.6, "z": 0.0, "w": 0.8})
+    assert named.zeroed_joints(five) is None
+    assert named.zeroed_quaternion(five) == (0.0, 0.6, 0.0, 0.8)
+    assert named.zeroed_joints(("x", "y", "z", "w")) == (0.0, 0.6, 0.0, 0.8), "joints that are called so"
     with pytest.raises(UsageError, match="3 values for 5 joints"):
         RecordingInfo(zeroed_at=(0, 0, 0)).zeroed_joints(five)
     with pytest.raises(UsageError, match="no value for joint 'e'"):

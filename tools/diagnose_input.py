@@ -1,5 +1,6 @@
 """From a recording to what the effects read: columns, simulation, and what the simulation believes."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,12 @@ def observations_of(recording: Recording) -> Observations:
         raise UsageError("nothing is named to compare", where=where, todo='e.g. "predict": "wrench"')
     columns, simulation = dict(recording.columns), recording.simulation
     simulated = None if simulation is None else _matched(recording, simulation)
-    return Observations(info.predict, columns, simulated, _belief(recording))
+    belief = _belief(recording)
+    names = () if belief.robot is None else belief.robot.joint_names
+    if info.predict == "position" and any(f"joint.{name}.position" not in columns for name in names):
+        # Servos are compared one by one; where some joints were not recorded nothing is known of how the arm stands.
+        belief = replace(belief, robot=None)
+    return Observations(info.predict, columns, simulated, belief)
 
 
 def _matched(recording: Recording, simulation: Recording) -> dict[str, Array]:
@@ -100,5 +106,11 @@ def _zeroed(recording: Recording, robot: Robot | None) -> Array | None:
     quaternion = recording.info.zeroed_quaternion(names)
     if quaternion is not None:
         return rotation_from_quaternion(quaternion)
+    if robot is None and recording.info.zeroed_at is not None and recording.info.bias_body is not None:
+        what, where = (
+            "joints, but no robot that would say how the sensor stood",
+            f"{recording.path}/recording.json: zeroed_at",
+        )
+        raise UsageError(what, where=where, todo="give the sensor's orientation there as a quaternion x y z w")
     joints = recording.info.zeroed_joints(names) if robot is not None else None
     return None if joints is None or robot is None else np.asarray(robot.sensor_pose(np.array(joints))[0, :3, :3])

@@ -21,6 +21,8 @@ from galen_hw.spatial import Array
 MOST_ROWS = 12500
 SURROGATES = 48
 MOST_OF_MOTION = 0.995
+IN_ORDER = 1000
+"""Rows without a clock from which their order shows what the noise is like; poses that were averaged are fewer, and apart."""
 
 
 @dataclass(eq=False)
@@ -189,8 +191,13 @@ class Bench:
             rest.append(np.where(good, self.y[:, c] - fit, 0.0))
             basis.append(Q)
         self.noise = estimate(
-            np.stack(rest, axis=-1), basis, self.rows, clock=self.scene.clock, steps=self.steps, above=above
+            np.stack(rest, axis=-1), basis, self.rows, ordered=self.ordered, steps=self.steps, above=above
         )
+
+    @property
+    def ordered(self) -> bool:
+        """Whether the noise of successive rows may be of one piece: on a clock, or where so many rows have only their order."""
+        return self.scene.clock or len(self.rows) >= IN_ORDER
 
     def motion_band(self) -> float:
         """Cycles a row below which nearly all of the motion and of its products lies; 0 where nothing moves."""

@@ -14,7 +14,7 @@ from galen_hw.diagnosis.confusion import confusions
 from galen_hw.diagnosis.experiment import next_experiment
 from galen_hw.diagnosis.final import MERIT, Model, merit, offsets, settle_model, weighed
 from galen_hw.diagnosis.findings import findings_of, unknown_finding
-from galen_hw.diagnosis.guards import Premise, premises, quiet
+from galen_hw.diagnosis.guards import Premise, held_out, premises
 from galen_hw.diagnosis.judge import Judged, earned
 from galen_hw.diagnosis.locate import channels_of, episodes_of, where_of
 from galen_hw.diagnosis.result import Diagnosis
@@ -77,7 +77,7 @@ def diagnose(
     premise = premises(scene)
     scene = premise.scene
     held = 0.0 if holdout is not None else share
-    holdout = None if holdout is None else quiet(holdout)
+    holdout = None if holdout is None else held_out(holdout, premise.notes)
     bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, COARSE)
     glitch = glitches.marked(bench)
     coarse.leave_out(bench.spoilt)

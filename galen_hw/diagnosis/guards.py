@@ -1,6 +1,7 @@
 """Before any fitting: rows that can be compared, and what is odd about the rest. Each thing becomes one line."""
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -63,13 +64,26 @@ def premises(scene: Scene) -> Premise:
     mixups.clock(out)
     mixups.bodies(out)
     mixups.joints(out)
-    _complete(out)
+    out.scene = _complete(out.scene, out.notes, out.wrong)
     mixups.channels(out)
     out.scene = quiet(out.scene)
     if out.scene.clock and len(out.scene) < SHORT:
         out.notes.append(f"only {len(out.scene)} rows: too short to tell any but gross effects")
     out.notes += out.wrong
     return out
+
+
+def held_out(scene: Scene, notes: list[str]) -> Scene:
+    """A second recording, to be judged on, without the rows that cannot be compared; what is left out is noted.
+
+    Raises:
+        UsageError: as `premises`.
+    """
+    mine: list[str] = []
+    for step in (_ordered, _parted, _driven, _complete):
+        scene = step(scene, mine)
+    notes += [f"held-out recording: {line}" for line in mine]
+    return quiet(scene)
 
 
 def _drivable(scene: Scene) -> None:
@@ -218,18 +232,19 @@ def enough(good: Mask) -> None:
         raise UsageError(what, where="recording", todo=f"record at least {FEWEST}, with no empty cells")
 
 
-def _complete(out: Premise) -> None:
+def _complete(scene: Scene, notes: list[str], wrong: Sequence[str] = ()) -> Scene:
     """Rows without a measured or simulated value go; a dead channel is named."""
-    scene, (y, s) = out.scene, (out.scene.measured, out.scene.simulated)
+    y, s = scene.measured, scene.simulated
     for c, name in enumerate(scene.channels):
         if not np.isfinite(y[:, c]).any():
             raise UsageError(f"{name} has no value", where="recording", todo="add the column, or fill it")
         if not np.isfinite(s[:, c]).any():
-            if out.wrong:
-                raise UsageError(out.wrong[0], where="recording", todo="give SI units")
+            if wrong:
+                raise UsageError(wrong[0], where="recording", todo="give SI units")
             raise UsageError(f"{name} cannot be simulated", where="recording", todo="check the joints' columns")
     good = np.asarray(np.isfinite(y).all(axis=1) & np.isfinite(s).all(axis=1))
     enough(good)
-    if not good.all():
-        out.notes.append(f"{int((~good).sum())} rows have no value to compare and are left out")
-        out.scene = scene_of(scene.observations.taken(good))
+    if good.all():
+        return scene
+    notes.append(f"{int((~good).sum())} rows have no value to compare and are left out")
+    return scene_of(scene.observations.taken(good))

@@ -155,11 +155,11 @@ def _slope(x: Array, y: Array) -> float:
     return slope - float(np.sqrt(rest @ rest / max(len(x) - 2, 1) / (x @ x)))
 
 
-def estimate(rest: Array, basis: list[Array], rows: Rows, *, clock: bool, steps: Array, above: float = 0.0) -> Noise:
+def estimate(rest: Array, basis: list[Array], rows: Rows, *, ordered: bool, steps: Array, above: float = 0.0) -> Noise:
     """Noise from what is left (M, C) after a fit with an orthonormal basis (M, r) in each channel.
 
     Args:
-        rest, basis: of the fit; rows: of the bench; clock: without one, noise is white; steps: of rounded readings.
+        rest, basis: of the fit; rows: of the bench; ordered: if not, noise is white; steps: of rounded readings.
         above: cycles a row below which physics may still be in the rest: there the noise is taken as at that frequency.
     """
     M, C = rest.shape
@@ -169,7 +169,7 @@ def estimate(rest: Array, basis: list[Array], rows: Rows, *, clock: bool, steps:
     correlation = np.nan_to_num(np.corrcoef((rest / sigma).T)) if C > 1 else np.ones((1, 1))
     np.fill_diagonal(correlation, 1.0)
     long = [run for run in rows.runs if run.stop - run.start >= SHORTEST]
-    if not clock or not long:
+    if not ordered or not long:
         return Noise(rows, np.empty(0), np.empty((0, C)), sigma, float(freedom.sum()), correlation, steps)
     edges = _bands(max(run.stop - run.start for run in long))
     levels = np.stack([_levels(rest[:, c], basis[c], long, edges, above) for c in range(C)], axis=-1)

@@ -60,6 +60,9 @@ class Model(_Part):
     compliance: Compliance | None = None
 
 
+AXES = ("x", "y", "z", "w")
+
+
 class RecordingInfo(_Part):
     """The keys of `recording.json`; SI units. `unknown` lists keys that the program does not read.
 
@@ -101,13 +104,13 @@ class RecordingInfo(_Part):
             UsageError: a joint is missing, or the number of values fits neither joints nor a quaternion.
         """
         zeroed = self.zeroed_at
+        if zeroed is None or self.zeroed_quaternion(joint_names) is not None:
+            return None
         if isinstance(zeroed, dict):
             missing = [name for name in joint_names if name not in zeroed]
             if missing:
                 raise UsageError(f"no value for joint {missing[0]!r}", where="recording.json: zeroed_at")
             return tuple(zeroed[name] for name in joint_names)
-        if zeroed is None or (len(zeroed) == 4 and len(joint_names) != 4):
-            return None
         if len(zeroed) != len(joint_names):
             raise UsageError(
                 f"{len(zeroed)} values for {len(joint_names)} joints",
@@ -117,10 +120,15 @@ class RecordingInfo(_Part):
         return zeroed
 
     def zeroed_quaternion(self, joint_names: tuple[str, ...] = ()) -> tuple[float, ...] | None:
-        """Sensor orientation (x, y, z, w) at which the sensor was zeroed; None where not given as a quaternion."""
+        """Sensor orientation (x, y, z, w) at which the sensor was zeroed; None where not given as a quaternion.
+
+        A quaternion is four numbers, or four named x, y, z and w.
+        """
         zeroed = self.zeroed_at
-        is_quaternion = isinstance(zeroed, tuple) and len(zeroed) == 4 and len(joint_names) != 4
-        return zeroed if is_quaternion else None  # type: ignore[return-value]
+        if isinstance(zeroed, dict):
+            named = set(zeroed) == set(AXES) and not set(joint_names) & set(AXES)
+            return tuple(zeroed[axis] for axis in AXES) if named else None
+        return zeroed if zeroed is not None and len(zeroed) == 4 and len(joint_names) != 4 else None
 
     def to_json(self) -> str:
         """The text of `recording.json`: only what was set, keys as in the specification."""
