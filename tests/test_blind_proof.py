@@ -154,9 +154,9 @@ def test_scores_know_right_from_wrong() -> None:
 def test_a_small_share_of_the_proof(tmp_path: Path) -> None:
     """Through the command line: a null agrees, one strong effect a group is named first."""
     cases = [
-        Case("null-quantised", 22, "wrench", "null", noise="quantised"),
-        Case("payload", 23, "wrench", "single", effects=[Injected("payload", "payload", 1.6)]),
-        Case("friction", 24, "effort", "single", effects=[Injected("friction", "friction", 1.6)]),
+        Case("null-quantised", 22, "wrench", "null", duration_s=50.0, noise="quantised"),
+        Case("payload", 23, "wrench", "single", duration_s=50.0, effects=[Injected("payload", "payload", 1.6)]),
+        Case("friction", 24, "effort", "single", duration_s=50.0, effects=[Injected("friction", "friction", 1.6)]),
     ]
     for case in cases:
         build.build(case, tmp_path / case.name)
