@@ -194,6 +194,25 @@ def test_pairs_are_named_together_and_nothing_else():
     assert set(named(answer(beam.observations()))) == {"friction", "torque_ripple"}
 
 
+@pytest.mark.parametrize(
+    ("key", "again"),
+    [
+        ("drift", lambda b: b.wrench[:, 0].__iadd__(-0.1 * (b.t / b.t[-1]) ** 2)),
+        ("step", lambda b: b.wrench[:, 1].__iadd__(-0.06 * (b.t > 21.7))),
+        ("vibration", lambda b: b.wrench[:, 2].__iadd__(0.04 * np.sin(2 * np.pi * 3.7 * b.t + 1.9))),
+    ],
+)
+def test_what_belongs_to_moments_is_another_in_the_recording_that_is_judged_on(key, again):
+    """A drift another way, a jump at another time, a hum of another phase: still explained, and the fit is down at the noise."""
+    first, second = Bench(5), Bench(6)
+    getattr(cases, key)(first)
+    again(second)
+    d = diagnose(scene_of(first.observations()), holdout=scene_of(second.observations())).diagnosis
+    assert (named(d), d.verdict) == ([key], "explained")
+    assert all(d.fit["rmse_after"][c] < 1.1 * d.fit["noise_floor"][c] for c in d.fit["rmse_after"])
+    assert d.findings[0].evidence["heldout_gain"] > 0.8
+
+
 def test_structure_without_a_name_is_not_given_one():
     """An offset that flips to and fro by itself: `unknown` in its channel; a torque of acceleration and place: partly."""
     bench = Bench(7)

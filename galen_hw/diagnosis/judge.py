@@ -13,8 +13,10 @@ from galen_hw.diagnosis.noise import Noise
 from galen_hw.diagnosis.remainder import Remainder
 from galen_hw.diagnosis.rows import Mask, Rows
 from galen_hw.diagnosis.wanted import Guard, poor, support, sure
-from galen_hw.physics.event_effects import Contact
+from galen_hw.physics.effect import Effect
+from galen_hw.physics.event_effects import Contact, Step, Vibration
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.sensor_effects import Drift
 from galen_hw.physics.table import effect_class
 from galen_hw.spatial import Array
 
@@ -213,9 +215,10 @@ def predict(model: Model) -> Array:
 
 
 def apply(model: Model, scene: Scene, besides: Array | None = None) -> Array:
-    """(M, C) rest of another recording after the effects as learnt; what belongs to moments or nuisances is fitted anew.
+    """(M, C) rest of another recording after the effects as learnt; nuisances, and what belongs to moments, are fitted anew.
 
-    `besides`, (M, C), is something else that is taken off.
+    What drifts, hums or jumped once does so in another recording too, from another start, with another phase or at another
+    moment. `besides`, (M, C), is something else that is taken off.
     """
     bench = model.bench
     rows = Rows(tuple(scene.segments), bench.rows.stride)
@@ -227,11 +230,46 @@ def apply(model: Model, scene: Scene, besides: Array | None = None) -> Array:
     ]
     rest = rows.average(scene.residual - stream.added(scene, lasting, bench.timing))
     rest = rest - (0.0 if besides is None else besides)
-    if refit:
-        columns = _nuisances(refit, scene, rows, bench)
-        stacked, y = columns.reshape(-1, columns.shape[2]), rest.reshape(-1)
-        rest = (y - stacked @ np.linalg.lstsq(stacked, y, rcond=1e-9)[0]).reshape(rest.shape)
-    return rest
+    columns = [_nuisances(refit, scene, rows, bench)] if refit else []
+    found = [h.effect for h in model.parts if h.effect is not None]
+    for effect in found:
+        if isinstance(effect, Drift | Vibration):
+            columns += [_full(other, scene, rows, bench.width) for other in _again(effect, scene)]
+    left = _less(rest, columns)
+    for effect in found:
+        if isinstance(effect, Step):
+            jumps = [_full(replace(effect, moment=t), scene, rows, bench.width) for t in _moments(scene, left)]
+            columns.append(min(jumps, key=lambda jump: float(np.sum(_less(left, [jump]) ** 2))))
+            left = _less(rest, columns)
+    return left
+
+
+def _again(effect: Drift | Vibration, scene: Scene) -> list[Drift | Vibration]:
+    """The same kind of thing in another recording: a drift begins anew, and may wander as well."""
+    if isinstance(effect, Vibration):
+        return [effect]
+    begun = replace(effect, start=float(scene.time[0]), length=max(float(np.ptp(scene.time)), 1e-9))
+    return [begun] if begun.form == "wander" else [begun, replace(begun, form="wander", constant=None)]
+
+
+def _moments(scene: Scene, rest: Array) -> list[float]:
+    """Times at which something may have jumped in a recording; its start where nothing did."""
+    found = [s.effect.moment for s in seek.steps(scene, rest) if isinstance(s.effect, Step)]
+    return sorted(set(found)) or [float(scene.time[0])]
+
+
+def _full(effect: Effect, scene: Scene, rows: Rows, width: int) -> Array:
+    """(M, C, k) columns of an effect in all channels, on averaged rows."""
+    full = effect.columns(scene).full(width)
+    return np.stack([rows.average(full[:, :, i]) for i in range(full.shape[2])], axis=-1)
+
+
+def _less(rest: Array, columns: list[Array]) -> Array:
+    """(M, C) of a rest without what columns (M, C, k) can do in it, by plain least squares."""
+    if not columns:
+        return rest
+    stacked, y = np.concatenate(columns, axis=2).reshape(rest.size, -1), rest.reshape(-1)
+    return np.asarray((y - stacked @ np.linalg.lstsq(stacked, y, rcond=1e-9)[0]).reshape(rest.shape))
 
 
 def _nuisances(refit: list[Hypothesis], scene: Scene, rows: Rows, bench: Bench) -> Array:
