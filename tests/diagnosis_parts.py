@@ -1,7 +1,6 @@
 """Small recordings with one thing wrong, made by formulas of their own, and their diagnoses."""
 
 import json
-import time
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -47,10 +46,6 @@ def drifting(size: float) -> Scene:
     return recorded(scene, wrench)
 
 
-cpu_s: dict[str, float] = {}
-"""What each diagnosis took on this machine: a yardstick for its parts that a slow machine cannot bend."""
-
-
 @cache
 def diagnosed(kind: str) -> Work:
     """The diagnosis of a recording; made once for all tests of a process."""
@@ -60,10 +55,7 @@ def diagnosed(kind: str) -> Work:
         "nothing": lambda: late(0.0),
         "poses": poses,
     }
-    begun = time.process_time()
-    work = diagnose(scenes[kind](), name=kind)
-    cpu_s[kind] = time.process_time() - begun
-    return work
+    return diagnose(scenes[kind](), name=kind)
 
 
 def poses() -> Scene:

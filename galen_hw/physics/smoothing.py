@@ -23,8 +23,8 @@ def motion_band(x: Array, dt: float) -> float:
     """Highest frequency (Hz) at which a signal (N,) stands above its own noise; the Nyquist frequency where it does all along.
 
     The noise level is the median of the periodogram's upper half, and at each frequency no less than the median of the tenth of
-    the band above it (samples that were brought to an even clock have less noise at the top); the band ends where a smoothed
-    periodogram last exceeds it eightfold.
+    the band above it, up to three times that level (samples that were brought to an even clock have less noise at the top, but
+    what falls by more is a signal); the band ends where a smoothed periodogram last exceeds it eightfold.
     """
     n = len(x)
     if n < SHORTEST:
@@ -36,8 +36,11 @@ def motion_band(x: Array, dt: float) -> float:
     level = float(np.median(power[n // 4 :])) / 0.69
     if level <= 1e-18 * float(smooth.max()):
         return 0.5 / dt
-    above = np.flatnonzero(smooth > 8.0 * np.maximum(_median_above(power) / 0.69, level))
+    above = np.flatnonzero(smooth > 8.0 * np.clip(_median_above(power) / 0.69, level, FALLING * level))
     return float((above[-1] + 1 if len(above) else 1) / (n * dt))
+
+
+FALLING = 3.0
 
 
 def _median_above(power: Array) -> Array:
