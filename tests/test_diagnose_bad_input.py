@@ -333,7 +333,7 @@ def test_empty_cells_of_the_recording_that_is_judged_on_hide_nothing(
 
 
 def test_servos_are_compared_though_some_joints_were_not_recorded(tmp_path: Path) -> None:
-    """Two joints of the Galen's five, their commands and a late reading: a delay, judged on another run."""
+    """Two joints of the Galen's five, their commands and a late reading, of a third the command alone: a delay."""
     rng, t = np.random.default_rng(3), np.arange(2000) / 100.0
     for name in ("a", "b"):
         columns: Columns = {"time": t}
@@ -342,6 +342,7 @@ def test_servos_are_compared_though_some_joints_were_not_recorded(tmp_path: Path
             columns[f"joint.{joint}.command"] = 0.4 * np.sin(2 * np.pi * hz * t + phase)
             late = 0.4 * np.sin(2 * np.pi * hz * (t - 0.03) + phase)
             columns[f"joint.{joint}.position"] = late + 1e-3 * rng.normal(size=len(t))
+        columns["joint.carriage1.command"] = 1e-3 * np.sin(t)
         write(tmp_path / name, columns, {"schema": 1, "robot": "galen", "predict": "position"})
     words = ["diagnose", str(tmp_path / "a"), "--holdout", str(tmp_path / "b"), "--json", str(tmp_path / "out.json")]
     assert main(words) == 1

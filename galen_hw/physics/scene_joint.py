@@ -216,8 +216,10 @@ class PositionScene(JointScene):
 
     @cached_property
     def q(self) -> Array:
-        """(N, n) simulated positions; measured ones for joints that are not compared."""
+        """(N, n) simulated positions; for joints that are not compared measured ones, or commands, or rest."""
         out = self.observations.joints("position")
+        for instead in (self.observations.joints("command"), np.zeros(out.shape)):
+            out = np.where(np.isfinite(out).all(axis=0), out, instead)
         for place, name in enumerate(self.channels):
             out[:, self.joint_index(_joint(name))] = self.simulated[:, place]
         return out
