@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from galen_hw.cli import main
+from galen_hw.diagnosis.engine import diagnose
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.elastic_effects import Compliance
@@ -267,3 +268,51 @@ def test_a_resting_joint_stands_and_a_slow_one_keeps_its_place():
         assert np.ptp(still[part, 0]) == 0.0
         assert still[part.start, 0] == pytest.approx(0.3, abs=2e-6)
     assert np.abs(denoised(t, clean, parts) - clean)[:, 2].max() < 1e-6
+
+
+def sticking(rng: np.random.Generator, friction: float, rows: int = 6000) -> Observations:
+    """A servo of 60 ms with a mass and dry friction, integrated here at 2 kHz; simulated by the same without the friction."""
+    stiffness, damping, mass, fine = 200.0, 12.0, 0.05, 20
+    dt, t = 0.01 / fine, np.arange(rows) * 0.01
+    f, phase = rng.uniform(0.1, 0.6, 4), rng.uniform(0.0, 6.28, 4)
+    command = 0.15 * np.sin(2 * np.pi * np.outer(t, f) + phase).sum(axis=1)
+    answers = []
+    for loss in (friction, 0.0):
+        q, v, out = float(command[0]), 0.0, []
+        for c in command.tolist():
+            for _ in range(fine):
+                push = stiffness * (c - q) - damping * v
+                held = float(np.clip(-mass * v / dt - push, -loss, loss))
+                v += (push + held) / mass * dt
+                q += v * dt
+            out.append(q)
+        answers.append(np.array(out))
+    name = "joint.axis.position"
+    columns = {"time": t, "joint.axis.command": command, name: answers[0] + 4e-4 * rng.normal(size=rows)}
+    return Observations("position", columns, {name: answers[1]})
+
+
+def test_a_servo_that_sticks_rubs_and_has_no_play():
+    """Friction of 0.4 mrad behind a servo of 60 ms: named, with its size; a play as wide would turn round at once."""
+    scene = scene_of(sticking(np.random.default_rng(3), 0.08))
+    assert scene.response("axis") == pytest.approx(0.06, rel=0.15)
+    found = diagnose(scene).diagnosis.findings
+    assert [f.effect for f in found] == ["friction"]
+    assert found[0].parameters["coulomb"].value == pytest.approx(4e-4, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        Friction("axis", "coulomb_viscous", 1e-3),
+        Friction("axis", "servo_viscous", coulomb=3e-4, simulated=0.06),
+        Friction("axis", "creeping_servo", coulomb=3e-4, response=0.03, settling=0.2),
+    ],
+)
+def test_friction_of_every_form_comes_back_from_its_term(effect):
+    """A servo's stand-off is a searched value, a motor's friction a linear one: both are called coulomb."""
+    scene = scene_of(sticking(np.random.default_rng(3), 0.08, 200))
+    theta = np.arange(1.0, 1.0 + len(effect.parameters(scene)))
+    term = effect.to_term(scene, theta)["parameters"]
+    assert Friction.from_term(term) == effect
+    assert np.array_equal(effect.theta_of(scene, term), theta)

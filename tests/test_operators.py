@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from galen_hw.physics.operators import delay, lag, play
+from galen_hw.physics.operators import delay, lag, play, servo
 
 
 def play_by_definition(x: np.ndarray, half_width: np.ndarray, state: np.ndarray | None) -> np.ndarray:
@@ -78,3 +78,37 @@ def test_a_delay_is_the_past():
     t = np.arange(200) * 0.01
     out, _ = delay(t, 3.0 * t[:, None], 0.025, None)
     assert np.allclose(out[:, 0], 3.0 * np.maximum(t - 0.025, 0.0), atol=1e-12)
+
+
+@given(signals(), st.floats(0.0, 0.5), st.floats(0.01, 2.0), st.floats(1.5, 30.0), st.booleans(), st.floats(0.0, 1.0))
+def test_a_servo_that_sticks_goes_on_from_any_row(x, band, constant, slower, holds, where):
+    """A batch cut anywhere gives the same numbers, and the joint never stands further off than friction and lag allow."""
+    t = np.cumsum(np.random.default_rng(len(x)).uniform(0.5, 1.5, len(x))) * 0.01
+    m = x.shape[1]
+    r, quick = np.full(m, band), np.full(m, constant)
+    slow = np.full(m, np.inf if holds else constant * slower)
+    whole, last = servo(t, x, r, quick, slow, None)
+    assert np.array_equal(last.output, whole[-1])
+    assert np.all(whole <= np.maximum.accumulate(x, axis=0) + 1e-12)
+    assert np.all(whole >= np.minimum.accumulate(x, axis=0) - 1e-12)
+    cut = int(where * len(x))
+    if 0 < cut < len(x):
+        first, between = servo(t[:cut], x[:cut], r, quick, slow, None)
+        assert np.array_equal(np.concatenate([first, servo(t[cut:], x[cut:], r, quick, slow, between)[0]]), whole)
+
+
+def test_a_servo_is_play_when_quick_and_a_lag_without_friction():
+    """The two limits, by the operators for them; in between it sticks, and creeps where friction is viscous at rest."""
+    t = np.arange(2000) * 0.01
+    x, none = np.sin(t)[:, None], np.array([np.inf])
+    quick = servo(t, x, np.array([0.2]), np.array([1e-6]), none, None)[0]
+    assert np.max(np.abs(quick - play(x, np.array([0.2]), None)[0])) < 1e-12
+    smooth = servo(t, x, np.zeros(1), np.array([0.3]), none, None)[0]
+    assert np.max(np.abs(smooth - lag(t, x, np.array([0.3]), None)[0])) < 1e-12
+    step = np.where(t < 1.0, 0.0, 1.0)[:, None]
+    holds, creeps = (servo(t, step, np.array([0.2]), np.array([0.05]), np.array([s]), None)[0] for s in (np.inf, 1.0))
+    assert holds[-1] == pytest.approx(0.8)
+    assert creeps[-1] == pytest.approx(1.0, abs=1e-6)
+    # Where it begins to stick, friction over its creeping speed and stiffness sets the pace: 37 % left after `settling`.
+    at = 100 + int(np.argmax(creeps[100:, 0] > 0.8))
+    assert (1.0 - creeps[at + 100, 0]) / (1.0 - creeps[at, 0]) == pytest.approx(np.exp(-1.0), rel=0.02)

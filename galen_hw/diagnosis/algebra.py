@@ -42,6 +42,16 @@ def quadratic(A: Array, before: Array, r: Array, fakes: Array) -> tuple[Array, A
     return gains, np.sum((turned @ fakes) ** 2, axis=1), good.sum(axis=1)
 
 
+def pinned_at(at: Array, A: Array, r: Array) -> Array:
+    """(k,) parameters of least squares (inner products A (k, k), r (k,)) of which some are given: `at`, nan where free."""
+    free = np.isnan(at)
+    if not free.any():
+        return at
+    out = np.where(free, 0.0, at)
+    out[free] = solve_sym(A[np.ix_(free, free)], (r - A @ out)[free][:, None])[:, 0]
+    return out
+
+
 def orthonormal(X: Array, *, weakest: float = 1e-7, most: int | None = None) -> Array:
     """Orthonormal basis (M, r) of the strongest directions of columns (M, k), from their Gram matrix (M is long)."""
     if not X.shape[1]:

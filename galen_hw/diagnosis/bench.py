@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from galen_hw.diagnosis.algebra import orthonormal, scaled, solve_sym
+from galen_hw.diagnosis.algebra import orthonormal, pinned_at, scaled, solve_sym
 from galen_hw.diagnosis.noise import Noise, estimate, quantisation
 from galen_hw.diagnosis.rows import Index, Mask, Rows, blocks, set_aside
 from galen_hw.diagnosis.stream import through
@@ -73,7 +73,10 @@ class Hypothesis:
         What is fitted instead could be something else: a lag of share two is a delay.
         """
         at = None if self.effect is None else self.effect.pinned(scene)
-        return None if at is None else float(2.0 * at @ r - at @ A @ at)
+        if at is None:
+            return None
+        at = pinned_at(at, A, r)
+        return float(2.0 * at @ r - at @ A @ at)
 
 
 @dataclass

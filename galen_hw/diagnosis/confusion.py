@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import subspace_angles
 from scipy.optimize import minimize_scalar
 
-from galen_hw.diagnosis.algebra import WEAK, orthonormal, scaled, solve_sym
+from galen_hw.diagnosis.algebra import WEAK, orthonormal, pinned_at, scaled, solve_sym
 from galen_hw.diagnosis.bench import Hypothesis
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.nonlinear import ahead, bent, unbent, unclocked
@@ -188,30 +188,34 @@ class Sharpener:
         return np.asarray(X - self.base @ (self.base.T @ X))
 
     def sharpened(self, rival: Rival) -> Rival:
-        """The rival with its searched value where it makes most of the found signal."""
-        ((name, value),) = rival.effect.searched().items()
-        free, bound = rival.effect.unlimited(), rival.effect.SEARCHED[name]
-        low, high = max(np.log(value / REACH), np.log(bound.low)), min(np.log(value * REACH), np.log(bound.high))
-
-        def missed(at: float) -> float:
-            return self._rest(free.with_searched({name: float(np.exp(at))}))[0]
-
-        pinned = self._pinned(free)
-        # Where the size is not free, the searched value is the size.
-        finely = {"xatol": 0.02, "maxiter": 14} if pinned is None else {"xatol": 1e-3, "maxiter": 30}
-        best = minimize_scalar(missed, bounds=(low, high), method="bounded", options=finely)
-        effect = free.with_searched({name: float(np.exp(best.x))})
+        """The rival with its searched values, one after the other, where it makes most of the found signal."""
+        effect = rival.effect.unlimited()
+        pinned = self._pinned(effect)
+        for name, value in rival.effect.searched().items():
+            effect = self._along(effect, name, value, finely=pinned is not None)
         rest, X = self._rest(effect)
         share = max(1.0 - rest / float(self.signal @ self.signal), 0.0)
         if pinned is None and _angle(np.sqrt(share)) >= rival.angle:
             return rival
         A, r, library = X.T @ X, X.T @ self.white, self.scorer.library
-        theta = solve_sym(A, r[:, None])[:, 0] if pinned is None else pinned
+        theta = solve_sym(A, r[:, None])[:, 0] if pinned is None else pinned_at(pinned, A, r)
         worth = float(2.0 * theta @ r - theta @ A @ theta)
         paid = price(library[rival.place]) - price(library[self.i])
         nearest = float(np.degrees(np.min(subspace_angles(self.own, X))))
         angle = _angle(np.sqrt(share))
         return replace(rival, lead=self.gain - worth + paid, angle=angle, nearest=nearest, theta=theta, effect=effect)
+
+    def _along(self, effect: Effect, name: str, value: float, *, finely: bool) -> Effect:
+        bound = effect.SEARCHED[name]
+        low, high = max(np.log(value / REACH), np.log(bound.low)), min(np.log(value * REACH), np.log(bound.high))
+
+        def missed(at: float) -> float:
+            return self._rest(effect.with_searched({name: float(np.exp(at))}))[0]
+
+        # Where the size is not free, the searched value is the size.
+        options = {"xatol": 1e-3, "maxiter": 30} if finely else {"xatol": 0.02, "maxiter": 14}
+        best = minimize_scalar(missed, bounds=(low, high), method="bounded", options=options)
+        return effect.with_searched({name: float(np.exp(best.x))})
 
     def _pinned(self, effect: Effect) -> Array | None:
         return effect.pinned(self.scorer.bench.scene)
@@ -220,7 +224,8 @@ class Sharpener:
         """Squares of the found signal that an effect does not make, and its columns beside the model."""
         X = self._left(self._rows(self.scorer.bench.add(effect)))
         pinned = self._pinned(effect)
-        theta = solve_sym(X.T @ X, (X.T @ self.signal)[:, None])[:, 0] if pinned is None else pinned
+        A, r = X.T @ X, X.T @ self.signal
+        theta = solve_sym(A, r[:, None])[:, 0] if pinned is None else pinned_at(pinned, A, r)
         answer = X @ theta
         return float(np.sum((self.signal - answer) ** 2)), X
 

@@ -65,6 +65,8 @@ def tangent(bench: Bench, h: Hypothesis, theta: Array) -> Hypothesis:
 
 NEARLY = 0.1
 """Share of a chosen effect's gain within which a rival may be better at its optimum than by its slope or on its grid."""
+SLOPED = 0.25
+"""The same of one that is not linear: its slope at zero is not yet what it does."""
 MOST_NEAR = 3
 
 
@@ -134,10 +136,13 @@ def unbent(scorer: Scorer, i: int) -> AbstractContextManager[None]:
 def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:
     """The chosen hypothesis and the best of the kinds that nearly reach it."""
     leaders: dict[object, int] = {}
-    for j in sorted(scores, key=lambda j: -scores[j].rank):
+    for j in sorted(scores, key=lambda j: -scores[j].rank - scores[j].beyond):
         effect = scorer.library[j].effect
-        if effect is None or scores[j].rank < scores[i].rank - NEARLY * scores[i].gain:
+        short = scores[i].rank - scores[j].rank - scores[j].beyond
+        if effect is None or short > SLOPED * scores[i].gain:
             break
+        if short > NEARLY * scores[i].gain and not _is_bent(scorer.bench, scorer.library[j]):
+            continue
         leaders.setdefault((effect.family, *effect.searched()), j)
     rivals = [j for j in leaders.values() if j != i][:MOST_NEAR]
     return [i, *rivals]
@@ -251,7 +256,7 @@ def _best_rest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> Array
     # What a tangent predicts beyond its slope is not in its columns.
     with nullcontext() if h.bend is None else scorer.against(bench.y - h.bend):
         pinned = None if h.effect is None else h.effect.pinned(bench.scene)
-        if pinned is None:
+        if pinned is None or np.isnan(pinned).any():
             return rests(bench, scorer, [*others, i])[1][bench.train]
     own = np.zeros_like(bench.y)
     own[:, list(h.raw.channels)] = h.raw.values @ pinned

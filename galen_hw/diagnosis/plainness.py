@@ -19,7 +19,7 @@ PLAIN = {
     "payload": 1,
     "base_tilt": 1,
     "friction": 1,
-    "backlash": 1,
+    "backlash": 2,
     "lag": 2,
 }
 """Of look-alikes that do nearly as well while the model still misses much, the plainer goes first."""
@@ -73,7 +73,7 @@ def favour(scorer: Scorer, i: int, j: int) -> int:
 
 def handicap(bench: Bench, scorer: Scorer, others: list[int], i: int, j: int, rivals: dict[int, Score]) -> float:
     """What is added to the rank of j in the place of i: the plainer is better where the blocks do not agree on the other."""
-    side, alike = favour(scorer, i, j), ALIKE * rivals[i].gain
+    side, alike = favour(scorer, i, j), max(TIE, ALIKE * rivals[i].gain)
     lead = side * (rivals[i].rank - rivals[j].rank)
     if not side or lead <= TIE or lead > alike:
         return side * alike

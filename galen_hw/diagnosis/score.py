@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,12 +24,14 @@ class Score:
         count: parameters that it really adds.
         surprise: minus log of the chance of such a gain under noise, places looked at included.
         rank: gain less the price of its parameters (k log n), in units of the log likelihood ratio.
+        beyond: what more it may gain between the points of its grid, where its searched value is its size.
     """
 
     gain: float
     count: int
     surprise: float
     rank: float
+    beyond: float = 0.0
 
 
 class Scorer:
@@ -194,6 +196,7 @@ class Scorer:
             A = G - np.einsum("smk,sml->mkl", cross[:, rows], P[:, rows])
             squares = np.diagonal(G, axis1=1, axis2=2)
             gains, fakes, counts = quadratic(A, squares, rest_b[rows], rest_f[rows])
+            free = gains.copy()
             for m, i in enumerate(group):
                 pinned = self.library[i].pinned_gain(self.bench.scene, A[m], rest_b[rows[m]])
                 gains[m] = gains[m] if pinned is None else pinned
@@ -206,7 +209,8 @@ class Scorer:
                 highest = np.maximum(highest, reached.max(axis=0))
             for m, i in enumerate(group):
                 if counts[m]:
-                    out[i] = self._score(i, float(gains[m]), int(counts[m]), float(surprise[m]))
+                    score = self._score(i, float(gains[m]), int(counts[m]), float(surprise[m]))
+                    out[i] = replace(score, beyond=float(free[m] - gains[m]))
         # In the order of the library: between equals the first is taken.
         return {i: out[i] for i in asked if i in out}, highest
 

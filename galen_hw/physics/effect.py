@@ -149,7 +149,7 @@ class Effect(ABC):
         return None
 
     def pinned(self, scene: Scene) -> Array | None:
-        """(k,) the one value that its linear parameters can have; None where they are free."""
+        """(k,) the one value that its linear parameters can have, nan for one that is free; None where all are."""
         if self.freedom != 0:
             return None
         return np.array([p.expected for p in self.parameters(scene)], dtype=float)

@@ -1,16 +1,23 @@
 """Effects that act in a joint or along the arm: friction, torque ripple, cables."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, in_channel
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, in_channel, log_grid
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.scene_joint import EffortScene
 from galen_hw.physics.time_effects import joint_of
 from galen_hw.spatial import Array, skew
+
+RESPONSES = (0.01, 0.03, 0.1)
+"""Time constants of position servos to begin with, s."""
+LEAST_SETTLING = 1.01
+"""Slower than it follows, at least, a servo settles that sticks."""
+SETTLINGS = (4.0, 16.0)
+"""So much slower to begin with."""
 
 
 @dataclass(frozen=True)
@@ -19,20 +26,32 @@ class Friction(Effect):
 
     "asymmetric": own Fc and Fv by direction (with their offset); "stribeck": + Fs s exp(-(v / vs)^2) (Armstrong-Helouvry 1994);
     "load": + c |load| s. In efforts it adds to the motor's work; a servo without integral action stands off by friction over
-    stiffness (positions, negative). Visible at reversals and at several speeds. Confused with hysteresis and backlash (small
-    widths), time_delay and viscous lag, payload where speed follows gravity.
+    stiffness (positions, negative). "servo": the same with its sticking at reversals, T dq/dt = z(c - q), z a dead zone of
+    +- `coulomb` (friction over stiffness), T the servo's `response` (or that of the `simulated` one, where a simulation and its
+    command tell it), c what an ideal servo of that response was given (c = s + T ds/dt); "creeping_servo": friction that is
+    viscous at creeping speed, so that it gives way with a time constant `settling` while it sticks; either with "_viscous":
+    what more damping holds it back, - b ds/dt behind the response.
+    Visible at reversals and at several speeds. Confused with hysteresis and backlash (small widths; a quick servo that sticks
+    has the play of its command), time_delay and viscous lag, payload where speed follows gravity.
     """
 
     KEY = "friction"
     SEARCHED: ClassVar = {
         "transition": Searched(1e-6, 10.0, "rad/s or m/s"),
         "stribeck": Searched(1e-5, 10.0, "rad/s or m/s"),
+        "coulomb": Searched(1e-7, 1.0, "rad or m"),
+        "response": Searched(1e-3, 1.0, "s"),
+        "settling": Searched(1e-2, 1e3, "s"),
     }
     NEEDS_CLOCK = True
     joint: str
     form: str
-    transition: float
+    transition: float | None = None
     stribeck: float | None = None
+    coulomb: float | None = None
+    response: float | None = None
+    settling: float | None = None
+    simulated: float | None = None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -50,6 +69,37 @@ class Friction(Effect):
                 yield from (cls(joint, form, sharp * speed) for form in forms)
             if _is_effort(scene):
                 yield from (cls(joint, "stribeck", 0.05 * speed, vs * speed) for vs in (0.1, 0.3))
+            else:
+                yield from cls._in_servos(scene, joint)
+
+    @classmethod
+    def _in_servos(cls, scene: Scene, joint: str) -> Iterator[Self]:
+        """Stand-offs from far below the joint's range to a tenth of it, servos quick and slow."""
+        half_range = 0.5 * float(np.ptp(scene.q[:, scene.joint_index(joint)]))
+        known = scene.response(joint)
+        for coulomb in log_grid(half_range * 1e-4, half_range * 0.1, 11):
+            for response in (known,) if known is not None else RESPONSES:
+                given = {"response": response} if known is None else {"simulated": response}
+                slow = [None, *(one * response for one in SETTLINGS if response == (known or RESPONSES[1]))]
+                for settling in slow:
+                    form = "servo" if settling is None else "creeping_servo"
+                    yield cls(joint, form, coulomb=coulomb, settling=settling, **given)
+                    yield cls(joint, f"{form}_viscous", coulomb=coulomb, settling=settling, **given)
+
+    @classmethod
+    def from_term(cls, parameters: Mapping[str, Any]) -> Self:
+        """As for all effects; a servo's stand-off is searched, in the other forms the name is that of a linear parameter."""
+        form = {k: v for k, v in parameters.items() if k != "coulomb" or "servo" in str(parameters.get("form", ""))}
+        return super().from_term(form)
+
+    @property
+    def freedom(self) -> int | None:
+        """A servo stands off by all of its friction: the size of that is searched, and no share of it is free."""
+        return (1 if self.form.endswith("_viscous") else 0) if "servo" in self.form else None
+
+    def pinned(self, scene: Scene) -> Array | None:
+        """The share, and a free viscous part."""
+        return None if self.freedom is None else np.array([1.0] + self.freedom * [np.nan])
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Coulomb in the channel's unit, viscous per speed."""
@@ -64,12 +114,17 @@ class Friction(Effect):
                 Parameter("coulomb_backward", unit, low, high),
                 Parameter("viscous_backward", v.unit),
             )
+        if self.freedom is not None:
+            return (Parameter("share", "1", 0.0, expected=1.0), Parameter("viscous", "s", 0.0))[: 1 + self.freedom]
         extra = {"stribeck": Parameter("stiction", unit, low, high), "load": Parameter("load_share", "1", low, high)}
         return {"coulomb": (c,), "viscous": (v,), "coulomb_viscous": (c, v)}.get(self.form) or (c, v, extra[self.form])
 
     def columns(self, scene: Scene) -> Columns:
-        """Functions of the joint's speed in the joint's channel."""
+        """Functions of the joint's speed in the joint's channel, or what a servo that sticks does beside one that does not."""
         v = scene.rates[0][:, scene.joint_index(self.joint)]
+        if self.freedom is not None:
+            return in_channel(_place(scene, self.joint), self._servo(scene, v))
+        assert self.transition is not None, "proposed with one"
         s = np.tanh(v / self.transition)
         forward = 0.5 * (1.0 + s)
         forms: dict[str, Callable[[], list[Array]]] = {
@@ -81,6 +136,19 @@ class Friction(Effect):
             "load": lambda: [s, v, s * np.abs(np.asarray(scene.load(self.joint), dtype=float))],
         }
         return in_channel(_place(scene, self.joint), scene.seen(np.stack(forms[self.form](), axis=-1)).T)
+
+    def _servo(self, scene: Scene, v: Array) -> list[Array]:
+        assert self.coulomb is not None, "proposed with one"
+        response = self.response if self.simulated is None else self.simulated
+        assert response is not None, "proposed with one"
+        command = scene.q[:, scene.joint_index(self.joint)] + response * v
+        settling = np.inf if self.settling is None else max(self.settling, LEAST_SETTLING * response)
+        sticks = scene.servo("servo", command[:, None], self.coulomb, response, settling)
+        follows = scene.lag("follows", command[:, None], response)
+        out = [(sticks - follows)[:, 0]]
+        if self.freedom:
+            out.append(-scene.lag("viscous", v[:, None], response)[:, 0])
+        return out
 
 
 def _is_effort(scene: Scene) -> bool:

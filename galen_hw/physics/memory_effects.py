@@ -265,6 +265,11 @@ class Backlash(Effect):
                     size = float(np.sqrt(np.mean(load**2)))
                     yield from (cls(joint, None, share * size, balanced) for share in (0.01, 0.05))
 
+    @property
+    def freedom(self) -> int | None:
+        """All of a play is seen, or it is none: its width is searched, and no share of it is free."""
+        return None if self.half_width is None else 0
+
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """The share of the play, or half of it."""
         if self.half_width is None:

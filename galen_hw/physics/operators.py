@@ -113,6 +113,54 @@ def _lag_evenly(steps: Array, x: Array, constant: Array, start: Array) -> Array:
 
 
 @dataclass(frozen=True)
+class ServoState:
+    """Last time (s) and last output of servos that stick."""
+
+    time: float
+    output: Array
+
+
+def servo(
+    time: Array, command: Array, band: Array, constant: Array, settling: Array, state: ServoState | None
+) -> tuple[Array, ServoState]:
+    """A servo without integral action against dry friction: T dq/dt = z(c - q), z the dead zone of +- `band`.
+
+    It sticks while the stiffness times c - q cannot overcome the friction, then follows, a friction's width behind. T is its
+    damping over its stiffness: play of the command for T = 0, a first-order lag for a band of zero. Friction that is viscous
+    at creeping speed, up to its full size at some v, gives way while it sticks: (T + band / v) dq/dt = c - q. Source:
+    Armstrong-Helouvry, Dupont, Canudas de Wit 1994, sec. 2 and 4 (friction over speed; stand-off under PD control).
+
+    Args:
+        time: (N,) s.
+        command: (N, m) c, held over each step.
+        band: (m,) friction over stiffness, in the unit of c.
+        constant: (m,) T, s.
+        settling: (m,) T + band / v > T, s; infinite where it holds for good.
+        state: what the last row left; None: the output starts at the first command.
+    """
+    before = time[0] if state is None else state.time
+    steps = np.maximum(np.diff(np.concatenate([[before], time])), 0.0)
+    start = command[0] if state is None else state.output
+    out = np.empty_like(command, dtype=float)
+    for j, (r, lag_j, slow, first) in enumerate(
+        zip(band.tolist(), constant.tolist(), settling.tolist(), start.tolist(), strict=True)
+    ):
+        q, at, breaks = first, [], r if np.isinf(slow) else r * slow / (slow - lag_j)
+        quick, creeping = ((-np.expm1(-steps / one)).tolist() for one in (lag_j, slow))
+        for share, little, c in zip(quick, creeping, command[:, j].tolist(), strict=True):
+            error = c - q
+            if error > breaks:
+                q += share * (error - r)
+            elif error < -breaks:
+                q += share * (error + r)
+            else:
+                q += little * error
+            at.append(q)
+        out[:, j] = at
+    return out, ServoState(float(time[-1]), out[-1].copy())
+
+
+@dataclass(frozen=True)
 class DelayState:
     """Past times (s) and rows that a pure delay still needs."""
 

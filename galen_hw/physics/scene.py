@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.operators import delay, lag, play
+from galen_hw.physics.operators import delay, lag, play, servo
 from galen_hw.physics.smoothing import derivatives, ends
 from galen_hw.spatial import Array
 
@@ -290,6 +290,10 @@ class Scene:
         r = np.broadcast_to(np.asarray(half_width, dtype=float), x.shape[1:])
         return self._carried(name, x, lambda part, state: play(x[part], r, state), start)
 
+    def response(self, joint: str) -> float | None:
+        """Time constant (s) with which a simulated servo follows its command; None where there is none to be told."""
+        return None
+
     def inertia_load(self, joint: str) -> Array | None:
         """(N,) load of a joint by motion alone, where weight may be balanced; None where that is not known."""
         return None
@@ -302,6 +306,14 @@ class Scene:
         """First-order lag of (N, m) inputs over the clock, see `operators.lag`."""
         c = np.broadcast_to(np.asarray(constant, dtype=float), x.shape[1:])
         return self._carried(name, x, lambda part, state: lag(self.time[part], x[part], c, state))
+
+    def servo(self, name: Any, command: Array, band: Any, constant: Any, settling: Any) -> Array:
+        """Servos that stick, (N, m) commands over the clock, see `operators.servo`."""
+        wide = command.shape[1:]
+        r, quick, slow = (np.broadcast_to(np.asarray(x, dtype=float), wide) for x in (band, constant, settling))
+        return self._carried(
+            name, command, lambda part, state: servo(self.time[part], command[part], r, quick, slow, state)
+        )
 
     def delay(self, name: Any, x: Array, seconds: float) -> Array:
         """(N, m) inputs delayed by seconds, see `operators.delay`."""

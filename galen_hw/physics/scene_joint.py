@@ -18,6 +18,9 @@ FEW = 20
 COARSE = 4000
 """Ports of a URDF are smooth along the motion: they are evaluated on about so many rows and interpolated."""
 
+FOLLOWS = 0.1
+"""Share of a simulated servo's error that another cause than its response may have for that to be taken as known."""
+
 
 class JointScene(Scene):
     """What efforts and positions share: one channel a joint."""
@@ -256,6 +259,22 @@ class PositionScene(JointScene):
             return np.asarray(self.observations.columns[f"joint.{joint}.effort"])
         torque = self.motion_torque()
         return None if torque is None else torque[:, self.joint_index(joint)]
+
+    @once
+    def response(self, joint: str) -> float | None:
+        """From a given simulation and the command in the recording: c - s = T ds/dt, where that is nearly all of it."""
+        name, place = f"joint.{joint}.command", self.channel_of(joint)
+        command = (self.whole or self).observations.columns.get(name)
+        if self.observations.simulation is None or command is None or place is None or len(command) != len(self):
+            return None
+        rate, ahead = self.simulated_rate[:, place], command - self.simulated[:, place]
+        known = np.isfinite(rate) & np.isfinite(ahead)
+        rate, ahead = rate[known], ahead[known] - np.mean(ahead[known])
+        if not len(rate) or not np.any(rate) or not np.any(ahead):
+            return None
+        constant = float(rate @ ahead / (rate @ rate))
+        left = float(np.sum((ahead - constant * rate) ** 2) / np.sum(ahead**2))
+        return constant if constant > 0.0 and left < FOLLOWS else None
 
     @once
     def motion_torque(self) -> Array | None:

@@ -319,7 +319,6 @@ def backlash(scene: ArmScene, hidden: Injected, rng: np.random.Generator, a: flo
     """Play behind the motor: two stops that the link falls between."""
     mask = _joints(rng, hidden, only=(1, 2))
     scene.machine.play = mask * 2e-4 * a
-    scene.machine.loss = np.zeros(3)
     hidden.parameters = {"half_width": 2e-4 * a}
 
 
