@@ -230,14 +230,15 @@ def test_a_lead_that_the_blocks_do_not_agree_on_is_none(monkeypatch: pytest.Monk
 
 
 def test_a_play_wider_than_the_motion_is_no_rival_of_a_scale() -> None:
-    """It makes the same signal with a share of a thousandth, which no play has."""
+    """A thousandth of it would make the same signal, but a play is seen whole: as such it is far away and far behind."""
     work = work_of(scaled_servo())
     finding = work.diagnosis.findings[0]
     everyone = confusion.rivals(work.selection, finding, everyone=True)
     play = [r for r in everyone if r.key == "backlash"]
     assert play
-    assert play[0].angle < 2.0
-    assert play[0].lead < confusion.CLOSE
+    assert play[0].nearest < 90.0
+    assert play[0].angle > confusion.NEAR
+    assert play[0].lead > confusion.CLOSE
     assert "backlash" not in [c.effect for c in finding.confounded_with]
 
 
