@@ -17,7 +17,9 @@ from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.elastic_effects import Compliance
 from galen_hw.physics.event_effects import Contact, Glitches, Step, Vibration
+from galen_hw.physics.geometry_effects import JointOffset, JointScale
 from galen_hw.physics.joint_effects import TorqueRipple
+from galen_hw.physics.rigid import predicted_wrench
 from galen_hw.physics.sensor_effects import Drift
 from galen_hw.physics.streams import EffectStream, build_streams
 from galen_hw.physics.table import EFFECTS, effect_class, scene_of
@@ -128,3 +130,33 @@ def test_an_arm_sags_under_all_that_hangs_on_it(joint):
     )
     sag, bare = (Compliance("structure", source=source).columns(made).values[:, 2, 2] for source in ("all", "applied"))
     np.testing.assert_allclose(sag - bare, (0.287 + 0.085) * believed.gravity[2])
+
+
+@pytest.mark.parametrize(
+    ("effect", "joints"),
+    [
+        (JointOffset("tilt"), lambda q, d: q + d * (np.arange(5) == 4)),
+        (JointOffset("roll"), lambda q, d: q + d * (np.arange(5) == 3)),
+        (JointScale("roll"), lambda q, d: q * (1.0 + d * (np.arange(5) == 3))),
+    ],
+)
+def test_an_arm_that_is_wrong_was_wrong_when_the_sensor_was_zeroed(effect, joints):
+    """The bias body was weighed away in the pose in which the arm really stood, not in the one that it reported."""
+    made = scene("wrench", np.random.default_rng(5), rows=50, dynamic=False)
+    zeroed, robot = np.array([0.0, 0.0, 0.0, 0.2, -0.1]), GalenRobot()
+    known = dataclasses.replace(
+        made.belief, zeroed_rotation=robot.sensor_pose(zeroed)[0, :3, :3], zeroed_joints=zeroed, dynamic=False
+    )
+    told = scene_of(dataclasses.replace(made.observations, belief=known))
+    error = 0.02
+
+    def reading(q):
+        R, R0 = robot.sensor_pose(joints(q, error))[:, :3, :3], robot.sensor_pose(joints(zeroed, error))[0, :3, :3]
+        return predicted_wrench(R, known.tool, bias_body=known.bias_body, zeroed_rotation=R0, gravity=known.gravity)
+
+    expected = reading(told.q) - told.simulated
+    np.testing.assert_allclose(effect.exact(told, np.array([error])), expected, atol=1e-9)
+    slope = effect.columns(told).full(6)[:, :, 0]
+    assert np.max(np.abs(slope * error - expected)) < 0.03 * np.max(np.abs(expected))
+    # Where the joints stood is not known, the zero is taken for right.
+    assert scene_of(dataclasses.replace(told.observations, belief=made.belief)).zeroing is None

@@ -68,6 +68,7 @@ def _belief(recording: Recording) -> Belief:
         tip=np.zeros(3) if tool is None or tool.tip is None else np.array(tool.tip),
         bias_body=None if bias is None else _body(bias.mass, bias.com, bias.inertia),
         zeroed_rotation=_zeroed(recording, robot),
+        zeroed_joints=_zeroed_joints(recording, robot),
         gravity=np.array(info.gravity),
         bias_free=info.model.bias == "free",
         dynamic=info.model.dynamics == "rigid",
@@ -112,5 +113,10 @@ def _zeroed(recording: Recording, robot: Robot | None) -> Array | None:
             f"{recording.path}/recording.json: zeroed_at",
         )
         raise UsageError(what, where=where, todo="give the sensor's orientation there as a quaternion x y z w")
-    joints = recording.info.zeroed_joints(names) if robot is not None else None
-    return None if joints is None or robot is None else np.asarray(robot.sensor_pose(np.array(joints))[0, :3, :3])
+    joints = _zeroed_joints(recording, robot)
+    return None if joints is None or robot is None else np.asarray(robot.sensor_pose(joints)[0, :3, :3])
+
+
+def _zeroed_joints(recording: Recording, robot: Robot | None) -> Array | None:
+    joints = None if robot is None else recording.info.zeroed_joints(tuple(robot.joint_names))
+    return None if joints is None else np.array(joints)

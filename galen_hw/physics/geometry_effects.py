@@ -1,6 +1,6 @@
 """Effects of geometry: joint zeros and scales, links and axes, the sensor's seat."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Self
 
@@ -42,11 +42,12 @@ class JointOffset(Effect):
         """The joint's port."""
         port = scene.joint_port(self.joint)
         assert port is not None, "proposed only where there is a port"
-        return in_all([port], len(scene.channels))
+        zero = None if scene.zeroing is None else scene.zeroing.joint_port(self.joint)
+        return in_all([port if zero is None else port - zero], len(scene.channels))
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
         """The turned arm itself, where its screws are known."""
-        return _by_screw(scene, self.joint, theta[0] * np.ones(len(scene)))
+        return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * np.ones(len(at))))
 
 
 @dataclass(frozen=True)
@@ -70,11 +71,17 @@ class JointScale(Effect):
 
     def columns(self, scene: Scene) -> Columns:
         """The joint's port times its position."""
-        return through(scene, self.joint, [scene.q[:, scene.joint_index(self.joint)]])
+        place = scene.joint_index(self.joint)
+        zero = None if scene.zeroing is None else scene.zeroing.joint_port(self.joint)
+        if zero is None or scene.zeroing is None or not np.any(zero * scene.zeroing.q[:, [place]]):
+            return through(scene, self.joint, [scene.q[:, place]])
+        port = scene.joint_port(self.joint)
+        assert port is not None, "proposed only where there is a port"
+        return in_all([port * scene.q[:, [place]] - zero * scene.zeroing.q[:, [place]]], len(scene.channels))
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
         """The turned arm itself, where its screws are known."""
-        return _by_screw(scene, self.joint, theta[0] * scene.q[:, scene.joint_index(self.joint)])
+        return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * at.q[:, at.joint_index(self.joint)]))
 
 
 @dataclass(frozen=True)
@@ -113,10 +120,16 @@ class LinkGeometry(Effect):
     def columns(self, scene: Scene) -> Columns:
         """The geometry's ports."""
         ports = {port.name: port.values for port in scene.geometry_ports() if port.joint == self.joint}
+        if scene.zeroing is not None:
+            zero = {port.name: port.values for port in scene.zeroing.geometry_ports() if port.joint == self.joint}
+            ports = {name: values - zero[name] for name, values in ports.items()}
         return in_all([ports[name] for name in self.errors], len(scene.channels))
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
         """The product of the exponentials."""
+        return _less_zero(scene, lambda at: self._moved(at, theta))
+
+    def _moved(self, scene: Scene, theta: Array) -> Array | None:
         found = {name: screws for name, joint, screws in axis_screws(scene) if joint == self.joint}
         parts = [found[name] for name in self.errors]
         moves = [sum(t * p[0] for t, p in zip(theta, parts, strict=True))]
@@ -158,13 +171,18 @@ class SensorMounting(Effect):
             moved = [np.cross(np.tile(unit, (len(scene), 1)), force) for unit in np.eye(3)]
             return in_all([np.concatenate([np.zeros_like(m), m], axis=1) for m in moved], width)
         step = 1e-6
-        ends = [[self._moved(scene, sign * step * unit) for unit in np.eye(3)] for sign in (1.0, -1.0)]
+        ends = [[self._with_zero(scene, sign * step * unit) for unit in np.eye(3)] for sign in (1.0, -1.0)]
         return in_all([(up - down) / (2.0 * step) for up, down in zip(*ends, strict=True)], width)
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
         """The turned or shifted sensor itself."""
         linear = self.part == "shift" and scene.observations.predict == "wrench"
-        return None if linear else self._moved(scene, theta)
+        return None if linear else self._with_zero(scene, theta)
+
+    def _with_zero(self, scene: Scene, vector: Array) -> Array:
+        out = _less_zero(scene, lambda at: self._moved(at, vector))
+        assert out is not None, "proposed only where there is a port"
+        return out
 
     def _moved(self, scene: Scene, vector: Array) -> Array:
         T = scene.T_sensor if isinstance(scene, ArmScene) else scene.T  # type: ignore[attr-defined]
@@ -187,6 +205,13 @@ def answers(scene: Scene, joint: str) -> bool:
 def joint_unit(joint: str) -> str:
     """Metres for the Galen's carriages, radians otherwise."""
     return "m" if joint.startswith("carriage") else "rad"
+
+
+def _less_zero(scene: Scene, change: Callable[[Scene], Array | None]) -> Array | None:
+    """What a wrong arm changes, less what it has changed where the reading was set to zero."""
+    out = change(scene)
+    zero = None if out is None or scene.zeroing is None else change(scene.zeroing)
+    return out if out is None or zero is None else out - zero
 
 
 def _by_screw(scene: Scene, joint: str, amount: Array) -> Array | None:

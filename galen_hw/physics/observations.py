@@ -24,6 +24,7 @@ class Belief:
         tip: (3,) tool tip in the sensor frame, m.
         bias_body: what hung on the sensor when it was zeroed.
         zeroed_rotation: (3, 3) sensor orientation at which it was zeroed.
+        zeroed_joints: (n,) joint positions read there; None where they are not known.
         gravity: (3,) m/s^2 in the base frame.
         bias_free: constant offsets are fitted before comparing.
         dynamic: inertia is in the baseline, not weight alone.
@@ -39,6 +40,7 @@ class Belief:
     tip: Array = field(default_factory=lambda: np.zeros(3))
     bias_body: Body | None = None
     zeroed_rotation: Array | None = None
+    zeroed_joints: Array | None = None
     gravity: Array = field(default_factory=NOMINAL_GRAVITY.copy)
     bias_free: bool = False
     dynamic: bool = True

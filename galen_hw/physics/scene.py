@@ -290,6 +290,11 @@ class Scene:
         r = np.broadcast_to(np.asarray(half_width, dtype=float), x.shape[1:])
         return self._carried(name, x, lambda part, state: play(x[part], r, state), start)
 
+    @property
+    def zeroing(self) -> "Scene | None":
+        """One row: what was zeroed away, where it was; None where nothing was, or where the joints stood is not known."""
+        return None
+
     def response(self, joint: str) -> float | None:
         """Time constant (s) with which a simulated servo follows its command; None where there is none to be told."""
         return None

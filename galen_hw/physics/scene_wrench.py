@@ -1,11 +1,13 @@
 """The wrench of a force/torque sensor: what hangs on it, in the sensor frame."""
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from galen_hw.kinematics import Motion
-from galen_hw.physics.rigid import gravity_in_sensor, inertial_wrench, predicted_wrench, weight_map
+from galen_hw.physics.observations import Observations
+from galen_hw.physics.rigid import Body, gravity_in_sensor, inertial_wrench, predicted_wrench, weight_map
 from galen_hw.physics.scene import Port, Scene, once
 from galen_hw.physics.screws import axis_screws, joint_screws
 from galen_hw.spatial import Array, rotation_exp, rotation_from_quaternion, skew, transform
@@ -92,6 +94,27 @@ class WrenchScene(Scene):
         out[:, 3:, 1:4] = -skew(s)
         out[:, 3:, 4:] = -_inertia_map(alpha) - skew(w) @ _inertia_map(w)
         return out
+
+    @cached_property
+    def zeroing(self) -> "WrenchScene | None":
+        """The bias body at the joints' reading at which the sensor was zeroed: an arm that is wrong was wrong there too."""
+        if self.whole is not None:
+            return self.whole.zeroing
+        if self.memory is None:
+            return self._zeroing()
+        if "zeroing" not in self.memory:  # row by row it stays what it is
+            self.memory["zeroing"] = self._zeroing()
+        found: WrenchScene | None = self.memory["zeroing"]
+        return found
+
+    def _zeroing(self) -> "WrenchScene | None":
+        b = self.belief
+        if b.robot is None or b.zeroed_joints is None or b.bias_body is None or not b.bias_body.mass:
+            return None
+        stood = zip(b.robot.joint_names, b.zeroed_joints, strict=True)
+        columns = {f"joint.{name}.position": np.array([q]) for name, q in stood}
+        belief = replace(b, tool=Body(), zeroed_rotation=None, zeroed_joints=None, dynamic=False, terms=())
+        return WrenchScene(Observations("wrench", columns, None, belief))
 
     @once
     def joint_port(self, joint: str) -> Array | None:

@@ -135,19 +135,27 @@ def _bias_body(tool: ToolFile) -> Body:
 
 
 def _zeroed_rotation(tool: ToolFile, robot: Robot) -> Array | None:
+    joints = _zeroed_joints(tool, robot)
+    if joints is not None:
+        return np.asarray(robot.sensor_pose(joints)[0, :3, :3])
+    return (
+        None if tool.zeroed_at is None or isinstance(tool.zeroed_at, dict) else rotation_from_quaternion(tool.zeroed_at)
+    )
+
+
+def _zeroed_joints(tool: ToolFile, robot: Robot) -> Array | None:
+    """Of a tool that was zeroed at joint positions: (n,) in the robot's order."""
     zeroed = tool.zeroed_at
-    if zeroed is None:
+    if not isinstance(zeroed, dict):
         return None
-    if isinstance(zeroed, dict):
-        q = np.zeros(len(robot.joint_names))
-        for i, name in enumerate(robot.joint_names):
-            if name in zeroed:
-                q[i] = zeroed[name]
-            elif i in GravityDirection(robot).joints:
-                where = f"tool {tool.name!r}: zeroed_at"
-                raise UsageError(f"joint {name!r} is missing", where=where, todo=f"calibrate {tool.name} again")
-        return np.asarray(robot.sensor_pose(q)[0, :3, :3])
-    return rotation_from_quaternion(zeroed)
+    q = np.zeros(len(robot.joint_names))
+    for i, name in enumerate(robot.joint_names):
+        if name in zeroed:
+            q[i] = zeroed[name]
+        elif i in GravityDirection(robot).joints:
+            where = f"tool {tool.name!r}: zeroed_at"
+            raise UsageError(f"joint {name!r} is missing", where=where, todo=f"calibrate {tool.name} again")
+    return q
 
 
 def _streams(tool: ToolFile, robot: Robot, turning: tuple[int, ...]) -> tuple[TermStream, ...]:
@@ -170,6 +178,7 @@ def _streams(tool: ToolFile, robot: Robot, turning: tuple[int, ...]) -> tuple[Te
         tool=_body(tool.mass or 0.0, tool.com or (0.0, 0.0, 0.0), tool.inertia),
         bias_body=_bias_body(tool),
         zeroed_rotation=_zeroed_rotation(tool, robot),
+        zeroed_joints=_zeroed_joints(tool, robot),
         gravity=np.array(tool.gravity),
     )
     return tuple(build(tool.terms, joint_names=order, robot=robot, belief=belief))
