@@ -12,10 +12,12 @@ from galen_hw.physics.scene_joint import EffortScene
 from galen_hw.physics.time_effects import joint_of
 from galen_hw.spatial import Array, skew
 
-RESPONSES = (0.01, 0.03, 0.1)
-"""Time constants of position servos to begin with, s."""
+RESPONSE = 0.03
+"""Time constant of a position servo to begin with, s, where no simulation tells it."""
 LEAST_SETTLING = 1.01
 """Slower than it follows, at least, a servo settles that sticks."""
+MOST_KEPT = 256
+"""Stand-offs of servos that a scene keeps: they are walked row by row."""
 SETTLINGS = (4.0, 16.0)
 """So much slower to begin with."""
 
@@ -74,16 +76,15 @@ class Friction(Effect):
 
     @classmethod
     def _in_servos(cls, scene: Scene, joint: str) -> Iterator[Self]:
-        """Stand-offs from far below the joint's range to a tenth of it, servos quick and slow."""
+        """Stand-offs from far below the joint's range to a tenth of it; those that give way, quickly and slowly."""
         half_range = 0.5 * float(np.ptp(scene.q[:, scene.joint_index(joint)]))
         known = scene.response(joint)
+        given = {"response": RESPONSE} if known is None else {"simulated": known}
         for coulomb in log_grid(half_range * 1e-4, half_range * 0.1, 11):
-            for response in (known,) if known is not None else RESPONSES:
-                given = {"response": response} if known is None else {"simulated": response}
-                slow = [None, *(one * response for one in SETTLINGS if response == (known or RESPONSES[1]))]
-                for settling in slow:
-                    form = "servo" if settling is None else "creeping_servo"
-                    yield cls(joint, form, coulomb=coulomb, settling=settling, **given)
+            for settling in (None, *(one * (known or RESPONSE) for one in SETTLINGS)):
+                form = "servo" if settling is None else "creeping_servo"
+                yield cls(joint, form, coulomb=coulomb, settling=settling, **given)
+                if known is not None:  # else a lag or a delay of the joint is as much
                     yield cls(joint, f"{form}_viscous", coulomb=coulomb, settling=settling, **given)
 
     @classmethod
@@ -141,14 +142,26 @@ class Friction(Effect):
         assert self.coulomb is not None, "proposed with one"
         response = self.response if self.simulated is None else self.simulated
         assert response is not None, "proposed with one"
-        command = scene.q[:, scene.joint_index(self.joint)] + response * v
         settling = np.inf if self.settling is None else max(self.settling, LEAST_SETTLING * response)
-        sticks = scene.servo("servo", command[:, None], self.coulomb, response, settling)
-        follows = scene.lag("follows", command[:, None], response)
-        out = [(sticks - follows)[:, 0]]
+        out = [_stand_off(scene, self.joint, self.coulomb, response, settling)]
         if self.freedom:
             out.append(-scene.lag("viscous", v[:, None], response)[:, 0])
         return out
+
+
+def _stand_off(scene: Scene, joint: str, coulomb: float, response: float, settling: float) -> Array:
+    """(N,) of a servo that sticks beside one that does not; of the first ones asked for in a scene kept, for they come again."""
+    kept: dict[object, Array] = scene.__dict__.setdefault("_stand_offs", {})
+    key = (joint, coulomb, response, settling)
+    if key in kept:
+        return kept[key]
+    at = scene.joint_index(joint)
+    command = (scene.q[:, at] + response * scene.rates[0][:, at])[:, None]
+    sticks = scene.servo("servo", command, coulomb, response, settling)
+    out = np.asarray((sticks - scene.lag("follows", command, response))[:, 0])
+    if scene.memory is None and len(kept) < MOST_KEPT:
+        kept[key] = out
+    return out
 
 
 def _is_effort(scene: Scene) -> bool:

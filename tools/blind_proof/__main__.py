@@ -45,7 +45,7 @@ def main() -> int:
             begun.write_text(json.dumps([seed, commit]))
             cases, scored = _judged(seed, args.cases, folder, args.workers)
         rivals = [] if args.no_rivals else _rivals(cases, scored, folder, args.workers, args.rivals)
-        recordings = real.LEFT_OUT if args.no_real else real.recordings(folder / "real", args.workers)
+        recordings = real.LEFT_OUT if args.no_real else real.recordings(folder / "real", args.workers, commit)
         missed = report.write(Path(args.write), scored, rivals, recordings, seed=seed, commit=commit)
     for line in missed:
         print(f"missed: {line}", file=sys.stderr)
