@@ -13,7 +13,7 @@ from galen_hw.kinematics import GalenRobot, UrdfRobot
 
 pytest.importorskip("mujoco", reason="the generator needs MuJoCo: pip install mujoco")
 
-from galen_hw.tools.blind_proof import judge, score, seal
+from galen_hw.tools.blind_proof import judge, real, score, seal
 from galen_hw.tools.blind_proof.generator import arm, build, galen, motion, wrench
 from galen_hw.tools.blind_proof.generator.case import Case, Injected
 from galen_hw.tools.blind_proof.generator.plan import plan
@@ -171,3 +171,13 @@ def test_weight_turns_with_the_sensor() -> None:
     """A check of this file's own closed form: upside down the weight reads the other way."""
     upright, down = np.eye(3), spatial.rotation_about(0, np.pi)
     assert_allclose(weight(1.0, (0, 0, 0), upright)[2], -weight(1.0, (0, 0, 0), down.T)[2])
+
+
+def test_answers_that_another_engine_gave_are_said_to_be_so(tmp_path):
+    """One line a commit; what this commit's engine has answered needs none."""
+    for real_set, commit in zip(real.SETS[:3], ("new", "old", "old"), strict=True):
+        path = real._path(tmp_path, real_set)
+        path.write_text("{}")
+        path.with_suffix(".commit").write_text(commit)
+    titles = "; ".join(real_set.title for real_set in real.SETS[1:3])
+    assert real._made_before(tmp_path, "new") == [f"Answered by the engine of commit old, and kept: {titles}."]

@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, in_all, through
+from galen_hw.physics.effect import Columns, Effect, Parameter, in_all
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.scene_pose import ArmScene
 from galen_hw.physics.screws import axis_screws, joint_screws
@@ -40,10 +40,9 @@ class JointOffset(Effect):
 
     def columns(self, scene: Scene) -> Columns:
         """The joint's port."""
-        port = scene.joint_port(self.joint)
+        port = _less_zero(scene, lambda at: at.joint_port(self.joint))
         assert port is not None, "proposed only where there is a port"
-        zero = None if scene.zeroing is None else scene.zeroing.joint_port(self.joint)
-        return in_all([port if zero is None else port - zero], len(scene.channels))
+        return in_all([port], len(scene.channels))
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
         """The turned arm itself, where its screws are known."""
@@ -71,13 +70,13 @@ class JointScale(Effect):
 
     def columns(self, scene: Scene) -> Columns:
         """The joint's port times its position."""
-        place = scene.joint_index(self.joint)
-        zero = None if scene.zeroing is None else scene.zeroing.joint_port(self.joint)
-        if zero is None or scene.zeroing is None or not np.any(zero * scene.zeroing.q[:, [place]]):
-            return through(scene, self.joint, [scene.q[:, place]])
+        stretched = _less_zero(scene, self._stretched)
+        assert stretched is not None, "proposed only where there is a port"
+        return in_all([stretched], len(scene.channels))
+
+    def _stretched(self, scene: Scene) -> Array | None:
         port = scene.joint_port(self.joint)
-        assert port is not None, "proposed only where there is a port"
-        return in_all([port * scene.q[:, [place]] - zero * scene.zeroing.q[:, [place]]], len(scene.channels))
+        return None if port is None else port * scene.q[:, [scene.joint_index(self.joint)]]
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
         """The turned arm itself, where its screws are known."""

@@ -16,10 +16,10 @@ RESPONSE = 0.03
 """Time constant of a position servo to begin with, s, where no simulation tells it."""
 LEAST_SETTLING = 1.01
 """Slower than it follows, at least, a servo settles that sticks."""
-MOST_KEPT = 256
-"""Stand-offs of servos that a scene keeps: they are walked row by row."""
 SETTLINGS = (4.0, 16.0)
 """So much slower to begin with."""
+MOST_KEPT = 256
+"""Stand-offs of servos that a scene keeps: they are walked row by row."""
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ def motion_band(x: Array, dt: float) -> float:
 
 
 FALLING = 3.0
+"""Times the noise at the top that noise further down may be: what rows left out do to it."""
 
 
 def _median_above(power: Array) -> Array:

@@ -138,9 +138,7 @@ def _zeroed_rotation(tool: ToolFile, robot: Robot) -> Array | None:
     joints = _zeroed_joints(tool, robot)
     if joints is not None:
         return np.asarray(robot.sensor_pose(joints)[0, :3, :3])
-    return (
-        None if tool.zeroed_at is None or isinstance(tool.zeroed_at, dict) else rotation_from_quaternion(tool.zeroed_at)
-    )
+    return rotation_from_quaternion(tool.zeroed_at) if isinstance(tool.zeroed_at, tuple) else None
 
 
 def _zeroed_joints(tool: ToolFile, robot: Robot) -> Array | None:
