@@ -137,7 +137,8 @@ def _at_its_best(scorer: Scorer, own: Own, rival: Rival) -> Rival:
 def _is_what_it_is_called(scorer: Scorer, rival: Rival) -> bool:
     """A play wider than the motion with a share of a thousandth is a scale, and no rival under the name of play."""
     parameters = rival.effect.parameters(scorer.bench.scene)
-    return all(p.near(float(value), UNSURE) for p, value in zip(parameters, rival.theta, strict=True))
+    near = all(p.near(float(value), UNSURE) for p, value in zip(parameters, rival.theta, strict=True))
+    return near and rival.effect.at_work(scorer.bench.scene)
 
 
 def _agreed(scorer: Scorer, own: Own, rival: Rival) -> float:

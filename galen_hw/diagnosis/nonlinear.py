@@ -319,6 +319,17 @@ class Beside:
 
     def gain(self, h: Hypothesis) -> float:
         """Fall of the whitened sum of squares when it joins."""
+        own, r = self.products(h)
+        pinned = h.pinned_gain(self.scene, own, r)
+        return pinned if pinned is not None else float(r @ solve_sym(own, r[:, None])[:, 0])
+
+    def whole(self, h: Hypothesis) -> float:
+        """The same of what is known by size: its columns as they are."""
+        own, r = self.products(h)
+        return float(2.0 * r.sum() - own.sum())
+
+    def products(self, h: Hypothesis) -> tuple[Array, Array]:
+        """(k, k) of its columns beside the model, and (k,) with what that leaves."""
         own, r, cross = np.zeros((h.count, h.count)), np.zeros(h.count), np.zeros((len(self.G), h.count))
         for i, c in enumerate(h.white.channels):
             X = h.white.values[:, i][self.train]
@@ -327,5 +338,4 @@ class Beside:
             cross[self.at[c]] += self.columns[c].T @ X
         if len(self.G):
             own -= cross.T @ solve_sym(self.G, cross)
-        pinned = h.pinned_gain(self.scene, own, r)
-        return pinned if pinned is not None else float(r @ solve_sym(own, r[:, None])[:, 0])
+        return own, r

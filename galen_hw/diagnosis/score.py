@@ -102,13 +102,13 @@ class Scorer:
 
     def retime(self) -> None:
         """All columns anew as the bench's late or lagging stream delivers them."""
-        library = [self._retimed(h) for h in self.library]
+        library = [self.retimed(h) for h in self.library]
         self.library, self.places = [], []
         self._stacks = [[] for _ in self._stacks]
         self._room, self.b, self.fakes = np.empty((0, 0)), np.empty(0), np.empty((0, self.fake.shape[2]))
         self.append(library)
 
-    def _retimed(self, h: Hypothesis) -> Hypothesis:
+    def retimed(self, h: Hypothesis) -> Hypothesis:
         """Its columns anew, unless it belongs to a moment, is the end of the stream itself, or is bent at its optimum."""
         if (
             h.effect is None

@@ -1,42 +1,121 @@
-"""Clocks joint by joint: servos answer one by one, and each with a delay or a lag of its own."""
+"""Clocks all at once: a delay and a lag together, of the whole stream or of each joint by itself.
+
+The search takes one hypothesis after the other. Of a dead time with a first-order lag behind it, the ordinary response of a
+servo on a bus, it takes one that is as late as both; beside that the other is worth nothing by its slope, and what is wrong
+about the shape goes to whatever bends. Where joints answer one by one, each with clocks of its own, no single exchange helps.
+"""
+
+from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
-from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.linear import crossed
-from galen_hw.diagnosis.nonlinear import bent, polished, settle
+from galen_hw.diagnosis.nonlinear import Beside, settle, tangent
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.worth import taken
+from galen_hw.physics.effect import Columns, log_grid, spacing
 from galen_hw.physics.time_effects import Lag, TimeDelay, Timing
 from galen_hw.spatial import Array
 
 MARGIN = 6.0
 """Beyond the price of the parameters, in units of the log likelihood ratio."""
 RICHER = 0.05
-"""Share of the excess that is left in some channel, on blocks left out, that clocks of their own must take."""
+"""Share of the excess that is left in some channel, on blocks left out, that the clocks must take."""
+CONSTANTS = 6
+"""Lags between half a sample and all of what is late that are tried with the delay that suits each."""
+FINE = 0.02
+"""Share of what is late to which a clock is sought."""
+
+Clocks = list[tuple[TimeDelay | Lag, float]]
+"""With their delay or constant, s."""
 
 
 def severally(bench: Bench, scorer: Scorer, out: Selection) -> bool:
-    """Whether the delays and lags of a model were exchanged, all at once, for the best of each joint's own.
-
-    The search takes one clock for all first, and a correction of one joint's next. Where joints lag by different constants
-    that is wrong in every joint, and no single exchange makes it better.
-    """
-    clocks = [i for i in out.chosen if isinstance(scorer.library[i].effect, Timing)]
-    proposed = [e for kind in (TimeDelay, Lag) for e in kind.propose(bench.scene) if e.joint]
-    if not clocks or not proposed:
+    """Whether the delays and lags of a model were exchanged for better ones: of the whole stream, or of each joint."""
+    old = [i for i in out.chosen if isinstance(scorer.library[i].effect, Timing)]
+    proposed = [e for e in TimeDelay.propose(bench.scene)] if old else []
+    if not proposed:
         return False
-    before, y, errors = scorer.solve(out.chosen)[2], bench.y, crossed(bench, scorer, out.chosen)
-    others = [i for i in out.chosen if i not in clocks]
-    bench.y = y + sum((b for i in clocks if (b := scorer.library[i].bend) is not None), np.zeros_like(y))
-    scorer.retarget(bench.y)
-    own = _own(bench, scorer, others, proposed)
-    scorer.append(own)
-    trial = [*others, *range(len(scorer.library) - len(own), len(scorer.library))]
-    settle(bench, scorer, trial)
-    # Each has one parameter: a lag its constant.
-    price = (len(own) - len(clocks)) * float(np.log(bench.noise.effective))
+    others = [i for i in out.chosen if i not in old]
+    none = bench.y + sum((b for i in old if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
+    with scorer.against(none):
+        beside = Beside(bench, scorer, others)
+    whole = [_sought(bench, beside, e) for e in proposed if not e.joint]
+    own = [_sought(bench, beside, e) for e in proposed if e.joint]
+    return any(
+        _exchanged(bench, scorer, out, old, [c for found in each for c in found]) for each in (whole, own) if any(each)
+    )
+
+
+def _sought(bench: Bench, beside: Beside, delay: TimeDelay) -> Clocks:
+    """The best of nothing, a delay, a lag, and a delay of what lags, where that delay acts, beside other effects."""
+    places = delay.places(bench.stream)
+    x = bench.stream.simulated[:, places]
+    price = float(np.log(bench.noise.effective))
+
+    def gain(late: float, constant: float) -> float:
+        y = bench.stream.lag("lag", x, constant) if constant > 0.0 else x
+        y = bench.stream.delay("delay", y, late) - x
+        return beside.whole(bench.made(None, bench.averaged(Columns(places, y[:, :, None]))))
+
+    def latest(constant: float, bounds: tuple[float, float]) -> tuple[float, float]:
+        options = {"xatol": FINE * (bounds[1] - bounds[0])}
+        found = minimize_scalar(lambda late: -gain(late, constant), bounds=bounds, method="bounded", options=options)
+        return -float(found.fun), float(found.x)
+
+    step = spacing(bench.scene)
+    reach = max(4.0 * step, 4.0 * abs(_by_slope(bench, beside, delay)))
+    alone, all_late = latest(0.0, (-reach, reach))
+    ways: list[tuple[float, Clocks]] = [(0.0, []), (alone - price, [(delay, all_late)])]
+    shortest = 0.5 * step
+    for constant in log_grid(shortest, 2.0 * all_late, CONSTANTS):
+        lag = Lag(constant, delay.joint, shortest)
+        ways.append((gain(0.0, constant) - price, [(lag, constant)]))
+        most, late = latest(constant, (0.0, all_late))
+        ways.append((most - 2.0 * price - MARGIN, [(delay, late), (lag, constant)]))
+    best = max(ways, key=lambda way: way[0])[1]
+    lags = [(lag, constant) for lag, constant in best if isinstance(lag, Lag)]
+    if not lags:
+        return best
+    (lag, constant), both = lags[0], len(best) == 2
+
+    def missed(at: float) -> float:
+        return -(latest(float(np.exp(at)), (0.0, all_late))[0] if both else gain(0.0, float(np.exp(at))))
+
+    bounds = np.log(max(constant / 2.0, shortest)), np.log(2.0 * constant)
+    constant = float(np.exp(minimize_scalar(missed, bounds=bounds, method="bounded", options={"xatol": FINE}).x))
+    found: Clocks = [(replace(lag, constant=constant), constant)]
+    return [(delay, latest(constant, (0.0, all_late))[1]), *found] if both else found
+
+
+def _by_slope(bench: Bench, beside: Beside, delay: TimeDelay) -> float:
+    """How late the recording is for small delays, s."""
+    A, r = beside.products(bench.made(None, bench.averaged(delay.columns(bench.stream))))
+    return float(r[0] / A[0, 0]) if A[0, 0] > 0.0 else 0.0
+
+
+def _exchanged(bench: Bench, scorer: Scorer, out: Selection, old: list[int], clocks: Clocks) -> bool:
+    """Whether a model with other clocks, and all else as it arrives through them, was better and was taken."""
+    before, y, timing = scorer.solve(out.chosen)[2], bench.y, bench.timing
+    errors, others = crossed(bench, scorer, out.chosen), [i for i in out.chosen if i not in old]
+    kept = [(end, theta) for end, theta in timing if not isinstance(end, Timing)]
+    bench.timing = [*kept, *((effect, np.array([1.0 if isinstance(effect, Lag) else size])) for effect, size in clocks)]
+    try:
+        fresh = [scorer.retimed(scorer.library[i]) for i in others]
+        for effect, size in clocks:
+            h = bench.add(effect)
+            fresh.append(tangent(bench, h, np.array([size])) if isinstance(effect, TimeDelay) else h)
+        bench.y = bench.whole - sum((h.bend for h in fresh if h.bend is not None), np.zeros_like(y))
+        scorer.append(fresh)
+        scorer.retarget(bench.y)
+        trial = list(range(len(scorer.library) - len(fresh), len(scorer.library)))
+        settle(bench, scorer, trial)
+    finally:
+        bench.timing = timing  # the search brings all columns to the clocks that it finds chosen
+    price = (len(clocks) - len(old)) * float(np.log(bench.noise.effective))
     fall = before - scorer.solve(trial)[2] - price
     if fall > MARGIN and _richer(bench, errors, crossed(bench, scorer, trial)):
         out.chosen = trial
@@ -44,39 +123,6 @@ def severally(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     bench.y = y
     scorer.retarget(y)
     return False
-
-
-def _own(bench: Bench, scorer: Scorer, others: list[int], proposed: list[TimeDelay | Lag]) -> list[Hypothesis]:
-    """The best clock of each joint beside other effects, as if the stream had none."""
-    before = bench.timing
-    bench.timing = [(end, theta) for end, theta in before if not isinstance(end, Timing)]
-    try:
-        with scorer.trying([bench.add(effect) for effect in proposed]):
-            places: dict[str, list[int]] = {}
-            for i, effect in enumerate(proposed, len(scorer.library) - len(proposed)):
-                places.setdefault(effect.joint, []).append(i)
-            found = list[int]()
-            for mine in places.values():
-                found += _clock_of(bench, scorer, [*others, *found], mine)
-            return [scorer.library[i] for i in found]
-    finally:
-        bench.timing = before
-
-
-def _clock_of(bench: Bench, scorer: Scorer, others: list[int], places: list[int]) -> list[int]:
-    """The best of none, a delay, a lag, and both in one joint beside other effects."""
-    first = scorer.scores(others, places)[0]
-    delays = [i for i in first if isinstance(scorer.library[i].effect, TimeDelay)]
-    ways: list[tuple[float, list[int]]] = [(0.0, [])]
-    ways += [(bent(bench, scorer, others, i, first[i]).rank, [i]) for i in delays]
-    best = max((i for i in first if i not in delays), key=lambda i: first[i].rank, default=None)
-    if best is not None:
-        lag = polished(bench, scorer, others, best)
-        rank = scorer.scores(others, [lag])[0][lag].rank
-        beside = scorer.scores([*others, lag], delays)[0]
-        ways.append((rank, [lag]))
-        ways += [(rank + bent(bench, scorer, [*others, lag], i, s).rank - MARGIN, [lag, i]) for i, s in beside.items()]
-    return max(ways)[1]
 
 
 def _richer(bench: Bench, before: Array, after: Array) -> bool:

@@ -100,4 +100,5 @@ def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
     spread = scorer.spread(at)[-h.count :] * np.sqrt(misfit)
     named = list(zip(h.effect.parameters(bench.scene), theta[-h.count :], spread, strict=True))
     # A lag of a twentieth is no lag. Bounds matter where physics is missing: else the shape has proved it, whatever its size.
-    return all(p.near(t, s) and (misfit < PROVED or p.plausible(t, s)) for p, t, s in named)
+    named_so = all(p.near(t, s) and (misfit < PROVED or p.plausible(t, s)) for p, t, s in named)
+    return named_so and h.effect.at_work(bench.scene)

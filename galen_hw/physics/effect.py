@@ -171,6 +171,10 @@ class Effect(ABC):
         """Factor, above 1, within which the optimum of a searched value is to be sought around a proposed one."""
         return DOUBT
 
+    def at_work(self, scene: Scene) -> bool:
+        """Whether it does, in this recording, what it is named for: friction that never breaks loose is a lag by another name."""
+        return True
+
     def unlimited(self) -> Self:
         """The same without what keeps a search away from its look-alikes: what it may be, not what it would be called."""
         return self

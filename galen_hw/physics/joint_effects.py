@@ -18,6 +18,8 @@ LEAST_SETTLING = 1.01
 """Slower than it follows, at least, a servo settles that sticks."""
 SETTLINGS = (4.0, 16.0)
 """So much slower to begin with."""
+LEAST_LOOSE = 0.1
+"""Share of the rows in motion in which what is called friction must slip."""
 MOST_KEPT = 256
 """Stand-offs of servos that a scene keeps: they are walked row by row."""
 
@@ -138,15 +140,37 @@ class Friction(Effect):
         }
         return in_channel(_place(scene, self.joint), scene.seen(np.stack(forms[self.form](), axis=-1)).T)
 
-    def _servo(self, scene: Scene, v: Array) -> list[Array]:
-        assert self.coulomb is not None, "proposed with one"
+    def at_work(self, scene: Scene) -> bool:
+        """Whether a servo that gives way while it sticks also breaks loose, in so many of the rows that move."""
+        if self.settling is None or self.coulomb is None:
+            return True
+        response, settling = self._constants()
+        command = _command(scene, self.joint, response)
+        stands = _stand_off(scene, self.joint, self.coulomb, response, settling)
+        stands = stands + scene.lag("follows", command, response)[:, 0]
+        moves = np.diff(command[:, 0]) != 0.0
+        loose = np.abs(command[1:, 0] - stands[:-1]) > self.coulomb * settling / (settling - response)
+        return bool(np.sum(loose & moves) >= LEAST_LOOSE * np.sum(moves))
+
+    def _constants(self) -> tuple[float, float]:
+        """Response and settling, s."""
         response = self.response if self.simulated is None else self.simulated
         assert response is not None, "proposed with one"
-        settling = np.inf if self.settling is None else max(self.settling, LEAST_SETTLING * response)
+        return response, np.inf if self.settling is None else max(self.settling, LEAST_SETTLING * response)
+
+    def _servo(self, scene: Scene, v: Array) -> list[Array]:
+        assert self.coulomb is not None, "proposed with one"
+        response, settling = self._constants()
         out = [_stand_off(scene, self.joint, self.coulomb, response, settling)]
         if self.freedom:
             out.append(-scene.lag("viscous", v[:, None], response)[:, 0])
         return out
+
+
+def _command(scene: Scene, joint: str, response: float) -> Array:
+    """(N, 1) that a servo of this response (s) has been given if nothing holds it."""
+    at = scene.joint_index(joint)
+    return np.asarray((scene.q[:, at] + response * scene.rates[0][:, at])[:, None])
 
 
 def _stand_off(scene: Scene, joint: str, coulomb: float, response: float, settling: float) -> Array:
@@ -155,9 +179,8 @@ def _stand_off(scene: Scene, joint: str, coulomb: float, response: float, settli
     key = (joint, coulomb, response, settling)
     if key in kept:
         return kept[key]
-    at = scene.joint_index(joint)
-    command = (scene.q[:, at] + response * scene.rates[0][:, at])[:, None]
-    sticks = scene.servo("servo", command, coulomb, response, settling)
+    command = _command(scene, joint, response)
+    sticks = scene.servo("servo", command, coulomb, response, settling, scene.resting(f"joint.{joint}.position"))
     out = np.asarray((sticks - scene.lag("follows", command, response))[:, 0])
     if scene.memory is None and len(kept) < MOST_KEPT:
         kept[key] = out

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.operators import delay, lag, play, servo
+from galen_hw.physics.operators import ServoState, delay, lag, play, servo
 from galen_hw.physics.smoothing import derivatives, ends
 from galen_hw.spatial import Array
 
@@ -312,13 +312,20 @@ class Scene:
         c = np.broadcast_to(np.asarray(constant, dtype=float), x.shape[1:])
         return self._carried(name, x, lambda part, state: lag(self.time[part], x[part], c, state))
 
-    def servo(self, name: Any, command: Array, band: Any, constant: Any, settling: Any) -> Array:
-        """Servos that stick, (N, m) commands over the clock, see `operators.servo`."""
+    def servo(
+        self, name: Any, command: Array, band: Any, constant: Any, settling: Any, start: Array | None = None
+    ) -> Array:
+        """Servos that stick, (N, m) commands over the clock, see `operators.servo`; `start` as of `play`, brought into the band."""
         wide = command.shape[1:]
         r, quick, slow = (np.broadcast_to(np.asarray(x, dtype=float), wide) for x in (band, constant, settling))
-        return self._carried(
-            name, command, lambda part, state: servo(self.time[part], command[part], r, quick, slow, state)
-        )
+
+        def run(part: slice, state: Any) -> tuple[Array, ServoState]:
+            if state is not None and not isinstance(state, ServoState):
+                first = command[part][0]
+                state = ServoState(float(self.time[part][0]), np.clip(state, first - r, first + r))
+            return servo(self.time[part], command[part], r, quick, slow, state)
+
+        return self._carried(name, command, run, start)
 
     def delay(self, name: Any, x: Array, seconds: float) -> Array:
         """(N, m) inputs delayed by seconds, see `operators.delay`."""
