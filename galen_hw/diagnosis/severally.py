@@ -36,7 +36,7 @@ Clocks = list[tuple[TimeDelay | Lag, float]]
 def severally(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     """Whether the delays and lags of a model were exchanged for better ones: of the whole stream, or of each joint."""
     old = [i for i in out.chosen if isinstance(scorer.library[i].effect, Timing)]
-    proposed = [e for e in TimeDelay.propose(bench.scene)] if old else []
+    proposed = list(TimeDelay.propose(bench.scene)) if old else []
     if not proposed:
         return False
     others = [i for i in out.chosen if i not in old]

@@ -315,7 +315,7 @@ class Scene:
     def servo(
         self, name: Any, command: Array, band: Any, constant: Any, settling: Any, start: Array | None = None
     ) -> Array:
-        """Servos that stick, (N, m) commands over the clock, see `operators.servo`; `start` as of `play`, brought into the band."""
+        """Servos that stick, (N, m) commands over the clock, see `operators.servo`; `start` as of `play`, inside the band."""
         wide = command.shape[1:]
         r, quick, slow = (np.broadcast_to(np.asarray(x, dtype=float), wide) for x in (band, constant, settling))
 
