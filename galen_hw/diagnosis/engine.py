@@ -218,6 +218,10 @@ def _said(
     notes = list(premise.notes)
     if verdict == "agrees":
         notes.append(_limit(bench))
+    if bench.scene.heard is not None:
+        notes.append(
+            f"above {bench.scene.heard:.3g} Hz the noise of the joint positions, differentiated, drowns all: it was filtered out"
+        )
     return Diagnosis(
         recording=name,
         holdout="",

@@ -183,10 +183,10 @@ class Scene:
         if self.observations.simulation is not None or not self._uses_rates():
             return None
         step = float(np.median(np.diff(self.time)))
-        bands = [None, *(b for b in BANDS if b < 0.25 / step)]
         middle = max(self.segments, key=lambda part: part.stop - part.start)
         rows = slice(middle.start, min(middle.stop, middle.start + 8000))
         part = type(self)(self.observations.taken(rows))
+        bands = [None, *(b for b in BANDS if b < 0.25 / step and not part.loses(b))]
         errors = [part.error_with(band) for band in bands]
         best = int(np.argmin(errors))
         return bands[best] if errors[best] < errors[0] - 0.05 else None
@@ -201,6 +201,15 @@ class Scene:
 
     def _uses_rates(self) -> bool:
         """Whether the baseline differentiates the motion."""
+        return False
+
+    @property
+    def heard(self) -> float | None:
+        """Frequency (Hz) above which the compared channels were filtered; None: they are as recorded."""
+        return None
+
+    def loses(self, band: float) -> bool:
+        """Whether a vibration would go with what a low-pass of the motion (Hz) takes."""
         return False
 
     def error_with(self, band: float | None) -> float:

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.scene import Scene, once
-from galen_hw.physics.smoothing import CUT, smoothed
+from galen_hw.physics.smoothing import CUT, has_line, smoothed
 from galen_hw.spatial import Array
 
 FEW = 20
@@ -106,6 +106,17 @@ class EffortScene(JointScene):
     def seen(self, x: Array) -> Array:
         """Through the low-pass of the motion."""
         return x if self.band is None else smoothed(self.time, x, self.segments, self.band)
+
+    @property
+    def heard(self) -> float | None:
+        """The cut-off of the low-pass of the motion."""
+        return None if self.band is None else CUT * self.band
+
+    def loses(self, band: float) -> bool:
+        """The measured efforts go through the low-pass too, and with them a line of their spectra that is above it."""
+        dt = float(np.median(np.diff(self.time)))
+        raw = self.observations.matrix(*self.channels)
+        return any(has_line(raw[:, c], dt, CUT * band) for c in range(raw.shape[1]))
 
     @cached_property
     def grain(self) -> int:

@@ -150,6 +150,25 @@ def smoothed(time: Array, x: Array, segments: list[slice], band: float, *, bridg
     return out
 
 
+LINE = 60.0
+"""Power of a line over the median of the spectrum that noise never has: exp(-40) in one place."""
+ALONE_BY = 4.0
+"""Times the next line, beyond its foot: harmonics of a periodic motion come in rows."""
+FOOT = 5
+
+
+def has_line(x: Array, dt: float, above: float) -> bool:
+    """Whether a signal (N,) holds one narrow line, and no row of lines, above a frequency (Hz)."""
+    n = len(x)
+    first = max(int(np.ceil(above * n * dt)), 1)
+    if n < SHORTEST or n // 2 - first < SHORTEST or not np.isfinite(x).all():
+        return False
+    power = np.abs(np.fft.rfft((x - np.mean(x)) * np.hanning(n)))[first:] ** 2
+    peak = int(np.argmax(power))
+    others = np.delete(power, np.s_[max(peak - FOOT, 0) : peak + FOOT + 1])
+    return bool(power[peak] > max(LINE * float(np.median(others)), ALONE_BY * float(np.max(others))) > 0.0)
+
+
 ALONE = 3
 """So many samples in a row may be isolated; more are an event."""
 
