@@ -14,7 +14,7 @@ from galen_hw.physics.elastic_effects import Compliance
 from galen_hw.physics.joint_effects import Friction
 from galen_hw.physics.memory_effects import Backlash, Hysteresis
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.smoothing import at_rest, denoised, derivatives, ends, isolated, motion_band
+from galen_hw.physics.smoothing import at_rest, denoised, derivatives, ends, has_line, isolated, motion_band
 from galen_hw.physics.table import scene_of
 from galen_hw.physics.time_effects import Lag, TimeDelay
 from galen_hw.physics.together import PAUSE, joined
@@ -168,9 +168,10 @@ def test_a_joint_that_sticks_starts_where_it_stood():
             out[k] = q + offset
         runs.append(Observations("position", {"time": t, "joint.a.position": out, "joint.a.command": u}))
     scene = scene_of(joined(runs, ["left", "right"])[0])
-    rest = scene.residual - offset - Backlash("a", half).change(scene, np.ones(1))
     assert np.sqrt(np.mean(scene.residual**2)) > half / 2.0
-    assert np.max(np.abs(rest)) < 1e-3
+    for sticks in (Backlash("a", half), Friction("a", "servo", coulomb=half, response=1e-3)):
+        rest = scene.residual - offset - sticks.change(scene, np.ones(1))
+        assert np.max(np.abs(rest)) < 1e-3
 
 
 def test_a_damper_that_sticks_slips_and_has_a_gap():
@@ -299,6 +300,54 @@ def test_a_servo_that_sticks_rubs_and_has_no_play():
     found = diagnose(scene).diagnosis.findings
     assert [f.effect for f in found] == ["friction"]
     assert found[0].parameters["coulomb"].value == pytest.approx(4e-4, rel=0.1)
+
+
+def test_friction_that_never_breaks_loose_is_none():
+    """A servo that gives way within a band which its error never leaves is a lag of its settling."""
+    scene = scene_of(sticking(np.random.default_rng(3), 0.08, 1000))
+    small = Friction("axis", "creeping_servo", coulomb=1e-3, response=0.02, settling=0.1)
+    wide = Friction("axis", "creeping_servo", coulomb=0.2, response=0.02, settling=0.1)
+    assert small.at_work(scene)
+    assert not wide.at_work(scene)
+    assert Friction("axis", "servo", coulomb=0.2, response=0.02).at_work(scene), "play as wide as that is a play"
+    command = scene.q + 0.02 * scene.rates[0]
+    slow = scene.lag("slow", command, 0.1) - scene.lag("quick", command, 0.02)
+    settled = scene.time > 2.0
+    assert np.allclose(wide.columns(scene).values[settled, 0], slow[settled], atol=1e-6)
+
+
+def test_a_dead_time_and_a_lag_behind_it_are_found_together():
+    """Beside friction, one by one: the first takes the place of both, and what is wrong about it goes to whatever bends."""
+    rng, t = np.random.default_rng(5), np.arange(6000) * 0.02
+    command = np.zeros(len(t))
+    for place in range(0, len(t), 150):
+        command[place:] += rng.uniform(-0.2, 0.2) * np.clip((t[place:] - t[place]) / 0.3, 0.0, 1.0)
+    command += 0.1 * np.sin(2 * np.pi * 0.05 * t**1.4)
+    late, out, q = np.interp(t - 0.05, t, command), np.empty(len(t)), 0.0
+    for k, c in enumerate(late.tolist()):
+        q += (1.0 - np.exp(-0.02 / 0.06)) * (c - q - float(np.clip(c - q, -0.01, 0.01)))
+        out[k] = q
+    name = "joint.axis.position"
+    columns = {"time": t, "joint.axis.command": command, name: out + 4e-4 * rng.normal(size=len(t))}
+    work = diagnose(scene_of(Observations("position", columns)))
+    found = {f.effect: f.parameters for f in work.diagnosis.findings}
+    assert {"time_delay", "friction"} <= set(found) <= {"time_delay", "friction", "lag"}
+    assert found["time_delay"]["delay"].value == pytest.approx(0.05, abs=3e-3)
+    assert found["friction"]["coulomb"].value == pytest.approx(0.01, rel=0.1)
+    constant = found["lag"]["constant"] if "lag" in found else found["friction"]["response"]
+    assert constant.value == pytest.approx(0.06, rel=0.1)
+
+
+def test_one_line_above_the_motion_and_no_row_of_them():
+    """A vibration is a line; a periodic motion's friction is a row of them, noise is none."""
+    rng, t = np.random.default_rng(2), np.arange(4000) * 0.01
+    noise = rng.normal(size=len(t))
+    hum = 0.5 * np.sin(2 * np.pi * 24.04 * t)
+    comb = 2.0 * np.sign(np.sin(2 * np.pi * 1.1 * t))
+    assert has_line(noise + hum, 0.01, 15.0)
+    assert not has_line(noise + hum, 0.01, 30.0)
+    assert not has_line(noise + comb, 0.01, 15.0)
+    assert not any(has_line(rng.normal(size=len(t)), 0.01, 15.0) for _ in range(200))
 
 
 @pytest.mark.parametrize(

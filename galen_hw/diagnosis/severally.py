@@ -5,18 +5,19 @@ servo on a bus, it takes one that is as late as both; beside that the other is w
 about the shape goes to whatever bends. Where joints answer one by one, each with clocks of its own, no single exchange helps.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.linear import crossed
 from galen_hw.diagnosis.nonlinear import Beside, settle, tangent
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.worth import taken
-from galen_hw.physics.effect import Columns, log_grid, spacing
+from galen_hw.physics.effect import Columns, Effect, log_grid, spacing
 from galen_hw.physics.time_effects import Lag, TimeDelay, Timing
 from galen_hw.spatial import Array
 
@@ -39,25 +40,33 @@ def severally(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     proposed = list(TimeDelay.propose(bench.scene)) if old else []
     if not proposed:
         return False
-    others = [i for i in out.chosen if i not in old]
+    # Friction of a servo has the servo's lag in it: it goes where that goes.
+    within = [e for i in out.chosen if (e := scorer.library[i].effect) is not None and "lag" in e.contains]
+    others = [i for i in out.chosen if i not in old and scorer.library[i].effect not in within]
     none = bench.y + sum((b for i in old if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
     with scorer.against(none):
         beside = Beside(bench, scorer, others)
-    whole = [_sought(bench, beside, e) for e in proposed if not e.joint]
-    own = [_sought(bench, beside, e) for e in proposed if e.joint]
+    whole = [_sought(bench, beside, e, within) for e in proposed if not e.joint]
+    own = [_sought(bench, beside, e, [one for one in within if e.joint in one.joints]) for e in proposed if e.joint]
     return any(
         _exchanged(bench, scorer, out, old, [c for found in each for c in found]) for each in (whole, own) if any(each)
     )
 
 
-def _sought(bench: Bench, beside: Beside, delay: TimeDelay) -> Clocks:
-    """The best of nothing, a delay, a lag, and a delay of what lags, where that delay acts, beside other effects."""
+def _sought(bench: Bench, beside: Beside, delay: TimeDelay, within: Sequence[Effect]) -> Clocks:
+    """The best of nothing, a delay, a lag, and a delay of what lags, where that delay acts, beside other effects.
+
+    With friction `within` the lag: of servos that have the lag's constant, and are as late.
+    """
     places = delay.places(bench.stream)
     x = bench.stream.simulated[:, places]
     price = float(np.log(bench.noise.effective))
 
     def gain(late: float, constant: float) -> float:
         y = bench.stream.lag("lag", x, constant) if constant > 0.0 else x
+        for one in within:
+            stands = _with_lag(one, constant).columns(bench.scene)
+            y = y + Columns(stands.channels, stands.values[:, :, :1]).full(bench.width)[:, places, 0]
         y = bench.stream.delay("delay", y, late) - x
         return beside.whole(bench.made(None, bench.averaged(Columns(places, y[:, :, None]))))
 
@@ -69,7 +78,7 @@ def _sought(bench: Bench, beside: Beside, delay: TimeDelay) -> Clocks:
     step = spacing(bench.scene)
     reach = max(4.0 * step, 4.0 * abs(_by_slope(bench, beside, delay)))
     alone, all_late = latest(0.0, (-reach, reach))
-    ways: list[tuple[float, Clocks]] = [(0.0, []), (alone - price, [(delay, all_late)])]
+    ways: list[tuple[float, Clocks]] = [(gain(0.0, 0.0), []), (alone - price, [(delay, all_late)])]
     shortest = 0.5 * step
     for constant in log_grid(shortest, 2.0 * all_late, CONSTANTS):
         lag = Lag(constant, delay.joint, shortest)
@@ -91,6 +100,19 @@ def _sought(bench: Bench, beside: Beside, delay: TimeDelay) -> Clocks:
     return [(delay, latest(constant, (0.0, all_late))[1]), *found] if both else found
 
 
+def _with_lag(effect: Effect, constant: float) -> Effect:
+    """Friction of a servo whose lag has this constant (s); 0: as it is."""
+    return effect.with_searched({"response": constant}) if constant > 0.0 else effect
+
+
+def _responding(bench: Bench, h: Hypothesis, clocks: Clocks) -> Hypothesis:
+    """A hypothesis with the lag of the clocks where it has one in it."""
+    if h.effect is None or "lag" not in h.effect.contains:
+        return h
+    mine = [size for end, size in clocks if isinstance(end, Lag) and end.joint in ("", *h.effect.joints)]
+    return bench.add(_with_lag(h.effect, mine[0]), h.looked) if mine else h
+
+
 def _by_slope(bench: Bench, beside: Beside, delay: TimeDelay) -> float:
     """How late the recording is for small delays, s."""
     A, r = beside.products(bench.made(None, bench.averaged(delay.columns(bench.stream))))
@@ -104,7 +126,7 @@ def _exchanged(bench: Bench, scorer: Scorer, out: Selection, old: list[int], clo
     kept = [(end, theta) for end, theta in timing if not isinstance(end, Timing)]
     bench.timing = [*kept, *((effect, np.array([1.0 if isinstance(effect, Lag) else size])) for effect, size in clocks)]
     try:
-        fresh = [scorer.retimed(scorer.library[i]) for i in others]
+        fresh = [scorer.retimed(_responding(bench, scorer.library[i], clocks)) for i in others]
         for effect, size in clocks:
             h = bench.add(effect)
             fresh.append(tangent(bench, h, np.array([size])) if isinstance(effect, TimeDelay) else h)

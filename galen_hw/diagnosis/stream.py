@@ -21,7 +21,7 @@ def through(effect: Effect, timing: Timing) -> Timing:
         return ()
     if effect.DOWNSTREAM:
         return [(other, theta) for other, theta in timing if other.KEY in effect.BEHIND]
-    return timing
+    return [(other, theta) for other, theta in timing if other.KEY not in effect.contains]
 
 
 def change(scene: Scene, effect: Effect, theta: Array, timing: Timing) -> Array:

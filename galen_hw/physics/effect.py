@@ -171,6 +171,11 @@ class Effect(ABC):
         """Factor, above 1, within which the optimum of a searched value is to be sought around a proposed one."""
         return DOUBT
 
+    @property
+    def contains(self) -> tuple[str, ...]:
+        """Keys of the ends of a stream that are part of what it describes: its change does not go through them again."""
+        return ()
+
     def at_work(self, scene: Scene) -> bool:
         """Whether it does, in this recording, what it is named for: friction that never breaks loose is a lag by another name."""
         return True

@@ -140,13 +140,18 @@ class Friction(Effect):
         }
         return in_channel(_place(scene, self.joint), scene.seen(np.stack(forms[self.form](), axis=-1)).T)
 
+    @property
+    def contains(self) -> tuple[str, ...]:
+        """A servo whose response nobody simulated has its lag with its friction in one equation."""
+        return ("lag",) if "servo" in self.form and self.simulated is None else ()
+
     def at_work(self, scene: Scene) -> bool:
         """Whether a servo that gives way while it sticks also breaks loose, in so many of the rows that move."""
         if self.settling is None or self.coulomb is None:
             return True
         response, settling = self._constants()
-        command = _command(scene, self.joint, response)
-        stands = _stand_off(scene, self.joint, self.coulomb, response, settling)
+        command = self._command(scene, response)
+        stands = self._stand_off(scene, response, settling)
         stands = stands + scene.lag("follows", command, response)[:, 0]
         moves = np.diff(command[:, 0]) != 0.0
         loose = np.abs(command[1:, 0] - stands[:-1]) > self.coulomb * settling / (settling - response)
@@ -161,30 +166,30 @@ class Friction(Effect):
     def _servo(self, scene: Scene, v: Array) -> list[Array]:
         assert self.coulomb is not None, "proposed with one"
         response, settling = self._constants()
-        out = [_stand_off(scene, self.joint, self.coulomb, response, settling)]
+        out = [self._stand_off(scene, response, settling)]
         if self.freedom:
             out.append(-scene.lag("viscous", v[:, None], response)[:, 0])
         return out
 
+    def _command(self, scene: Scene, response: float) -> Array:
+        """(N, 1) what the servo is told: the motion that was put in, or what makes a simulated servo move as it does."""
+        at = scene.joint_index(self.joint)
+        lead = 0.0 if self.simulated is None else response * scene.rates[0][:, at]
+        return np.asarray((scene.q[:, at] + lead)[:, None])
 
-def _command(scene: Scene, joint: str, response: float) -> Array:
-    """(N, 1) that a servo of this response (s) has been given if nothing holds it."""
-    at = scene.joint_index(joint)
-    return np.asarray((scene.q[:, at] + response * scene.rates[0][:, at])[:, None])
-
-
-def _stand_off(scene: Scene, joint: str, coulomb: float, response: float, settling: float) -> Array:
-    """(N,) of a servo that sticks beside one that does not; of the first ones asked for in a scene kept, for they come again."""
-    kept: dict[object, Array] = scene.__dict__.setdefault("_stand_offs", {})
-    key = (joint, coulomb, response, settling)
-    if key in kept:
-        return kept[key]
-    command = _command(scene, joint, response)
-    sticks = scene.servo("servo", command, coulomb, response, settling, scene.resting(f"joint.{joint}.position"))
-    out = np.asarray((sticks - scene.lag("follows", command, response))[:, 0])
-    if scene.memory is None and len(kept) < MOST_KEPT:
-        kept[key] = out
-    return out
+    def _stand_off(self, scene: Scene, response: float, settling: float) -> Array:
+        """(N,) beside a servo that does not stick; of the first ones asked for in a scene kept, for they come again."""
+        kept: dict[object, Array] = scene.__dict__.setdefault("_stand_offs", {})
+        key = (self.joint, self.coulomb, response, settling, self.simulated is None)
+        if key in kept:
+            return kept[key]
+        command = self._command(scene, response)
+        start = scene.resting(f"joint.{self.joint}.position")
+        sticks = scene.servo("servo", command, self.coulomb, response, settling, start)
+        out = np.asarray((sticks - scene.lag("follows", command, response))[:, 0])
+        if scene.memory is None and len(kept) < MOST_KEPT:
+            kept[key] = out
+        return out
 
 
 def _is_effort(scene: Scene) -> bool:
