@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, in_channel, log_grid
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, in_channel, log_grid, spacing
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.scene_joint import EffortScene
 from galen_hw.physics.time_effects import joint_of
@@ -31,8 +31,9 @@ class Friction(Effect):
     "asymmetric": own Fc and Fv by direction (with their offset); "stribeck": + Fs s exp(-(v / vs)^2) (Armstrong-Helouvry 1994);
     "load": + c |load| s. In efforts it adds to the motor's work; a servo without integral action stands off by friction over
     stiffness (positions, negative). "servo": the same with its sticking at reversals, T dq/dt = z(c - q), z a dead zone of
-    +- `coulomb` (friction over stiffness), T the servo's `response` (or that of the `simulated` one, where a simulation and its
-    command tell it), c what an ideal servo of that response was given (c = s + T ds/dt); "creeping_servo": friction that is
+    +- `coulomb` (friction over stiffness), T the servo's `response` and c its command s, beside the lag of such a servo without
+    friction; T not below `shortest` (half a sample: what follows quicker and sticks has a play). Of a `simulated` servo, whose T
+    the simulation and its command tell, c is what makes it move as simulated (s + T ds/dt). "creeping_servo": friction that is
     viscous at creeping speed, so that it gives way with a time constant `settling` while it sticks; either with "_viscous":
     what more damping holds it back, - b ds/dt behind the response.
     Visible at reversals and at several speeds. Confused with hysteresis and backlash (small widths; a quick servo that sticks
@@ -56,6 +57,7 @@ class Friction(Effect):
     response: float | None = None
     settling: float | None = None
     simulated: float | None = None
+    shortest: float = 0.0
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -81,7 +83,8 @@ class Friction(Effect):
         """Stand-offs from far below the joint's range to a tenth of it; those that give way, quickly and slowly."""
         half_range = 0.5 * float(np.ptp(scene.q[:, scene.joint_index(joint)]))
         known = scene.response(joint)
-        given = {"response": RESPONSE} if known is None else {"simulated": known}
+        shortest = 0.5 * spacing(scene)
+        given = {"response": max(RESPONSE, shortest), "shortest": shortest} if known is None else {"simulated": known}
         for coulomb in log_grid(half_range * 1e-4, half_range * 0.1, 11):
             for settling in (None, *(one * (known or RESPONSE) for one in SETTLINGS)):
                 form = "servo" if settling is None else "creeping_servo"
@@ -139,6 +142,12 @@ class Friction(Effect):
             "load": lambda: [s, v, s * np.abs(np.asarray(scene.load(self.joint), dtype=float))],
         }
         return in_channel(_place(scene, self.joint), scene.seen(np.stack(forms[self.form](), axis=-1)).T)
+
+    def with_searched(self, values: Mapping[str, float]) -> Self:
+        """Another point of the search; a servo that follows within half a sample is none, and friction in it a play."""
+        if "response" in values:
+            values = {**values, "response": max(values["response"], self.shortest)}
+        return super().with_searched(values)
 
     @property
     def contains(self) -> tuple[str, ...]:
