@@ -180,4 +180,4 @@ def test_answers_that_another_engine_gave_are_said_to_be_so(tmp_path):
         path.write_text("{}")
         path.with_suffix(".commit").write_text(commit)
     titles = "; ".join(real_set.title for real_set in real.SETS[1:3])
-    assert real._made_before(tmp_path, "new") == [f"Answered by the engine of commit old, and kept: {titles}."]
+    assert real._made_before(tmp_path, "new") == [f"Answered by the engine of commit old: {titles}."]

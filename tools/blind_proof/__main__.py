@@ -45,11 +45,16 @@ def main() -> int:
             begun.write_text(json.dumps([seed, commit]))
             cases, scored = _judged(seed, args.cases, folder, args.workers)
         rivals = [] if args.no_rivals else _rivals(cases, scored, folder, args.workers, args.rivals)
-        recordings = real.LEFT_OUT if args.no_real else real.recordings(folder / "real", args.workers, commit)
+        recordings = real.LEFT_OUT if args.no_real else _real(folder / "real", args.workers, commit)
         missed = report.write(Path(args.write), scored, rivals, recordings, seed=seed, commit=commit)
     for line in missed:
         print(f"missed: {line}", file=sys.stderr)
     return 1 if missed else 0
+
+
+def _real(folder: Path, workers: int, commit: str) -> list[str]:
+    """The real recordings, asked of this commit's engine where no answer was kept, whatever commit the set is of."""
+    return real.recordings(folder, workers, commit, seal.seed_of_commit()[1])
 
 
 def _arguments() -> argparse.Namespace:

@@ -80,14 +80,18 @@ def data_folder() -> Path | None:
     return chosen if chosen.is_dir() else None
 
 
-def recordings(out: Path, workers: int, commit: str) -> list[str]:
-    """The section of the report, line by line; answers that an engine of another commit has given are said to be so."""
+def recordings(out: Path, workers: int, commit: str, engine: str) -> list[str]:
+    """The section of the report, line by line; answers that an engine of another commit has given are said to be so.
+
+    Args:
+        out: folder in which answers are kept; workers: at once; commit: of the report; engine: the commit that is asked now.
+    """
     data = data_folder()
     if data is None:
         return ["## Real recordings\n", "Not present on this machine.\n"]
     out.mkdir(parents=True, exist_ok=True)
     with ThreadPoolExecutor(workers) as pool:
-        answers = list(pool.map(lambda real_set: _ask(data, real_set, out, commit), SETS))
+        answers = list(pool.map(lambda real_set: _ask(data, real_set, out, engine), SETS))
     lines = ["## Real recordings\n", "All with the tool's defaults; nothing was set for any of them.\n"]
     lines += [
         "| set, held out | verdict | findings, first to last | held-out rms before to after | known |",
@@ -98,14 +102,14 @@ def recordings(out: Path, workers: int, commit: str) -> list[str]:
 
 
 def _made_before(out: Path, commit: str) -> list[str]:
-    """A line for every commit but this one whose engine has given answers that were kept."""
+    """A line for every commit but the report's whose engine has given answers."""
     by: dict[str, list[str]] = {}
     for real_set in SETS:
         note = _note(out, real_set)
         made = note.read_text() if note.exists() else "unknown"
         if _path(out, real_set).exists() and made != commit:
             by.setdefault(made, []).append(real_set.title)
-    return [f"Answered by the engine of commit {made}, and kept: {'; '.join(titles)}." for made, titles in by.items()]
+    return [f"Answered by the engine of commit {made}: {'; '.join(titles)}." for made, titles in by.items()]
 
 
 def _path(out: Path, real_set: RealSet) -> Path:
@@ -116,7 +120,7 @@ def _note(out: Path, real_set: RealSet) -> Path:
     return _path(out, real_set).with_suffix(".commit")
 
 
-def _ask(data: Path, real_set: RealSet, out: Path, commit: str) -> dict[str, Any] | str:
+def _ask(data: Path, real_set: RealSet, out: Path, engine: str) -> dict[str, Any] | str:
     """The tool's answer, or its one line of refusal; an answer that a run before has kept stays."""
     path = _path(out, real_set)
     if path.exists():
@@ -133,7 +137,7 @@ def _ask(data: Path, real_set: RealSet, out: Path, commit: str) -> dict[str, Any
     if not path.exists():
         return (done.stderr.strip().splitlines() or ["no answer"])[-1]
     answer: dict[str, Any] = json.loads(path.read_text())
-    _note(out, real_set).write_text(commit)
+    _note(out, real_set).write_text(engine)
     return answer
 
 
