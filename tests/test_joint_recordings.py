@@ -14,6 +14,7 @@ from galen_hw.physics.elastic_effects import Compliance
 from galen_hw.physics.joint_effects import Friction
 from galen_hw.physics.memory_effects import Backlash, Hysteresis
 from galen_hw.physics.observations import Belief, Observations
+from galen_hw.physics.sensor_effects import Drift
 from galen_hw.physics.smoothing import at_rest, denoised, derivatives, ends, has_line, isolated, motion_band
 from galen_hw.physics.table import scene_of
 from galen_hw.physics.time_effects import Lag, TimeDelay
@@ -41,6 +42,15 @@ def test_runs_laid_end_to_end_stay_apart():
     assert np.all(np.diff(whole.columns["time"]) > 0.0)
     assert np.isnan(whole.columns["temperature.motor"][:50]).all()
     assert (whole.columns["temperature.motor"][50:] == 31.0).all()
+
+
+def test_no_drift_is_sought_over_hours_that_nobody_knows():
+    """The clock between recordings is made up, in each of them it is not."""
+    first, second = run(200), run(200)
+    whole, _ = joined([first, second], ["first", "second"])
+    assert not list(Drift.propose(scene_of(whole)))
+    assert list(Drift.propose(scene_of(first)))
+    assert whole.taken(slice(0, 300)).apart
 
 
 def test_runs_of_different_machines_are_refused():

@@ -60,12 +60,14 @@ class Observations:
         columns: float arrays (N,), names as in `docs/recording.md`.
         simulation: the compared group as someone else simulated it, row by row; None: simulate from the belief.
         belief: what the baseline knows.
+        apart: several recordings laid end to end: nobody knows how much time lies between them.
     """
 
     predict: Group
     columns: Mapping[str, Array]
     simulation: Mapping[str, Array] | None = None
     belief: Belief = field(default_factory=Belief)
+    apart: bool = False
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -114,4 +116,4 @@ class Observations:
         """The same with only some rows (slice, mask or indices)."""
         simulation = self.simulation
         cut = None if simulation is None else {k: v[rows] for k, v in simulation.items()}
-        return Observations(self.predict, {k: v[rows] for k, v in self.columns.items()}, cut, self.belief)
+        return Observations(self.predict, {k: v[rows] for k, v in self.columns.items()}, cut, self.belief, self.apart)

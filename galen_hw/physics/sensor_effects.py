@@ -76,9 +76,12 @@ class Drift(Effect):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Straight, warm-up and wander in every channel; over the row number where there is no clock."""
+        """Straight, warm-up and wander in every channel; over the row number where there is no clock.
+
+        None over recordings laid end to end: the clock between them is made up.
+        """
         start, length = float(scene.time[0]), duration(scene)
-        if length <= 0.0 or len(scene) < 12:
+        if length <= 0.0 or len(scene) < 12 or scene.observations.apart:
             return
         for name in scene.channels:
             yield cls(name, "linear", None, start, length)

@@ -50,7 +50,7 @@ def joined(parts: Sequence[Observations], names: Sequence[str]) -> tuple[Observa
     columns["segment"] = segment
     given = [part.simulation for part in parts]
     simulation = None if given[0] is None else _stacked([g for g in given if g is not None], sizes)
-    return replace(first, columns=columns, simulation=simulation), begins
+    return replace(first, columns=columns, simulation=simulation, apart=True), begins
 
 
 def _start(part: Observations) -> float:
