@@ -1,5 +1,6 @@
 """The chosen model and how it came about."""
 
+from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +21,7 @@ class Selection:
         first: score of every hypothesis before any was chosen, best of its family.
         needed: surprise that chance reaches.
         refused: effects that looked significant but did not pass the guard.
+        clocked: how often a model, by the families of its effects, was asked for all of its clocks at once.
         begun: (n, C) squared errors of the training rows, each left out, before anything was chosen.
     """
 
@@ -29,6 +31,7 @@ class Selection:
     first: dict[int, Score] = field(default_factory=dict)
     needed: float = 0.0
     refused: list[tuple[Effect, float]] = field(default_factory=list)
+    clocked: Counter[frozenset[object]] = field(default_factory=Counter)
     begun: Array = field(default_factory=lambda: np.empty((0, 0)))
 
     @property

@@ -30,6 +30,9 @@ CONSTANTS = 6
 FINE = 0.02
 """Share of what is late to which a clock is sought."""
 
+OFTEN = 2
+"""Times that one model is asked for its clocks: its other values may have moved since."""
+
 Clocks = list[tuple[TimeDelay | Lag, float]]
 """With their delay or constant, s."""
 
@@ -37,7 +40,10 @@ Clocks = list[tuple[TimeDelay | Lag, float]]
 def severally(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     """Whether the delays and lags of a model were exchanged for better ones: of the whole stream, or of each joint."""
     old = [i for i in out.chosen if isinstance(scorer.library[i].effect, Timing)]
-    proposed = list(TimeDelay.propose(bench.scene)) if old else []
+    # Not for ever: what the search takes back of an exchange, it would take back again.
+    model = frozenset(scorer.library[i].family for i in out.chosen)
+    proposed = list(TimeDelay.propose(bench.scene)) if old and out.clocked[model] < OFTEN else []
+    out.clocked[model] += 1
     if not proposed:
         return False
     # Friction of a servo has the servo's lag in it: it goes where that goes.
