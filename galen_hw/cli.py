@@ -4,6 +4,7 @@ import argparse
 import importlib
 import os
 import sys
+from contextlib import suppress
 from typing import Any, Final
 
 from galen_hw.errors import EXIT_USAGE, GalenError
@@ -50,7 +51,8 @@ def main(argv: list[str] | None = None) -> int:
         print(f"galen-hw {command}: {error}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
-        print(f"galen-hw {command}: interrupted", file=sys.stderr)
+        with suppress(KeyboardInterrupt):  # Who presses twice needs no traceback either.
+            print(f"galen-hw {command}: interrupted", file=sys.stderr)
         return 130
     except (BrokenPipeError, SystemExit) as error:
         if isinstance(error, SystemExit) and not isinstance(error.__context__, BrokenPipeError):

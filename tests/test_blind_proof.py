@@ -13,8 +13,8 @@ from galen_hw.kinematics import GalenRobot, UrdfRobot
 
 pytest.importorskip("mujoco", reason="the generator needs MuJoCo: pip install mujoco")
 
-from galen_hw.tools.blind_proof import judge, real, score, seal
-from galen_hw.tools.blind_proof.generator import arm, build, galen, motion, wrench
+from galen_hw.tools.blind_proof import judge, real, score, seal, tables
+from galen_hw.tools.blind_proof.generator import arm, build, galen, look_alikes, motion, signal, wrench
 from galen_hw.tools.blind_proof.generator.case import Case, Injected
 from galen_hw.tools.blind_proof.generator.plan import plan
 
@@ -124,6 +124,35 @@ def test_a_run_that_was_cut_off_goes_on_with_the_same_truth_and_keeps_its_verdic
     assert seal.seal(plan(1, 3), tmp_path) == text
     with pytest.raises(RuntimeError, match="another truth"):
         seal.seal(plan(2, 3), tmp_path)
+
+
+@pytest.mark.parametrize("tau", [1e-3, 1e-2, 0.1])
+def test_a_filter_is_late_by_its_time_constant_however_quick_it_is(tau: float) -> None:
+    """Behind a ramp, at a sample every 10 ms."""
+    ramp = 3.0 * 0.01 * np.arange(500.0)[:, None]
+    assert_allclose((ramp - signal.lagged(ramp, 0.01, tau))[200:], 3.0 * tau, rtol=1e-6)
+
+
+def test_how_far_a_lag_is_from_a_delay_of_one_sine() -> None:
+    """A delay gives the phase of a first-order lag, and not its amplitude A / sqrt(1 + (w T)^2)."""
+    t, w, T, sigma = np.arange(20000) / 100.0, 2 * np.pi * 0.5, 0.1, np.array([0.3])
+    x = np.sin(w * t)[:, None]
+    expected = np.sqrt(len(t) / 2) * (1 - 1 / np.hypot(1, w * T)) / sigma[0]
+    measured = look_alikes.apart("lag", t, x, signal.lagged(x, 0.01, T), sigma, "white")
+    assert_allclose(measured, expected, rtol=0.02)
+    assert look_alikes.apart("lag", t, x, signal.lagged(x, 0.01, T), sigma, "coloured") < 0.5 * measured
+    assert look_alikes.apart("time_delay", t, x, signal.delayed(t, x, 1e-3), sigma, "white") < 0.01
+
+
+def test_a_guess_is_not_held_against_the_tool_nor_for_it() -> None:
+    """It counts in the promised row; the row below leaves it out."""
+    cases = []
+    for name, away in (("lag", 0.2), ("lag", 40.0)):
+        truth = Case("s", 1, "wrench", "single", effects=[Injected("lag", "lag", 0.8, apart=away)]).as_dict()
+        cases.append(score.score(truth, verdict("time_delay" if away < 1.0 else name)))
+    rows = {f.what: f.reached for f in tables.figures(cases, []) if "first" in f.what or "same" in f.what}
+    assert rows["right effect first, SNR 0.8"].startswith("0.500 (1 of 2;")
+    assert rows["the same without 1 that no test could tell from a look-alike"].startswith("1.000 (1 of 1;")
 
 
 def verdict(*effects: str, kind: str = "explained") -> dict[str, object]:

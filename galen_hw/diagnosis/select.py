@@ -4,12 +4,12 @@ import numpy as np
 
 from galen_hw.diagnosis import seek
 from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.clocks import reclocked
 from galen_hw.diagnosis.linear import crossed, rests
 from galen_hw.diagnosis.nonlinear import bent, in_place, load, polished, retime, settle, unbent
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
 from galen_hw.diagnosis.score import Score, Scorer, threshold
 from galen_hw.diagnosis.selection import Selection
-from galen_hw.diagnosis.severally import severally
 from galen_hw.diagnosis.worth import WORTH, asked, plausible, taken, worth
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.table import EFFECTS, effect_class
@@ -66,7 +66,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
             out.chosen.append(best)
         elif not (
             _split(bench, scorer, out)
-            or severally(bench, scorer, out)
+            or reclocked(bench, scorer, out)
             or (moved and _exchanged(bench, scorer, out, refused))
         ):
             break

@@ -1,5 +1,6 @@
 """Effects that act in a joint or along the arm: friction, torque ripple, cables."""
 
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -21,7 +22,7 @@ SETTLINGS = (4.0, 16.0)
 LEAST_LOOSE = 0.1
 """Share of the rows in motion in which what is called friction must slip."""
 MOST_KEPT = 256
-"""Stand-offs of servos that a scene keeps: they are walked row by row."""
+"""Stand-offs of servos that a scene keeps, those asked for last: they are walked row by row."""
 
 
 @dataclass(frozen=True)
@@ -187,17 +188,20 @@ class Friction(Effect):
         return np.asarray((scene.q[:, at] + lead)[:, None])
 
     def _stand_off(self, scene: Scene, response: float, settling: float) -> Array:
-        """(N,) beside a servo that does not stick; of the first ones asked for in a scene kept, for they come again."""
-        kept: dict[object, Array] = scene.__dict__.setdefault("_stand_offs", {})
+        """(N,) beside a servo that does not stick; kept in a scene, for it is asked for again."""
+        kept: OrderedDict[object, Array] = scene.__dict__.setdefault("_stand_offs", OrderedDict())
         key = (self.joint, self.coulomb, response, settling, self.simulated is None)
         if key in kept:
+            kept.move_to_end(key)
             return kept[key]
         command = self._command(scene, response)
         start = scene.resting(f"joint.{self.joint}.position")
         sticks = scene.servo("servo", command, self.coulomb, response, settling, start)
         out = np.asarray((sticks - scene.lag("follows", command, response))[:, 0])
-        if scene.memory is None and len(kept) < MOST_KEPT:
+        if scene.memory is None:
             kept[key] = out
+            if len(kept) > MOST_KEPT:
+                kept.popitem(last=False)
         return out
 
 

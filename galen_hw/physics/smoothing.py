@@ -155,6 +155,7 @@ LINE = 60.0
 ALONE_BY = 4.0
 """Times the next line, beyond its foot: harmonics of a periodic motion come in rows."""
 FOOT = 5
+"""Lines on either side that a line's window spreads it over, and that its phase's wander does."""
 
 
 def has_line(x: Array, dt: float, above: float) -> bool:

@@ -15,6 +15,9 @@ from galen_hw.tools.blind_proof.score import Scored
 
 PREAMBLE = """Written by `make proof`; nothing here is edited by hand. The generator (MuJoCo) shares no code with the
 tool; the truth stayed sealed until every verdict was on disk.
+
+A lag and a delay do the same to first order. How far a lag that is there alone is from the best of all delays, and a delay from
+the best of all lags, is known with the truth; within 3.3 standard errors any answer to "which of the two" is a guess.
 """
 
 
@@ -56,9 +59,16 @@ def _failures(cases: list[Scored]) -> str:
         if some:
             weak = f", of them {len(some) - len(strong)} below SNR 0.4, not listed" if len(strong) < len(some) else ""
             text.append(f"**{share}** ({len(some)}{weak})\n")
-            text += [f"- {c.truth['name']}: {c.why}{', ' + c.truth['mask'] if c.truth['mask'] else ''}" for c in strong]
+            text += [f"- {c.truth['name']}: {c.why}{_beside(c)}" for c in strong]
             text.append("")
     return "\n".join(text)
+
+
+def _beside(case: Scored) -> str:
+    """What made a case hard."""
+    mask = f", {case.truth['mask']}" if case.truth["mask"] else ""
+    guess = [f", {e['apart']:.1f} standard errors from its look-alike" for e in case.truth["effects"] if case.a_guess]
+    return mask + "".join(guess)
 
 
 def _promises(promised: list[tables.Figure]) -> str:

@@ -20,6 +20,10 @@ def by_names(verdict: dict[str, Any]) -> dict[str, float]:
     return dict(verdict["fit"]["rmse_after"]) | without
 
 
+TOLD_APART = 3.3
+"""Standard errors between two curves: whoever knows both takes one for the other in one recording of twenty."""
+
+
 @dataclass
 class Scored:
     """One case, judged.
@@ -46,6 +50,12 @@ class Scored:
     def wanted(self) -> list[str]:
         """Keys of what was concealed."""
         return [e["key"] for e in self.truth["effects"]]
+
+    @property
+    def a_guess(self) -> bool:
+        """Whether no test of the recording could tell the effect from its look-alike, see `generator.look_alikes`."""
+        known = [e.get("apart") for e in self.truth["effects"]]
+        return any(apart is not None and apart < TOLD_APART for apart in known)
 
     @property
     def detected(self) -> bool:

@@ -44,6 +44,11 @@ def figures(cases: list[Scored], rivals: list[dict[str, Any]]) -> list[Figure]:
         some = [c for c in of(cases, "single") if c.truth["effects"][0]["snr"] == level]
         hits, n = share(some, "first")
         out.append(_row(f"right effect first, SNR {level}", f">= {least:.2f}", hits, n, good=hits >= least * n))
+        able = [c for c in some if not c.a_guess]
+        if len(able) < n:
+            what = f"the same without {n - len(able)} that no test could tell from a look-alike"
+            hits, n = share(able, "first")
+            out.append(_row(what, f">= {least:.2f}", hits, n, good=hits >= least * n))
     some = [c for c in of(cases, "single") if c.truth["effects"][0]["snr"] == 0.8]
     hits = sum(c.first or c.in_class for c in some)
     stated = np.mean([len(c.stated) for c in some if c.stated] or [0])

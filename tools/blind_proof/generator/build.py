@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from galen_hw.tools.blind_proof.generator import arm, outside, pose, wrench
 from galen_hw.tools.blind_proof.generator.case import Case, Injected
 from galen_hw.tools.blind_proof.generator.galen import BIAS_COM, BIAS_MASS, TOOLS
+from galen_hw.tools.blind_proof.generator.look_alikes import LOOK_ALIKES, apart
 from galen_hw.tools.blind_proof.generator.noise import add_noise
 from galen_hw.tools.blind_proof.generator.premises import spoil
 
@@ -34,6 +35,7 @@ MAKERS: dict[str, dict[str, Any]] = {
 def build(case: Case, folder: FilePath) -> Case:
     """Write `folder/train` and `folder/test`, another run of the same machine; returns the case with its truth."""
     _scaled(case)
+    _measured_apart(case)
     case.noise_rms = _write(case, folder / "train", run=0)
     if case.share != "premise":
         case.holdout_noise_rms = _write(case, folder / "test", run=1)
@@ -66,6 +68,16 @@ def _scaled(case: Case) -> None:
             case.seed += 1
         else:
             return
+
+
+def _measured_apart(case: Case) -> None:
+    """Of an effect that is there alone: how far it is from what it may be taken for."""
+    if len(case.effects) != 1 or case.effects[0].key not in LOOK_ALIKES:
+        return
+    (hidden,), scene, (simulate, _) = case.effects, _scene(case, run=0), _parts(case.group)
+    _hide(case, scene, hidden, 0, hidden.amplitude)
+    t, changed, clean = scene.path.t, simulate(scene), simulate(_scene(case, run=0))
+    hidden.apart = apart(hidden.key, t, clean, changed, SIGMA[case.group], case.noise)
 
 
 def nominal(case: Case, run: int) -> Array:

@@ -20,6 +20,7 @@ class Injected:
         parameters: numbers that a judge may compare with a finding's, by name.
         when: intervals in s for effects that come and go.
         machine: numbers that the machine has by its first run and keeps in all others.
+        apart: how far it is from the nearest of the effect that it may be taken for, see `look_alikes`; None where not asked.
     """
 
     key: str
@@ -32,6 +33,7 @@ class Injected:
     parameters: dict[str, float] = field(default_factory=dict)
     when: list[tuple[float, float]] = field(default_factory=list)
     machine: dict[str, float] = field(default_factory=dict)
+    apart: float | None = None
 
 
 @dataclass

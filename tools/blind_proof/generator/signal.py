@@ -32,10 +32,11 @@ def delayed(t: Array, x: Array, seconds: float) -> Array:
 
 
 def lagged(x: Array, dt: float, tau_s: float) -> Array:
-    """First-order low-pass, settled at the start."""
+    """First-order low-pass, settled at the start; exact for what is straight between samples, however quick it is."""
     pole = np.exp(-dt / tau_s)
+    share = (1 - pole) * tau_s / dt
     start = x[:1]
-    return np.asarray(start + lfilter([1 - pole], [1.0, -pole], x - start, axis=0))
+    return np.asarray(start + lfilter([1 - share, share - pole], [1.0, -pole], x - start, axis=0))
 
 
 def bouc_wen(x: Array, width: float, sharpness: float = 1.0) -> Array:

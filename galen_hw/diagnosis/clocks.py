@@ -6,10 +6,10 @@ about the shape goes to whatever bends. Where joints answer one by one, each wit
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.linear import crossed
@@ -29,7 +29,8 @@ CONSTANTS = 6
 """Lags between half a sample and all of what is late that are tried with the delay that suits each."""
 FINE = 0.02
 """Share of what is late to which a clock is sought."""
-
+STRIDE = 0.2
+"""The same, of the first steps from there to the optimum."""
 OFTEN = 2
 """Times that one model is asked for its clocks: its other values may have moved since."""
 
@@ -37,7 +38,7 @@ Clocks = list[tuple[TimeDelay | Lag, float]]
 """With their delay or constant, s."""
 
 
-def severally(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+def reclocked(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     """Whether the delays and lags of a model were exchanged for better ones: of the whole stream, or of each joint."""
     old = [i for i in out.chosen if isinstance(scorer.library[i].effect, Timing)]
     # Not for ever: what the search takes back of an exchange, it would take back again.
@@ -52,58 +53,103 @@ def severally(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     none = bench.y + sum((b for i in old if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
     with scorer.against(none):
         beside = Beside(bench, scorer, others)
-    whole = [_sought(bench, beside, e, within) for e in proposed if not e.joint]
-    own = [_sought(bench, beside, e, [one for one in within if e.joint in one.joints]) for e in proposed if e.joint]
-    return any(
-        _exchanged(bench, scorer, out, old, [c for found in each for c in found]) for each in (whole, own) if any(each)
-    )
+    for ends in ([e for e in proposed if not e.joint], [e for e in proposed if e.joint]):
+        searches = [_Search(bench, beside, e, [one for one in within if e.joint in ("", *one.joints)]) for e in ends]
+        clocks = [clock for search in searches for clock in search.best()]
+        if clocks and _exchanged(bench, scorer, out, old, clocks):
+            return True
+    return False
 
 
-def _sought(bench: Bench, beside: Beside, delay: TimeDelay, within: Sequence[Effect]) -> Clocks:
-    """The best of nothing, a delay, a lag, and a delay of what lags, where that delay acts, beside other effects.
+@dataclass
+class _Search:
+    """For the best of nothing, a delay, a lag, and a delay of what lags, where `delay` acts, beside other effects.
 
     With friction `within` the lag: of servos that have the lag's constant, and are as late.
     """
-    places = delay.places(bench.stream)
-    x = bench.stream.simulated[:, places]
-    price = float(np.log(bench.noise.effective))
 
-    def gain(late: float, constant: float) -> float:
-        y = bench.stream.lag("lag", x, constant) if constant > 0.0 else x
-        for one in within:
-            stands = _with_lag(one, constant).columns(bench.scene)
-            y = y + Columns(stands.channels, stands.values[:, :, :1]).full(bench.width)[:, places, 0]
-        y = bench.stream.delay("delay", y, late) - x
-        return beside.whole(bench.made(None, bench.averaged(Columns(places, y[:, :, None]))))
+    bench: Bench
+    beside: Beside
+    delay: TimeDelay
+    within: Sequence[Effect]
 
-    def latest(constant: float, bounds: tuple[float, float]) -> tuple[float, float]:
+    def __post_init__(self) -> None:
+        self.places = self.delay.places(self.bench.stream)
+        self.simulated = self.bench.stream.simulated[:, self.places]
+        self.behind: dict[float, Array] = {}
+        self.price = float(np.log(self.bench.noise.effective))
+
+    def best(self) -> Clocks:
+        """The clocks that are there."""
+        step = spacing(self.bench.scene)
+        reach = max(4.0 * step, 4.0 * abs(self._by_slope()))
+        most, all_late = self._latest(0.0, (-reach, reach))
+        ways: list[tuple[float, Clocks]] = [
+            (self._gain(0.0, 0.0), []),
+            (most - self.price, [(self.delay, all_late)]),
+        ]
+        shortest = 0.5 * step
+        for constant in log_grid(shortest, 2.0 * all_late, CONSTANTS):
+            lag = Lag(constant, self.delay.joint, shortest)
+            ways.append((self._gain(0.0, constant) - self.price, [(lag, constant)]))
+            most, late = self._latest(constant, (0.0, all_late))
+            ways.append((most - 2.0 * self.price - MARGIN, [(self.delay, late), (lag, constant)]))
+        return self._refined(max(ways, key=lambda way: way[0])[1], all_late)
+
+    def _refined(self, clocks: Clocks, all_late: float) -> Clocks:
+        """The same with a lag, and the delay with it, at their optimum beside each other."""
+        lag, constant = clocks[-1] if clocks else (None, 0.0)
+        if not isinstance(lag, Lag):
+            return clocks
+        begun = np.array([0.0, *(late / all_late for _, late in clocks[:-1])])
+        simplex = begun + np.vstack([np.zeros_like(begun), STRIDE * np.eye(len(begun))])
+        low = np.log(min(lag.shortest / constant, 1.0))
+
+        def missed(at: Array) -> float:
+            return -self._gain(all_late * float(at[1:].sum()), constant * float(np.exp(at[0])))
+
+        found = minimize(
+            missed,
+            begun,
+            method="Nelder-Mead",
+            bounds=[(low, np.log(2.0)), (0.0, 1.0)][: len(begun)],
+            options={"xatol": FINE, "fatol": 1.0, "initial_simplex": simplex},
+        ).x
+        constant = float(constant * np.exp(found[0]))
+        return [
+            *((end, all_late * float(found[1])) for end, _ in clocks[:-1]),
+            (replace(lag, constant=constant), constant),
+        ]
+
+    def _latest(self, constant: float, bounds: tuple[float, float]) -> tuple[float, float]:
+        """The most that a delay of what lags with this constant (s) takes, and the delay, s."""
         options = {"xatol": FINE * (bounds[1] - bounds[0])}
-        found = minimize_scalar(lambda late: -gain(late, constant), bounds=bounds, method="bounded", options=options)
+        found = minimize_scalar(
+            lambda late: -self._gain(late, constant), bounds=bounds, method="bounded", options=options
+        )
         return -float(found.fun), float(found.x)
 
-    step = spacing(bench.scene)
-    reach = max(4.0 * step, 4.0 * abs(_by_slope(bench, beside, delay)))
-    alone, all_late = latest(0.0, (-reach, reach))
-    ways: list[tuple[float, Clocks]] = [(gain(0.0, 0.0), []), (alone - price, [(delay, all_late)])]
-    shortest = 0.5 * step
-    for constant in log_grid(shortest, 2.0 * all_late, CONSTANTS):
-        lag = Lag(constant, delay.joint, shortest)
-        ways.append((gain(0.0, constant) - price, [(lag, constant)]))
-        most, late = latest(constant, (0.0, all_late))
-        ways.append((most - 2.0 * price - MARGIN, [(delay, late), (lag, constant)]))
-    best = max(ways, key=lambda way: way[0])[1]
-    lags = [(lag, constant) for lag, constant in best if isinstance(lag, Lag)]
-    if not lags:
-        return best
-    (lag, constant), both = lags[0], len(best) == 2
+    def _gain(self, late: float, constant: float) -> float:
+        """Fall of the whitened sum of squares with a delay and a lag, s."""
+        y = self.bench.stream.delay("delay", self._lagged(constant), late) - self.simulated
+        return self.beside.whole(self.bench.made(None, self.bench.averaged(Columns(self.places, y[:, :, None]))))
 
-    def missed(at: float) -> float:
-        return -(latest(float(np.exp(at)), (0.0, all_late))[0] if both else gain(0.0, float(np.exp(at))))
+    def _lagged(self, constant: float) -> Array:
+        """(N, m) what servos with this constant (s) make of the simulated; kept, for it comes again with other delays."""
+        if constant not in self.behind:
+            x, stream = self.simulated, self.bench.stream
+            y = stream.lag("lag", x, constant) if constant > 0.0 else x
+            for one in self.within:
+                stands = _with_lag(one, constant).columns(self.bench.scene)
+                y = y + Columns(stands.channels, stands.values[:, :, :1]).full(self.bench.width)[:, self.places, 0]
+            self.behind[constant] = y
+        return self.behind[constant]
 
-    bounds = np.log(max(constant / 2.0, shortest)), np.log(2.0 * constant)
-    constant = float(np.exp(minimize_scalar(missed, bounds=bounds, method="bounded", options={"xatol": FINE}).x))
-    found: Clocks = [(replace(lag, constant=constant), constant)]
-    return [(delay, latest(constant, (0.0, all_late))[1]), *found] if both else found
+    def _by_slope(self) -> float:
+        """How late the recording is for small delays, s."""
+        made = self.bench.made(None, self.bench.averaged(self.delay.columns(self.bench.stream)))
+        A, r = self.beside.products(made)
+        return float(r[0] / A[0, 0]) if A[0, 0] > 0.0 else 0.0
 
 
 def _with_lag(effect: Effect, constant: float) -> Effect:
@@ -117,12 +163,6 @@ def _responding(bench: Bench, h: Hypothesis, clocks: Clocks) -> Hypothesis:
         return h
     mine = [size for end, size in clocks if isinstance(end, Lag) and end.joint in ("", *h.effect.joints)]
     return bench.add(_with_lag(h.effect, mine[0]), h.looked) if mine else h
-
-
-def _by_slope(bench: Bench, beside: Beside, delay: TimeDelay) -> float:
-    """How late the recording is for small delays, s."""
-    A, r = beside.products(bench.made(None, bench.averaged(delay.columns(bench.stream))))
-    return float(r[0] / A[0, 0]) if A[0, 0] > 0.0 else 0.0
 
 
 def _exchanged(bench: Bench, scorer: Scorer, out: Selection, old: list[int], clocks: Clocks) -> bool:
