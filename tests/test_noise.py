@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import diagnosis_parts as parts
 
-from galen_hw.diagnosis.noise import Noise
+from galen_hw.diagnosis.noise import Noise, estimate
 from galen_hw.diagnosis.rows import Rows
 from galen_hw.physics.effect import Columns
 from galen_hw.physics.event_effects import Vibration
@@ -41,6 +41,27 @@ def test_what_is_coloured_is_whitened_again(lengths):
     assert np.std(np.convolve(coloured[: lengths[0], 0], np.ones(50) / 50.0, "valid")) > 1.5 * np.std(
         np.convolve(white[: lengths[0], 0], np.ones(50) / 50.0, "valid")
     )
+
+
+def slowest(kind: str, n: int = 12_000, channels: int = 20) -> np.ndarray:
+    """(channels,) estimated over true level a fiftieth of the way to the slowest frequency that is measured."""
+    rng = np.random.default_rng(8)
+    white, f = rng.normal(size=(n, channels)), np.fft.rfftfreq(n)
+    true = {
+        "white": np.ones_like(f),
+        "flicker": 1e-3 / np.maximum(f, f[1]),
+        "memory": 0.5 + 20.0 / (1.0 + (f / 0.008) ** 2),
+    }
+    rest = np.fft.irfft(np.fft.rfft(white, axis=0) * np.sqrt(true[kind])[:, None], n, axis=0)
+    rows = Rows((slice(0, n),))
+    learnt = estimate(rest, [np.ones((n, 1)) / np.sqrt(n)] * channels, rows, ordered=True, steps=np.zeros(channels))
+    return learnt.spectrum(np.array([2.0 / n]))[0] / true[kind][2]
+
+
+@pytest.mark.parametrize("kind", ["white", "flicker", "memory"])
+def test_the_spectrum_goes_on_below_what_is_measured_as_it_came(kind):
+    """Flat below the corner of noise with a memory, where a line would go on rising; rising where all of it rises."""
+    assert 0.7 < np.median(slowest(kind)) < 1.4
 
 
 def test_an_awkward_length_is_whitened_like_the_length_beside_it():

@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.fft import dct, idct, next_fast_len
+from scipy.special import stdtrit
 
 from galen_hw.diagnosis.rows import Rows
 from galen_hw.spatial import Array
@@ -22,6 +23,10 @@ STEEPEST = -1.0
 Slower wander than a recording can tell from drift is called drift."""
 SLOW_CYCLES = 7.0
 """Below so many cycles in a segment the spectrum is continued, not measured."""
+LEAST_BENT = 6
+"""Bands of which a parabola can be told from a line."""
+BENT = 0.05
+"""Chance at which a straight spectrum passes for one that bends."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +142,7 @@ class Noise:
 
 
 def _line(at: Array, centres: Array, level: Array) -> Array:
-    """Linear interpolation; below the first centre, on along the slope of the slowest decade (at most `STEEPEST`)."""
+    """Linear interpolation; below the first centre, on along the slope of the slowest decade there (at most `STEEPEST`)."""
     out = np.interp(at, centres, level)
     reach = centres < centres[0] + 1.5 * np.log(10.0)
     slope = _slope(centres[reach], level[reach]) if reach.sum() >= 3 else 0.0
@@ -148,11 +153,26 @@ def _line(at: Array, centres: Array, level: Array) -> Array:
 
 
 def _slope(x: Array, y: Array) -> float:
-    """Slope of a line less its own standard error: in doubt slow noise is stronger."""
-    x = x - x.mean()
-    slope = float(x @ y / (x @ x))
-    rest = y - y.mean() - slope * x
-    return slope - float(np.sqrt(rest @ rest / max(len(x) - 2, 1) / (x @ x)))
+    """Slope at the first of the bands, less its own standard error: in doubt slow noise is stronger.
+
+    Of a parabola where the spectrum bends down from there for certain: noise with a memory is flat below its corner, and a
+    line through corner and slope would go on rising. Of a line else.
+    """
+    along = x - x[0]
+    if len(x) >= LEAST_BENT:
+        value, error = _regressed(np.stack([np.ones_like(along), along, along**2], axis=-1), y)
+        if value[2] < float(stdtrit(len(x) - 3, BENT)) * error[2]:
+            return float(value[1] - error[1])
+    value, error = _regressed(np.stack([np.ones_like(along), along], axis=-1), y)
+    return float(value[1] - error[1])
+
+
+def _regressed(A: Array, y: Array) -> tuple[Array, Array]:
+    """Least squares by (n, k) regressors: (k,) values and their standard errors."""
+    inverse = np.linalg.inv(A.T @ A)
+    value = inverse @ A.T @ y
+    rest = y - A @ value
+    return value, np.sqrt(rest @ rest / max(A.shape[0] - A.shape[1], 1) * np.diag(inverse))
 
 
 def estimate(rest: Array, basis: list[Array], rows: Rows, *, ordered: bool, steps: Array, above: float = 0.0) -> Noise:
