@@ -21,8 +21,8 @@ SETTLINGS = (4.0, 16.0)
 """So much slower to begin with."""
 LEAST_LOOSE = 0.1
 """Share of the rows in motion in which what is called friction must slip."""
-MOST_KEPT = 256
-"""Stand-offs of servos that a scene keeps, those asked for last: they are walked row by row."""
+MOST_KEPT = 3e7
+"""Values of servos' stand-offs that a scene keeps, those asked for last: they are walked row by row."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ class Friction(Effect):
         out = np.asarray((sticks - scene.lag("follows", command, response))[:, 0])
         if scene.memory is None:
             kept[key] = out
-            if len(kept) > MOST_KEPT:
+            if len(kept) * len(out) > MOST_KEPT:
                 kept.popitem(last=False)
         return out
 
