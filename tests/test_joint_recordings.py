@@ -341,7 +341,7 @@ def test_a_dead_time_and_a_lag_behind_it_are_found_together():
     work = diagnose(scene_of(Observations("position", columns)))
     found = {f.effect: f.parameters for f in work.diagnosis.findings}
     assert {"time_delay", "friction"} <= set(found) <= {"time_delay", "friction", "lag"}
-    assert found["time_delay"]["delay"].value == pytest.approx(0.05, abs=3e-3)
+    assert found["time_delay"]["delay"].value == pytest.approx(0.05, abs=2e-3)
     assert found["friction"]["coulomb"].value == pytest.approx(0.01, rel=0.1)
     constant = found["lag"]["constant"] if "lag" in found else found["friction"]["response"]
     assert constant.value == pytest.approx(0.06, rel=0.1)

@@ -67,6 +67,12 @@ class Hypothesis:
         """Of its effect; None: a nuisance."""
         return None if self.effect is None else self.effect.family
 
+    @property
+    def held(self) -> Array:
+        """(k,) values of its parameters that are not fitted in a model, nan for those that are."""
+        held = None if self.effect is None else self.effect.held
+        return np.full(self.count, np.nan) if held is None else held
+
     def pinned_gain(self, scene: Scene, A: Array, r: Array) -> float | None:
         """Fall of the whitened sum of squares at the one value its parameters can have, by inner products; None: free.
 

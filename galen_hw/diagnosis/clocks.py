@@ -5,7 +5,6 @@ servo on a bus, it takes one that is as late as both; beside that the other is w
 about the shape goes to whatever bends. Where joints answer one by one, each with clocks of its own, no single exchange helps.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +30,8 @@ FINE = 0.02
 """Share of what is late to which a clock is sought."""
 STRIDE = 0.2
 """The same, of the first steps from there to the optimum."""
+LN2 = float(np.log(2.0))
+"""Constants and bands are sought up to twice and down to half of where they stood."""
 OFTEN = 2
 """Times that one model is asked for its clocks: its other values may have moved since."""
 
@@ -54,9 +55,11 @@ def reclocked(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     with scorer.against(none):
         beside = Beside(bench, scorer, others)
     for ends in ([e for e in proposed if not e.joint], [e for e in proposed if e.joint]):
-        searches = [_Search(bench, beside, e, [one for one in within if e.joint in ("", *one.joints)]) for e in ends]
+        mine = [tuple(one for one in within if e.joint in ("", *one.joints)) for e in ends]
+        searches = [_Search(bench, beside, e, some) for e, some in zip(ends, mine, strict=True)]
         clocks = [clock for search in searches for clock in search.best()]
-        if clocks and _exchanged(bench, scorer, out, old, clocks):
+        instead = {one: other for search in searches for one, other in search.instead.items()}
+        if clocks and _exchanged(bench, scorer, out, old, clocks, instead):
             return True
     return False
 
@@ -65,18 +68,20 @@ def reclocked(bench: Bench, scorer: Scorer, out: Selection) -> bool:
 class _Search:
     """For the best of nothing, a delay, a lag, and a delay of what lags, where `delay` acts, beside other effects.
 
-    With friction `within` the lag: of servos that have the lag's constant, and are as late.
+    With friction `within` the lag: of servos that have the lag's constant, and are as late; beside the best of clocks these
+    stand `instead` of them.
     """
 
     bench: Bench
     beside: Beside
     delay: TimeDelay
-    within: Sequence[Effect]
+    within: tuple[Effect, ...]
 
     def __post_init__(self) -> None:
         self.places = self.delay.places(self.bench.stream)
         self.simulated = self.bench.stream.simulated[:, self.places]
-        self.behind: dict[float, Array] = {}
+        self.behind: dict[object, Array] = {}
+        self.instead: dict[Effect, Effect] = {}
         self.price = float(np.log(self.bench.noise.effective))
 
     def best(self) -> Clocks:
@@ -90,36 +95,48 @@ class _Search:
         ]
         shortest = 0.5 * step
         for constant in log_grid(shortest, 2.0 * all_late, CONSTANTS):
-            lag = Lag(constant, self.delay.joint, shortest)
+            lag = Lag(constant, self.delay.joint, shortest, whole=True)
             ways.append((self._gain(0.0, constant) - self.price, [(lag, constant)]))
             most, late = self._latest(constant, (0.0, all_late))
             ways.append((most - 2.0 * self.price - MARGIN, [(self.delay, late), (lag, constant)]))
         return self._refined(max(ways, key=lambda way: way[0])[1], all_late)
 
     def _refined(self, clocks: Clocks, all_late: float) -> Clocks:
-        """The same with a lag, and the delay with it, at their optimum beside each other."""
+        """The same with a lag, the delay with it, and the bands of friction within it at their common optimum."""
         lag, constant = clocks[-1] if clocks else (None, 0.0)
         if not isinstance(lag, Lag):
             return clocks
-        begun = np.array([0.0, *(late / all_late for _, late in clocks[:-1])])
-        simplex = begun + np.vstack([np.zeros_like(begun), STRIDE * np.eye(len(begun))])
-        low = np.log(min(lag.shortest / constant, 1.0))
-
-        def missed(at: Array) -> float:
-            return -self._gain(all_late * float(at[1:].sum()), constant * float(np.exp(at[0])))
-
-        found = minimize(
-            missed,
-            begun,
-            method="Nelder-Mead",
-            bounds=[(low, np.log(2.0)), (0.0, 1.0)][: len(begun)],
-            options={"xatol": FINE, "fatol": 1.0, "initial_simplex": simplex},
-        ).x
-        constant = float(constant * np.exp(found[0]))
-        return [
-            *((end, all_late * float(found[1])) for end, _ in clocks[:-1]),
-            (replace(lag, constant=constant), constant),
+        ends, bands = [end for end, _ in clocks[:-1]], bool(self.within)
+        limits = [
+            (np.log(min(lag.shortest / constant, 1.0)), LN2),
+            *(len(ends) * [(0.0, 1.0)]),
+            *(bands * [(-LN2, LN2)]),
         ]
+        begun = np.array([0.0, *(late / all_late for _, late in clocks[:-1]), *(bands * [0.0])])
+        simplex = begun + np.vstack([np.zeros_like(begun), STRIDE * np.eye(len(begun))])
+        options = {"xatol": FINE, "fatol": 1.0, "initial_simplex": simplex}
+
+        def read(at: Array) -> tuple[float, float, float]:
+            late = all_late * float(at[1]) if ends else 0.0
+            return late, constant * float(np.exp(at[0])), float(np.exp(at[-1])) if bands else 1.0
+
+        best, least = (0.0, constant, 1.0), np.inf
+        for within in dict.fromkeys((self.within, tuple(one.stripped for one in self.within))):
+            found = minimize(
+                lambda at, within=within: -self._gain(*read(at), within),
+                begun,
+                method="Nelder-Mead",
+                bounds=limits,
+                options=options,
+            )
+            cost = float(found.fun) + self.price * sum(len(one.searched()) for one in within)
+            if cost < least:
+                best, least = read(found.x), cost
+                self.instead = {
+                    one: _with_lag(other, *best[1:]) for one, other in zip(self.within, within, strict=True)
+                }
+        late, constant, _ = best
+        return [*((end, late) for end in ends), (replace(lag, constant=constant), constant)]
 
     def _latest(self, constant: float, bounds: tuple[float, float]) -> tuple[float, float]:
         """The most that a delay of what lags with this constant (s) takes, and the delay, s."""
@@ -129,21 +146,23 @@ class _Search:
         )
         return -float(found.fun), float(found.x)
 
-    def _gain(self, late: float, constant: float) -> float:
-        """Fall of the whitened sum of squares with a delay and a lag, s."""
-        y = self.bench.stream.delay("delay", self._lagged(constant), late) - self.simulated
+    def _gain(self, late: float, constant: float, wide: float = 1.0, within: tuple[Effect, ...] | None = None) -> float:
+        """Fall of the whitened sum of squares with a delay and a lag, s, and bands of friction so many times as wide."""
+        lagged = self._lagged(constant, wide, self.within if within is None else within)
+        y = self.bench.stream.delay("delay", lagged, late) - self.simulated
         return self.beside.whole(self.bench.made(None, self.bench.averaged(Columns(self.places, y[:, :, None]))))
 
-    def _lagged(self, constant: float) -> Array:
+    def _lagged(self, constant: float, wide: float, within: tuple[Effect, ...]) -> Array:
         """(N, m) what servos with this constant (s) make of the simulated; kept, for it comes again with other delays."""
-        if constant not in self.behind:
+        key = (constant, wide, within)
+        if key not in self.behind:
             x, stream = self.simulated, self.bench.stream
             y = stream.lag("lag", x, constant) if constant > 0.0 else x
-            for one in self.within:
-                stands = _with_lag(one, constant).columns(self.bench.scene)
+            for one in within:
+                stands = _with_lag(one, constant, wide).columns(self.bench.scene)
                 y = y + Columns(stands.channels, stands.values[:, :, :1]).full(self.bench.width)[:, self.places, 0]
-            self.behind[constant] = y
-        return self.behind[constant]
+            self.behind[key] = y
+        return self.behind[key]
 
     def _by_slope(self) -> float:
         """How late the recording is for small delays, s."""
@@ -152,27 +171,22 @@ class _Search:
         return float(r[0] / A[0, 0]) if A[0, 0] > 0.0 else 0.0
 
 
-def _with_lag(effect: Effect, constant: float) -> Effect:
-    """Friction of a servo whose lag has this constant (s); 0: as it is."""
-    return effect.with_searched({"response": constant}) if constant > 0.0 else effect
+def _with_lag(effect: Effect, constant: float, wide: float) -> Effect:
+    """Friction of a servo whose lag has this constant (s; 0: its own), in a band so many times as wide."""
+    response = {"response": constant} if constant > 0.0 else {}
+    return effect.with_searched({"coulomb": wide * effect.searched()["coulomb"]} | response)
 
 
-def _responding(bench: Bench, h: Hypothesis, clocks: Clocks) -> Hypothesis:
-    """A hypothesis with the lag of the clocks where it has one in it."""
-    if h.effect is None or "lag" not in h.effect.contains:
-        return h
-    mine = [size for end, size in clocks if isinstance(end, Lag) and end.joint in ("", *h.effect.joints)]
-    return bench.add(_with_lag(h.effect, mine[0]), h.looked) if mine else h
-
-
-def _exchanged(bench: Bench, scorer: Scorer, out: Selection, old: list[int], clocks: Clocks) -> bool:
+def _exchanged(
+    bench: Bench, scorer: Scorer, out: Selection, old: list[int], clocks: Clocks, instead: dict[Effect, Effect]
+) -> bool:
     """Whether a model with other clocks, and all else as it arrives through them, was better and was taken."""
     before, y, timing = scorer.solve(out.chosen)[2], bench.y, bench.timing
     errors, others = crossed(bench, scorer, out.chosen), [i for i in out.chosen if i not in old]
     kept = [(end, theta) for end, theta in timing if not isinstance(end, Timing)]
     bench.timing = [*kept, *((effect, np.array([1.0 if isinstance(effect, Lag) else size])) for effect, size in clocks)]
     try:
-        fresh = [scorer.retimed(_responding(bench, scorer.library[i], clocks)) for i in others]
+        fresh = [scorer.retimed(_in_place_of(bench, scorer.library[i], instead)) for i in others]
         for effect, size in clocks:
             h = bench.add(effect)
             fresh.append(tangent(bench, h, np.array([size])) if isinstance(effect, TimeDelay) else h)
@@ -191,6 +205,11 @@ def _exchanged(bench: Bench, scorer: Scorer, out: Selection, old: list[int], clo
     bench.y = y
     scorer.retarget(y)
     return False
+
+
+def _in_place_of(bench: Bench, h: Hypothesis, instead: dict[Effect, Effect]) -> Hypothesis:
+    """The one that stands instead of the hypothesis, or this one."""
+    return h if h.effect is None or h.effect not in instead else bench.add(instead[h.effect], h.looked)
 
 
 def _richer(bench: Bench, before: Array, after: Array) -> bool:

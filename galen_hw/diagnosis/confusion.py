@@ -18,8 +18,7 @@ from galen_hw.diagnosis.bench import Hypothesis
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.nonlinear import ahead, bent, unbent, unclocked
 from galen_hw.diagnosis.result import Confusion, Finding
-from galen_hw.diagnosis.rows import Index
-from galen_hw.diagnosis.score import Scorer
+from galen_hw.diagnosis.score import Left, Scorer
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.words import structural, why
 from galen_hw.physics.effect import Effect
@@ -75,13 +74,11 @@ class Own:
 
     Args:
         i: place in the scorer's library; chosen: the model it belongs to.
-        at: column numbers of the model without it; theta: (k,) its parameters.
-        gain: fall of the whitened sum of squares by it.
+        gain: fall of the whitened sum of squares by it; theta: (k,) its parameters.
     """
 
     i: int
     chosen: tuple[int, ...]
-    at: Index
     gain: float
     theta: Array
 
@@ -243,30 +240,32 @@ def _places(selection: Selection, finding: Finding) -> list[int]:
     return [i for i in constant if names[scorer.base[i].raw.channels[0]] in finding.channels]
 
 
-def _others(scorer: Scorer, chosen: list[int], i: int) -> Index:
-    """Column numbers of the model without hypothesis i."""
-    at = scorer.base_with([j for j in chosen if j != i])
+def _others(scorer: Scorer, chosen: list[int], i: int) -> Left:
+    """What the model without hypothesis i leaves, which may be one of the constants."""
+    at, b, total = scorer.beside([j for j in chosen if j != i])
     own = scorer.places[i]
-    return np.asarray(at[(at < own.start) | (at >= own.stop)], dtype=np.intp)
+    return Left(np.asarray(at[(at < own.start) | (at >= own.stop)], dtype=np.intp), b, total)
 
 
 def _own(scorer: Scorer, chosen: list[int], i: int) -> Own:
     """Hypothesis i as it stands in the model."""
     theta, every, rest = scorer.solve(chosen)
-    place, at = scorer.places[i], _others(scorer, chosen, i)
+    place = scorer.places[i]
     mine = (every >= place.start) & (every < place.stop)
     with unbent(scorer, i):
-        alone = solve_sym(scorer.G[np.ix_(at, at)], scorer.b[at][:, None])[:, 0]
-        without = scorer.total - float(alone @ scorer.b[at])
-    return Own(i, tuple(chosen), at, without - rest, theta[mine])
+        at, b, total = _others(scorer, chosen, i)
+        alone = solve_sym(scorer.G[np.ix_(at, at)], b[at][:, None])[:, 0]
+        without = total - float(alone @ b[at])
+    return Own(i, tuple(chosen), without - rest, theta[mine])
 
 
 def _in_place(scorer: Scorer, found: Own) -> list[Rival]:
     """Every hypothesis of another key that can make at least half of the found signal."""
-    i, at, gain, theta = found.i, found.at, found.gain, found.theta
+    i, gain, theta = found.i, found.gain, found.theta
+    at, b, _ = _others(scorer, list(found.chosen), i)
     own = scorer.places[i]
     every = scorer.G[at]
-    P = solve_sym(scorer.G[np.ix_(at, at)], np.column_stack([every, scorer.b[at]]))
+    P = solve_sym(scorer.G[np.ix_(at, at)], np.column_stack([every, b[at]]))
     A = scorer.G[own, own] - scorer.G[own, at] @ P[:, own]
     signal = float(theta @ A @ theta)
     mine, out = scorer.library[i].effect, []
@@ -281,7 +280,7 @@ def _in_place(scorer: Scorer, found: Own) -> list[Rival]:
         share = float(np.sum((W.T @ (cross @ theta)) ** 2)) / signal
         if not W.shape[1] or share < 0.5:
             continue
-        r = scorer.b[s] - scorer.G[s, at] @ P[:, -1]
+        r = b[s] - scorer.G[s, at] @ P[:, -1]
         worth = float(np.sum((W.T @ r) ** 2))
         lead = (gain - price(scorer.library[i])) - (worth - price(h))
         U = _whitening(A, np.diag(scorer.G)[own])

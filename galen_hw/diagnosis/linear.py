@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from galen_hw.diagnosis.algebra import solve_sym
+from galen_hw.diagnosis.algebra import pinned_at
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.rows import Chosen
 from galen_hw.diagnosis.score import Scorer
@@ -22,7 +22,7 @@ def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int) -> Arra
         X = np.concatenate([h.white.values[:, h.white.channels.index(c)] for h, _ in mine], axis=1)[rows]
         G[np.ix_(at, at)] += X.T @ X
         b[at] += X.T @ white[rows, c]
-    return solve_sym(G, b[:, None])[:, 0]
+    return pinned_at(np.concatenate([np.empty(0), *(h.held for h in model)]), G, b)
 
 
 def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int) -> Array:

@@ -302,6 +302,7 @@ class Beside:
 
     def __init__(self, bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
         model = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
+        model = [h for h in model if np.isnan(h.held).all()]
         rest, rows = rests(bench, scorer, chosen)[1], bench.train
         self.train, self.width, self.scene = rows, bench.width, bench.scene
         self.rest = [rest[rows, c] for c in range(bench.width)]

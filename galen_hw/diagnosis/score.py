@@ -3,11 +3,11 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from galen_hw.diagnosis.algebra import log_tail, quadratic, solve_sym
+from galen_hw.diagnosis.algebra import log_tail, pinned_at, quadratic, solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.spatial import Array
 
@@ -32,6 +32,18 @@ class Score:
     surprise: float
     rank: float
     beyond: float = 0.0
+
+
+class Left(NamedTuple):
+    """What a model's parameters that are held leave for those that are fitted.
+
+    Args:
+        at: column numbers of what is fitted; b: (K,) inner products of all columns with what is left; total: its sum of squares.
+    """
+
+    at: "Index"
+    b: Array
+    total: float
 
 
 class Scorer:
@@ -166,21 +178,38 @@ class Scorer:
         parts = [np.arange(self.places[i].start, self.places[i].stop) for i in which]
         return np.concatenate([np.empty(0, dtype=np.intp), *parts])
 
-    def solve(self, chosen: list[int]) -> tuple[Array, "Index", float]:
-        """Parameters, column numbers and whitened sum of squares of a model."""
+    def solve(self, chosen: list[int], *, asked: int | None = None) -> tuple[Array, "Index", float]:
+        """Parameters, column numbers and whitened sum of squares of a model; what is `asked` may have any parameters."""
         at = self.base_with(chosen)
-        theta = solve_sym(self.G[np.ix_(at, at)], self.b[at][:, None])[:, 0]
-        return theta, at, self.total - float(theta @ self.b[at])
+        held = self._held(chosen)
+        if asked is not None:
+            own = self.places[asked]
+            held[(at >= own.start) & (at < own.stop)] = np.nan
+        G, b = self.G[np.ix_(at, at)], self.b[at]
+        theta = pinned_at(held, G, b)
+        return theta, at, self.total - float(2.0 * theta @ b - theta @ G @ theta)
+
+    def beside(self, chosen: list[int]) -> Left:
+        """A model's free columns, and what its held ones leave."""
+        at, held = self.base_with(chosen), self._held(chosen)
+        fixed = ~np.isnan(held)
+        value, own = held[fixed], at[fixed]
+        off = self.G[:, own] @ value
+        return Left(at[~fixed], self.b - off, self.total - float(value @ (2.0 * self.b[own] - off[own])))
+
+    def _held(self, chosen: list[int]) -> Array:
+        return np.concatenate([np.empty(0), *(self.library[i].held for i in [*range(len(self.base)), *chosen])])
 
     def scores(self, chosen: list[int], which: list[int] | None = None) -> tuple[dict[int, Score], Array]:
         """Scores of hypotheses beside the chosen ones, and the largest surprise of each surrogate."""
-        at, asked = self.base_with(chosen), list(range(len(self.base), len(self.library))) if which is None else which
+        asked = list(range(len(self.base), len(self.library))) if which is None else which
+        at, b, _ = self.beside(chosen)
         # Columns of what is asked alone: most calls compare two hypotheses, not all.
         own = self._numbers(asked)
         starts = dict(zip(asked, np.cumsum([0, *(self.library[i].count for i in asked)]).tolist(), strict=False))
         GS, cross, K = self.G[np.ix_(at, at)], self.G[np.ix_(at, own)], len(own)
-        P = solve_sym(GS, np.concatenate([cross, self.b[at][:, None], self.fakes[at]], axis=1))
-        rest_b = self.b[own] - cross.T @ P[:, K]
+        P = solve_sym(GS, np.concatenate([cross, b[at][:, None], self.fakes[at]], axis=1))
+        rest_b = b[own] - cross.T @ P[:, K]
         rest_f = self.fakes[own] - cross.T @ P[:, K + 1 :]
         out: dict[int, Score] = {}
         highest = np.zeros(self.fakes.shape[1])

@@ -95,7 +95,7 @@ def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
     """Whether the parameters can be what the effect is called."""
     h = scorer.library[i]
     assert h.effect is not None, "nuisances are never candidates"
-    theta, at, _ = scorer.solve([*chosen, i])
+    theta, at, _ = scorer.solve([*chosen, i], asked=i)
     misfit = scorer.misfit([*chosen, i])
     spread = scorer.spread(at)[-h.count :] * np.sqrt(misfit)
     named = list(zip(h.effect.parameters(bench.scene), theta[-h.count :], spread, strict=True))

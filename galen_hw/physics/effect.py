@@ -155,6 +155,11 @@ class Effect(ABC):
         return np.array([p.expected for p in self.parameters(scene)], dtype=float)
 
     @property
+    def held(self) -> Array | None:
+        """(k,) values that its linear parameters have in a model, whatever the data say; None: they are fitted."""
+        return None
+
+    @property
     def family(self) -> tuple[Any, ...]:
         """What it is apart from the searched values: the same hypothesis at another point of the grid."""
         return (self.KEY, *((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in self.SEARCHED))  # type: ignore[arg-type]
@@ -179,6 +184,11 @@ class Effect(ABC):
     def at_work(self, scene: Scene) -> bool:
         """Whether it does, in this recording, what it is named for: friction that never breaks loose is a lag by another name."""
         return True
+
+    @property
+    def stripped(self) -> Self:
+        """The same without what a richer form of it adds."""
+        return self
 
     def unlimited(self) -> Self:
         """The same without what keeps a search away from its look-alikes: what it may be, not what it would be called."""

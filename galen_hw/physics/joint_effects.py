@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -149,6 +149,11 @@ class Friction(Effect):
         if "response" in values:
             values = {**values, "response": max(values["response"], self.shortest)}
         return super().with_searched(values)
+
+    @property
+    def stripped(self) -> Self:
+        """A servo that holds for good while it sticks."""
+        return replace(self, form=self.form.removeprefix("creeping_"), settling=None)
 
     @property
     def contains(self) -> tuple[str, ...]:

@@ -49,7 +49,7 @@ def _median_above(power: Array) -> Array:
     wide = max(len(power) // 10, 8)
     places = np.unique(np.linspace(0, max(len(power) - wide, 0), 100).astype(int))
     tenths = np.lib.stride_tricks.sliding_window_view(power, min(wide, len(power)))
-    return np.interp(np.arange(len(power)), places, np.median(tenths[places], axis=1))
+    return np.asarray(np.interp(np.arange(len(power)), places, np.median(tenths[places], axis=1)))
 
 
 SHORTEST = 64

@@ -83,8 +83,9 @@ class TimeDelay(Timing):
 class Lag(Timing):
     """A first-order response: T dy/dt = w - y; y - w is `share` times that (1 for a plain first order).
 
-    `joint` restricts it to one joint. Visible where the channels move quickly; nested with time_delay, to which it is the
-    same for slow motion: a constant below `shortest` (half a sample) is none.
+    `joint` restricts it to one joint; `whole`: the share is 1, for beside a delay it is hardly told from a shorter constant and
+    runs away. Visible where the channels move quickly; nested with time_delay, to which it is the same for slow motion: a
+    constant below `shortest` (half a sample) is none.
     """
 
     KEY = "lag"
@@ -94,6 +95,7 @@ class Lag(Timing):
     constant: float
     joint: str = ""
     shortest: float = 0.0
+    whole: bool = False
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -118,6 +120,11 @@ class Lag(Timing):
     def freedom(self) -> int:
         """None beside its constant: all of the stream goes through it, or it is no lag."""
         return 0
+
+    @property
+    def held(self) -> Array | None:
+        """The share of one that is whole."""
+        return np.ones(1) if self.whole else None
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """How much of the stream goes through the lag."""
