@@ -5,7 +5,9 @@ servo on a bus, it takes one that is as late as both; beside that the other is w
 about the shape goes to whatever bends. Where joints answer one by one, each with clocks of its own, no single exchange helps.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
@@ -106,37 +108,26 @@ class _Search:
         lag, constant = clocks[-1] if clocks else (None, 0.0)
         if not isinstance(lag, Lag):
             return clocks
-        ends, bands = [end for end, _ in clocks[:-1]], bool(self.within)
-        limits = [
-            (np.log(min(lag.shortest / constant, 1.0)), LN2),
-            *(len(ends) * [(0.0, 1.0)]),
-            *(bands * [(-LN2, LN2)]),
-        ]
-        begun = np.array([0.0, *(late / all_late for _, late in clocks[:-1]), *(bands * [0.0])])
-        simplex = begun + np.vstack([np.zeros_like(begun), STRIDE * np.eye(len(begun))])
-        options = {"xatol": FINE, "fatol": 1.0, "initial_simplex": simplex}
+        delays = clocks[:-1]
+        begun = np.array([0.0, *(late / all_late for _, late in delays), *(bool(self.within) * [0.0])])
+        limits = [(np.log(min(lag.shortest / constant, 1.0)), LN2), *(len(delays) * [(0.0, 1.0)]), (-LN2, LN2)]
 
         def read(at: Array) -> tuple[float, float, float]:
-            late = all_late * float(at[1]) if ends else 0.0
-            return late, constant * float(np.exp(at[0])), float(np.exp(at[-1])) if bands else 1.0
+            late = all_late * float(at[1]) if delays else 0.0
+            return late, constant * float(np.exp(at[0])), float(np.exp(at[-1])) if self.within else 1.0
+
+        def missed(within: tuple[Effect, ...], at: Array) -> float:
+            return -self._gain(*read(at), within)
 
         best, least = (0.0, constant, 1.0), np.inf
         for within in dict.fromkeys((self.within, tuple(one.stripped for one in self.within))):
-            found = minimize(
-                lambda at, within=within: -self._gain(*read(at), within),
-                begun,
-                method="Nelder-Mead",
-                bounds=limits,
-                options=options,
-            )
-            cost = float(found.fun) + self.price * sum(len(one.searched()) for one in within)
+            at, cost = _lowest(partial(missed, within), begun, limits[: len(begun)])
+            cost += self.price * sum(len(one.searched()) for one in within)
             if cost < least:
-                best, least = read(found.x), cost
-                self.instead = {
-                    one: _with_lag(other, *best[1:]) for one, other in zip(self.within, within, strict=True)
-                }
+                best, least = read(at), cost
+                self.instead = dict(zip(self.within, (_with_lag(one, *best[1:]) for one in within), strict=True))
         late, constant, _ = best
-        return [*((end, late) for end in ends), (replace(lag, constant=constant), constant)]
+        return [*((end, late) for end, _ in delays), (replace(lag, constant=constant), constant)]
 
     def _latest(self, constant: float, bounds: tuple[float, float]) -> tuple[float, float]:
         """The most that a delay of what lags with this constant (s) takes, and the delay, s."""
@@ -169,6 +160,14 @@ class _Search:
         made = self.bench.made(None, self.bench.averaged(self.delay.columns(self.bench.stream)))
         A, r = self.beside.products(made)
         return float(r[0] / A[0, 0]) if A[0, 0] > 0.0 else 0.0
+
+
+def _lowest(cost: Callable[[Array], float], begun: Array, limits: list[tuple[float, float]]) -> tuple[Array, float]:
+    """Where a cost of a few values is lowest, and how low; by simplices, for a servo that sticks has corners."""
+    simplex = begun + np.vstack([np.zeros_like(begun), STRIDE * np.eye(len(begun))])
+    options = {"xatol": FINE, "fatol": 1.0, "initial_simplex": simplex}
+    found = minimize(cost, begun, method="Nelder-Mead", bounds=limits, options=options)
+    return found.x, float(found.fun)
 
 
 def _with_lag(effect: Effect, constant: float, wide: float) -> Effect:
