@@ -135,8 +135,11 @@ def test_a_tilt_axis_that_points_elsewhere_shows_in_one_sweep_of_56_poses(axis, 
 
 
 def coloured() -> Observations:
+    """With a memory of a second, settled before the recording begins: its start would be a warm-up."""
     bench = Bench(3)
-    bench.noise = np.stack([4.0 * cases.lagged(bench.t, c, 1.0) for c in bench.noise.T], axis=1)
+    rows, before = len(bench.t), bench.t - bench.t[-1] - bench.t[1]
+    whole = [cases.lagged(np.r_[before, bench.t], np.r_[c[::-1], c], 1.0)[rows:] for c in bench.noise.T]
+    bench.noise = 4.0 * np.stack(whole, axis=1)
     return bench.observations()
 
 
