@@ -12,7 +12,7 @@ import numpy as np
 from scipy.fft import dct, idct, next_fast_len
 from scipy.special import stdtrit
 
-from galen_hw.diagnosis.rows import Rows
+from galen_hw.diagnosis.rows import Mask, Rows
 from galen_hw.spatial import Array
 
 BANDS_PER_DECADE = 6
@@ -25,8 +25,8 @@ SLOW_CYCLES = 7.0
 """Below so many cycles in a segment the spectrum is continued, not measured."""
 LEAST_BENT = 6
 """Bands of which a parabola can be told from a line."""
-BENT = 0.05
-"""Chance at which a straight spectrum passes for one that bends."""
+BENT = 0.002
+"""Chance at which straight spectra pass for such that bend."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,22 @@ class Noise:
         centres = np.log(np.sqrt(self.edges[1:] * self.edges[:-1]))
         at = np.log(np.maximum(frequency, 0.07 * self.edges[0]))
         first = np.log(self.levels)
-        return np.exp(np.stack([_line(at, centres, first[:, c]) for c in range(first.shape[1])], axis=-1))
+        bent = self._bent
+        return np.exp(np.stack([_line(at, centres, first[:, c], bent=bent) for c in range(first.shape[1])], axis=-1))
+
+    @cached_property
+    def _bent(self) -> bool:
+        """Whether the spectra, all channels together, bend down from their slowest end for certain.
+
+        Noise with a memory is flat below its corner, and a line through corner and slope would go on rising; flicker noise
+        does go on, and in one channel by itself it too often looks bent.
+        """
+        centres = np.log(np.sqrt(self.edges[1:] * self.edges[:-1]))
+        reach = _slowest(centres)
+        if np.sum(reach) < LEAST_BENT:
+            return False
+        value, error = _regressed(_powers(centres[reach], 2), np.mean(np.log(self.levels[reach]), axis=1))
+        return bool(value[2] < float(stdtrit(int(np.sum(reach)) - 3, BENT)) * error[2])
 
     def whiten(self, x: Array, channel: int) -> Array:
         """(M, k) columns of one channel, scaled and filtered so that its noise becomes white with unit variance."""
@@ -141,30 +156,31 @@ class Noise:
         return float(max(np.sum(len(self.rows) * np.minimum(1.0, self.sigma**2 / slow)), 20.0))
 
 
-def _line(at: Array, centres: Array, level: Array) -> Array:
+def _line(at: Array, centres: Array, level: Array, *, bent: bool) -> Array:
     """Linear interpolation; below the first centre, on along the slope of the slowest decade there (at most `STEEPEST`)."""
     out = np.interp(at, centres, level)
-    reach = centres < centres[0] + 1.5 * np.log(10.0)
-    slope = _slope(centres[reach], level[reach]) if reach.sum() >= 3 else 0.0
+    reach = _slowest(centres)
+    slope = _slope(centres[reach], level[reach], bent=bent) if reach.sum() >= 3 else 0.0
     slope = min(max(slope, STEEPEST), 0.0)
     below = at < centres[0]
     out[below] = level[0] + slope * (at[below] - centres[0])
     return out
 
 
-def _slope(x: Array, y: Array) -> float:
-    """Slope at the first of the bands, less its own standard error: in doubt slow noise is stronger.
+def _slowest(centres: Array) -> Mask:
+    """The bands of the slowest decade and a half."""
+    return np.asarray(centres < centres[0] + 1.5 * np.log(10.0))
 
-    Of a parabola where the spectrum bends down from there for certain: noise with a memory is flat below its corner, and a
-    line through corner and slope would go on rising. Of a line else.
-    """
-    along = x - x[0]
-    if len(x) >= LEAST_BENT:
-        value, error = _regressed(np.stack([np.ones_like(along), along, along**2], axis=-1), y)
-        if value[2] < float(stdtrit(len(x) - 3, BENT)) * error[2]:
-            return float(value[1] - error[1])
-    value, error = _regressed(np.stack([np.ones_like(along), along], axis=-1), y)
+
+def _slope(x: Array, y: Array, *, bent: bool) -> float:
+    """Slope at the first of the bands, of a line or a parabola, less its own standard error: in doubt slow noise is stronger."""
+    value, error = _regressed(_powers(x, 2 if bent else 1), y)
     return float(value[1] - error[1])
+
+
+def _powers(x: Array, most: int) -> Array:
+    """(n, most + 1) powers of the distance from the first."""
+    return np.stack([(x - x[0]) ** k for k in range(most + 1)], axis=-1)
 
 
 def _regressed(A: Array, y: Array) -> tuple[Array, Array]:
