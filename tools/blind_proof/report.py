@@ -15,9 +15,10 @@ from galen_hw.tools.blind_proof.score import Scored
 
 PREAMBLE = """Written by `make proof`; nothing here is edited by hand. The generator (MuJoCo) shares no code with the
 tool; the truth stayed sealed until every verdict was on disk.
-
-A lag and a delay do the same to first order. How far a lag that is there alone is from the best of all delays, and a delay from
-the best of all lags, is known with the truth; within 3.3 standard errors any answer to "which of the two" is a guess.
+"""
+ALIKE = """A lag and a delay do the same to first order. How far a lag that is there alone is from the best of all delays,
+and a delay from the best of all lags, is known with the truth; within 3.3 standard errors any answer to "which of the two" is a
+guess.
 """
 
 
@@ -37,6 +38,7 @@ def write(
     parts = [
         "# The blind proof\n",
         PREAMBLE,
+        ALIKE if any(e.get("apart") is not None for c in cases for e in c.truth["effects"]) else "",
         f"{len(cases)} recordings, seed {seed} (commit {commit}).\n",
         _failures(cases),
         _promises(promised),
