@@ -117,7 +117,7 @@ def test_a_concealed_cable_and_drift_are_named_saved_served_and_gone(tmp_path, m
         VirtualControl(addresses.virtual) as world,
     ):
         robot = Robot(tmp_path, addresses, client, states)
-        client.call("ft", "zero")
+        client.call("ft", "zero", {"samples": 100}, timeout_s=30.0)
         world.attach_tool("retractor")
         world.noise(scale=3.0)
         client.call("motors", "enable")

@@ -1,6 +1,7 @@
 """All deflection models on the same sets: fitted, judged on sets that none of them saw, one of them recommended."""
 
 import importlib.util
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -151,15 +152,20 @@ def file_of(out: Comparison, name: str, robot: str, *, virtual: bool = False) ->
     )
 
 
+def _judged(figure: float) -> float | None:
+    """None where nothing was there to judge by: JSON knows no NaN."""
+    return None if math.isnan(figure) else figure
+
+
 def summary(out: Comparison) -> dict[str, Any]:
     """Plain values for --json."""
     rows: Mapping[str, Any] = {
         name: {
             "rmse_m": score.rmse,
             "times_noise": out.figure(name) / out.noise_m,
-            "after_release_m": score.released,
-            "residual_missed": score.residual,
-            "wrong_side": dict(zip(("reported", "corrected"), out.walls[name], strict=True)),
+            "after_release_m": _judged(score.released),
+            "residual_missed": _judged(score.residual),
+            "wrong_side": dict(zip(("reported", "corrected"), map(_judged, out.walls[name]), strict=True)),
             "seconds": out.seconds[name],
         }
         for name, score in out.scores.items()
