@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 from galen_hw.cli import main
+from galen_hw.identification.deflection.compare import Score
 from galen_hw.recording import Recording, RecordingInfo, write_table
 from galen_hw.services.deflection.store import DeflectionStore
 from galen_hw.spatial import Array
 from galen_hw.tools.blind_proof.generator.galen import TOOLS
+from galen_hw.tools.deflection.command import _show
+from galen_hw.tools.deflection.fit import Comparison, summary
 from galen_hw.tools.deflection.robots import GivingRobot
 
 ROBOT = GivingRobot.drawn(1)
@@ -181,3 +184,20 @@ def test_saved_models_are_listed_and_chosen_for_scripts_and_people(
     assert json.loads(capsys.readouterr().out) == {"selected": None, "model": None}
     assert main([*words, "select", "mine"]) == 0
     assert capsys.readouterr().out.startswith("selected mine/0001; ")
+
+
+def test_what_nothing_was_held_out_for_is_a_dash_and_null(capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither the table nor the JSON of a fit knows NaN, for which JSON has no word."""
+    nothing = float("nan")
+    out = Comparison([], {}, 1e-4, best="coupled linear")
+    out.scores["coupled linear"] = Score("coupled linear", {}, nothing, nothing, {})
+    out.seconds["coupled linear"], out.walls["coupled linear"] = 0.1, (nothing, nothing)
+
+    (row,) = json.loads(json.dumps(summary(out), allow_nan=False))["models"].values()
+    assert (
+        row["residual_missed"] is row["after_release_m"] is row["times_noise"] is row["wrong_side"]["reported"] is None
+    )
+    _show(out)
+    shown = capsys.readouterr().out
+    assert "nan" not in shown
+    assert shown.count(" - ") == 3

@@ -18,18 +18,14 @@ from galen_hw.tools.blind_proof.score import by_names
 class RealSet:
     """One set: its runs to learn from, its runs to be judged on (none: on blocks set aside), and what others found in it.
 
-    The mean gain is over the `joints` for which others give theirs (none: over all channels).
+    The mean gain is over all channels, and over the `arm`'s joints by themselves where a gripper was recorded with them.
     """
 
     name: str
     train: tuple[str, ...]
     test: tuple[str, ...]
     known: str
-    joints: tuple[str, ...] = ()
-
-    def counts(self, channel: str) -> bool:
-        """Whether the channel is one of those that the mean gain is over."""
-        return not self.joints or any(joint in channel.split(".") for joint in self.joints)
+    arm: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
@@ -74,7 +70,7 @@ SETS = (
         ("backlash_detection", "friction_gravity", "step_response", "frequency_sweep", "large_amplitude"),
         ("multisine", "reach_and_return", "random_waypoints"),
         "delay, play or friction, lag, sag, contact with the table; 4.8 5.1 5.8 3.2 6.9 11.6 mrad without contact",
-        joints=("Rotation", "Pitch", "Elbow", "Wrist_Pitch", "Wrist_Roll"),
+        arm=("Rotation", "Pitch", "Elbow", "Wrist_Pitch", "Wrist_Roll"),
     ),
 )
 
@@ -156,12 +152,13 @@ def _row(real_set: RealSet, answer: dict[str, Any] | str) -> str:
     found = "; ".join(_finding(f) for f in answer["findings"]) or "none"
     before, after = answer["fit"]["rmse_before"], answer["fit"]["rmse_after"]
     pairs = ", ".join(f"{c.split('.')[-2] if '.' in c else c} {before[c]:.3g} to {after[c]:.3g}" for c in before)
-    counted = [c for c in before if real_set.counts(c)]
-    ratio = np.mean([before[c] / after[c] for c in counted])
+    gains = {c: before[c] / after[c] for c in before}
     named = by_names(answer)
-    alone = np.mean([before[c] / named[c] for c in counted])
-    over = f" over {len(counted)} of {len(before)}" if len(counted) < len(before) else ""
-    gain = f"mean {ratio:.1f} x{over}" + (f", {alone:.1f} x by named physics alone" if named != after else "")
+    alone = np.mean([before[c] / named[c] for c in before])
+    gain = f"mean {np.mean(list(gains.values())):.1f} x"
+    if real_set.arm:
+        gain += f", {np.mean([gains[f'joint.{joint}.position'] for joint in real_set.arm]):.1f} x without the gripper"
+    gain += f", {alone:.1f} x by named physics alone" if named != after else ""
     return f"| {real_set.title} | {answer['verdict']} | {found} | {pairs} ({gain}) | {real_set.known} |"
 
 

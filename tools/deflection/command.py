@@ -179,9 +179,9 @@ def _fit_to_be_fitted(remarks: list[str]) -> bool:
     return not any("configuration(s)" in line or "limit" in line or "hardly any force" in line for line in remarks)
 
 
-def _percent(share: float) -> str:
-    """A share in words; a dash where nothing was there to judge by."""
-    return "-" if math.isnan(share) else f"{share:.0%}"
+def _told(figure: float, words: str) -> str:
+    """The words for a figure; a dash where nothing was there to judge it by."""
+    return "-" if math.isnan(figure) else words
 
 
 def _show(out: "Comparison") -> None:
@@ -194,11 +194,14 @@ def _show(out: "Comparison") -> None:
     for name, score in out.scores.items():
         errors = [f"{1e3 * score.rmse[kind]:.3f}" for kind in out.held]
         reported, corrected = out.walls[name]
-        wall = "-" if math.isnan(reported) else f"{reported:.1%} -> {corrected:.1%}"
-        late = "-" if math.isnan(score.released) else f"{1e3 * score.released:.3f}"
+        wall = _told(reported, f"{reported:.1%} -> {corrected:.1%}")
+        late, missed = (
+            _told(score.released, f"{1e3 * score.released:.3f}"),
+            _told(score.residual, f"{score.residual:.0%}"),
+        )
         seconds = f"{out.seconds[name]:.1f}"
         style = "bold" if name == out.best else ""
-        table.add_row(name, *errors, late, _percent(score.residual), wall, seconds, style=style)
+        table.add_row(name, *errors, late, missed, wall, seconds, style=style)
     console = Console(width=None if sys.stdout.isatty() else 130)
     console.print(table)
     for note in out.notes:

@@ -162,7 +162,7 @@ def summary(out: Comparison) -> dict[str, Any]:
     rows: Mapping[str, Any] = {
         name: {
             "rmse_m": score.rmse,
-            "times_noise": out.figure(name) / out.noise_m,
+            "times_noise": _judged(out.figure(name) / out.noise_m),
             "after_release_m": _judged(score.released),
             "residual_missed": _judged(score.residual),
             "wrong_side": dict(zip(("reported", "corrected"), map(_judged, out.walls[name]), strict=True)),
