@@ -52,6 +52,7 @@ class WrenchRaw(Message, frozen=True, kw_only=True):
         status: the device's own status word, 0 where it has none.
         saturated: a gauge or an axis is at its limit; the wrench must not be used.
         serial_number: of the sensor, empty until read.
+        zeroings: how often it was zeroed since its driver knows it; 0: its own offset is in the reading, -1: not known.
     """
 
     force: Vector3
@@ -59,6 +60,7 @@ class WrenchRaw(Message, frozen=True, kw_only=True):
     status: int = 0
     saturated: bool = False
     serial_number: str = ""
+    zeroings: int = -1
 
 
 class WrenchCompensated(Message, frozen=True, kw_only=True):
@@ -72,6 +74,8 @@ class WrenchCompensated(Message, frozen=True, kw_only=True):
         joints_extrapolated: the joint state was extrapolated beyond its bound; `valid` is then false.
         blend: 0 to 1, progress of the change of tool, toggle or tare.
         terms: number of extra physical effects of the tool's file in the prediction.
+        unzeroed: the sensor's own offset is in it, neither zeroed nor tared away; with a calibration that rests on a
+            zeroed sensor `valid` is then false.
     """
 
     force: Vector3
@@ -83,6 +87,7 @@ class WrenchCompensated(Message, frozen=True, kw_only=True):
     joints_extrapolated: bool = False
     blend: float = 1.0
     terms: int = 0
+    unzeroed: bool = False
 
 
 class CompensationState(Message, frozen=True, kw_only=True):

@@ -215,6 +215,10 @@ def test_zero_averages_counts_and_unzero_takes_it_back():
     ask(run, "unzero")
     run.seconds(0.1)
     np.testing.assert_allclose(force(wrenches(run)[-1]), unzeroed)
+    ask(run, "zero", samples=5)
+    run.seconds(0.1)
+    told = {(w.zeroings, bool(np.allclose(force(w), 0.0, atol=1e-9))) for w in wrenches(run)}
+    assert told == {(0, False), (1, True), (2, True)}, "every sample says which zero is in it"
 
 
 def test_zero_is_the_mean_of_moving_gauges():

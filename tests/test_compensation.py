@@ -12,7 +12,7 @@ from galen_hw.config.tool_file import BiasBody
 from galen_hw.config.tool_store import ToolStore
 from galen_hw.errors import CommandRejectedError, UsageError
 from galen_hw.kinematics import UrdfRobot
-from galen_hw.messages import JointsState, Reply, Vector3, WrenchRaw, encode
+from galen_hw.messages import JointsState, Reply, Status, Vector3, WrenchRaw, encode
 from galen_hw.physics.rigid import Body, inertial_wrench
 from galen_hw.services.compensation.gravity_direction import GravityDirection
 from galen_hw.services.compensation.service import CompensationService
@@ -457,3 +457,49 @@ def test_the_switch_outlives_a_restart_and_a_tare_does_not(tmp_path: Path) -> No
     (out,) = messages(feed(again, raw(MS, np.ones(6))))
     assert not out.enabled
     assert not again.restore(kept | {"identity": "another robot"})
+
+
+def test_an_unzeroed_sensor_is_not_vouched_for_until_it_is_zeroed_or_tared(tmp_path: Path) -> None:
+    """The sensor's own offset would pass for a push; the message says so, the status says what to do."""
+    tool, q = tool_file(), np.zeros(5)
+    service = service_at(tmp_path, tool, tare_samples=5, blend_s=0.0)
+    offset = np.array([3.0, -1.0, -34.0, 0.2, 0.1, 0.0])
+    feed(service, joints(MS, q, np.zeros(5)))
+    read = true_wrench(tool, q)
+    (unzeroed,) = messages(feed(service, raw(2 * MS, read + offset, zeroings=0)))
+    assert (unzeroed.valid, unzeroed.unzeroed) == (False, True)
+    status = next(m for _, m in service.tick(10 * MS) if isinstance(m, Status))
+    assert status.state == "degraded"
+    assert "zero it" in status.detail
+
+    service.request(ask("tare"), 0)
+    for k in range(6):
+        outputs = feed(service, raw((3 + k) * MS, read + offset, zeroings=0))
+    (tared,) = messages(outputs)
+    assert (tared.valid, tared.unzeroed) == (True, False)
+    assert six(tared) == pytest.approx(np.zeros(6), abs=1e-9)
+
+    (zeroed,) = messages(feed(service, raw(9 * MS, read, zeroings=1)))
+    assert (zeroed.valid, zeroed.unzeroed) == (True, False)
+    assert six(zeroed) == pytest.approx(np.zeros(6), abs=1e-9), "the tare went with the offset, at once"
+
+
+def test_without_a_tool_an_unzeroed_reading_is_told_and_kept_valid(tmp_path: Path) -> None:
+    """Raw is raw: nothing is subtracted that could rest on a zero, and a table or another sensor does not say (-1)."""
+    service = service_at(tmp_path)
+    (bare,) = messages(feed(service, raw(MS, np.ones(6), zeroings=0)))
+    assert (bare.valid, bare.unzeroed) == (True, True)
+    (unknown,) = messages(feed(service, raw(2 * MS, np.ones(6))))
+    assert (unknown.valid, unknown.unzeroed) == (True, False)
+
+
+def test_a_tare_under_way_ends_when_the_sensor_is_zeroed(tmp_path: Path) -> None:
+    """Half of its samples would be of another zero."""
+    service = service_at(tmp_path, tool_file(), tare_samples=3)
+    feed(service, joints(MS, np.zeros(5), np.zeros(5)))
+    feed(service, raw(2 * MS, np.zeros(6), zeroings=1))
+    service.request(ask("tare"), 0)
+    feed(service, raw(3 * MS, np.zeros(6), zeroings=1))
+    (reply,) = [o for o in feed(service, raw(4 * MS, np.zeros(6), zeroings=2)) if isinstance(o, Reply)]
+    assert reply.error is not None
+    assert "zero changed" in reply.error.what

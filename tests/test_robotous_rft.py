@@ -240,6 +240,8 @@ def test_zero_is_the_sensors_own_and_must_show():
     ask(run, "unzero")
     run.seconds(0.2)
     assert force(wrenches(run)[-1])[0] == 10.0
+    assert [w.zeroings for w in wrenches(run)][:: len(wrenches(run)) - 1] == [0, 0]
+    assert {w.zeroings for w in wrenches(run)} == {0, 1}
     assert [wire.data[:2] for wire in sensor.seen if wire.data[0] == 0x11] == [b"\x11\0", b"\x11\1", b"\x11\0"]
 
 

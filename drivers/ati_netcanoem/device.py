@@ -120,7 +120,7 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
     def _identified(self, identity: AtiIdentity, now_ns: int) -> list[CanFrame]:
         """The bias stays if the same sensor answers."""
         if self._bias.counts is not None and identity.serial_bytes != self._serial_bytes:
-            self._bias.counts = None
+            self._bias.lose()
             what = f"another sensor ({identity.serial_number}) answers: the zero is lost"
             self._outbox += self._reporter.fault(now_ns, "another sensor", what, "zero the sensor")
         self._serial_bytes, self._matrix = identity.serial_bytes, identity.matrix[:, codec.WIRE_ORDER]
@@ -173,6 +173,7 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
             status=status,
             saturated=saturated,
             serial_number=identity.serial_number if identity is not None else "",
+            zeroings=self._bias.zeroings,
         )
         return [("wrench/raw", message), *self._take_outbox()] if self._outbox else [("wrench/raw", message)]
 

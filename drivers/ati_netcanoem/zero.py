@@ -21,17 +21,20 @@ class HostBias:
     Args:
         where: the device, for error messages.
         default_samples: averaged when the request does not say; rate_hz: of the device.
+        counts: (6,) what is subtracted, None: nothing; zeroings: which zeroing made it, counted from 1, 0: none.
     """
 
     where: str
     default_samples: int
     rate_hz: float
     counts: npt.NDArray[np.float64] | None = None
+    zeroings: int = 0
     active: bool = False
     deadline_ns: int = FAR_NS
     _request_id: str = ""
     _wanted: int = 0
     _samples: list[tuple[int, ...]] = field(default_factory=list)
+    _done: int = 0
 
     def zero(self, request: Request, now_ns: int, *, ready: bool) -> None:
         """Begin to average.
@@ -57,8 +60,12 @@ class HostBias:
             CommandRejectedError: zeroing is under way.
         """
         self._refuse_if_active()
-        self.counts = None
+        self.lose()
         return [Reply(id=request.id)]
+
+    def lose(self) -> None:
+        """There is no bias any more: it was given up, or belonged to another sensor."""
+        self.counts, self.zeroings = None, 0
 
     def add(self, gauges: tuple[int, ...]) -> list[Output]:
         """Take a good sample; the reply once there are enough."""
@@ -67,6 +74,8 @@ class HostBias:
             return []
         counts = np.array(self._samples, dtype=float)
         self.counts = np.asarray(counts.mean(axis=0))
+        self._done += 1
+        self.zeroings = self._done
         self.active, self.deadline_ns = False, FAR_NS
         return [Reply(id=self._request_id, result=_result(counts))]
 

@@ -127,8 +127,8 @@ class RobotousRft(WrenchSensor[RobotousIdentity]):
         return Pairer(period_ns, window_ns, round(self._settings.stall_s * NS_PER_S), self._counters)
 
     def _new_dialogue(self, now_ns: int) -> Dialogue[RobotousIdentity]:
-        if self._bias.zeroed:
-            self._bias.zeroed = False
+        if self._bias.zeroings:
+            self._bias.zeroings = 0
             self._outbox += self._reporter.fault(now_ns, "zero", "the sensor's zero is lost", "zero the sensor again")
         timeout_ns = round(self._settings.reply_timeout_s * NS_PER_S)
         return Dialogue(identify(self._settings), timeout_ns, self._settings.tries, due_ns=now_ns)
@@ -175,6 +175,7 @@ class RobotousRft(WrenchSensor[RobotousIdentity]):
             status=flags,
             saturated=overloaded,
             serial_number=self._identity.serial_number if self._identity is not None else "",
+            zeroings=self._bias.zeroings,
         )
         return [("wrench/raw", message), *self._take_outbox()] if self._outbox else [("wrench/raw", message)]
 
@@ -194,7 +195,7 @@ class RobotousRft(WrenchSensor[RobotousIdentity]):
 
     def _running(self, identity: RobotousIdentity, now_ns: int) -> tuple[str, str]:
         del now_ns
-        return "ready", f"{identity.described}, {'zeroed' if self._bias.zeroed else 'not zeroed'}"
+        return "ready", f"{identity.described}, {'zeroed' if self._bias.zeroings else 'not zeroed'}"
 
 
 _TODO_SILENT: Final = "check its power, CAN wiring and termination, identifiers and the bit rate (1 Mbit/s)"

@@ -23,11 +23,12 @@ class DeviceBias:
     Args:
         where: the device, for error messages.
         settings: of the device.
+        zeroings: which zeroing made the bias that it has, counted from 1; 0: none since its driver knows it.
     """
 
     where: str
     settings: RobotousSettings
-    zeroed: bool = False
+    zeroings: int = 0
     active: bool = False
     deadline_ns: int = FAR_NS
     _request_id: str = ""
@@ -35,6 +36,7 @@ class DeviceBias:
     _tries: int = 0
     _from_ns: int = 0
     _samples: list[tuple[float, ...]] = field(default_factory=list)
+    _done: int = 0
 
     def zero(self, request: Request, now_ns: int, *, ready: bool) -> list[CanFrame]:
         """What to send; the reply comes from `add`.
@@ -59,7 +61,7 @@ class DeviceBias:
             CommandRejectedError: no samples, or zeroing is under way.
         """
         self._refuse(ready=ready)
-        self.zeroed = False
+        self.zeroings = 0
         return [command(self.settings.receiver_id, Command.SET_BIAS, 0)], [Reply(id=request.id)]
 
     def add(self, wrench: tuple[float, ...], t_ns: int) -> tuple[list[CanFrame], list[Output]]:
@@ -72,7 +74,8 @@ class DeviceBias:
         mean = np.mean(self._samples, axis=0)
         force, torque = float(np.linalg.norm(mean[:3])), float(np.linalg.norm(mean[3:]))
         if force <= self.settings.zero_force_n and torque <= self.settings.zero_torque_nm:
-            self.active, self.zeroed, self.deadline_ns = False, True, FAR_NS
+            self._done += 1
+            self.active, self.zeroings, self.deadline_ns = False, self._done, FAR_NS
             result = {
                 "samples": len(self._samples),
                 "mean_force_n": mean[:3].tolist(),

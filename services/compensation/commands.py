@@ -143,8 +143,19 @@ class CompensationCommands:
         if not tare.feed(left):
             return []
         self.tare = None
-        self._correction.set(tare=tare.mean)
+        if raw.zeroings == 0:
+            self._correction.retare(tare.mean)
+        else:
+            self._correction.set(tare=tare.mean)
         return [Reply(id=tare.request_id, result={"tare": list(tare.mean), "std": list(tare.std)})]
+
+    def abandon_tare(self, what: str) -> list[Output]:
+        """Answer a running tare that cannot be finished."""
+        tare, self.tare = self.tare, None
+        if tare is None:
+            return []
+        error = CommandError(kind="fault", what=f"not tared: {what}", where=self.name, todo="tare again")
+        return [Reply(id=tare.request_id, error=error)]
 
     def time_out(self, now_ns: int) -> list[Output]:
         """Give a tare up that takes too long."""

@@ -47,6 +47,11 @@ class Correction:
         """A tool's prediction is being subtracted."""
         return self.enabled and self.model is not None
 
+    @property
+    def rests_on_zero(self) -> bool:
+        """The prediction being subtracted is that of a sensor that was zeroed."""
+        return self.enabled and self.model is not None and self.model.tool.zeroed_at is not None
+
     def use(self, tool: ToolFile | None) -> None:
         """Another tool in hand (None: none); the contact point becomes the tool's.
 
@@ -64,6 +69,11 @@ class Correction:
         self.tare = self.tare if tare is None else tare
         self.contact = self.contact if contact is None else contact
         self.changed = True
+
+    def retare(self, tare: Six) -> None:
+        """Another tare, at once: what came before it was of another zero, and blending would carry that on."""
+        if self.tare != tare:
+            self.tare, self._last, self.changed = tare, (), True
 
     def predict(self, q: Sequence[float], raw: WrenchRaw) -> Six:
         """Predicted wrench of a sample at these joint positions (in the model's order); zero when off."""

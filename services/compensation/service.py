@@ -64,7 +64,9 @@ class CompensationService(Service):
         self._commands = CompensationCommands(name, settings, self._correction, store, robot.name)
         self._age_s, self._seq = nan, 0
         self._topic_seq = dict.fromkeys(("compensation/state", "status", "fault"), 0)
-        self._counters = dict.fromkeys(("samples", "invalid_samples", "old_joints"), 0)
+        self._counters = dict.fromkeys(("samples", "invalid_samples", "old_joints", "unzeroed"), 0)
+        self._zeroings: int | None = None
+        self._unzeroed = False
         self._next_status_ns = 0
         self._commands.take_up_selected()
 
@@ -104,41 +106,54 @@ class CompensationService(Service):
     def compensate(self, raw: WrenchRaw) -> list[Output]:
         """Compensate a sample at once, with the joints that are known by now."""
         correction = self._correction
+        outputs = [] if raw.zeroings == self._zeroings else self._zero_changed(raw.zeroings)
         if correction.changed:
             self._update_inertial()
         joints = self._history.at(raw.t_ns)
         if raw.serial_number != self._commands.serial:
             self._commands.check_serial(raw.serial_number)
         predicted = ZERO if joints is None else correction.predict(joints[0], raw)
-        outputs: list[Output] = []
         if correction.changed:
             correction.begin(raw.t_ns, predicted)
             outputs.append(("compensation/state", self._state()))
         (a, b, c, d, e, f, *point), progress = correction.apply(raw.t_ns, predicted)
         force, torque = raw.force, raw.torque
         wrench = (force.x - a, force.y - b, force.z - c, torque.x - d, torque.y - e, torque.z - f)
-        valid = self._judge(raw, joints, wrench)
-        if self._commands.tare is not None and valid:
+        usable = self._judge(raw, joints, wrench)
+        if self._commands.tare is not None and usable:
             outputs += self._commands.feed_tare(self._commands.tare, raw, predicted)
-        outputs += self._messages(
-            raw, wrench, point, progress, valid=valid, extrapolated=correction.active and not (joints and joints[2])
-        )
-        return outputs
+        flags = self._flags(raw, usable=usable)
+        flags["joints_extrapolated"] = correction.active and not (joints and joints[2])
+        return outputs + self._messages(raw, wrench, point, progress, flags)
+
+    def _zero_changed(self, zeroings: int) -> list[Output]:
+        """The sensor's zero is not the one of the sample before: what was tared on top of that goes with it."""
+        known, self._zeroings = self._zeroings is not None, zeroings
+        if not known:
+            return []
+        self._correction.retare(ZERO)
+        return self._commands.abandon_tare("the sensor's zero changed meanwhile")
 
     def _judge(self, raw: WrenchRaw, joints: tuple[tuple[float, ...], int, bool] | None, wrench: Six) -> bool:
-        """Whether the sample may be used, with its counters."""
+        """Whether the sample may be used as far as wire, joints and calibration go, with its counters."""
         self._age_s = nan if joints is None else joints[1] / NS_PER_S
         fresh = joints is not None and joints[2]
         good = raw.valid and not raw.saturated and not self._commands.problem and isfinite(sum(wrench))
-        valid = good and (fresh or not self._correction.active)
         counters = self._counters
         counters["samples"] += 1
-        counters["invalid_samples"] += not valid
         counters["old_joints"] += not fresh
-        return valid
+        return good and (fresh or not self._correction.active)
+
+    def _flags(self, raw: WrenchRaw, *, usable: bool) -> dict[str, bool]:
+        """Whether the wrench is vouched for: with the sensor's own offset in it, a calibration made without is no use."""
+        self._unzeroed = unzeroed = raw.zeroings == 0 and self._correction.tare == ZERO
+        valid = usable and not (unzeroed and self._correction.rests_on_zero)
+        self._counters["unzeroed"] += unzeroed
+        self._counters["invalid_samples"] += not valid
+        return {"valid": valid, "unzeroed": unzeroed}
 
     def _messages(
-        self, raw: WrenchRaw, wrench: Six, point: list[float], progress: float, *, valid: bool, extrapolated: bool
+        self, raw: WrenchRaw, wrench: Six, point: list[float], progress: float, flags: dict[str, Any]
     ) -> list[Output]:
         fx, fy, fz, tx, ty, tz = wrench
         px, py, pz = point
@@ -148,16 +163,15 @@ class CompensationService(Service):
             timestamp=raw.timestamp,
             t_ns=raw.t_ns,
             seq=self._seq,
-            valid=valid,
             source=self.name,
             force=Vector3(fx, fy, fz),
             tool="" if model is None else model.name,
             calibration="" if model is None else model.calibration,
             enabled=model is not None,
             joints_age_s=self._age_s,
-            joints_extrapolated=extrapolated,
             blend=progress,
             terms=0 if model is None else model.terms,
+            **flags,
         )
         self._seq += 1
         moved = Vector3(tx - (py * fz - pz * fy), ty - (pz * fx - px * fz), tz - (px * fy - py * fx))
@@ -192,6 +206,8 @@ class CompensationService(Service):
     def _status(self, now_ns: int) -> Status:
         counters = self._counters | {"unusable_joints": self._history.unusable, "late_joints": self._history.late}
         state = "fault" if self._commands.problem else "ready" if self._counters["samples"] else "starting"
+        if state == "ready" and self._unzeroed and self._correction.rests_on_zero:
+            state = "degraded"
         header = self._header("status", now_ns)
         gauges = {"joints_age_s": self._age_s}
         detail = self._commands.problem or self._describe()
@@ -199,9 +215,10 @@ class CompensationService(Service):
 
     def _describe(self) -> str:
         model = self._correction.model
+        offset = "; the sensor is not zeroed: zero it with no tool on, or tare untouched" if self._unzeroed else ""
         if model is None:
-            return "no tool selected: the wrench holds its weight"
-        return f"{model.calibration}" + ("" if self._correction.enabled else ", switched off")
+            return "no tool selected: the wrench holds its weight" + offset
+        return f"{model.calibration}" + ("" if self._correction.enabled else ", switched off") + offset
 
     def _header(self, topic: str, t_ns: int) -> dict[str, Any]:
         self._topic_seq[topic] += 1
