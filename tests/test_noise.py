@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.fft import dct
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -13,6 +14,7 @@ import diagnosis_parts as parts
 
 from galen_hw.diagnosis.noise import Noise, estimate
 from galen_hw.diagnosis.rows import Rows
+from galen_hw.diagnosis.seek import _jumps, contacts
 from galen_hw.physics.effect import Columns
 from galen_hw.physics.event_effects import Vibration
 
@@ -43,8 +45,8 @@ def test_what_is_coloured_is_whitened_again(lengths):
     )
 
 
-def slowest(kind: str, n: int = 12_000, channels: int = 20) -> np.ndarray:
-    """(channels,) estimated over true level a fiftieth of the way to the slowest frequency that is measured."""
+def slowest(kind: str, n: int = 12_000, channels: int = 20, *, together: bool = True) -> np.ndarray:
+    """(channels,) estimated over true level at a fifth of the slowest measured frequency; learnt together or one by one."""
     rng = np.random.default_rng(8)
     white, f = rng.normal(size=(n, channels)), np.fft.rfftfreq(n)
     true = {
@@ -54,14 +56,24 @@ def slowest(kind: str, n: int = 12_000, channels: int = 20) -> np.ndarray:
     }
     rest = np.fft.irfft(np.fft.rfft(white, axis=0) * np.sqrt(true[kind])[:, None], n, axis=0)
     rows = Rows((slice(0, n),))
-    learnt = estimate(rest, [np.ones((n, 1)) / np.sqrt(n)] * channels, rows, ordered=True, steps=np.zeros(channels))
-    return learnt.spectrum(np.array([2.0 / n]))[0] / true[kind][2]
+    constant, found = np.ones((n, 1)) / np.sqrt(n), []
+    for part in (rest,) if together else np.split(rest, channels, axis=1):
+        width = part.shape[1]
+        learnt = estimate(part, [constant] * width, rows, ordered=True, steps=np.zeros(width))
+        found.append(learnt.spectrum(np.array([2.0 / n]))[0])
+    return np.concatenate(found) / true[kind][2]
 
 
 @pytest.mark.parametrize("kind", ["white", "flicker", "memory"])
 def test_the_spectrum_goes_on_below_what_is_measured_as_it_came(kind):
     """Flat below the corner of noise with a memory, where a line would go on rising; rising where all of it rises."""
     assert 0.7 < np.median(slowest(kind)) < 1.4
+
+
+def test_a_corner_shows_in_one_channel_and_flicker_noise_never_passes_for_one():
+    """A drift in noise with a memory is seen only where its shelf is known; one in flicker noise must not be made up."""
+    assert np.mean(np.abs(np.log(slowest("memory", together=False))) < np.log(2.0)) > 0.8
+    assert np.mean(slowest("flicker", 6_000, 40, together=False) > 0.25) > 0.9
 
 
 def test_an_awkward_length_is_whitened_like_the_length_beside_it():
@@ -97,3 +109,33 @@ def test_a_column_with_few_values_is_not_empty():
     values = np.zeros((1000, 2, 2))
     values[501, 1, 0] = 1.0
     assert Columns((0, 1), values).live().tolist() == [[False, False], [True, False]]
+
+
+def test_the_gain_of_a_jump_in_slow_noise_is_that_of_generalised_least_squares():
+    """All moments by two transforms, against the covariance matrix of the same noise, constants free."""
+    n, model = 300, noise(300)
+    rest = np.random.default_rng(9).normal(size=(n, 2)) + 0.8 * (np.arange(n) >= 130)[:, None]
+    gain = _jumps(rest, model)
+    line = np.arange(n) / (2.0 * n)
+    basis = dct(np.eye(n), axis=0, norm="ortho")
+    for c in range(2):
+        inverse = basis.T @ np.diag(1.0 / model.spectrum(line)[:, c]) @ basis
+        for moment in (40, 130, 250):
+            X = np.stack([np.ones(n), np.arange(n) >= moment], axis=-1)
+            one = X[:, :1]
+            full, bare = (
+                rest[:, c] @ inverse @ A @ np.linalg.solve(A.T @ inverse @ A, A.T @ inverse @ rest[:, c])
+                for A in (X, one)
+            )
+            assert gain[moment - 1, c] == pytest.approx(full - bare, rel=1e-9)
+    assert abs(int(np.argmax(gain[:, 1])) + 1 - 130) < 5
+
+
+def test_a_touch_too_weak_for_its_single_samples_names_the_channels_that_feel_it():
+    """A fiftieth of the time in two channels: by the squares of single samples one of them seems to have no part in it."""
+    scene = parts.diagnosed("nothing").bench.scene
+    n, rng = len(scene), np.random.default_rng(4)
+    rest = rng.normal(size=(n, len(scene.channels)))
+    rest[n // 3 : n // 3 + n // 50, :2] += 1.2
+    found = [s.effect.channels for s in contacts(scene, rest)]
+    assert scene.channels[:2] in [tuple(names) for names in found]

@@ -24,10 +24,12 @@ from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.unnamed import left_by, predict_unnamed, touches_of
 from galen_hw.diagnosis.verdict import beyond, strong, verdict_of
 from galen_hw.physics.effect import Columns, Effect
-from galen_hw.physics.event_effects import Glitches
+from galen_hw.physics.event_effects import Contact, Glitches
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
+PARTS = 6
+"""Into which a touch is parted so that nothing of it passes for noise."""
 COARSE = 3000
 """Rows of the first look: motion is slow beside a force sensor's samples."""
 
@@ -119,6 +121,8 @@ class _Known:
     def columns(self, bench: Bench, generic: list[adequacy.Family]) -> list[Columns]:
         """On the rows of a bench: what must not pass for noise."""
         out = [bench.raw(effect) for effect, _ in self.effects]
+        # How a touch swells and turns round inside its episode no plain shape follows; it is no noise for that.
+        out += [bench.raw(effect.parted(PARTS)) for effect, _ in self.effects if isinstance(effect, Contact)]
         everywhere = tuple(range(bench.width))
         for effect, theta in self.effects:
             change = effect.exact(bench.scene, theta)

@@ -1,7 +1,7 @@
 """The noise of every channel: its spectrum from what a rich fit leaves, whitening by it, and surrogates that look like it.
 
-The spectrum is a level per logarithmic band, corrected for what the rich fit itself took out of each band, and continued as a
-power law below the slowest band that a recording of this length can tell from drift.
+The spectrum is a level per logarithmic band, corrected for what the rich fit itself took out of each band. Below the slowest band
+that a recording of this length can tell from drift it is continued: flat where it has a corner for certain, else as a power law.
 """
 
 import itertools
@@ -10,9 +10,9 @@ from functools import cached_property
 
 import numpy as np
 from scipy.fft import dct, idct, next_fast_len
-from scipy.special import stdtrit
 
-from galen_hw.diagnosis.rows import Mask, Rows
+from galen_hw.diagnosis.rows import Rows
+from galen_hw.diagnosis.slow_noise import shelves
 from galen_hw.spatial import Array
 
 BANDS_PER_DECADE = 6
@@ -23,10 +23,6 @@ STEEPEST = -1.0
 Slower wander than a recording can tell from drift is called drift."""
 SLOW_CYCLES = 7.0
 """Below so many cycles in a segment the spectrum is continued, not measured."""
-LEAST_BENT = 6
-"""Bands of which a parabola can be told from a line."""
-BENT = 0.002
-"""Chance at which straight spectra pass for such that bend."""
 
 
 @dataclass(frozen=True)
@@ -59,22 +55,16 @@ class Noise:
         centres = np.log(np.sqrt(self.edges[1:] * self.edges[:-1]))
         at = np.log(np.maximum(frequency, 0.07 * self.edges[0]))
         first = np.log(self.levels)
-        bent = self._bent
-        return np.exp(np.stack([_line(at, centres, first[:, c], bent=bent) for c in range(first.shape[1])], axis=-1))
+        return np.exp(
+            np.stack([_line(at, centres, first[:, c], self._shelves[c]) for c in range(first.shape[1])], axis=-1)
+        )
 
     @cached_property
-    def _bent(self) -> bool:
-        """Whether the spectra, all channels together, bend down from their slowest end for certain.
-
-        Noise with a memory is flat below its corner, and a line through corner and slope would go on rising; flicker noise
-        does go on, and in one channel by itself it too often looks bent.
-        """
-        centres = np.log(np.sqrt(self.edges[1:] * self.edges[:-1]))
-        reach = _slowest(centres)
-        if np.sum(reach) < LEAST_BENT:
-            return False
-        value, error = _regressed(_powers(centres[reach], 2), np.mean(np.log(self.levels[reach]), axis=1))
-        return bool(value[2] < float(stdtrit(int(np.sum(reach)) - 3, BENT)) * error[2])
+    def _shelves(self) -> Array:
+        """(C,) logarithm of the level below the slowest band where the noise is flat there for certain, else nan."""
+        longest = [run.stop - run.start for run in self.rows.runs if run.stop - run.start >= SHORTEST]
+        lines = sum(longest) * np.diff(self.edges)
+        return np.log(shelves(np.sqrt(self.edges[1:] * self.edges[:-1]), self.levels, lines))
 
     def whiten(self, x: Array, channel: int) -> Array:
         """(M, k) columns of one channel, scaled and filtered so that its noise becomes white with unit variance."""
@@ -156,39 +146,26 @@ class Noise:
         return float(max(np.sum(len(self.rows) * np.minimum(1.0, self.sigma**2 / slow)), 20.0))
 
 
-def _line(at: Array, centres: Array, level: Array, *, bent: bool) -> Array:
-    """Linear interpolation; below the first centre, on along the slope of the slowest decade there (at most `STEEPEST`)."""
+def _line(at: Array, centres: Array, level: Array, shelf: float) -> Array:
+    """Linear interpolation; below the first centre the shelf, else along the slope of the slowest decade (at most `STEEPEST`)."""
     out = np.interp(at, centres, level)
-    reach = _slowest(centres)
-    slope = _slope(centres[reach], level[reach], bent=bent) if reach.sum() >= 3 else 0.0
-    slope = min(max(slope, STEEPEST), 0.0)
     below = at < centres[0]
-    out[below] = level[0] + slope * (at[below] - centres[0])
+    if np.isfinite(shelf):
+        out[below] = shelf
+        return out
+    slowest = centres < centres[0] + 1.5 * np.log(10.0)
+    slope = _slope(centres[slowest], level[slowest]) if slowest.sum() >= 3 else 0.0
+    out[below] = level[0] + min(max(slope, STEEPEST), 0.0) * (at[below] - centres[0])
     return out
 
 
-def _slowest(centres: Array) -> Mask:
-    """The bands of the slowest decade and a half."""
-    return np.asarray(centres < centres[0] + 1.5 * np.log(10.0))
-
-
-def _slope(x: Array, y: Array, *, bent: bool) -> float:
-    """Slope at the first of the bands, of a line or a parabola, less its own standard error: in doubt slow noise is stronger."""
-    value, error = _regressed(_powers(x, 2 if bent else 1), y)
-    return float(value[1] - error[1])
-
-
-def _powers(x: Array, most: int) -> Array:
-    """(n, most + 1) powers of the distance from the first."""
-    return np.stack([(x - x[0]) ** k for k in range(most + 1)], axis=-1)
-
-
-def _regressed(A: Array, y: Array) -> tuple[Array, Array]:
-    """Least squares by (n, k) regressors: (k,) values and their standard errors."""
+def _slope(x: Array, y: Array) -> float:
+    """Least squares, less its own standard error: in doubt slow noise is stronger."""
+    A = np.stack([np.ones_like(x), x - x[0]], axis=-1)
     inverse = np.linalg.inv(A.T @ A)
     value = inverse @ A.T @ y
     rest = y - A @ value
-    return value, np.sqrt(rest @ rest / max(A.shape[0] - A.shape[1], 1) * np.diag(inverse))
+    return float(value[1] - np.sqrt(rest @ rest / max(len(x) - 2, 1) * inverse[1, 1]))
 
 
 def estimate(rest: Array, basis: list[Array], rows: Rows, *, ordered: bool, steps: Array, above: float = 0.0) -> Noise:

@@ -3,9 +3,11 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.fft import dct, fft, idct
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
+from galen_hw.diagnosis.noise import Noise
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Contact, Step, Vibration
@@ -43,15 +45,16 @@ def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
     return out
 
 
-def steps(scene: Scene, rest: Array) -> list[Sought]:
-    """The moment at which a jump takes most out of the rest (M, C), channel by channel and over all together."""
+def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]:
+    """The moment at which a jump takes most out of the rest (M, C), channel by channel and over all together.
+
+    Where the noise is known to have a memory its slow wander is told from a jump.
+    """
     N, C = rest.shape
     if N < FEW_ROWS:
         return []
-    z = (rest - rest.mean(axis=0)) / np.maximum(_slow_spread(rest), 1e-300)
-    s = np.cumsum(z, axis=0)[:-1]
-    k = np.arange(1, N)[:, None]
-    gain = s**2 / (k * (N - k) / N)
+    known = noise is not None and len(noise.edges) > 0 and len(noise.rows.runs) == 1
+    gain = _jumps(rest, noise) if noise is not None and known else _white_jumps(rest)
     margin = max(N // 60, 3)
     gain[:margin], gain[-margin:] = 0.0, 0.0
     names = scene.channels
@@ -63,6 +66,31 @@ def steps(scene: Scene, rest: Array) -> list[Sought]:
         if 1 < len(some) < C:
             found.append(Sought(Step(some, _at(scene, row + 1, N)), N // 4))
     return found
+
+
+def _white_jumps(rest: Array) -> Array:
+    """(M - 1, C) how much a jump before each row but the first takes out of a rest with white noise."""
+    N = len(rest)
+    z = (rest - rest.mean(axis=0)) / np.maximum(_slow_spread(rest), 1e-300)
+    k = np.arange(1, N)[:, None]
+    return np.asarray(np.cumsum(z, axis=0)[:-1] ** 2 / (k * (N - k) / N))
+
+
+def _jumps(rest: Array, noise: Noise) -> Array:
+    """The same by generalised least squares, all moments at once: in cosine lines the noise's covariance is diagonal.
+
+    Line j of a jump before row k of N is -sqrt(2 / N) sin(pi j k / N) / (2 sin(pi j / (2 N))).
+    """
+    N = len(rest)
+    lines = np.arange(1, N)[:, None]
+    level = noise.spectrum(lines[:, 0] / (2.0 * N))
+    weighed = np.zeros_like(rest)
+    weighed[1:] = dct(rest, axis=0, norm="ortho")[1:] / level
+    inner = np.cumsum(idct(weighed, axis=0, norm="ortho"), axis=0)[:-1]
+    power = np.zeros_like(rest)
+    power[1:] = 1.0 / (2.0 * N * np.sin(np.pi * lines / (2.0 * N)) ** 2 * level)
+    square = 0.5 * (power.sum(axis=0) - fft(power, axis=0).real[1:])
+    return np.asarray(inner**2 / square)
 
 
 def _slow_spread(x: Array) -> Array:
@@ -221,25 +249,30 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
         # A channel that hardly ever differs shows no touch by that.
         z = np.where(spread > 0.0, z / np.where(spread > 0.0, spread, 1.0), 0.0)
         loud = np.sum(z**2, axis=1) > chi2.isf(1e-3 * length / N, C)
-        found = _contact(scene, loud, length, away)
-        if found is not None:
+        for found in _contact(scene, loud, length, away, z):
             out.setdefault(found.effect, found)
     return list(out.values())
 
 
-def _contact(scene: Scene, loud: Mask, length: int, away: Array) -> Sought | None:
+FELT = 3.0
+"""Mean square of running means during the episodes, noise alone being one, from which a channel feels them."""
+
+
+def _contact(scene: Scene, loud: Mask, length: int, away: Array, z: Array) -> list[Sought]:
+    """In the channels whose sample shows it, and in those of which only the mean `z` (N, C) of many does."""
     N = len(loud)
     episodes = [(a, b) for a, b in _episodes(loud, length) if a > 0 and b < N]
     covered = sum(b - a for a, b in episodes) / N
     if not episodes or covered > 0.35 or len(episodes) > 12:
-        return None
+        return []
     inside = np.zeros(N, dtype=bool)
     for a, b in episodes:
         inside[a:b] = True
     share = np.sum(away[inside] ** 2, axis=0) / np.sum(away**2, axis=0)
-    names = tuple(n for n, s in zip(scene.channels, share, strict=True) if s > 1.2 * covered + 0.02)
     times = tuple((_at(scene, a, N), _at(scene, b - 1, N)) for a, b in episodes)
-    return Sought(Contact(names, times), N // length) if names else None
+    ways = (share > 1.2 * covered + 0.02, np.mean(z[inside] ** 2, axis=0) > FELT)
+    channels = [tuple(n for n, there in zip(scene.channels, way, strict=True) if there) for way in ways]
+    return [Sought(Contact(names, times), N // length) for names in channels if names]
 
 
 def _episodes(loud: Mask, length: int) -> list[tuple[int, int]]:

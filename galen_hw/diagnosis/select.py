@@ -34,7 +34,7 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[seek.Sought]
     """What the rest of the present model shows by itself."""
     load(bench, scorer, chosen)
     rest, _ = rests(bench, scorer, chosen)
-    found = seek.steps(bench.scene, rest) + seek.contacts(bench.scene, rest)
+    found = seek.steps(bench.scene, rest, bench.noise) + seek.contacts(bench.scene, rest)
     found += seek.drifts(bench.scene, rest, bench.rows.average(bench.scene.time))
     # A limit that was found before something else was is sought again as if it had not been.
     added = bench.rows.average(np.asarray(bench.stream.standing + bench.stream.carried))

@@ -1,8 +1,9 @@
 """Effects that belong to moments: steps, contacts, oscillations, glitches. Where they sit is sought in the residual."""
 
+import itertools
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -82,6 +83,11 @@ class Contact(_Shaped):
             for k in range(len(self.episodes))
             for what in ("level", "bow")
         )
+
+    def parted(self, count: int) -> Self:
+        """The same touches, each in so many parts of equal length."""
+        edges = [np.linspace(start, end, count + 1).tolist() for start, end in self.episodes]
+        return replace(self, episodes=tuple(part for edge in edges for part in itertools.pairwise(edge)))
 
     def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
         """Box and half sine of every episode."""

@@ -21,8 +21,8 @@ SETTLINGS = (4.0, 16.0)
 """So much slower to begin with."""
 LEAST_LOOSE = 0.1
 """Share of the rows in motion in which what is called friction must slip."""
-MOST_KEPT = 3e7
-"""Values of servos' stand-offs that a scene keeps, those asked for last: they are walked row by row."""
+MOST_KEPT = 6e7
+"""Values of servos' stand-offs that a scene keeps (half a gigabyte), those asked for last: they are walked row by row."""
 
 
 @dataclass(frozen=True)
