@@ -93,6 +93,7 @@ def _wrench(view: View) -> Panel | None:
             table.add_row(f"{kind} {axis}", *cells)
     scale = f"bars: {FULL_SCALE['force']:g} N, {FULL_SCALE['torque']:g} N m"
     by = "no tool: nothing is taken off" if not done or not done.calibration else f"with {done.calibration}"
+    by += "; [red]the sensor is not zeroed[/]" if done and done.unzeroed else ""
     return _panel("wrench", Group(table, f"[dim]{scale}; {by}[/]"), "green" if shown.valid else "red")
 
 
