@@ -273,7 +273,10 @@ def test_five_lines_of_python_read_the_wrench(running: Tree) -> None:
     assert len(force) == 3
 
 
-@pytest.mark.skipif(shutil.which("g++") is None or not Path("/usr/include/msgpack.hpp").exists(), reason="no compiler with msgpack")
+@pytest.mark.skipif(
+    shutil.which("g++") is None or not Path("/usr/include/msgpack.hpp").exists(),
+    reason="no compiler with msgpack's headers",
+)
 def test_cpp_example_compiles(tmp_path: Path) -> None:
     """The C++ example of docs/subscribe.md is accepted by the compiler."""
     source = tmp_path / "read.cpp"

@@ -15,6 +15,7 @@ import diagnosis_parts as parts
 from galen_hw.diagnosis.noise import Noise, estimate
 from galen_hw.diagnosis.rows import Rows
 from galen_hw.diagnosis.seek import _jumps, contacts
+from galen_hw.diagnosis.slow_noise import shelves
 from galen_hw.physics.effect import Columns
 from galen_hw.physics.event_effects import Vibration
 
@@ -139,3 +140,13 @@ def test_a_touch_too_weak_for_its_single_samples_names_the_channels_that_feel_it
     rest[n // 3 : n // 3 + n // 50, :2] += 1.2
     found = [s.effect.channels for s in contacts(scene, rest)]
     assert scene.channels[:2] in [tuple(names) for names in found]
+
+
+def test_what_has_humps_is_no_noise_with_a_corner():
+    """The corner of physics that a model leaves says nothing of the noise below it."""
+    centres, lines = np.geomspace(1e-3, 0.45, 15), np.geomspace(18.0, 4000.0, 15)
+    corner = 0.01 + 20.0 / (1.0 + (centres / 0.02) ** 2)
+    humps = corner + 3.0 * np.exp(-(np.log(centres / 0.15) ** 2) / 0.1)
+    shelf = shelves(centres, np.stack([corner, humps], axis=-1), lines)
+    assert shelf[0] == pytest.approx(20.0, rel=0.3)
+    assert np.isnan(shelf[1])

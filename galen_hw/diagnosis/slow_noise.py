@@ -19,6 +19,8 @@ CONTRARY = -2.0
 """Below it a channel speaks against what the others say."""
 HIDDEN = 1.5
 """The same ratio from which flicker noise is there beside the corner: in doubt nothing is flat."""
+LIKE_NOISE = 3.0
+"""Deviance a band up to which floor and shelf are what the noise looks like: 1 for such noise; physics that is left has humps."""
 WINDOWED = 1.94
 """Lines of a Hann window's spectrum that are worth one independent line."""
 LEAST_BANDS = 6
@@ -42,15 +44,17 @@ def shelves(centres: Array, levels: Array, lines: Array) -> Array:
     corner, fitted, which = _likeliest(levels, weights, [np.stack([white, bend], axis=-1) for bend in bends])
     rising, _, _ = _likeliest(levels, weights, [np.stack([white, slope], axis=-1) for slope in slopes])
     both, _, _ = _likeliest(levels, weights, [np.stack([white, bend, flicker], axis=-1) for bend in bends])
-    sure = rising - corner
-    flat = (np.sum(sure) >= CERTAIN) & (sure > CONTRARY) & (corner - both < HIDDEN)
+    sure, noise = rising - corner, corner < LIKE_NOISE * len(centres)
+    flat = noise & (np.sum(sure[noise]) >= CERTAIN) & (sure > CONTRARY) & (corner - both < HIDDEN)
     # The shelf is known from the bands below the corner alone; in doubt slow noise is stronger.
     known = np.array([np.sum(weights[centres <= corners[k]]) for k in which])
     return np.where(flat, fitted[0] * (1.0 + 1.0 / np.sqrt(known)), np.nan)
 
 
 def _likeliest(levels: Array, weights: Array, shapes: list[Array]) -> tuple[Array, Array, "Index"]:
-    """The best of several sums of shapes (B, K), amplitudes >= 0: (C,) minus twice its log likelihood, (B, C) levels, (C,) which.
+    """The best of several sums of shapes (B, K), amplitudes >= 0: (C,) deviance, (B, C) levels, (C,) which.
+
+    Deviance: minus twice the log likelihood over that of the levels themselves, chi square of B less what was fitted.
 
     Multiplicative updates for the Itakura-Saito divergence, which is this likelihood (Fevotte, Bertin and Durrieu 2009).
     """
@@ -63,7 +67,7 @@ def _likeliest(levels: Array, weights: Array, shapes: list[Array]) -> tuple[Arra
         pull = np.swapaxes(parts, 1, 2) * weights
         amplitude *= (pull @ (data / model**2)) / (pull @ (1.0 / model))
     model = np.maximum(parts @ amplitude, 1e-12)
-    cost = 2.0 * np.sum(weights[:, None] * (np.log(model) + data / model), axis=1)
+    cost = 2.0 * np.sum(weights[:, None] * (data / model - np.log(data / model) - 1.0), axis=1)
     best = np.argmin(cost, axis=0)
     each = np.arange(levels.shape[1])
     return np.asarray(cost[best, each]), np.asarray(model[best, :, each].T * peak), best
