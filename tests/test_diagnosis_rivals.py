@@ -260,3 +260,23 @@ def test_a_limit_clips_all_that_is_carried(offset: float) -> None:
     other.wrench[:, 1] = np.minimum(other.wrench[:, 1] + offset, limit)
     judged = judge(work.model, scene_of(other.observations()))
     assert np.all(np.sqrt(judged.after / judged.floor) < 1.1)
+
+
+def test_servos_that_are_all_late_have_one_clock_and_no_viscous_friction_each() -> None:
+    """Dry friction in two simulated servos under one delay: a viscous part in each joint does the same with a number more."""
+    servo, T, band, dt = Servo(seed=2, rows=12000, rate=100.0), 0.04, 3.3e-4, 0.01
+    simulated = np.stack([cases.lagged(servo.t, x, T) for x in servo.command.T], axis=1)
+    for j, command in enumerate(servo.command.T):
+        q, sticks = command[0], []
+        for c in command.tolist():
+            q += (1.0 - np.exp(-dt / T)) * np.sign(c - q) * max(abs(c - q) - band, 0.0)
+            sticks.append(q)
+        servo.position[:, j] = np.interp(servo.t - 7e-4, servo.t, sticks)
+    servo.sigma = 4e-4
+    seen = servo.observations()
+    names = [f"joint.{name}.position" for name in ("pan", "lift")]
+    given = dict(zip(names, simulated.T, strict=True))
+    work = diagnose(scene_of(dataclasses.replace(seen, simulation=given)))
+    assert set(named(work)) == {"friction", "time_delay"}
+    (delay,) = [f for f in work.diagnosis.findings if f.effect == "time_delay"]
+    assert delay.parameters["delay"].value == pytest.approx(7e-4, rel=0.2)

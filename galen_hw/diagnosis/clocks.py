@@ -15,10 +15,12 @@ from scipy.optimize import minimize, minimize_scalar
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.linear import crossed
 from galen_hw.diagnosis.nonlinear import Beside, settle, tangent
+from galen_hw.diagnosis.plainness import ALIKE
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.worth import taken
 from galen_hw.physics.effect import Columns, Effect, log_grid, spacing
+from galen_hw.physics.joint_effects import Friction
 from galen_hw.physics.time_effects import Lag, TimeDelay, Timing
 from galen_hw.spatial import Array
 
@@ -64,6 +66,36 @@ def reclocked(bench: Bench, scorer: Scorer, out: Selection) -> bool:
         if clocks and _exchanged(bench, scorer, out, old, clocks, instead):
             return True
     return False
+
+
+def one_clock(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Whether a delay or lag of the whole stream was taken for what had been a viscous part of the friction in several joints.
+
+    A servo with a viscous part c follows by c later. The search finds friction joint by joint, each with the lateness of all.
+    """
+    late = [i for i in out.chosen if getattr(scorer.library[i].effect, "form", "").endswith("servo_viscous")]
+    proposed = [e for e in (*TimeDelay.propose(bench.scene), *Lag.propose(bench.scene)) if not e.joint]
+    if len(late) < 2 or not proposed or any(isinstance(scorer.library[i].effect, Timing) for i in out.chosen):
+        return False
+    plain = [_less_viscous(bench, scorer.library[i]) for i in late]
+    first = len(scorer.library)
+    scorer.append([*plain, *(bench.add(end) for end in proposed)])
+    kept = [*(i for i in out.chosen if i not in late), *range(first, first + len(plain))]
+    trials = [[*kept, first + len(plain) + k] for k in range(len(proposed))]
+    best = min(trials, key=lambda trial: scorer.solve(trial)[2])
+    saved = (len(late) - 1) * float(np.log(bench.noise.effective))
+    if scorer.solve(best)[2] - scorer.solve(out.chosen)[2] >= saved:
+        return False
+    before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, best)
+    if float(np.mean(after / before)) > 1.0 + ALIKE:
+        return False
+    out.chosen = best
+    return True
+
+
+def _less_viscous(bench: Bench, h: Hypothesis) -> Hypothesis:
+    assert isinstance(h.effect, Friction), "nothing else is of a servo"
+    return bench.add(replace(h.effect, form=h.effect.form.removesuffix("_viscous")), h.looked)
 
 
 @dataclass

@@ -194,7 +194,9 @@ def _chosen(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> tuple
     twin = copy(bench)
     both = Parallel(n_jobs=2, require="sharedmem")(delayed(searched)(*one) for one in ((bench, []), (twin, own)))
     (selection, model), (other, rival) = both
-    if merit(rival) <= merit(model) + MERIT:
+    better = merit(rival) - merit(model)
+    # A constant that something else accounts for as well is an effect too many.
+    if better <= MERIT and not (better > 0.0 and len(rival.effects) < len(model.effects)):
         return selection, model
     bench.y, bench.timing, bench.stream = twin.y, twin.timing, twin.stream
     other.scorer.bench = rival.bench = bench

@@ -4,7 +4,7 @@ import numpy as np
 
 from galen_hw.diagnosis import seek
 from galen_hw.diagnosis.bench import Bench
-from galen_hw.diagnosis.clocks import reclocked
+from galen_hw.diagnosis.clocks import one_clock, reclocked
 from galen_hw.diagnosis.linear import crossed, rests
 from galen_hw.diagnosis.nonlinear import bent, in_place, load, polished, retime, settle, unbent
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
@@ -66,6 +66,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
             out.chosen.append(best)
         elif not (
             _split(bench, scorer, out)
+            or one_clock(bench, scorer, out)
             or reclocked(bench, scorer, out)
             or (moved and _exchanged(bench, scorer, out, refused))
         ):

@@ -11,14 +11,14 @@ import numpy as np
 
 from galen_hw.tools.blind_proof import tables
 from galen_hw.tools.blind_proof.generator.case import SNR_LEVELS
-from galen_hw.tools.blind_proof.score import Scored
+from galen_hw.tools.blind_proof.score import TOLD_APART, Scored
 
 PREAMBLE = """Written by `make proof`; nothing here is edited by hand. The generator (MuJoCo) shares no code with the
 tool; the truth stayed sealed until every verdict was on disk.
 """
-ALIKE = """A lag and a delay do the same to first order. How far a lag that is there alone is from the best of all delays,
-and a delay from the best of all lags, is known with the truth; within 3.3 standard errors any answer to "which of the two" is a
-guess.
+ALIKE = """A lag and a delay do the same to first order. How far a lag is from the best of all delays, and a delay from the
+best of all lags, for one who knows what else is there, is known with the truth; within 3.3 standard errors any answer to
+"which of the two" is a guess.
 """
 
 
@@ -69,8 +69,8 @@ def _failures(cases: list[Scored]) -> str:
 def _beside(case: Scored) -> str:
     """What made a case hard."""
     mask = f", {case.truth['mask']}" if case.truth["mask"] else ""
-    guess = [f", {e['apart']:.1f} standard errors from its look-alike" for e in case.truth["effects"] if case.a_guess]
-    return mask + "".join(guess)
+    near = [e["apart"] for e in case.truth["effects"] if e.get("apart") is not None and e["apart"] < TOLD_APART]
+    return mask + "".join(f", {apart:.1f} standard errors from its look-alike" for apart in near)
 
 
 def _promises(promised: list[tables.Figure]) -> str:

@@ -71,13 +71,17 @@ def _scaled(case: Case) -> None:
 
 
 def _measured_apart(case: Case) -> None:
-    """Of an effect that is there alone: how far it is from what it may be taken for."""
-    if len(case.effects) != 1 or case.effects[0].key not in LOOK_ALIKES:
-        return
-    (hidden,), scene, (simulate, _) = case.effects, _scene(case, run=0), _parts(case.group)
-    _hide(case, scene, hidden, 0, hidden.amplitude)
-    t, changed, clean = scene.path.t, simulate(scene), simulate(_scene(case, run=0))
-    hidden.apart = apart(hidden.key, t, clean, changed, SIGMA[case.group], case.noise)
+    """Of every effect that may be taken for another: how far it is from that, for one who knows what else is there."""
+    simulate, _ = _parts(case.group)
+    for hidden in case.effects:
+        if hidden.key in LOOK_ALIKES:
+            scene, others = _scene(case, run=0), _scene(case, run=0)
+            for number, one in enumerate(case.effects):
+                _hide(case, scene, one, number, one.amplitude)
+                if one is not hidden:
+                    _hide(case, others, one, number, one.amplitude)
+            changed, clean = simulate(scene), simulate(others)
+            hidden.apart = apart(hidden.key, scene.path.t, clean, changed, SIGMA[case.group], case.noise)
 
 
 def nominal(case: Case, run: int) -> Array:
