@@ -473,9 +473,9 @@ def test_an_unzeroed_sensor_is_not_vouched_for_until_it_is_zeroed_or_tared(tmp_p
     assert "zero it" in status.detail
 
     service.request(ask("tare"), 0)
-    for k in range(6):
-        outputs = feed(service, raw((3 + k) * MS, read + offset, zeroings=0))
-    (tared,) = messages(outputs)
+    seen = [messages(feed(service, raw((3 + k) * MS, read + offset, zeroings=0)))[0] for k in range(6)]
+    assert [m.valid for m in seen] == [False] * 5 + [True], "not while its own samples still hold the offset"
+    tared = seen[-1]
     assert (tared.valid, tared.unzeroed) == (True, False)
     assert six(tared) == pytest.approx(np.zeros(6), abs=1e-9)
 

@@ -120,9 +120,10 @@ class CompensationService(Service):
         force, torque = raw.force, raw.torque
         wrench = (force.x - a, force.y - b, force.z - c, torque.x - d, torque.y - e, torque.z - f)
         usable = self._judge(raw, joints, wrench)
+        # Before the tare: one that ends with this sample is taken off from the next one on.
+        flags = self._flags(raw, usable=usable)
         if self._commands.tare is not None and usable:
             outputs += self._commands.feed_tare(self._commands.tare, raw, predicted)
-        flags = self._flags(raw, usable=usable)
         flags["joints_extrapolated"] = correction.active and not (joints and joints[2])
         return outputs + self._messages(raw, wrench, point, progress, flags)
 
