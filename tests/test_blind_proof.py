@@ -155,6 +155,22 @@ def test_a_guess_is_not_held_against_the_tool_nor_for_it() -> None:
     assert rows["the same without 1 that no test could tell from a look-alike"].startswith("1.000 (1 of 1;")
 
 
+def test_how_far_it_is_from_its_look_alike_is_known_of_each_effect_of_a_pair() -> None:
+    """A set with a lag that no test tells from a delay is counted, and left out in the row below."""
+    case = Case("p", 5, "wrench", "several", duration_s=20.0)
+    case.effects = [Injected("payload", "payload", 0.8), Injected("lag", "lag", 0.8)]
+    build._scaled(case)
+    build._measured_apart(case)
+    assert case.effects[0].apart is None
+    assert case.effects[1].apart is not None
+    cases = []
+    for away in (0.2, 40.0):
+        case.effects[1].apart = away
+        cases.append(score.score(case.as_dict(), verdict("payload", "lag" if away > 1.0 else "time_delay")))
+    rows = {f.what: f.reached for f in tables.figures(cases, []) if "exact set" in f.what}
+    assert [r.split(";")[0] for r in rows.values()] == ["0.500 (1 of 2", "1.000 (1 of 1"]
+
+
 def verdict(*effects: str, kind: str = "explained") -> dict[str, object]:
     """An answer of the tool."""
     findings = [{"effect": e, "channels": [], "parameters": {}, "confounded_with": []} for e in effects]

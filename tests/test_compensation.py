@@ -493,6 +493,16 @@ def test_without_a_tool_an_unzeroed_reading_is_told_and_kept_valid(tmp_path: Pat
     assert (unknown.valid, unknown.unzeroed) == (True, False)
 
 
+def test_a_tare_of_a_valid_wrench_is_blended_in_whatever_the_zero(tmp_path: Path) -> None:
+    """Without a tool the wrench was vouched for, and somebody may act on it: no step of an offset's size."""
+    service = service_at(tmp_path, tare_samples=2, blend_s=0.1)
+    feed(service, raw(MS, 30.0 * np.ones(6), zeroings=0))
+    service.request(ask("tare"), 0)
+    seen = [six(messages(feed(service, raw(t * MS, 30.0 * np.ones(6), zeroings=0)))[0])[0] for t in range(2, 120)]
+    assert np.abs(np.diff(seen)).max() < 0.6
+    assert seen[-1] == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_tare_under_way_ends_when_the_sensor_is_zeroed(tmp_path: Path) -> None:
     """Half of its samples would be of another zero."""
     service = service_at(tmp_path, tool_file(), tare_samples=3)

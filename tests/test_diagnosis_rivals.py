@@ -18,10 +18,11 @@ from galen_hw.diagnosis.judge import judge
 from galen_hw.diagnosis.nonlinear import ahead, in_place
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.wanted import sure
-from galen_hw.kinematics import UrdfRobot
+from galen_hw.kinematics import GalenRobot, UrdfRobot
 from galen_hw.physics.elastic_effects import Hardening
 from galen_hw.physics.memory_effects import Backlash, Hysteresis
 from galen_hw.physics.observations import Belief, Observations
+from galen_hw.physics.rigid import Body
 from galen_hw.physics.table import scene_of
 from galen_hw.physics.time_effects import Lag, TimeDelay
 
@@ -280,3 +281,28 @@ def test_servos_that_are_all_late_have_one_clock_and_no_viscous_friction_each() 
     assert set(named(work)) == {"friction", "time_delay"}
     (delay,) = [f for f in work.diagnosis.findings if f.effect == "time_delay"]
     assert delay.parameters["delay"].value == pytest.approx(7e-4, rel=0.2)
+
+
+def test_no_bias_beside_a_compliance_that_accounts_for_it() -> None:
+    """A bent lift under the tool's weight is lower all along: a bias with less compliance is as good, with a number more."""
+    rng, robot, rate = np.random.default_rng(1), GalenRobot(), 60.0
+    t = np.arange(4000) / rate
+    stations = int(t[-1] / 10.0) + 2
+    at = 10.0 * np.repeat(np.arange(stations), 2) + np.tile([0.0, 8.5], stations)
+    rests = np.c_[rng.uniform(-0.01, 0.01, (stations, 3)), rng.uniform(-0.6, 0.6, (stations, 2))]
+    joints = np.stack([np.interp(t, at, rest.repeat(2)) for rest in rests.T], axis=1)
+    waves = zip((0.11, 0.17, 0.23), rng.uniform(0.0, 1.0, 3), strict=True)
+    force = np.stack([8.0 * np.sin(2.0 * np.pi * (f * t + phase)) for f, phase in waves], axis=1)
+    tool, tip = Body(0.25, np.array([0.03, 0.0, -0.06])), np.array([0.045, 0.0, -0.14])
+    pose = robot.sensor_pose(joints)
+    position = pose[:, :3, 3] + pose[:, :3, :3] @ tip
+    position[:, 2] += 1.5e-5 * (force[:, 2] - tool.mass * 9.80665)
+    late = np.stack([np.interp(t - 0.003, t, x) for x in position.T], axis=1)
+    columns = {"time": t}
+    columns |= {f"joint.{name}.position": q for name, q in zip(robot.joint_names, joints.T, strict=True)}
+    columns |= {f"applied.force.{axis}": f for axis, f in zip("xyz", force.T, strict=True)}
+    seen = late + 7e-5 * rng.normal(size=late.shape)
+    columns |= {f"pose.position.{axis}": x for axis, x in zip("xyz", seen.T, strict=True)}
+    belief = Belief(robot=robot, tool=tool, tip=tip, bias_free=False)
+    work = diagnose(scene_of(Observations("pose", columns, None, belief)))
+    assert set(named(work)) == {"time_delay", "compliance"}

@@ -73,11 +73,12 @@ def one_clock(bench: Bench, scorer: Scorer, out: Selection) -> bool:
 
     A servo with a viscous part c follows by c later. The search finds friction joint by joint, each with the lateness of all.
     """
-    late = [i for i in out.chosen if getattr(scorer.library[i].effect, "form", "").endswith("servo_viscous")]
+    late = [i for i in out.chosen if _without_viscous(scorer.library[i].effect) is not None]
     proposed = [e for e in (*TimeDelay.propose(bench.scene), *Lag.propose(bench.scene)) if not e.joint]
     if len(late) < 2 or not proposed or any(isinstance(scorer.library[i].effect, Timing) for i in out.chosen):
         return False
-    plain = [_less_viscous(bench, scorer.library[i]) for i in late]
+    dry = [(_without_viscous(h.effect), h.looked) for h in (scorer.library[i] for i in late)]
+    plain = [bench.add(effect, looked) for effect, looked in dry if effect is not None]
     first = len(scorer.library)
     scorer.append([*plain, *(bench.add(end) for end in proposed)])
     kept = [*(i for i in out.chosen if i not in late), *range(first, first + len(plain))]
@@ -93,9 +94,11 @@ def one_clock(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     return True
 
 
-def _less_viscous(bench: Bench, h: Hypothesis) -> Hypothesis:
-    assert isinstance(h.effect, Friction), "nothing else is of a servo"
-    return bench.add(replace(h.effect, form=h.effect.form.removesuffix("_viscous")), h.looked)
+def _without_viscous(effect: Effect | None) -> Friction | None:
+    """Friction of a servo without its viscous part; None where there is none."""
+    if isinstance(effect, Friction) and effect.form.endswith("servo_viscous"):
+        return replace(effect, form=effect.form.removesuffix("_viscous"))
+    return None
 
 
 @dataclass

@@ -54,16 +54,14 @@ class Noise:
             return np.tile(self.sigma**2, (len(frequency), 1))
         centres = np.log(np.sqrt(self.edges[1:] * self.edges[:-1]))
         at = np.log(np.maximum(frequency, 0.07 * self.edges[0]))
-        first = np.log(self.levels)
-        return np.exp(
-            np.stack([_line(at, centres, first[:, c], self._shelves[c]) for c in range(first.shape[1])], axis=-1)
-        )
+        channels = zip(np.log(self.levels).T, self._shelves, strict=True)
+        return np.exp(np.stack([_line(at, centres, level, shelf) for level, shelf in channels], axis=-1))
 
     @cached_property
     def _shelves(self) -> Array:
         """(C,) logarithm of the level below the slowest band where the noise is flat there for certain, else nan."""
-        longest = [run.stop - run.start for run in self.rows.runs if run.stop - run.start >= SHORTEST]
-        lines = sum(longest) * np.diff(self.edges)
+        lengths = [run.stop - run.start for run in self.rows.runs if run.stop - run.start >= SHORTEST]
+        lines = sum(lengths) * np.diff(self.edges)
         return np.log(shelves(np.sqrt(self.edges[1:] * self.edges[:-1]), self.levels, lines))
 
     def whiten(self, x: Array, channel: int) -> Array:

@@ -53,8 +53,8 @@ def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]
     N, C = rest.shape
     if N < FEW_ROWS:
         return []
-    known = noise is not None and len(noise.edges) > 0 and len(noise.rows.runs) == 1
-    gain = _jumps(rest, noise) if noise is not None and known else _white_jumps(rest)
+    plain = noise is None or not len(noise.edges) or len(noise.rows.runs) > 1
+    gain = _white_jumps(rest) if noise is None or plain else _jumps(rest, noise)
     margin = max(N // 60, 3)
     gain[:margin], gain[-margin:] = 0.0, 0.0
     names = scene.channels

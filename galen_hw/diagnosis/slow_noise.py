@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from galen_hw.diagnosis.rows import Index
 
 CERTAIN = 9.0
-"""Twice the log likelihood ratio, over all channels, from which a corner is believed; flicker noise reached 6 in one of 500."""
+"""Twice the log likelihood ratio, over all channels, from which a corner is believed; one of flicker noise reaches 6."""
 CONTRARY = -2.0
 """Below it a channel speaks against what the others say."""
 HIDDEN = 1.5

@@ -70,6 +70,10 @@ class Correction:
         self.contact = self.contact if contact is None else contact
         self.changed = True
 
+    def unzeroed(self, raw: WrenchRaw) -> bool:
+        """The sensor's own offset is in what is left: neither zeroed nor tared away."""
+        return raw.zeroings == 0 and self.tare == ZERO
+
     def retare(self, tare: Six) -> None:
         """Another tare, at once: what came before it was of another zero, and blending would carry that on."""
         if self.tare != tare:

@@ -121,10 +121,9 @@ class CompensationService(Service):
         wrench = (force.x - a, force.y - b, force.z - c, torque.x - d, torque.y - e, torque.z - f)
         usable = self._judge(raw, joints, wrench)
         # Before the tare: one that ends with this sample is taken off from the next one on.
-        flags = self._flags(raw, usable=usable)
+        flags = self._flags(raw, usable=usable, fresh=joints is not None and joints[2])
         if self._commands.tare is not None and usable:
             outputs += self._commands.feed_tare(self._commands.tare, raw, predicted)
-        flags["joints_extrapolated"] = correction.active and not (joints and joints[2])
         return outputs + self._messages(raw, wrench, point, progress, flags)
 
     def _zero_changed(self, zeroings: int) -> list[Output]:
@@ -145,13 +144,13 @@ class CompensationService(Service):
         counters["old_joints"] += not fresh
         return good and (fresh or not self._correction.active)
 
-    def _flags(self, raw: WrenchRaw, *, usable: bool) -> dict[str, bool]:
+    def _flags(self, raw: WrenchRaw, *, usable: bool, fresh: bool) -> dict[str, bool]:
         """Whether the wrench is vouched for: with the sensor's own offset in it, a calibration made without is no use."""
-        self._unzeroed = unzeroed = raw.zeroings == 0 and self._correction.tare == ZERO
+        self._unzeroed = unzeroed = self._correction.unzeroed(raw)
         valid = usable and not (unzeroed and self._correction.rests_on_zero)
         self._counters["unzeroed"] += unzeroed
         self._counters["invalid_samples"] += not valid
-        return {"valid": valid, "unzeroed": unzeroed}
+        return {"valid": valid, "unzeroed": unzeroed, "joints_extrapolated": self._correction.active and not fresh}
 
     def _messages(
         self, raw: WrenchRaw, wrench: Six, point: list[float], progress: float, flags: dict[str, Any]

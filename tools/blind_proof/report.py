@@ -11,7 +11,7 @@ import numpy as np
 
 from galen_hw.tools.blind_proof import tables
 from galen_hw.tools.blind_proof.generator.case import SNR_LEVELS
-from galen_hw.tools.blind_proof.score import TOLD_APART, Scored
+from galen_hw.tools.blind_proof.score import Scored
 
 PREAMBLE = """Written by `make proof`; nothing here is edited by hand. The generator (MuJoCo) shares no code with the
 tool; the truth stayed sealed until every verdict was on disk.
@@ -69,8 +69,7 @@ def _failures(cases: list[Scored]) -> str:
 def _beside(case: Scored) -> str:
     """What made a case hard."""
     mask = f", {case.truth['mask']}" if case.truth["mask"] else ""
-    near = [e["apart"] for e in case.truth["effects"] if e.get("apart") is not None and e["apart"] < TOLD_APART]
-    return mask + "".join(f", {apart:.1f} standard errors from its look-alike" for apart in near)
+    return mask + "".join(f", {apart:.1f} standard errors from its look-alike" for apart in case.near)
 
 
 def _promises(promised: list[tables.Figure]) -> str:

@@ -52,10 +52,15 @@ class Scored:
         return [e["key"] for e in self.truth["effects"]]
 
     @property
-    def a_guess(self) -> bool:
-        """Whether no test of the recording could tell the effect from its look-alike, see `generator.look_alikes`."""
+    def near(self) -> list[float]:
+        """Standard errors to look-alikes, of the effects that are too near for a test to tell, see `generator.look_alikes`."""
         known = [e.get("apart") for e in self.truth["effects"]]
-        return any(apart is not None and apart < TOLD_APART for apart in known)
+        return [apart for apart in known if apart is not None and apart < TOLD_APART]
+
+    @property
+    def a_guess(self) -> bool:
+        """Whether no test of the recording could tell one of the effects from its look-alike."""
+        return bool(self.near)
 
     @property
     def detected(self) -> bool:

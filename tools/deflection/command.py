@@ -195,10 +195,8 @@ def _show(out: "Comparison") -> None:
         errors = [f"{1e3 * score.rmse[kind]:.3f}" for kind in out.held]
         reported, corrected = out.walls[name]
         wall = _told(reported, f"{reported:.1%} -> {corrected:.1%}")
-        late, missed = (
-            _told(score.released, f"{1e3 * score.released:.3f}"),
-            _told(score.residual, f"{score.residual:.0%}"),
-        )
+        late = _told(score.released, f"{1e3 * score.released:.3f}")
+        missed = _told(score.residual, f"{score.residual:.0%}")
         seconds = f"{out.seconds[name]:.1f}"
         style = "bold" if name == out.best else ""
         table.add_row(name, *errors, late, missed, wall, seconds, style=style)
