@@ -11,6 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from physics_scenes import scene
 
+from galen_hw.physics.cable_effects import CableDrag
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Contact, Step, Vibration
 from galen_hw.physics.joint_effects import TorqueRipple
@@ -35,6 +36,8 @@ def hypotheses(whole: Scene) -> list[Effect]:
     found = [e for key in EFFECTS for e in effect_class(key).propose(whole)]
     found += [Step((first,), 5.0), Vibration((first, last), 3.0), Contact((first,), ((2.0, 4.0), (7.0, 8.0)))]
     found.append(Drift("", "wander", None, 0.0, 10.0, (first, last)))
+    if whole.observations.predict in ("wrench", "effort"):
+        found += [CableDrag("tendon"), CableDrag("tendon_dry")]
     if whole.observations.predict == "effort":
         found.append(TorqueRipple("elbow", 9.0))
     kinds = {

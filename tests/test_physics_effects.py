@@ -14,6 +14,7 @@ from physics_scenes import JOINTS, belief, scene
 
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import GalenRobot
+from galen_hw.physics.cable_effects import CableDrag
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.elastic_effects import Compliance
 from galen_hw.physics.event_effects import Contact, Glitches, Step, Vibration
@@ -37,6 +38,8 @@ def proposals(group, static=False):
     first, last = made.channels[0], made.channels[-1]
     found += [Drift("", "wander", None, 0.0, 10.0, (first, last)), Drift("", "warm_up", 3.0, 0.0, 10.0, (first, last))]
     found += [Step((first,), 5.0), Vibration((first, last), 3.0), Contact((first,), ((2.0, 4.0), (7.0, 8.0)))]
+    if group in ("wrench", "effort"):
+        found += [CableDrag("tendon"), CableDrag("tendon_dry")]
     found += [Glitches((first,), (3, 9))] + ([TorqueRipple("elbow", 9.0)] if group == "effort" else [])
     return made, list({e.family: e for e in found}.values())
 

@@ -151,6 +151,16 @@ def test_a_recording_that_was_cut_off_is_a_recording(tmp_path: Path) -> None:
     assert any("cut off" in w for w in recording.warnings)
 
 
+def test_a_damaged_name_in_the_index_makes_no_message_another_topics(tmp_path: Path) -> None:
+    """The chunks name their channels themselves."""
+    messages = stream(60)
+    clean = bytearray(recorded(messages, flush_every=10))
+    place = clean.rindex(b"compensation/state\x04\x00\x00\x00json")
+    clean[place] ^= 1
+    found = read(tmp_path / "a.mcap", bytes(clean)).read()
+    assert [repr(item.message) for item in found] == [repr(message) for _, message in messages]
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_damage_costs_the_damaged_part_and_never_more_than_a_message(

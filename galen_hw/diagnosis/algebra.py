@@ -13,8 +13,9 @@ MANY = 4000.0
 
 
 def solve_sym(A: Array, B: Array) -> Array:
-    """A^-1 B for a symmetric positive semidefinite A, weak directions left out (scaled to a unit diagonal)."""
-    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    """A^-1 B for a symmetric positive semidefinite A, weak and empty directions left out (scaled to a unit diagonal)."""
+    size = np.sqrt(np.diag(A).clip(0.0))
+    size[size <= 0.0] = np.inf
     if not len(size):
         return np.asarray(B)
     value, vector = np.linalg.eigh(A / np.outer(size, size))

@@ -73,6 +73,11 @@ class Hypothesis:
         held = None if self.effect is None else self.effect.held
         return np.full(self.count, np.nan) if held is None else held
 
+    def does(self, theta: Array) -> Array:
+        """(M, len(channels)) its change with parameters theta (k,), what it is bent by included."""
+        straight = self.raw.values @ theta
+        return straight if self.bend is None else np.asarray(straight + self.bend[:, list(self.raw.channels)])
+
     def pinned_gain(self, scene: Scene, A: Array, r: Array) -> float | None:
         """Fall of the whitened sum of squares at the one value its parameters can have, by inner products; None: free.
 

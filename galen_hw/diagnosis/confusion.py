@@ -75,12 +75,14 @@ class Own:
     Args:
         i: place in the scorer's library; chosen: the model it belongs to.
         gain: fall of the whitened sum of squares by it; theta: (k,) its parameters.
+        straight: (k,) where its slopes alone come nearest to what it does; theta, where it is linear.
     """
 
     i: int
     chosen: tuple[int, ...]
     gain: float
     theta: Array
+    straight: Array
 
 
 def confusions(model: Model, selection: Selection, finding: Finding) -> list[Confusion]:
@@ -251,17 +253,18 @@ def _own(scorer: Scorer, chosen: list[int], i: int) -> Own:
     """Hypothesis i as it stands in the model."""
     theta, every, rest = scorer.solve(chosen)
     place = scorer.places[i]
-    mine = (every >= place.start) & (every < place.stop)
     with unbent(scorer, i):
+        straight = scorer.solve(chosen)[0]
         at, b, total = _others(scorer, chosen, i)
         alone = solve_sym(scorer.G[np.ix_(at, at)], b[at][:, None])[:, 0]
         without = total - float(alone @ b[at])
-    return Own(i, tuple(chosen), without - rest, theta[mine])
+    mine = (every >= place.start) & (every < place.stop)
+    return Own(i, tuple(chosen), without - rest, theta[mine], straight[mine])
 
 
 def _in_place(scorer: Scorer, found: Own) -> list[Rival]:
     """Every hypothesis of another key that can make at least half of the found signal."""
-    i, gain, theta = found.i, found.gain, found.theta
+    i, gain, theta = found.i, found.gain, found.straight
     at, b, _ = _others(scorer, list(found.chosen), i)
     own = scorer.places[i]
     every = scorer.G[at]
@@ -286,7 +289,9 @@ def _in_place(scorer: Scorer, found: Own) -> list[Rival]:
         U = _whitening(A, np.diag(scorer.G)[own])
         nearest = float(np.linalg.norm(W.T @ cross @ U, 2)) if U.shape[1] else 0.0
         out.append(
-            Rival(j, i, h.effect.KEY, lead, _angle(np.sqrt(share)), _angle(nearest), W @ (W.T @ r), theta, h.effect)
+            Rival(
+                j, i, h.effect.KEY, lead, _angle(np.sqrt(share)), _angle(nearest), W @ (W.T @ r), found.theta, h.effect
+            )
         )
     return out
 

@@ -42,7 +42,7 @@ def curves_of(work: Work) -> list[Curve]:
     for h, s in zip(model.parts, model.slices(), strict=True):
         if h.effect is None or not h.count or len(out) == MOST:
             continue
-        change = h.raw.values @ model.theta[s]
+        change = h.does(model.theta[s])
         best = int(np.argmax(np.std(change, axis=0) / work.bench.noise.sigma[list(h.raw.channels)]))
         c = h.raw.channels[best]
         axis = axis_of(work, h.effect, c, change[:, best], known)

@@ -120,7 +120,7 @@ class _Known:
 
     def columns(self, bench: Bench, generic: list[adequacy.Family]) -> list[Columns]:
         """On the rows of a bench: what must not pass for noise."""
-        out = [bench.raw(effect) for effect, _ in self.effects]
+        out = [bench.raw(effect.relaxed) for effect, _ in self.effects]
         # How a touch swells and turns round inside its episode no plain shape follows; it is no noise for that.
         out += [bench.raw(effect.parted(PARTS)) for effect, _ in self.effects if isinstance(effect, Contact)]
         everywhere = tuple(range(bench.width))

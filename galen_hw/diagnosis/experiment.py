@@ -103,14 +103,25 @@ def pair_of(selection: Selection, finding: Finding, rival: str, model: Model) ->
         found = scorer.library[one.instead].effect or part.effect
         effects = (h.effect for h in scorer.library if h.effect is not None)
         kin = tuple(effect for effect in effects if effect.family == one.effect.family)
-        return Pair(found, one.own, one.effect, one.theta, kin[:8], one.angle)
+        mine = _straight(model, part) if found.curved else (found, one.own)
+        return Pair(*mine, one.effect, one.theta, kin[:8], one.angle)
     if rival != "temperature":
         return None
-    theta = model.final[dict(zip(map(id, model.parts), model.slices(), strict=True))[id(part)]]
+    theta = _straight(model, part)[1]
     # Of the temperature nothing was recorded: it is taken to have changed the offset by as much within ten kelvin.
-    size = float(np.ptp(part.raw.values[:, 0] @ theta)) / 10.0
+    size = float(np.ptp(part.does(theta)[:, 0])) / 10.0
     warm = Temperature(model.bench.scene.channels[part.raw.channels[0]], "temperature.sensor")
     return Pair(part.effect, theta, warm, np.array([size]), (warm,), float("nan"))
+
+
+def _straight(model: Model, h: Hypothesis) -> tuple[Effect, Array]:
+    """An effect of the model with its parameters (k,) as columns can be staged of it: what is curved, by its relaxation."""
+    theta = model.final[dict(zip(map(id, model.parts), model.slices(), strict=True))[id(h)]]
+    assert h.effect is not None, "effects, not nuisances"
+    if not h.effect.curved:
+        return h.effect, theta
+    X = model.bench.raw(h.effect.relaxed).full(model.bench.width).reshape(h.does(theta).size, -1)
+    return h.effect.relaxed, np.asarray(np.linalg.lstsq(X, h.does(theta).reshape(-1), rcond=1e-9)[0], dtype=float)
 
 
 def best_of(model: Model, pair: Pair) -> Advice | None:
@@ -260,16 +271,16 @@ def _error(finding: Finding) -> float:
 
 def _halving(model: Model, h: Hypothesis, error: float) -> Advice | None:
     """The recipe whose information on an effect's size reaches three times the present one soonest."""
-    theta = model.final[dict(zip(map(id, model.parts), model.slices(), strict=True))[id(h)]]
-    others = [o for o in model.effects if o is not h][:MOST_OTHERS]
     assert h.effect is not None, "effects, not nuisances"
+    effect, theta = _straight(model, h)
+    others = [o for o in model.effects if o is not h][:MOST_OTHERS]
     out = []
-    for recipe in recipes(model.bench.scene, _step(model), h.effect.joints):
+    for recipe in recipes(model.bench.scene, _step(model), effect.joints):
         try:
             staged = stage(model.bench.scene, recipe)
         except ValueError:
             return None
-        columns = None if recipe.keys else staged.columns(h.effect, model.bench.width)
+        columns = None if recipe.keys else staged.columns(effect, model.bench.width)
         if columns is None:
             continue
         eye = Eye(model.bench, staged)

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 BETTER = 0.98
 """Error on blocks left out, over that of the weighed fit, below which the plain one is taken."""
 
+NOTHING: Final = 1e-3
+"""Mean square, of the noise's, that is no matter."""
 MERIT: Final = 6.0
 """Difference of merit from which the other of two models is taken."""
 
@@ -38,6 +40,7 @@ class Model:
     Args:
         bench: on which it was found.
         nuisances: what the baseline itself fits; effects: what was found.
+        white: whitened residual, less what the effects predict beyond their slopes (y: the same unfiltered).
         plain: all frequencies weighed alike, for a model that leaves physics over.
         theta: parameters learnt on the training rows (those of moments on all), nuisances first; final: on all rows,
             covariance: of these.
@@ -48,21 +51,42 @@ class Model:
     effects: list[Hypothesis]
     white: Array
     plain: bool = False
+    y: Array = field(init=False)
     theta: Array = field(init=False)
     final: Array = field(init=False)
     covariance: Array = field(init=False)
 
     def __post_init__(self) -> None:
         """Fits."""
+        bends = [h.bend for h in self.effects if h.bend is not None]
+        self.y = self.bench.whole - sum(bends, np.zeros_like(self.bench.whole))
         train, everything = np.flatnonzero(self.bench.train), np.flatnonzero(~self.bench.dropped)
         parts, y = self.flat() if self.plain else (self.parts, self.white)
-        self.theta = fit(parts, y, train, self.bench.width)
-        self.final = fit(parts, y, everything, self.bench.width)
+        self.theta = self._fitted(parts, y, train)
+        self.final = self._fitted(parts, y, everything)
         self.covariance = self._covariance(parts, y, everything)
         # What belongs to moments has no rows to be learnt on but its own.
         for h, s in zip(self.parts, self.slices(), strict=True):
             if h.effect is not None and h.effect.EPISODIC:
                 self.theta[s] = self.final[s]
+
+    def _fitted(self, parts: list[Hypothesis], y: Array, rows: Chosen) -> Array:
+        """Parameters learnt on some rows; what is curved stays where it was settled if its tangent does not reach so far."""
+        theta = fit(parts, y, rows, self.bench.width)
+        stays = [np.full(h.count, np.nan) for h in parts]
+        for k, (h, s) in enumerate(zip(parts, self.slices(), strict=True)):
+            if h.theta is not None and h.effect is not None and h.effect.curved and not self._reaches(h, theta[s]):
+                stays[k] = h.theta
+        held = np.concatenate([np.empty(0), *stays])
+        return theta if np.isnan(held).all() else fit(parts, y, rows, self.bench.width, held)
+
+    def _reaches(self, h: Hypothesis, theta: Array) -> bool:
+        """Whether an effect does at theta (k,) what its tangent says, by the noise."""
+        assert h.effect is not None, "nuisances are linear"
+        assert h.bend is not None, "a tangent has one"
+        there = self.bench.rows.average(h.effect.change(self.bench.scene, theta))
+        off = there - h.bend - h.raw.values @ theta
+        return bool(np.max(np.mean(off**2, axis=0) / self.bench.noise.sigma**2) < NOTHING)
 
     @property
     def parts(self) -> list[Hypothesis]:
@@ -81,7 +105,9 @@ class Model:
             [h.effect for h in out if isinstance(h.effect, Saturation)],
         )
         if not limits:
-            return Model(self.bench, self.nuisances, kept, self.white, self.plain)
+            bends = [h.bend for h in out if h.bend is not None]
+            white = self.bench.whitened(self.y + sum(bends)) if bends else self.white
+            return Model(self.bench, self.nuisances, kept, white, self.plain)
         bench = copy(self.bench)
         bench.timing = [(effect, theta) for effect, theta in bench.timing if effect not in limits]
         whole = [h if h.effect is None or h.theta is not None else bench.add(h.effect, h.looked) for h in kept]
@@ -95,13 +121,13 @@ class Model:
             values = h.raw.values / sigma[list(h.raw.channels)][:, None]
             return replace(h, white=Columns(h.raw.channels, values))
 
-        return [plain(h) for h in self.parts], self.bench.y / sigma
+        return [plain(h) for h in self.parts], self.y / sigma
 
     def rest(self, *, white: bool = False) -> Array:
         """(M, C) what the model learnt on the training rows leaves."""
         if not white:
-            rows = np.arange(len(self.bench.y))
-            return self.bench.y - predicted(self.parts, self.theta, rows, self.bench.width)
+            rows = np.arange(len(self.y))
+            return self.y - predicted(self.parts, self.theta, rows, self.bench.width)
         out = self.white.copy()
         for h, s in zip(self.parts, self.slices(), strict=True):
             out[:, list(h.white.channels)] -= h.white.values @ self.theta[s]

@@ -43,7 +43,7 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
     free = _free(model)
     for n, h in enumerate(parts):
         s = where[id(h)]
-        signal[:, list(h.raw.channels)] += h.raw.values @ model.final[s]
+        signal[:, list(h.raw.channels)] += h.does(model.final[s])
         variance[list(h.raw.channels)] += _rms_variance(h, model.final[s], model.covariance[s, s], free)
         parameters |= _parameters(model, h, s, prefix=_prefix(h) if len(parts) > 1 else "", number=n)
     power = np.mean((signal - free * signal.mean(axis=0)) ** 2, axis=0)
@@ -84,8 +84,9 @@ def _free(model: Model) -> Array:
 
 def _rms_variance(h: Hypothesis, theta: Array, covariance: Array, free: Array) -> Array:
     """Variance of the rms of a signal in each of its channels, to first order in its parameters."""
-    centred = h.raw.values - free[list(h.raw.channels)][:, None] * h.raw.values.mean(axis=0)
-    signal = centred @ theta
+    free, does = free[list(h.raw.channels)], h.does(theta)
+    centred = h.raw.values - free[:, None] * h.raw.values.mean(axis=0)
+    signal = does - free * does.mean(axis=0)
     size = np.sqrt(np.maximum(np.mean(signal**2, axis=0), 1e-300))
     slope = np.einsum("nc,nck->ck", signal, centred) / (len(signal) * size[:, None])
     return np.asarray(np.einsum("ck,kl,cl->c", slope, covariance, slope))

@@ -9,8 +9,8 @@ from galen_hw.diagnosis.score import Scorer
 from galen_hw.spatial import Array
 
 
-def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int) -> Array:
-    """Generalised least squares of a model on some rows."""
+def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int, stays: Array | None = None) -> Array:
+    """Generalised least squares of a model on some rows; `stays`: (k,) values that parameters keep besides, else nan."""
     size = sum(h.count for h in model)
     G, b = np.zeros((size, size)), np.zeros(size)
     starts = np.cumsum([0, *(h.count for h in model)])
@@ -22,7 +22,8 @@ def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int) -> Arra
         X = np.concatenate([h.white.values[:, h.white.channels.index(c)] for h, _ in mine], axis=1)[rows]
         G[np.ix_(at, at)] += X.T @ X
         b[at] += X.T @ white[rows, c]
-    return pinned_at(np.concatenate([np.empty(0), *(h.held for h in model)]), G, b)
+    held = np.concatenate([np.empty(0), *(h.held for h in model)])
+    return pinned_at(held if stays is None else np.where(np.isnan(held), stays, held), G, b)
 
 
 def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int) -> Array:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 def settle(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
     """Nonlinear effects are linearised anew where they stand; what they do beyond their slope is taken off the residual."""
+    rebase(scorer, chosen)
     for _ in range(3):
         theta = scorer.solve(chosen)[0]
         done = sum(h.count for h in scorer.base)
@@ -33,10 +34,13 @@ def settle(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
             t, done = theta[done : done + h.count], done + h.count
             if h.effect is None or h.effect.exact(bench.scene, t) is None:
                 continue
-            new = tangent(bench, h, t)
+            new = _settled(bench, scorer, chosen, i) if h.effect.curved else tangent(bench, h, t)
             assert new.bend is not None, "a tangent has one"
+            assert new.theta is not None, "a tangent has one"
             beyond += new.bend
-            moved = moved or h.theta is None or bool(np.max(np.abs(h.theta - t)) > 1e-3 * np.max(np.abs(t)))
+            moved = (
+                moved or h.theta is None or bool(np.max(np.abs(h.theta - new.theta)) > 1e-3 * np.max(np.abs(new.theta)))
+            )
             fresh.append((place, new))
         if not fresh or not moved:
             return
@@ -47,16 +51,49 @@ def settle(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
         scorer.retarget(bench.y)
 
 
+def straightened(scorer: Scorer, chosen: list[int]) -> Array:
+    """(M, C) residual less what the effects of a model predict beyond their slopes."""
+    bends = [b for i in chosen if (b := scorer.library[i].bend) is not None]
+    return np.asarray(scorer.bench.whole - sum(bends, np.zeros_like(scorer.bench.whole)))
+
+
+def rebase(scorer: Scorer, chosen: list[int]) -> None:
+    """The scorer is given the residual that belongs to a model, if it has another's."""
+    y = straightened(scorer, chosen)
+    if not _same(scorer, y):
+        scorer.bench.y = y
+        scorer.retarget(y)
+
+
+def as_if(scorer: Scorer, chosen: list[int]) -> AbstractContextManager[None]:
+    """The scorer for a while on the residual that belongs to a model."""
+    y = straightened(scorer, chosen)
+    return nullcontext() if _same(scorer, y) else scorer.against(y)
+
+
+def _same(scorer: Scorer, y: Array) -> bool:
+    return bool(np.max(np.abs(y - scorer.bench.y) / scorer.bench.noise.sigma, initial=0.0) < ROUNDING)
+
+
+def _settled(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Hypothesis:
+    """The chosen hypothesis i, which is curved, at its optimum beside the others."""
+    h = scorer.library[i]
+    assert h.theta is not None, "it is chosen as a tangent"
+    with unbent(scorer, i):
+        beside = Beside(bench, scorer, [j for j in chosen if j != i])
+    return descended(bench, beside, h, h.theta)[1]
+
+
 def tangent(bench: Bench, h: Hypothesis, theta: Array) -> Hypothesis:
     """The hypothesis linearised at theta, with what it predicts there beyond slope times theta."""
     effect, scene = h.effect, bench.scene
     assert effect is not None, "nuisances are linear"
     here = effect.change(scene, theta)
     slopes = []
-    for k in range(h.count):
+    for k, stride in enumerate(effect.strides(scene, theta).tolist()):
         step = np.zeros(h.count)
-        step[k] = 1e-4 * max(float(np.max(np.abs(theta))), 1e-6)
-        slopes.append((effect.change(scene, theta + step) - effect.change(scene, theta - step)) / (2.0 * step[k]))
+        step[k] = stride
+        slopes.append((effect.change(scene, theta + step) - effect.change(scene, theta - step)) / (2.0 * stride))
     raw = bench.averaged(Columns(tuple(range(bench.width)), np.stack(slopes, axis=-1)))
     out = bench.made(effect, raw, h.looked)
     out.theta, out.bend = theta, bench.rows.average(here) - raw.values @ theta
@@ -153,6 +190,8 @@ def _on_a_grid(h: Hypothesis) -> bool:
     return h.effect is not None and bool(h.effect.searched()) and h.looked == 1
 
 
+ROUNDING = 1e-6
+"""Of the noise."""
 LATER = 0.1
 """A delay or lag that moves by more than this share makes all other effects' columns anew."""
 
@@ -340,3 +379,47 @@ class Beside:
         if len(self.G):
             own -= cross.T @ solve_sym(self.G, cross)
         return own, r
+
+
+STEPS = 60
+ENOUGH = 0.1
+"""Fall of twice the log likelihood by which a step must have paid for another."""
+DAMPING = 1e-3
+"""Of the first step, of the square of each column; ten times more where a step does not pay, a tenth where it does."""
+STUCK = 1e6
+
+
+def descended(
+    bench: Bench, beside: Beside, h: Hypothesis, theta: Array, steps: int = STEPS
+) -> tuple[float, Hypothesis]:
+    """The least cost beside a model that damped steps from theta (k,) lead to, and the tangent there.
+
+    Source: Levenberg 1944, Marquardt 1963; the model's own parameters are solved for at each step (variable projection).
+    """
+    assert h.effect is not None, "nuisances are linear"
+    low = np.array([p.low for p in h.effect.parameters(bench.scene)])
+    here, cost, A, r = _step_from(bench, beside, h, theta)
+    damping = DAMPING
+    for _ in range(steps):
+        further = np.maximum(theta + solve_sym(A + damping * np.diag(np.diag(A)), r[:, None])[:, 0], low)
+        there = _step_from(bench, beside, h, further)
+        if there[1] >= cost:
+            damping *= 10.0
+            if damping > STUCK:
+                break
+            continue
+        paid, theta, damping = cost - there[1], further, 0.1 * damping
+        here, cost, A, r = there
+        if paid < ENOUGH:
+            break
+    return cost, here
+
+
+def _step_from(bench: Bench, beside: Beside, h: Hypothesis, theta: Array) -> tuple[Hypothesis, float, Array, Array]:
+    """The tangent at theta, its cost beside the model, and normal equations A (k, k), r (k,) of a step from there."""
+    here = tangent(bench, h, theta)
+    assert here.bend is not None, "a tangent has one"
+    own = here.bend + here.raw.values @ theta
+    raw = Columns(here.raw.channels, np.concatenate([here.raw.values, own[:, :, None]], axis=2))
+    G, b = beside.products(bench.made(None, raw))
+    return here, float(G[-1, -1] - 2.0 * b[-1]), G[:-1, :-1], b[:-1] - G[:-1, -1]

@@ -6,10 +6,11 @@ from galen_hw.diagnosis import seek
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.clocks import one_clock, reclocked
 from galen_hw.diagnosis.linear import crossed, rests
-from galen_hw.diagnosis.nonlinear import bent, in_place, load, polished, retime, settle, unbent
+from galen_hw.diagnosis.nonlinear import as_if, bent, in_place, load, polished, rebase, retime, settle, unbent
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
 from galen_hw.diagnosis.score import Score, Scorer, threshold
-from galen_hw.diagnosis.selection import Selection
+from galen_hw.diagnosis.selection import Selection, place_of
+from galen_hw.diagnosis.tendons import tightened
 from galen_hw.diagnosis.worth import WORTH, asked, plausible, taken, worth
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.table import EFFECTS, effect_class
@@ -64,8 +65,10 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         best = _best(bench, scorer, out, scores, refused)
         if best is not None:
             out.chosen.append(best)
+            tightened(bench, scorer, out, best)
         elif not (
             _split(bench, scorer, out)
+            or tightened(bench, scorer, out)
             or one_clock(bench, scorer, out)
             or reclocked(bench, scorer, out)
             or (moved and _exchanged(bench, scorer, out, refused))
@@ -82,7 +85,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         refused.clear()
     for i in out.chosen:
         # What the others can do as well has no score of its own.
-        score = scorer.scores([j for j in out.chosen if j != i], [i])[0].get(i)
+        score = _alone(scorer, out.chosen, i)
         if score is not None:
             out.evidence[i] = score
     return out
@@ -159,26 +162,22 @@ def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int,
     return sorted([*able, *(i for i in fresh if i in scores)], key=lambda i: -scores[i].rank)
 
 
-def place_of(effect: Effect | None) -> tuple[str, ...]:
-    """Where an effect sits: one hypothesis of a kind a place; those of moments may stand side by side."""
-    if effect is None or effect.KEY in ("step", "vibration", "torque_ripple", "contact"):
-        return (str(id(effect)),)
-    names = ("joint", "channel", "driver", "source", "place", "part", "axis")
-    place = [str(getattr(effect, name, "")) for name in names]
-    errors = getattr(effect, "errors", ())
-    form = getattr(effect, "form", "") if effect.KEY in ("compliance", "cable_drag") else ""
-    return (effect.KEY, *place, *map(str, errors), form)
-
-
 def _drop(scorer: Scorer, out: Selection) -> None:
     """Backward: what no longer stands beside the others goes."""
     while len(out.chosen) > 1:
-        alone = {i: scorer.scores([j for j in out.chosen if j != i], [i])[0].get(i) for i in out.chosen}
+        alone = {i: _alone(scorer, out.chosen, i) for i in out.chosen}
         worst = min(out.chosen, key=lambda i: -np.inf if alone[i] is None else alone[i].rank)  # type: ignore[union-attr]
         score = alone[worst]
         if score is not None and score.rank > 0.0 and score.surprise > 0.7 * out.needed:
             return
         out.chosen.remove(worst)
+        rebase(scorer, out.chosen)
+
+
+def _alone(scorer: Scorer, chosen: list[int], i: int) -> Score | None:
+    """The score of a chosen hypothesis beside the others."""
+    with unbent(scorer, i):
+        return scorer.scores([j for j in chosen if j != i], [i])[0].get(i)
 
 
 def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bool:
@@ -189,6 +188,7 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
         taken = {place_of(scorer.library[j].effect) for j in others}
         rivals = {j: s for j, s in in_place(bench, scorer, out.chosen, i).items() if j not in refused}
         rivals = {j: s for j, s in rivals.items() if place_of(scorer.library[j].effect) not in taken}
+        rivals = {j: s for j, s in rivals.items() if not _loosens(scorer.library[j].effect, scorer.library[i].effect)}
         if i not in rivals:
             continue
         # A plainer one need not be better, only as good: what came first in an earlier turn must not decide.
@@ -203,10 +203,18 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
         if best == i or able[best] <= rivals[i].rank + margin:
             continue
         trial = [best if j == i else j for j in out.chosen]
-        before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, trial)
+        before = crossed(bench, scorer, out.chosen)
+        with as_if(scorer, trial):
+            after = crossed(bench, scorer, trial)
         if float(np.mean(after / before)) <= 1.0 + ALIKE:
             out.chosen = trial
+            rebase(scorer, trial)
     return out.chosen != start
+
+
+def _loosens(other: Effect | None, effect: Effect | None) -> bool:
+    """Whether the other is what the effect was found from, with parameters that take more than its physics."""
+    return other is not None and effect is not None and other != effect and other.relaxed == effect.relaxed != effect
 
 
 def _exchanged(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bool:
@@ -253,7 +261,9 @@ def _split(bench: Bench, scorer: Scorer, out: Selection) -> bool:
         if len(chain) < 2 or total < ranks[i].rank + 6.0 + slack(misfit) * ranks[i].gain:
             continue
         real = all(plausible(bench, scorer, [*others, *(x for x in chain if x != one)], one) for one in chain)
-        before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, [*others, *chain])
+        before = crossed(bench, scorer, out.chosen)
+        with as_if(scorer, [*others, *chain]):
+            after = crossed(bench, scorer, [*others, *chain])
         if real and float(np.mean(after / before)) < 1.0:
             out.chosen = [*others, *chain]
             return True

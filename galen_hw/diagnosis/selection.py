@@ -22,6 +22,7 @@ class Selection:
         needed: surprise that chance reaches.
         refused: effects that looked significant but did not pass the guard.
         clocked: how often a model, by the families of its effects, was asked for all of its clocks at once.
+        tightened: models whose spring was already asked for the tendon that it may be.
         begun: (n, C) squared errors of the training rows, each left out, before anything was chosen.
     """
 
@@ -32,6 +33,7 @@ class Selection:
     needed: float = 0.0
     refused: list[tuple[Effect, float]] = field(default_factory=list)
     clocked: Counter[frozenset[object]] = field(default_factory=Counter)
+    tightened: set[frozenset[object]] = field(default_factory=set)
     begun: Array = field(default_factory=lambda: np.empty((0, 0)))
 
     @property
@@ -43,3 +45,14 @@ class Selection:
     def hypotheses(self) -> list[Hypothesis]:
         """The chosen ones."""
         return [self.scorer.library[i] for i in self.chosen]
+
+
+def place_of(effect: Effect | None) -> tuple[str, ...]:
+    """Where an effect sits: one hypothesis of a kind a place; those of moments may stand side by side."""
+    if effect is None or effect.KEY in ("step", "vibration", "torque_ripple", "contact"):
+        return (str(id(effect)),)
+    names = ("joint", "channel", "driver", "source", "place", "part", "axis")
+    place = [str(getattr(effect, name, "")) for name in names]
+    errors = getattr(effect, "errors", ())
+    form = getattr(effect, "form", "") if effect.KEY == "compliance" else ""
+    return (effect.KEY, *place, *map(str, errors), form)

@@ -45,7 +45,7 @@ def _alone(model: Model, effect: Vibration) -> Array:
     out = model.rest().copy()
     for h, s in zip(model.parts, model.slices(), strict=True):
         if h.effect is effect:
-            out[:, list(h.raw.channels)] += h.raw.values @ model.theta[s]
+            out[:, list(h.raw.channels)] += h.does(model.theta[s])
     return out
 
 

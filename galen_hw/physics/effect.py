@@ -137,6 +137,10 @@ class Effect(ABC):
         out[:, list(columns.channels)] = columns.values @ np.asarray(theta, dtype=float)
         return out
 
+    def strides(self, scene: Scene, theta: Array) -> Array:
+        """(k,) steps of its parameters by which `exact` is differentiated around theta (k,)."""
+        return np.full(len(theta), 1e-4 * max(float(np.max(np.abs(theta))), 1e-6))
+
     @property
     def joints(self) -> tuple[str, ...]:
         """Joints it sits in."""
@@ -184,6 +188,16 @@ class Effect(ABC):
     def at_work(self, scene: Scene) -> bool:
         """Whether it does, in this recording, what it is named for: friction that never breaks loose is a lag by another name."""
         return True
+
+    @property
+    def relaxed(self) -> Self:
+        """The same with more parameters than its physics has, so that it is linear in them."""
+        return self
+
+    @property
+    def curved(self) -> bool:
+        """Whether its slope at nothing says little of what it does elsewhere: it is settled step by damped step."""
+        return self.relaxed != self
 
     @property
     def stripped(self) -> Self:

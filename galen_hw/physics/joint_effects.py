@@ -1,4 +1,4 @@
-"""Effects that act in a joint or along the arm: friction, torque ripple, cables."""
+"""Effects that act in a joint: friction and torque ripple."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
@@ -7,11 +7,10 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_all, in_channel, log_grid, spacing
+from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_channel, log_grid, spacing
 from galen_hw.physics.scene import Scene
-from galen_hw.physics.scene_joint import EffortScene
 from galen_hw.physics.time_effects import joint_of
-from galen_hw.spatial import Array, skew
+from galen_hw.spatial import Array
 
 RESPONSE = 0.03
 """Time constant of a position servo to begin with, s, where no simulation tells it."""
@@ -249,105 +248,3 @@ class TorqueRipple(Effect):
         """Sine and cosine of the joint's position."""
         phase = self.wave_number * scene.q[:, scene.joint_index(self.joint)]
         return in_channel(_place(scene, self.joint), scene.seen(np.stack([np.sin(phase), np.cos(phase)], axis=-1)).T)
-
-
-@dataclass(frozen=True)
-class CableDrag(Effect):
-    """A cable or hose pulls.
-
-    "spring": from a point of the sensor's body (or the last link, in efforts) to a point of the base, f = R^T (F0 - k p), torque
-    c x f for an unknown lever c (linear relaxation: 15 numbers); "joint": one channel along with one joint, r = k q_j, with the
-    cable's own dry friction r = k q_j + c s(dq_j) in "joint_dry".
-
-    Visible when the arm moves far. Confused with drift where poses are ordered, with payload and base_tilt, and
-    with hysteresis when it rubs.
-    """
-
-    KEY = "cable_drag"
-    form: str
-    channel: str = ""
-    joint: str = ""
-    transition: float = 1.0
-
-    @classmethod
-    def propose(cls, scene: Scene) -> Iterator[Self]:
-        """The spring for wrenches; single channels and joints for wrenches and efforts."""
-        group = scene.observations.predict
-        if group == "wrench" and scene.belief.robot is not None:
-            yield cls("spring")
-            yield cls("pull")
-        if isinstance(scene, EffortScene) and scene.tip() is not None:
-            yield cls("spring")
-        if group not in ("wrench", "effort"):
-            return
-        for joint in scene.moved:
-            speed = float(np.nanstd(scene.rates[0][:, scene.joint_index(joint)]))
-            for channel in scene.channels:
-                if group == "effort" and joint_of(channel) != joint:
-                    continue
-                yield cls("joint", channel, joint)
-                if scene.clock and speed > 0.0 and group == "wrench":
-                    yield cls("joint_dry", channel, joint, 0.03 * speed)
-
-    @property
-    def freedom(self) -> int | None:
-        """Stiffness, a point of the base and a point of the body; or a pull and its point."""
-        return {"spring": 7, "pull": 6}.get(self.form)
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Where the arm must move for it to show."""
-        return (self.joint,) if self.joint else ()
-
-    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Stiffness, pulls and levers."""
-        if self.form.startswith("joint"):
-            unit = scene.units[scene.channels.index(self.channel)]
-            stiffness = Parameter("stiffness", f"{unit}/(rad or m)")
-            return (stiffness,) if self.form == "joint" else (stiffness, Parameter("dry_friction", unit))
-        pulls = [Parameter(f"pull_{a}", "N") for a in "xyz"]
-        if self.form == "pull":
-            return tuple(pulls + [Parameter(f"torque_{i}{j}", "N m") for i in "xyz" for j in "xyz"])
-        levers = [Parameter(f"torque_{i}{j}", "N m") for i in "xyz" for j in "xyz"]
-        arms = tuple(Parameter(f"stiffness_lever_{a}", "N") for a in "xyz")
-        turned = tuple(Parameter(f"turned_lever_{a}", "N") for a in "xyz")
-        more = turned if isinstance(scene, EffortScene) else ()
-        return (Parameter("stiffness", "N/m"), *pulls, *arms, *levers, *more)
-
-    def columns(self, scene: Scene) -> Columns:
-        """Positions of the joint, or pulls along the base's axes seen from the sensor."""
-        if self.form.startswith("joint"):
-            place, joint = scene.channels.index(self.channel), scene.joint_index(self.joint)
-            q = scene.q[:, joint]
-            rubs = [] if self.form == "joint" else [np.tanh(scene.rates[0][:, joint] / self.transition)]
-            return in_channel(place, [q, *(scene.seen(rub[:, None])[:, 0] for rub in rubs)])
-        if isinstance(scene, EffortScene):
-            return self._in_efforts(scene)
-        Rt = np.swapaxes(scene.T[:, :3, :3], 1, 2)  # type: ignore[attr-defined]
-        p = np.einsum("nij,nj->ni", Rt, scene.T[:, :3, 3])  # type: ignore[attr-defined]
-        levers = skew(np.eye(3))
-        out = np.zeros((len(scene), 6, 16))
-        out[:, :3, 0], out[:, :3, 1:4] = -p, Rt
-        out[:, 3:, 4:7] = -np.einsum("iab,nb->nai", levers, p)
-        out[:, 3:, 7:] = np.einsum("iab,nbj->naij", levers, Rt).reshape(-1, 3, 9)
-        if self.form == "pull":
-            out = out[:, :, [1, 2, 3, *range(7, 16)]]
-        return Columns(tuple(range(6)), out)
-
-    def _in_efforts(self, scene: "EffortScene") -> Columns:
-        """The same spring on the last link, by virtual work: stiffness, pulls, and what an unknown lever adds."""
-        known = scene.tip()
-        assert known is not None, "proposed only with a URDF"
-        pose, answer = known
-        R, p = pose[:, :3, :3], pose[:, :3, 3]
-        push, turn = answer[:, :, :3], answer[:, :, 3:]
-
-        def of(ports: Array, vectors: Array) -> Array:
-            return np.asarray(np.einsum("nci,ni->nc", ports, vectors))
-
-        axes = [R[:, :, i] for i in range(3)]
-        out = [of(push, -p), *(push[:, :, i] for i in range(3))]
-        out += [of(turn, np.cross(a, -p)) for a in axes]
-        out += [of(turn, np.cross(a, np.eye(3)[j])) for a in axes for j in range(3)]
-        out += [of(push, -a) for a in axes]
-        return in_all(out, len(scene.channels))

@@ -35,7 +35,7 @@ EFFECTS: Final[dict[str, str]] = {
     "compliance": "galen_hw.physics.elastic_effects:Compliance",
     "hardening": "galen_hw.physics.elastic_effects:Hardening",
     "torque_ripple": "galen_hw.physics.joint_effects:TorqueRipple",
-    "cable_drag": "galen_hw.physics.joint_effects:CableDrag",
+    "cable_drag": "galen_hw.physics.cable_effects:CableDrag",
     "contact": "galen_hw.physics.event_effects:Contact",
     "unknown": "galen_hw.physics.event_effects:Unknown",
 }

@@ -9,6 +9,7 @@ from io import BytesIO
 from math import nan
 from pathlib import Path
 from typing import Any, Final
+from zlib import crc32
 
 import msgspec
 from mcap.data_stream import ReadDataStream
@@ -23,6 +24,7 @@ from galen_hw.messages import TOPICS, Message
 MAGIC: Final = b"\x89MCAP0\r\n"
 _HEAD: Final = struct.Struct("<BQ")
 _FOOTER: Final = struct.Struct("<BQQQI")
+_CHECKSUM_BYTES: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,11 +102,14 @@ class McapFile:
             tail = file.read(_FOOTER.size)
             if len(tail) < _FOOTER.size:
                 return
-            opcode, _, start, _, _ = _FOOTER.unpack(tail)
+            opcode, _, start, _, checksum = _FOOTER.unpack(tail)
             if opcode != Opcode.FOOTER or not 0 < start < size:
                 return
             file.seek(start)
             rest = file.read()
+        # Its checksum ends before itself; 0: none was written. A damaged name would make messages of one topic another's.
+        if checksum and checksum != crc32(rest[: -len(MAGIC) - _CHECKSUM_BYTES]):
+            return
         place = 0
         while place + _HEAD.size <= len(rest):
             opcode, length = _HEAD.unpack_from(rest, place)

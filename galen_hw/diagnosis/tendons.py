@@ -1,0 +1,133 @@
+"""A tendon in the place of a spring: what the spring's many parameters took from others must be said by these."""
+
+import numpy as np
+
+from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.linear import crossed
+from galen_hw.diagnosis.nonlinear import Beside, as_if, descended, rebase, settle
+from galen_hw.diagnosis.plainness import ALIKE
+from galen_hw.diagnosis.score import Scorer
+from galen_hw.diagnosis.selection import Selection, place_of
+from galen_hw.physics.cable_effects import LOOSE, TENDON, CableDrag
+from galen_hw.spatial import Array
+
+FIRST_STEPS = 6
+MARGIN = 6.0
+"""Beyond the price of a parameter, in units of the log likelihood ratio."""
+MOST_BESIDE = 3
+"""Effects that may come to light beside a tendon before it is compared with the spring."""
+
+
+def tightened(bench: Bench, scorer: Scorer, out: Selection, just: int | None = None) -> bool:
+    """Whether a tendon took the place of a spring, with what then comes to light beside it.
+
+    A spring that is linear in all that is unknown has fifteen parameters for a tendon's eight: the others take a tilt, a
+    payload or a joint's zero with them. These are asked for again beside the tendon, and both models pay for every
+    parameter. Of a spring that was `just` chosen the tendon alone is asked: what is still to be found, a drift, is not
+    behind the spring.
+    """
+    model = frozenset((just is None, *(scorer.library[i].family for i in out.chosen)))
+    for i in out.chosen if just is None else [just]:
+        effect = scorer.library[i].effect
+        if not isinstance(effect, CableDrag) or model in out.tightened:
+            continue
+        if effect.form in LOOSE or (effect.tendon and just is None):
+            out.tightened.add(model)
+            return _instead(bench, scorer, out, i, MOST_BESIDE if just is None else 0)
+    return False
+
+
+def _instead(bench: Bench, scorer: Scorer, out: Selection, i: int, most: int) -> bool:
+    """Whether a better tendon, with so many others at most, took the place of the chosen cable i."""
+    before, errors = scorer.solve(out.chosen)[2], crossed(bench, scorer, out.chosen)
+    others = [j for j in out.chosen if j != i]
+    starts = _starts(bench, scorer, others, i)
+    if not starts:
+        return False
+    trial = _with_tendon(bench, scorer, out, others, starts, most)
+    more = sum(_numbers(scorer, j) for j in trial) - sum(_numbers(scorer, j) for j in out.chosen)
+    price = more * float(np.log(bench.noise.effective)) + (MARGIN if more == 0 else 0.0)
+    if scorer.solve(trial)[2] + price < before and _as_good(errors, crossed(bench, scorer, trial)):
+        out.chosen = trial
+        return True
+    rebase(scorer, out.chosen)
+    return False
+
+
+def _starts(bench: Bench, scorer: Scorer, others: list[int], i: int) -> list[Array]:
+    """(8,) tendons that pull as a spring does in the place of the cable i; and as that one does if it is a tendon."""
+    h, out = scorer.library[i], list[Array]()
+    loose = (j for j, one in enumerate(scorer.library) if h.effect is not None and one.effect == h.effect.relaxed)
+    with as_if(scorer, others):
+        for j in loose:
+            spring, theta = scorer.library[j].effect, scorer.solve([*others, j])[0][-scorer.library[j].count :]
+            assert isinstance(spring, CableDrag), "what relaxes a cable is one"
+            out += spring.tendons(bench.scene, theta)
+    return out if h.theta is None else [*out, h.theta[: len(TENDON)]]
+
+
+def _with_tendon(
+    bench: Bench, scorer: Scorer, out: Selection, others: list[int], starts: list[Array], most: int
+) -> list[int]:
+    """The others with the tendon that suits them, and with what comes to light beside it, best first."""
+    rebase(scorer, others)
+    while True:
+        found = _best(bench, Beside(bench, scorer, others), starts)
+        assert found.theta is not None, "a tangent has one"
+        scorer.append([found])
+        trial = [*others, len(scorer.library) - 1]
+        settle(bench, scorer, trial)
+        best = _beside(scorer, out, trial) if most else None
+        if best is None:
+            return trial
+        # The tendon is sought anew beside it: what it had done in its place may be far from what it is.
+        others, starts, most = [*trial[:-1], best], [found.theta[: len(TENDON)]], most - 1
+        rebase(scorer, others)
+
+
+def _beside(scorer: Scorer, out: Selection, trial: list[int]) -> int | None:
+    """The best hypothesis beside a model that chance does not explain, of those that a spring can have taken with it."""
+    scores = scorer.scores(trial)[0]
+    taken = {place_of(scorer.library[j].effect) for j in trial}
+    able = [j for j, s in scores.items() if s.surprise > out.needed and s.rank > 0.0 and _is_plain(scorer, j)]
+    able = [j for j in able if place_of(scorer.library[j].effect) not in taken]
+    return max(able, key=lambda j: scores[j].rank, default=None)
+
+
+def _is_plain(scorer: Scorer, j: int) -> bool:
+    """Whether it lasts and nothing of it is searched: a spring that is linear knows neither the clock nor the past."""
+    h = scorer.library[j]
+    return h.effect is not None and not h.effect.EPISODIC and not h.effect.searched() and h.looked == 1
+
+
+def _as_good(before: Array, after: Array) -> bool:
+    """Whether errors (C,) on blocks left out do not rise."""
+    return float(np.mean(after / before)) <= 1.0 + ALIKE
+
+
+def _numbers(scorer: Scorer, i: int) -> int:
+    """Parameters that a hypothesis has, whatever its physics would need."""
+    h = scorer.library[i]
+    return h.count - int(np.sum(~np.isnan(h.held))) + (0 if h.effect is None else len(h.effect.searched()))
+
+
+def _best(bench: Bench, beside: Beside, starts: list[Array]) -> Hypothesis:
+    """The tendon that explains most beside a model, from tendons (8,) to begin with; in a conduit that rubs where that pays."""
+    tendon = CableDrag("tendon")
+    cost, found = _least(bench, beside, tendon, starts)
+    assert found.theta is not None, "a tangent has one"
+    rubbing = tendon.rubbing(bench.scene, found.theta) if bench.scene.clock else []
+    if not rubbing:
+        return found
+    less, other = _least(bench, beside, CableDrag("tendon_dry"), rubbing)
+    return other if less + np.log(bench.noise.effective) + MARGIN < cost else found
+
+
+def _least(bench: Bench, beside: Beside, effect: CableDrag, starts: list[Array]) -> tuple[float, Hypothesis]:
+    """From the start that promises most after a few steps."""
+    h, begun = bench.add(effect), starts[0]
+    if len(starts) > 1:
+        first = [descended(bench, beside, h, start, FIRST_STEPS) for start in starts]
+        found = min(first, key=lambda end: end[0])[1].theta
+        begun = begun if found is None else found
+    return descended(bench, beside, h, begun)

@@ -1,0 +1,100 @@
+"""A cable is the tendon that it is: found with its clip, its anchor and its friction, and with what hides behind it."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import diagnosis_cases as cases
+from diagnosis_cases import Bench
+
+from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.kinematics import GalenRobot
+from galen_hw.physics.cable_effects import CableDrag
+from galen_hw.physics.scene_wrench import WrenchScene
+from galen_hw.physics.table import scene_of
+
+CLIP, ANCHOR = np.array([0.02, 0.0, -0.03]), np.array([0.2, 0.05, 0.45])
+
+
+def pulled(bench: Bench, stiffness: float, rest: float, friction: float = 0.0) -> None:
+    """A taut cable on the sensor's body, its friction overcome before it follows; written row by row."""
+    pose = GalenRobot().sensor_pose(bench.q)
+    tension = 0.0
+    for k, (R, p) in enumerate(zip(pose[:, :3, :3], pose[:, :3, 3], strict=True)):
+        span = ANCHOR - p - R @ CLIP
+        wanted = stiffness * max(float(np.linalg.norm(span)) - rest, 0.0)
+        start = wanted if k == 0 else tension
+        tension = max(min(max(start, wanted - friction), wanted + friction), 0.0)
+        force = R.T @ (tension * span / np.linalg.norm(span))
+        bench.wrench[k] += np.concatenate([force, np.cross(CLIP, force)])
+
+
+def diagnosed(bench: Bench) -> Work:
+    return diagnose(scene_of(bench.observations()))
+
+
+def named(work: Work) -> set[str]:
+    return {f.effect for f in work.diagnosis.findings}
+
+
+def found_cable(work: Work) -> dict[str, tuple[float, float]]:
+    """Parameters of the cable with their standard deviations."""
+    (one,) = [f for f in work.diagnosis.findings if f.effect == "cable_drag"]
+    return {name: (value.value, value.std) for name, value in one.parameters.items()}
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.03])
+def test_a_tendon_pulls_as_a_taut_cable_does(friction: float) -> None:
+    """Slack for part of the way, and with friction in its conduit."""
+    bench = Bench(rows=600)
+    scene = scene_of(bench.observations())
+    assert isinstance(scene, WrenchScene)
+    pose = GalenRobot().sensor_pose(bench.q)
+    lengths = np.linalg.norm(ANCHOR - pose[:, :3, 3] - pose[:, :3, :3] @ CLIP, axis=1)
+    rest = float(np.quantile(lengths, 0.3))
+    before = bench.wrench.copy()
+    pulled(bench, 7.0, rest, friction)
+    theta = np.array([7.0, *ANCHOR, rest, *CLIP, friction])
+    effect = CableDrag("tendon_dry" if friction else "tendon")
+    change = effect.change(scene, theta if friction else theta[:8])
+    assert 0.1 < np.mean(~(bench.wrench - before).any(axis=1)) < 0.5 or friction
+    np.testing.assert_allclose(change, bench.wrench - before, atol=1e-12)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.04])
+def test_a_cable_is_told_with_its_place_and_its_friction(friction: float) -> None:
+    """Every parameter within four of its standard deviations, and the stiffness to a twentieth or so."""
+    bench = Bench(rows=4000)
+    pulled(bench, 4.0, 0.2, friction)
+    work = diagnosed(bench)
+    assert named(work) == {"cable_drag"}
+    told = found_cable(work)
+    true = {"stiffness": 4.0, "rest_length": 0.2, **({"dry_friction": friction} if friction else {})}
+    true |= {f"anchor_{a}": x for a, x in zip("xyz", ANCHOR, strict=True)}
+    true |= {f"clip_{a}": x for a, x in zip("xyz", CLIP, strict=True)}
+    assert ("dry_friction" in told) == bool(friction)
+    for name, value in true.items():
+        assert told[name][0] == pytest.approx(value, abs=4.0 * told[name][1]), name
+    assert told["stiffness"][1] < 0.1 * 4.0
+    assert work.model.rest(white=True)[work.bench.train].std() < 1.03
+
+
+@pytest.mark.parametrize("hidden", [cases.base_tilt, cases.gain, cases.joint_offset])
+def test_what_is_beside_a_cable_is_not_taken_for_a_part_of_it(hidden) -> None:
+    """A spring that is linear in all that is unknown has parameters enough for both."""
+    bench = Bench(rows=4000)
+    hidden(bench)
+    pulled(bench, 1.0, 0.2, 0.005)
+    assert named(diagnosed(bench)) == {"cable_drag", hidden.__name__}
+
+
+def test_a_pull_that_nothing_stretches_is_no_cable() -> None:
+    """A forgotten weight pulls at its point too, the same way everywhere."""
+    bench = Bench(rows=4000)
+    cases.payload(bench)
+    cases.gain(bench)
+    assert named(diagnosed(bench)) == {"payload", "gain"}
