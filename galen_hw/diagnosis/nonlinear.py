@@ -81,7 +81,7 @@ def _settled(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Hypothe
     assert h.theta is not None, "it is chosen as a tangent"
     with unbent(scorer, i):
         beside = Beside(bench, scorer, [j for j in chosen if j != i])
-    return descended(bench, beside, h, h.theta)[1]
+    return descended(bench, beside, h, h.theta, AGAIN)[1]
 
 
 def tangent(bench: Bench, h: Hypothesis, theta: Array) -> Hypothesis:
@@ -381,7 +381,9 @@ class Beside:
         return own, r
 
 
-STEPS = 60
+STEPS = 30
+AGAIN = 4
+"""Steps of what was at its optimum before something else changed."""
 ENOUGH = 0.1
 """Fall of twice the log likelihood by which a step must have paid for another."""
 DAMPING = 1e-3
@@ -402,17 +404,24 @@ def descended(
     damping = DAMPING
     for _ in range(steps):
         further = np.maximum(theta + solve_sym(A + damping * np.diag(np.diag(A)), r[:, None])[:, 0], low)
-        there = _step_from(bench, beside, h, further)
-        if there[1] >= cost:
+        paid = cost - _cost(bench, beside, h, further)
+        if not paid > 0.0:
             damping *= 10.0
             if damping > STUCK:
                 break
             continue
-        paid, theta, damping = cost - there[1], further, 0.1 * damping
-        here, cost, A, r = there
+        theta, damping = further, 0.1 * damping
+        here, cost, A, r = _step_from(bench, beside, h, theta)
         if paid < ENOUGH:
             break
     return cost, here
+
+
+def _cost(bench: Bench, beside: Beside, h: Hypothesis, theta: Array) -> float:
+    """Whitened sum of squares beside a model with the effect at theta, less that without it."""
+    assert h.effect is not None, "nuisances are linear"
+    there = bench.rows.average(h.effect.change(bench.scene, theta))
+    return -beside.whole(bench.made(None, Columns(tuple(range(bench.width)), there[:, :, None])))
 
 
 def _step_from(bench: Bench, beside: Beside, h: Hypothesis, theta: Array) -> tuple[Hypothesis, float, Array, Array]:

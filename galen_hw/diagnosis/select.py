@@ -255,7 +255,8 @@ def _split(bench: Bench, scorer: Scorer, out: Selection) -> bool:
         taken = {place_of(scorer.library[j].effect) for j in others}
         with unbent(scorer, i):
             firsts = _firsts(scorer, ranks, taken, LEAST_PART * ranks[i].gain, effect)
-            chains = [_chain(scorer, others, a, ranks, out.needed) for a in firsts]
+            plain = {j: score for j, score in ranks.items() if j != i}
+            chains = [_chain(scorer, others, a, plain, out.needed) for a in firsts]
         total, chain = max(chains, default=(0.0, []), key=lambda x: x[0])
         misfit = scorer.misfit(out.chosen)
         if len(chain) < 2 or total < ranks[i].rank + 6.0 + slack(misfit) * ranks[i].gain:

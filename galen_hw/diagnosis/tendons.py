@@ -14,6 +14,8 @@ from galen_hw.spatial import Array
 FIRST_STEPS = 6
 MARGIN = 6.0
 """Beyond the price of a parameter, in units of the log likelihood ratio."""
+OFTEN = 3
+"""Times that a search asks for its tendon: where physics is missing its models never settle."""
 MOST_BESIDE = 3
 """Effects that may come to light beside a tendon before it is compared with the spring."""
 
@@ -29,7 +31,7 @@ def tightened(bench: Bench, scorer: Scorer, out: Selection, just: int | None = N
     model = frozenset((just is None, *(scorer.library[i].family for i in out.chosen)))
     for i in out.chosen if just is None else [just]:
         effect = scorer.library[i].effect
-        if not isinstance(effect, CableDrag) or model in out.tightened:
+        if not isinstance(effect, CableDrag) or model in out.tightened or len(out.tightened) == OFTEN:
             continue
         if effect.form in LOOSE or (effect.tendon and just is None):
             out.tightened.add(model)
