@@ -213,8 +213,10 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
 
 
 def _loosens(other: Effect | None, effect: Effect | None) -> bool:
-    """Whether the other is what the effect was found from, with parameters that take more than its physics."""
-    return other is not None and effect is not None and other != effect and other.relaxed == effect.relaxed != effect
+    """Whether the other is of the kind that the effect was found from, linear in more parameters than its physics has."""
+    if other is None or effect is None or not effect.curved or other.curved:
+        return False
+    return place_of(other) == place_of(effect)
 
 
 def _exchanged(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bool:

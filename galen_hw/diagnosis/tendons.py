@@ -33,7 +33,7 @@ def tightened(bench: Bench, scorer: Scorer, out: Selection, just: int | None = N
         effect = scorer.library[i].effect
         if not isinstance(effect, CableDrag) or model in out.tightened or len(out.tightened) == OFTEN:
             continue
-        if effect.form in LOOSE or (effect.tendon and just is None):
+        if effect.form in LOOSE or (effect.curved and just is None):
             out.tightened.add(model)
             return _instead(bench, scorer, out, i, MOST_BESIDE if just is None else 0)
     return False
@@ -59,7 +59,7 @@ def _instead(bench: Bench, scorer: Scorer, out: Selection, i: int, most: int) ->
 def _starts(bench: Bench, scorer: Scorer, others: list[int], i: int) -> list[Array]:
     """(8,) tendons that pull as a spring does in the place of the cable i; and as that one does if it is a tendon."""
     h, out = scorer.library[i], list[Array]()
-    loose = (j for j, one in enumerate(scorer.library) if h.effect is not None and one.effect == h.effect.relaxed)
+    loose = (j for j, one in enumerate(scorer.library) if one.effect == CableDrag("spring"))
     with as_if(scorer, others):
         for j in loose:
             spring, theta = scorer.library[j].effect, scorer.solve([*others, j])[0][-scorer.library[j].count :]

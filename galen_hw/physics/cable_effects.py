@@ -77,16 +77,16 @@ class CableDrag(Effect):
     @property
     def relaxed(self) -> Self:
         """The spring for the tendon."""
-        return replace(self, form="spring") if self.tendon or self.form == "pull" else self
+        return replace(self, form="spring") if self.curved else self
 
     @property
-    def tendon(self) -> bool:
-        """Whether it is one, and not linear in its parameters."""
+    def curved(self) -> bool:
+        """A tendon is."""
         return self.form.startswith("tendon")
 
     def strides(self, scene: Scene, theta: Array) -> Array:
         """A ten-thousandth of the stiffness (of 1 N/m at least) and of the friction, a tenth of a millimetre."""
-        if not self.tendon:
+        if not self.curved:
             return super().strides(scene, theta)
         return np.array([1e-4 * max(abs(theta[0]), 1.0), *7 * [1e-4], *(1e-4 * abs(theta[8:])).clip(1e-6)])
 
@@ -97,7 +97,7 @@ class CableDrag(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Stiffness, pulls and levers; of a tendon the anchor in the base, and the clip in the sensor's frame or the link's."""
-        if self.tendon:
+        if self.curved:
             return TENDON if self.form == "tendon" else TENDON + DRY
         if self.form.startswith("joint"):
             unit = scene.units[scene.channels.index(self.channel)]
@@ -119,7 +119,7 @@ class CableDrag(Effect):
             q = scene.q[:, joint]
             rubs = [] if self.form == "joint" else [np.tanh(scene.rates[0][:, joint] / self.transition)]
             return in_channel(place, [q, *(scene.seen(rub[:, None])[:, 0] for rub in rubs)])
-        if self.tendon:
+        if self.curved:
             return self._tangent_at_nothing(scene)
         if isinstance(scene, EffortScene):
             return self._in_efforts(scene)
@@ -136,7 +136,7 @@ class CableDrag(Effect):
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
         """The pull of a tendon."""
-        if not self.tendon:
+        if not self.curved:
             return None
         R, p, answer = _carrier(scene)
         lever, span, length = _stretched(R, p, theta)

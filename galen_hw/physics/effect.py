@@ -197,7 +197,7 @@ class Effect(ABC):
     @property
     def curved(self) -> bool:
         """Whether its slope at nothing says little of what it does elsewhere: it is settled step by damped step."""
-        return self.relaxed != self
+        return False
 
     @property
     def stripped(self) -> Self:
