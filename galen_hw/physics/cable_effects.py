@@ -152,10 +152,9 @@ class CableDrag(Effect):
         return np.concatenate([felt, np.cross(theta[5:8], felt, axis=0)]).T
 
     def tendons(self, scene: Scene, theta: Array) -> list[Array]:
-        """(8,) parameters of tendons that pull about as this spring or pull does with its parameters theta (k,)."""
+        """(8,) parameters of tendons that pull about as this spring does with its parameters theta (k,)."""
         R, p = (x.mean(axis=-1) for x in _carrier(scene)[:2])
-        stiffness, constant = (theta[0], theta[1:4]) if self.form == "spring" else (0.0, theta[:3])
-        of_stiffness, of_constant = (theta[4:7], theta[7:16]) if self.form == "spring" else (np.zeros(3), theta[3:12])
+        stiffness, constant, of_stiffness, of_constant = theta[0], theta[1:4], theta[4:7], theta[7:16]
         # One lever stands in twelve numbers.
         known = of_stiffness * stiffness + of_constant.reshape(3, 3) @ constant
         clip = known / max(stiffness**2 + float(constant @ constant), 1e-300)
