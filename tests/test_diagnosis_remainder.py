@@ -15,6 +15,7 @@ from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.findings import dependence
 from galen_hw.diagnosis.generic import Inputs, dictionaries
 from galen_hw.diagnosis.inner_products import Functions
+from galen_hw.diagnosis.pursuit import Pursuit
 from galen_hw.diagnosis.remainder import RIDGES, Ridge, learn
 from galen_hw.diagnosis.rows import Rows
 from galen_hw.diagnosis.seek import spikes
@@ -243,3 +244,49 @@ def test_noise_that_grows_ever_slower_is_not_what_a_model_leaves() -> None:
     work = judged(bench)
     assert work.diagnosis.verdict == "agrees"
     assert np.all(work.bench.noise.slower > 1.1)
+
+
+def test_one_function_of_many_is_taken_alone_and_holds_on_another_motion_better_than_its_family() -> None:
+    """The rest is one product of two speeds: all forty of them, each a little, predict another motion less well."""
+    work = judged(stray(Bench(1, rows=4000)))
+    bench, names = work.bench, ["products of speeds", "positions times speeds"]
+    functions = Functions(bench)
+    sums = functions.plain(names, 0), functions.white(names, 0)
+    rests = (
+        work.model.rest()[functions.rows, 0] / bench.noise.sigma[0],
+        work.model.rest(white=True)[functions.rows, 0],
+    )
+    alone, family = (of(*sums, *rests, weighed=True) for of in (Pursuit, Ridge))
+    assert alone.chosen == ["products of speeds"]
+    assert np.count_nonzero(alone.coefficients()["products of speeds"]) == 1
+    assert alone.reached > family.reached
+    other = stray(Bench(2, rows=4000))
+    scene = scene_of(other.observations())
+    rows = Rows(tuple(scene.segments), bench.rows.stride)
+    inputs = Inputs.of(scene, rows, like=functions.inputs)
+    rest = rows.average(scene.residual)[:, 0]
+
+    def error(parts: dict[str, np.ndarray]) -> float:
+        told = sum(dict(dictionaries(inputs))[n] @ t - functions.means[n] @ t for n, t in parts.items())
+        return float(np.std(rest - told))
+
+    assert error(alone.coefficients()) < error(family.coefficients())
+    assert error(alone.coefficients()) < 1.01 * SIGMA[0] / np.sqrt(bench.rows.stride)
+
+
+def test_what_predicts_a_row_was_not_fitted_on_it() -> None:
+    """The prediction of each fold is that of least squares on the others; nothing is taken of a rest that is noise."""
+    work = judged(stray(Bench(1, rows=4000)))
+    bench, names = work.bench, ["products of speeds"]
+    functions = Functions(bench)
+    sums, y = functions.plain(names, 0), work.model.rest()[functions.rows, 0] / bench.noise.sigma[0]
+    alone = Pursuit(sums, functions.white(names, 0), y, work.model.rest(white=True)[functions.rows, 0], weighed=False)
+    at = int(np.flatnonzero(alone.coefficients()[names[0]])[0])
+    x = functions.columns[names[0]][functions.rows, at]
+    out = np.zeros(len(y))
+    for rows in functions.folds:
+        others = np.delete(np.arange(len(y)), rows)
+        out[rows] = x[rows] * (x[others] @ y[others]) / (x[others] @ x[others])
+    assert alone.crossed() == pytest.approx(out, abs=1e-9)
+    noise = np.random.default_rng(5).normal(size=(2, len(y)))
+    assert not Pursuit(sums, functions.white(names, 0), *noise, weighed=True).chosen

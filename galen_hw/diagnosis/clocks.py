@@ -13,8 +13,10 @@ import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
 from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.bends import tangent
+from galen_hw.diagnosis.descent import Beside
 from galen_hw.diagnosis.linear import crossed
-from galen_hw.diagnosis.nonlinear import Beside, settle, tangent
+from galen_hw.diagnosis.nonlinear import settle
 from galen_hw.diagnosis.plainness import ALIKE
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection

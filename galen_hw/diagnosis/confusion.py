@@ -15,8 +15,9 @@ from scipy.optimize import minimize_scalar
 
 from galen_hw.diagnosis.algebra import WEAK, orthonormal, pinned_at, scaled, solve_sym
 from galen_hw.diagnosis.bench import Hypothesis
+from galen_hw.diagnosis.bends import unbent
 from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.nonlinear import ahead, bent, unbent, unclocked
+from galen_hw.diagnosis.nonlinear import ahead, bent, unclocked
 from galen_hw.diagnosis.result import Confusion, Finding
 from galen_hw.diagnosis.score import Left, Scorer
 from galen_hw.diagnosis.selection import Selection

@@ -1,25 +1,19 @@
-"""What is not linear in its parameters: effects linearised anew where they stand, late streams, searched values polished."""
+"""What is not linear in its parameters: linearised anew where it stands, compared at its optimum, searched values polished."""
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from galen_hw.diagnosis import stream
-from galen_hw.diagnosis.algebra import solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.bends import rebase, tangent, unbent
+from galen_hw.diagnosis.descent import AGAIN, Beside, descended
 from galen_hw.diagnosis.linear import fit, rests
 from galen_hw.diagnosis.score import Score, Scorer
-from galen_hw.physics.effect import DOUBT, Columns, Downstream, Effect
-from galen_hw.physics.sensor_effects import Saturation
+from galen_hw.physics.effect import DOUBT, Effect
 from galen_hw.spatial import Array
-
-if TYPE_CHECKING:
-    from galen_hw.diagnosis.rows import Index
-    from galen_hw.physics.scene import Scene
 
 
 def settle(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
@@ -51,30 +45,6 @@ def settle(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
         scorer.retarget(bench.y)
 
 
-def straightened(scorer: Scorer, chosen: list[int]) -> Array:
-    """(M, C) residual less what the effects of a model predict beyond their slopes."""
-    bends = [b for i in chosen if (b := scorer.library[i].bend) is not None]
-    return np.asarray(scorer.bench.whole - sum(bends, np.zeros_like(scorer.bench.whole)))
-
-
-def rebase(scorer: Scorer, chosen: list[int]) -> None:
-    """The scorer is given the residual that belongs to a model, if it has another's."""
-    y = straightened(scorer, chosen)
-    if not _same(scorer, y):
-        scorer.bench.y = y
-        scorer.retarget(y)
-
-
-def as_if(scorer: Scorer, chosen: list[int]) -> AbstractContextManager[None]:
-    """The scorer for a while on the residual that belongs to a model."""
-    y = straightened(scorer, chosen)
-    return nullcontext() if _same(scorer, y) else scorer.against(y)
-
-
-def _same(scorer: Scorer, y: Array) -> bool:
-    return bool(np.max(np.abs(y - scorer.bench.y) / scorer.bench.noise.sigma, initial=0.0) < ROUNDING)
-
-
 def _settled(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Hypothesis:
     """The chosen hypothesis i, which is curved, at its optimum beside the others."""
     h = scorer.library[i]
@@ -82,22 +52,6 @@ def _settled(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Hypothe
     with unbent(scorer, i):
         beside = Beside(bench, scorer, [j for j in chosen if j != i])
     return descended(bench, beside, h, h.theta, AGAIN)[1]
-
-
-def tangent(bench: Bench, h: Hypothesis, theta: Array) -> Hypothesis:
-    """The hypothesis linearised at theta, with what it predicts there beyond slope times theta."""
-    effect, scene = h.effect, bench.scene
-    assert effect is not None, "nuisances are linear"
-    here = effect.change(scene, theta)
-    slopes = []
-    for k, stride in enumerate(effect.strides(scene, theta).tolist()):
-        step = np.zeros(h.count)
-        step[k] = stride
-        slopes.append((effect.change(scene, theta + step) - effect.change(scene, theta - step)) / (2.0 * stride))
-    raw = bench.averaged(Columns(tuple(range(bench.width)), np.stack(slopes, axis=-1)))
-    out = bench.made(effect, raw, h.looked)
-    out.theta, out.bend = theta, bench.rows.average(here) - raw.values @ theta
-    return out
 
 
 NEARLY = 0.1
@@ -164,12 +118,6 @@ def _is_bent(bench: Bench, h: Hypothesis) -> bool:
     return h.effect is not None and h.effect.exact(bench.scene, np.zeros(h.count)) is not None
 
 
-def unbent(scorer: Scorer, i: int) -> AbstractContextManager[None]:
-    """The scorer for a while on the residual as if the chosen hypothesis i had never been there."""
-    bend = scorer.library[i].bend
-    return nullcontext() if bend is None else scorer.against(scorer.bench.y + bend)
-
-
 def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:
     """The chosen hypothesis and the best of the kinds that nearly reach it."""
     leaders: dict[object, int] = {}
@@ -188,63 +136,6 @@ def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:
 def _on_a_grid(h: Hypothesis) -> bool:
     """Whether it has searched values, and these from a grid; what was sought in the residual has found its own."""
     return h.effect is not None and bool(h.effect.searched()) and h.looked == 1
-
-
-ROUNDING = 1e-6
-"""Of the noise."""
-LATER = 0.1
-"""A delay or lag that moves by more than this share makes all other effects' columns anew."""
-
-
-def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
-    """What a late or lagging stream delivers of the other effects is late too: a delayed play is not a delay plus a play."""
-    for _ in range(2):
-        theta, now = scorer.solve(chosen)[0], list[tuple[Downstream, Array]]()
-        done = sum(h.count for h in scorer.base)
-        for i in chosen:
-            h = scorer.library[i]
-            t, done = theta[done : done + h.count], done + h.count
-            if isinstance(h.effect, Downstream):
-                now.append((h.effect, t))
-        before = bench.stream
-        load(bench, scorer, chosen)
-        if _same_timing(bench.timing, now) and _same_clips(now, before, bench.stream):
-            return
-        bench.timing = now
-        bench.stream.limited = frozenset(stream.limited(now))
-        scorer.retime()
-        settle(bench, scorer, chosen)
-
-
-def load(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
-    """The bench's stream is given what the model adds to the simulation: a reading that clips, clips all of it."""
-    scene, theta = bench.scene, scorer.solve(chosen)[0]
-    standing, done = np.zeros(bench.width), 0
-    for h in scorer.base:
-        if len(h.raw.channels) == 1:
-            standing[h.raw.channels[0]] = theta[done]
-        done += h.count
-    effects = []
-    for i in chosen:
-        h = scorer.library[i]
-        t, done = theta[done : done + h.count], done + h.count
-        if h.effect is not None:
-            effects.append((h.effect, t))
-    carried = stream.carried(scene, effects, bench.timing)
-    bench.stream = scene.carrying(standing, carried, stream.limited(bench.timing))
-
-
-def _same_clips(timing: list[tuple[Downstream, Array]], old: "Scene", new: "Scene") -> bool:
-    """Whether the readings that clip are the same ones, and come back to the same constants."""
-    clips = [effect for effect, _ in timing if isinstance(effect, Saturation)]
-    return all(np.array_equal(c.clipped(old), c.clipped(new)) for c in clips)
-
-
-def _same_timing(old: list[tuple[Downstream, Array]], new: list[tuple[Downstream, Array]]) -> bool:
-    return len(old) == len(new) and all(
-        a == b and bool(np.max(np.abs(s - t)) <= LATER * np.max(np.abs(t)))
-        for (a, s), (b, t) in zip(old, new, strict=True)
-    )
 
 
 def bent(bench: Bench, scorer: Scorer, chosen: list[int], i: int, score: Score) -> Score:
@@ -334,101 +225,3 @@ def _along(bench: Bench, scorer: Scorer, chosen: list[int], effect: Effect, name
     tolerance, most = (3e-3, 12) if coarse else (min(1e-3, 1e-2 * np.log(wide)), 20)
     found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": tolerance, "maxiter": most})
     return effect.with_searched({name: float(np.exp(found.x))}) if found.fun < cost(np.log(value)) else effect
-
-
-class Beside:
-    """What one more hypothesis would add to a model, from inner products with that model's columns alone."""
-
-    def __init__(self, bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
-        model = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
-        model = [h for h in model if np.isnan(h.held).all()]
-        rest, rows = rests(bench, scorer, chosen)[1], bench.train
-        self.train, self.width, self.scene = rows, bench.width, bench.scene
-        self.rest = [rest[rows, c] for c in range(bench.width)]
-        ends = np.cumsum([0, *(h.count for h in model)])
-        self.at: list[Index] = []
-        self.columns: list[Array] = []
-        self.G = np.zeros((ends[-1], ends[-1]))
-        for c in range(bench.width):
-            mine = [(h, k) for k, h in enumerate(model) if c in h.white.channels and h.count]
-            at = [np.arange(ends[k], ends[k + 1]) for _, k in mine]
-            parts = [h.white.values[:, h.white.channels.index(c)][rows] for h, _ in mine]
-            self.at.append(np.concatenate([np.empty(0, dtype=np.intp), *at]))
-            self.columns.append(np.concatenate([np.empty((int(rows.sum()), 0)), *parts], axis=1))
-            self.G[np.ix_(self.at[c], self.at[c])] += self.columns[c].T @ self.columns[c]
-
-    def gain(self, h: Hypothesis) -> float:
-        """Fall of the whitened sum of squares when it joins."""
-        own, r = self.products(h)
-        pinned = h.pinned_gain(self.scene, own, r)
-        return pinned if pinned is not None else float(r @ solve_sym(own, r[:, None])[:, 0])
-
-    def whole(self, h: Hypothesis) -> float:
-        """The same of what is known by size: its columns as they are."""
-        own, r = self.products(h)
-        return float(2.0 * r.sum() - own.sum())
-
-    def products(self, h: Hypothesis) -> tuple[Array, Array]:
-        """(k, k) of its columns beside the model, and (k,) with what that leaves."""
-        own, r, cross = np.zeros((h.count, h.count)), np.zeros(h.count), np.zeros((len(self.G), h.count))
-        for i, c in enumerate(h.white.channels):
-            X = h.white.values[:, i][self.train]
-            own += X.T @ X
-            r += X.T @ self.rest[c]
-            cross[self.at[c]] += self.columns[c].T @ X
-        if len(self.G):
-            own -= cross.T @ solve_sym(self.G, cross)
-        return own, r
-
-
-STEPS = 30
-AGAIN = 4
-"""Steps of what was at its optimum before something else changed."""
-ENOUGH = 0.1
-"""Fall of twice the log likelihood by which a step must have paid for another."""
-DAMPING = 1e-3
-"""Of the first step, of the square of each column; ten times more where a step does not pay, a tenth where it does."""
-STUCK = 1e6
-
-
-def descended(
-    bench: Bench, beside: Beside, h: Hypothesis, theta: Array, steps: int = STEPS
-) -> tuple[float, Hypothesis]:
-    """The least cost beside a model that damped steps from theta (k,) lead to, and the tangent there.
-
-    Source: Levenberg 1944, Marquardt 1963; the model's own parameters are solved for at each step (variable projection).
-    """
-    assert h.effect is not None, "nuisances are linear"
-    low = np.array([p.low for p in h.effect.parameters(bench.scene)])
-    here, cost, A, r = _step_from(bench, beside, h, theta)
-    damping = DAMPING
-    for _ in range(steps):
-        further = np.maximum(theta + solve_sym(A + damping * np.diag(np.diag(A)), r[:, None])[:, 0], low)
-        paid = cost - _cost(bench, beside, h, further)
-        if not paid > 0.0:
-            damping *= 10.0
-            if damping > STUCK:
-                break
-            continue
-        theta, damping = further, 0.1 * damping
-        here, cost, A, r = _step_from(bench, beside, h, theta)
-        if paid < ENOUGH:
-            break
-    return cost, here
-
-
-def _cost(bench: Bench, beside: Beside, h: Hypothesis, theta: Array) -> float:
-    """Whitened sum of squares beside a model with the effect at theta, less that without it."""
-    assert h.effect is not None, "nuisances are linear"
-    there = bench.rows.average(h.effect.change(bench.scene, theta))
-    return -beside.whole(bench.made(None, Columns(tuple(range(bench.width)), there[:, :, None])))
-
-
-def _step_from(bench: Bench, beside: Beside, h: Hypothesis, theta: Array) -> tuple[Hypothesis, float, Array, Array]:
-    """The tangent at theta, its cost beside the model, and normal equations A (k, k), r (k,) of a step from there."""
-    here = tangent(bench, h, theta)
-    assert here.bend is not None, "a tangent has one"
-    own = here.bend + here.raw.values @ theta
-    raw = Columns(here.raw.channels, np.concatenate([here.raw.values, own[:, :, None]], axis=2))
-    G, b = beside.products(bench.made(None, raw))
-    return here, float(G[-1, -1] - 2.0 * b[-1]), G[:-1, :-1], b[:-1] - G[:-1, -1]

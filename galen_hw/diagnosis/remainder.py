@@ -13,6 +13,7 @@ import numpy as np
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.generic import Inputs
 from galen_hw.diagnosis.inner_products import Functions, Sums, by_name
+from galen_hw.diagnosis.pursuit import Pursuit
 from galen_hw.diagnosis.rows import Rows
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
@@ -85,9 +86,8 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
         names = [name for name in functions.columns if name in kind]
         plain, whitened = functions.plain(names, c), functions.white(names, c)
         targets = rest[functions.rows, c], white[functions.rows, c]
-        best = max(
-            (Ridge(plain, whitened, *targets, weighed=w) for w in (True, False)), key=lambda ridge: ridge.reached
-        )
+        tried = [of(plain, whitened, *targets, weighed=w) for of in (Ridge, Pursuit) for w in (True, False)]
+        best: Ridge | Pursuit = max(tried, key=lambda one: one.reached)
         if best.chosen:
             parts[c] = best.coefficients()
             crossed[functions.rows, c] = best.crossed() * bench.noise.sigma[c]

@@ -4,10 +4,12 @@ import numpy as np
 
 from galen_hw.diagnosis import seek
 from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.bends import as_if, rebase, unbent
 from galen_hw.diagnosis.clocks import one_clock, reclocked
 from galen_hw.diagnosis.linear import crossed, rests
-from galen_hw.diagnosis.nonlinear import as_if, bent, in_place, load, polished, rebase, retime, settle, unbent
+from galen_hw.diagnosis.nonlinear import bent, in_place, polished, settle
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
+from galen_hw.diagnosis.retiming import load, retime
 from galen_hw.diagnosis.score import Score, Scorer, threshold
 from galen_hw.diagnosis.selection import Selection, place_of
 from galen_hw.diagnosis.tendons import tightened

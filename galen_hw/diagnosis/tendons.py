@@ -3,8 +3,10 @@
 import numpy as np
 
 from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.bends import as_if, rebase
+from galen_hw.diagnosis.descent import Beside, descended
 from galen_hw.diagnosis.linear import crossed
-from galen_hw.diagnosis.nonlinear import Beside, as_if, descended, rebase, settle
+from galen_hw.diagnosis.nonlinear import settle
 from galen_hw.diagnosis.plainness import ALIKE
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection, place_of

@@ -1,0 +1,59 @@
+"""What an effect that is not linear does beyond its slope: taken off the residual while it is part of a model."""
+
+from contextlib import AbstractContextManager, nullcontext
+
+import numpy as np
+
+from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.score import Scorer
+from galen_hw.physics.effect import Columns
+from galen_hw.spatial import Array
+
+ROUNDING = 1e-6
+"""Of the noise."""
+
+
+def tangent(bench: Bench, h: Hypothesis, theta: Array) -> Hypothesis:
+    """The hypothesis linearised at theta, with what it predicts there beyond slope times theta."""
+    effect, scene = h.effect, bench.scene
+    assert effect is not None, "nuisances are linear"
+    here = effect.change(scene, theta)
+    slopes = []
+    for k, stride in enumerate(effect.strides(scene, theta).tolist()):
+        step = np.zeros(h.count)
+        step[k] = stride
+        slopes.append((effect.change(scene, theta + step) - effect.change(scene, theta - step)) / (2.0 * stride))
+    raw = bench.averaged(Columns(tuple(range(bench.width)), np.stack(slopes, axis=-1)))
+    out = bench.made(effect, raw, h.looked)
+    out.theta, out.bend = theta, bench.rows.average(here) - raw.values @ theta
+    return out
+
+
+def straightened(scorer: Scorer, chosen: list[int]) -> Array:
+    """(M, C) residual less what the effects of a model predict beyond their slopes."""
+    bends = [b for i in chosen if (b := scorer.library[i].bend) is not None]
+    return np.asarray(scorer.bench.whole - sum(bends, np.zeros_like(scorer.bench.whole)))
+
+
+def rebase(scorer: Scorer, chosen: list[int]) -> None:
+    """The scorer is given the residual that belongs to a model, if it has another's."""
+    y = straightened(scorer, chosen)
+    if not _same(scorer, y):
+        scorer.bench.y = y
+        scorer.retarget(y)
+
+
+def as_if(scorer: Scorer, chosen: list[int]) -> AbstractContextManager[None]:
+    """The scorer for a while on the residual that belongs to a model."""
+    y = straightened(scorer, chosen)
+    return nullcontext() if _same(scorer, y) else scorer.against(y)
+
+
+def unbent(scorer: Scorer, i: int) -> AbstractContextManager[None]:
+    """The scorer for a while on the residual as if the chosen hypothesis i had never been there."""
+    bend = scorer.library[i].bend
+    return nullcontext() if bend is None else scorer.against(scorer.bench.y + bend)
+
+
+def _same(scorer: Scorer, y: Array) -> bool:
+    return bool(np.max(np.abs(y - scorer.bench.y) / scorer.bench.noise.sigma, initial=0.0) < ROUNDING)

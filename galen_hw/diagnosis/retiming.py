@@ -1,0 +1,71 @@
+"""What a late, lagging or clipping stream delivers of the other effects is late, smoothed or clipped too."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from galen_hw.diagnosis import stream
+from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.nonlinear import settle
+from galen_hw.diagnosis.score import Scorer
+from galen_hw.physics.effect import Downstream
+from galen_hw.physics.sensor_effects import Saturation
+from galen_hw.spatial import Array
+
+if TYPE_CHECKING:
+    from galen_hw.physics.scene import Scene
+
+
+LATER = 0.1
+"""A delay or lag that moves by more than this share makes all other effects' columns anew."""
+
+
+def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
+    """What a late or lagging stream delivers of the other effects is late too: a delayed play is not a delay plus a play."""
+    for _ in range(2):
+        theta, now = scorer.solve(chosen)[0], list[tuple[Downstream, Array]]()
+        done = sum(h.count for h in scorer.base)
+        for i in chosen:
+            h = scorer.library[i]
+            t, done = theta[done : done + h.count], done + h.count
+            if isinstance(h.effect, Downstream):
+                now.append((h.effect, t))
+        before = bench.stream
+        load(bench, scorer, chosen)
+        if _same_timing(bench.timing, now) and _same_clips(now, before, bench.stream):
+            return
+        bench.timing = now
+        bench.stream.limited = frozenset(stream.limited(now))
+        scorer.retime()
+        settle(bench, scorer, chosen)
+
+
+def load(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
+    """The bench's stream is given what the model adds to the simulation: a reading that clips, clips all of it."""
+    scene, theta = bench.scene, scorer.solve(chosen)[0]
+    standing, done = np.zeros(bench.width), 0
+    for h in scorer.base:
+        if len(h.raw.channels) == 1:
+            standing[h.raw.channels[0]] = theta[done]
+        done += h.count
+    effects = []
+    for i in chosen:
+        h = scorer.library[i]
+        t, done = theta[done : done + h.count], done + h.count
+        if h.effect is not None:
+            effects.append((h.effect, t))
+    carried = stream.carried(scene, effects, bench.timing)
+    bench.stream = scene.carrying(standing, carried, stream.limited(bench.timing))
+
+
+def _same_clips(timing: list[tuple[Downstream, Array]], old: "Scene", new: "Scene") -> bool:
+    """Whether the readings that clip are the same ones, and come back to the same constants."""
+    clips = [effect for effect, _ in timing if isinstance(effect, Saturation)]
+    return all(np.array_equal(c.clipped(old), c.clipped(new)) for c in clips)
+
+
+def _same_timing(old: list[tuple[Downstream, Array]], new: list[tuple[Downstream, Array]]) -> bool:
+    return len(old) == len(new) and all(
+        a == b and bool(np.max(np.abs(s - t)) <= LATER * np.max(np.abs(t)))
+        for (a, s), (b, t) in zip(old, new, strict=True)
+    )
