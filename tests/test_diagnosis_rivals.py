@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -17,9 +18,11 @@ from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.judge import judge
 from galen_hw.diagnosis.nonlinear import ahead, in_place
 from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.wanted import sure
+from galen_hw.diagnosis.wanted import shows_in_noise, sure
+from galen_hw.diagnosis.worth import WORTH, worth
 from galen_hw.kinematics import GalenRobot, UrdfRobot
 from galen_hw.physics.elastic_effects import Hardening
+from galen_hw.physics.geometry_effects import JointOffset
 from galen_hw.physics.memory_effects import Backlash, Hysteresis
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.rigid import Body
@@ -306,3 +309,18 @@ def test_no_bias_beside_a_compliance_that_accounts_for_it() -> None:
     belief = Belief(robot=robot, tool=tool, tip=tip, bias_free=False)
     work = diagnose(scene_of(Observations("pose", columns, None, belief)))
     assert set(named(work)) == {"time_delay", "compliance"}
+
+
+@pytest.mark.parametrize(("size", "there"), [(2e-3, True), (0.0, False)])
+def test_a_small_effect_is_not_lost_in_large_slow_noise(size: float, there: bool) -> None:
+    """Raw errors on blocks left out are the slow noise's; whitened ones show a joint's zero of a fifth of the noise."""
+    bench = Bench(31, rows=6000, rate=50.0)
+    wander = lfilter([1.0], [1.0, -0.995], bench.rng.normal(size=bench.noise.shape), axis=0) * np.sqrt(1 - 0.995**2)
+    bench.noise = (0.9 * wander + 0.44 * bench.rng.normal(size=bench.noise.shape)) * cases.SIGMA
+    bench.wrench = cases.hanging(cases.rotation(bench.q[:, 3] + size, bench.q[:, 4]))
+    work = diagnose(scene_of(bench.observations()))
+    selection = work.selection
+    scorer, selection.chosen = selection.scorer, []
+    place = next(i for i, h in enumerate(scorer.library) if h.effect == JointOffset("roll"))
+    assert worth(work.bench, scorer, selection, place)[0] < 0.5 * WORTH
+    assert shows_in_noise(work.bench, scorer, selection, place) is there

@@ -11,6 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import diagnosis_cases as cases
 from diagnosis_cases import Bench
 
+from galen_hw.diagnosis.descent import Beside, descended
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.cable_effects import CableDrag
@@ -98,3 +99,16 @@ def test_a_pull_that_nothing_stretches_is_no_cable() -> None:
     cases.payload(bench)
     cases.gain(bench)
     assert named(diagnosed(bench)) == {"payload", "gain"}
+
+
+def test_no_cable_hangs_from_thirty_metres_away() -> None:
+    """A search that leads far away, or begins there, ends where a cable of an arm can be."""
+    bench = Bench(rows=1000)
+    bench.wrench[:, 5] += 2.0 * cases.SIGMA[5] * np.maximum(bench.q[:, 4] - 0.2, 0.0) / 0.1
+    work = diagnosed(bench)
+    beside, tendon = Beside(work.bench, work.selection.scorer, []), work.bench.add(CableDrag("tendon"))
+    for begun in ([1.0, *ANCHOR, 0.2, *CLIP], [5e-5, -30.0, 2.0, 1.6, 43.0, -1.9, 33.0, 3.3]):
+        found = descended(work.bench, beside, tendon, np.array(begun))[1]
+        assert found.theta is not None
+        assert np.all(np.abs(found.theta[1:5]) <= 10.0)
+        assert np.all(np.abs(found.theta[5:8]) <= 1.0)

@@ -79,11 +79,13 @@ def descended(
     Source: Levenberg 1944, Marquardt 1963; the model's own parameters are solved for at each step (variable projection).
     """
     assert h.effect is not None, "nuisances are linear"
-    low = np.array([p.low for p in h.effect.parameters(bench.scene)])
+    named = h.effect.parameters(bench.scene)
+    low, high = np.array([max(p.low, -p.furthest) for p in named]), np.array([min(p.high, p.furthest) for p in named])
+    theta = np.clip(theta, low, high)
     here, cost, A, r = _step_from(bench, beside, h, theta)
     damping = DAMPING
     for _ in range(steps):
-        further = np.maximum(theta + solve_sym(A + damping * np.diag(np.diag(A)), r[:, None])[:, 0], low)
+        further = np.clip(theta + solve_sym(A + damping * np.diag(np.diag(A)), r[:, None])[:, 0], low, high)
         paid = cost - _cost(bench, beside, h, further)
         if not paid > 0.0:
             damping *= 10.0

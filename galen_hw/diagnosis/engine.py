@@ -21,7 +21,7 @@ from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import at_first_sight, library, select
 from galen_hw.diagnosis.selection import Selection
-from galen_hw.diagnosis.unnamed import left_by, predict_unnamed, touches_of
+from galen_hw.diagnosis.unnamed import left_by, might_yield, predict_unnamed
 from galen_hw.diagnosis.verdict import beyond, strong, verdict_of
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.event_effects import Contact, Glitches
@@ -103,7 +103,7 @@ def diagnose(
         left = left_by([model], generic)[0]
     glitch = [] if premise.wrong else glitches.confirmed(glitch, model)
     left = strong(left, judged, bench)
-    if (left or touches_of(model)) and not premise.wrong:
+    if (left or might_yield(model)) and not premise.wrong:
         model, judged, left = predict_unnamed(generic, model, holdout, judged, left)
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
     diagnosis.holdout = judged.name

@@ -26,11 +26,12 @@ def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int, stays: 
     return pinned_at(held if stays is None else np.where(np.isnan(held), stays, held), G, b)
 
 
-def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int) -> Array:
-    """(len(rows), C) of a model in raw units."""
+def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int, *, whitened: bool = False) -> Array:
+    """(len(rows), C) of a model in raw units, or whitened."""
     out, done = np.zeros((len(rows), width)), 0
     for h in model:
-        out[:, list(h.raw.channels)] += h.raw.values[rows] @ theta[done : done + h.count]
+        columns = h.white if whitened else h.raw
+        out[:, list(columns.channels)] += columns.values[rows] @ theta[done : done + h.count]
         done += h.count
     return out
 
@@ -57,10 +58,10 @@ def crossed(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = Fal
     return np.asarray(np.mean(errors(bench, scorer, chosen, fine=fine) ** 2, axis=0))
 
 
-def errors(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False) -> Array:
-    """(n, C) errors of a model on the training rows, each predicted from blocks that it is not in."""
+def errors(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False, whitened: bool = False) -> Array:
+    """(n, C) errors of a model on the training rows, raw or whitened, each predicted from blocks that it is not in."""
     model = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
-    return _errors(bench, model, scorer.white, folds=5, fine=fine)
+    return _errors(bench, model, scorer.white, folds=5, fine=fine, whitened=whitened)
 
 
 def left_out(bench: Bench, model: list[Hypothesis], white: Array, *, folds: int = 5, fine: bool = False) -> Array:
@@ -68,8 +69,10 @@ def left_out(bench: Bench, model: list[Hypothesis], white: Array, *, folds: int 
     return np.asarray(np.mean(_errors(bench, model, white, folds=folds, fine=fine) ** 2, axis=0))
 
 
-def _errors(bench: Bench, model: list[Hypothesis], white: Array, *, folds: int, fine: bool) -> Array:
-    """(n, C) raw errors on the training rows, each block or piece predicted from the others."""
+def _errors(
+    bench: Bench, model: list[Hypothesis], white: Array, *, folds: int, fine: bool, whitened: bool = False
+) -> Array:
+    """(n, C) errors on the training rows, each block or piece predicted from the others."""
     train = np.flatnonzero(bench.train)
     if fine:
         fold = train // max(len(bench.rows) // PIECES, 8) % folds
@@ -81,5 +84,6 @@ def _errors(bench: Bench, model: list[Hypothesis], white: Array, *, folds: int, 
         if not aside.any() or not learn.any():
             continue
         theta = fit(model, white, train[learn], bench.width)
-        out[aside] = bench.y[train[aside]] - predicted(model, theta, train[aside], bench.width)
+        target = white if whitened else bench.y
+        out[aside] = target[train[aside]] - predicted(model, theta, train[aside], bench.width, whitened=whitened)
     return out

@@ -13,6 +13,7 @@ from galen_hw.diagnosis.retiming import load, retime
 from galen_hw.diagnosis.score import Score, Scorer, threshold
 from galen_hw.diagnosis.selection import Selection, place_of
 from galen_hw.diagnosis.tendons import tightened
+from galen_hw.diagnosis.wanted import shows_in_noise
 from galen_hw.diagnosis.worth import WORTH, asked, plausible, taken, worth
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.table import EFFECTS, effect_class
@@ -116,7 +117,7 @@ def _best(bench: Bench, scorer: Scorer, out: Selection, scores: dict[int, Score]
             better = polished(bench, scorer, out.chosen, i)
             paid, whole = worth(bench, scorer, out, better) if better != i else (paid, whole)
         share, of_all = asked(bench, out, scorer.library[i].effect, misfit)
-        if paid >= share and whole >= of_all:
+        if (paid >= share and whole >= of_all) or shows_in_noise(bench, scorer, out, better):
             if plausible(bench, scorer, out.chosen, better):
                 return better
             # At the optimum it is not what it is called; beside it, where other physics is still missing, it may be.

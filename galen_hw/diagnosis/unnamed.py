@@ -42,13 +42,18 @@ def touches_of(model: Model) -> list[Hypothesis]:
     return [h for h in model.effects if isinstance(h.effect, Contact)]
 
 
+def might_yield(model: Model) -> bool:
+    """Whether a model believes in something that bends far enough to be part of what has no name."""
+    return bool(_yielding(model))
+
+
 def predict_unnamed(
     generic: list[adequacy.Family], model: Model, holdout: Scene | None, judged: Judged, rest: list[adequacy.Left]
 ) -> tuple[Model, Judged, list[adequacy.Left]]:
     """What is left predicted without a name, where held-out data support that.
 
     A flexible effect has a name only if it says more than generic functions do in its place: what these explain better alone
-    has none. A contact is asked even if nothing else is left.
+    has none. They are asked even if nothing else is left: with enough parameters they follow nearly anything in one recording.
     """
     functions = Functions(model.bench)
     now, remainder = _explained(model, rest, functions)
@@ -110,5 +115,5 @@ def _yielding(model: Model) -> list[set[int]]:
     for h in model.effects:
         if h.effect is not None and h.effect.KEY in YIELDING:
             kinds.setdefault(h.effect.KEY, set()).add(id(h))
-    every = set().union(*kinds.values())
+    every = set[int]().union(*kinds.values())
     return [every, *kinds.values()] if len(kinds) > 1 else list(kinds.values())

@@ -4,8 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.worth import PROVED
+from galen_hw.diagnosis.linear import errors, rests
+from galen_hw.diagnosis.score import Scorer
+from galen_hw.diagnosis.selection import Selection
+from galen_hw.diagnosis.worth import LOUD, PROVED
 from galen_hw.spatial import Array
 
 LEAST_SURE = 3.5
@@ -33,6 +37,28 @@ def support(without: Array, rest: Array) -> float:
     return lost / excess if excess > 0.0 else 0.0
 
 
+def shows_in_noise(bench: Bench, scorer: Scorer, out: Selection, i: int) -> bool:
+    """Whether blocks left out surely want a hypothesis beside a model, in whitened units where noise alone is left with it.
+
+    Raw errors are mostly slow noise there, in which a small effect is lost that whitened ones show. What belongs to moments
+    fits nearly any noise, and a thousandth of a loud recording is no matter: of these raw errors must speak. What is smaller
+    still may be the joints' own noise, which a dead band as narrow makes quieter.
+    """
+    effect = scorer.library[i].effect
+    if effect is None or effect.EPISODIC or effect.BRIEF or not bench.scene.clock:
+        return False
+    if scorer.misfit([*out.chosen, i]) >= PROVED or float(np.max(out.start / bench.noise.sigma**2)) > LOUD:
+        return False
+    seen = (rests(bench, scorer, out.chosen)[0] - rests(bench, scorer, [*out.chosen, i])[0])[bench.train]
+    size = np.mean(seen**2, axis=0) / bench.noise.sigma**2
+    if float(size @ size) < LEAST_SIZE**2 * float(size.sum()):
+        return False
+    rest, without = (errors(bench, scorer, model, whitened=True) for model in ([*out.chosen, i], out.chosen))
+    return sure(rest, without) >= BESIDE
+
+
+LEAST_SIZE = 0.1
+"""Rms over the noise, in the channels where it acts, from which what raw errors do not show may be believed."""
 PIECES = 40
 """Pieces of held-out rows, each one value for the error of a gain."""
 

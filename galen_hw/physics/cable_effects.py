@@ -12,11 +12,14 @@ from galen_hw.physics.scene_joint import EffortScene
 from galen_hw.physics.time_effects import joint_of
 from galen_hw.spatial import Array, skew
 
+FARTHEST_ANCHOR: Final = 10.0
+FARTHEST_CLIP: Final = 1.0
+"""m, from the base and from the sensor or the last link's origin: no cable of an arm hangs further away."""
 TENDON: Final = (
     Parameter("stiffness", "N/m", 0.0),
-    *(Parameter(f"anchor_{a}", "m") for a in "xyz"),
-    Parameter("rest_length", "m", 0.0),
-    *(Parameter(f"clip_{a}", "m") for a in "xyz"),
+    *(Parameter(f"anchor_{a}", "m", furthest=FARTHEST_ANCHOR) for a in "xyz"),
+    Parameter("rest_length", "m", 0.0, furthest=FARTHEST_ANCHOR),
+    *(Parameter(f"clip_{a}", "m", furthest=FARTHEST_CLIP) for a in "xyz"),
 )
 LOOSE: Final = ("spring", "pull")
 """Forms with more parameters than a cable has."""

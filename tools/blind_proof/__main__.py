@@ -19,7 +19,7 @@ import numpy as np
 from rich.progress import track
 
 from galen_hw.tools.blind_proof import judge, real, report, score, seal
-from galen_hw.tools.blind_proof.generator.build import CHANNELS, build, nominal
+from galen_hw.tools.blind_proof.generator.build import CHANNELS, build
 from galen_hw.tools.blind_proof.generator.case import Case
 from galen_hw.tools.blind_proof.generator.plan import plan
 
@@ -131,7 +131,7 @@ def _rival_row(case: Case, folder: Path) -> dict[str, Any]:
     if (kept := folder / "rivals.json").exists():
         return dict(json.loads(kept.read_text()))
     names = list(CHANNELS[case.group])
-    errors = rivals.errors(folder, {"train": nominal(case, 0), "test": nominal(case, 1)}, names)
+    errors = rivals.errors(folder, names)
     touched = {c for e in case.effects for c in e.channels}
     noise = case.holdout_noise_rms
     at = [k for k, n in enumerate(names) if n in touched]

@@ -152,6 +152,7 @@ def _rival_table(rivals: list[dict[str, Any]], pictures: Path) -> str:
     lines = [
         "## Rivals on the same held-out runs\n",
         "Held-out error over the error of the true formula (1 is perfect), the first and the last second left out.\n",
+        "All begin from the same simulation, of the recorded joints.\n",
     ]
     lines += ["| | median | 90 % | beaten by the tool in |", "| --- | --- | --- | --- |"]
     tool = np.array([r["tool"] for r in rivals])

@@ -1,7 +1,8 @@
 """Rivals on the same cases: gradient boosting with lagged inputs, sparse regression (pysindy), an LSTM.
 
 Each learns the residual of the first run from the recorded inputs and their past and predicts the second run's, with
-usual settings; their error is compared with the tool's on the channels that the hidden effect touches.
+usual settings; their error is compared with the tool's on the channels that the hidden effect touches. The residual is that of
+the tool's own simulation: all begin from what the recorded joints say, none knows the path behind their encoders' noise.
 """
 
 import warnings
@@ -14,19 +15,23 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 from sklearn.ensemble import HistGradientBoostingRegressor
 
+from galen_hw.physics.table import scene_of
+from galen_hw.recording import read_recording
+from galen_hw.tools.diagnose_input import observations_of
+
 Array = NDArray[np.float64]
 LAGS = (1, 2, 4, 8, 16, 32, 64)
 ENDS_S = 1.0
 """Left out of the judgement at each end."""
 
 
-def errors(folder: Path, baselines: dict[str, Array], channels: list[str]) -> dict[str, list[float]]:
+def errors(folder: Path, channels: list[str]) -> dict[str, list[float]]:
     """Held-out rms of each rival a channel (c,), in the channel's unit.
 
     Args:
-        folder: the case; baselines: nominal prediction of `train` and `test`, (N, c); channels: columns of the group.
+        folder: the case, with its runs `train` and `test`; channels: columns of the group.
     """
-    runs = {run: _read(folder / run, baselines[run], channels) for run in ("train", "test")}
+    runs = {run: _read(folder / run, simulated(folder / run, channels), channels) for run in ("train", "test")}
     (x, y, _), (x_test, y_test, t) = runs["train"], runs["test"]
     # The tool is not judged on the ends of a recording, where rates are a guess; so its rivals are not either.
     inner = (t > t[0] + ENDS_S) & (t < t[-1] - ENDS_S)
@@ -38,6 +43,12 @@ def errors(folder: Path, baselines: dict[str, Array], channels: list[str]) -> di
         predicted = rival(x, y / spread, x_test) * spread
         out[name] = np.sqrt(np.mean((y_test - predicted)[inner] ** 2, axis=0)).tolist()
     return out
+
+
+def simulated(folder: Path, channels: list[str]) -> Array:
+    """(N, c) what the tool simulates of a recording."""
+    scene = scene_of(observations_of(read_recording(folder)))
+    return scene.simulated[:, [scene.channels.index(name) for name in channels]]
 
 
 def _read(folder: Path, baseline: Array, channels: list[str]) -> tuple[Array, Array, Array]:

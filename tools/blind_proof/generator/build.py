@@ -85,7 +85,7 @@ def _measured_apart(case: Case) -> None:
 
 
 def nominal(case: Case, run: int) -> Array:
-    """What the nominal machine would have read in a run (N, c): the baseline that rivals improve on."""
+    """What the nominal machine would have read in a run (N, c), on its true path."""
     scene = _scene(case, run)
     for number, hidden in enumerate(case.effects):
         if hidden.key in {"inertial", "hardening", "hysteresis", "creep"}:
