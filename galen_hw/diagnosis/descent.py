@@ -74,7 +74,7 @@ class Beside:
 def descended(
     bench: Bench, beside: Beside, h: Hypothesis, theta: Array, steps: int = STEPS
 ) -> tuple[float, Hypothesis]:
-    """The least cost beside a model that damped steps from theta (k,) lead to, and the tangent there.
+    """The least cost beside a model that damped steps from theta (k,) lead to within the effect's bounds, and the tangent there.
 
     Source: Levenberg 1944, Marquardt 1963; the model's own parameters are solved for at each step (variable projection).
     """

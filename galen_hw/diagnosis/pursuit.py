@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from sklearn.linear_model import orthogonal_mp
 
-from galen_hw.diagnosis.inner_products import Sums
+from galen_hw.diagnosis.regression import Regression
 from galen_hw.diagnosis.rows import Index
 from galen_hw.spatial import Array
 
@@ -21,25 +21,12 @@ LEAST_SHARE: Final = 0.1
 
 
 @dataclass
-class Pursuit:
-    """Orthogonal matching pursuit of one channel's rest by single functions (Pati, Rezaiifar and Krishnaprasad 1993).
+class Pursuit(Regression):
+    """Orthogonal matching pursuit by single functions (Pati, Rezaiifar and Krishnaprasad 1993).
 
-    How many functions it takes is what predicts blocks left out best. It has the attributes of `remainder.Ridge`.
-
-    Args:
-        plain, white: families of functions and where their folds are, as they are and whitened.
-        rest, white_rest: (n,) over the noise's standard deviation, and whitened.
-        weighed: fitted as whitened or as it is.
+    How many functions it takes is what predicts blocks left out best.
     """
 
-    plain: Sums
-    white: Sums
-    rest: Array
-    white_rest: Array
-    weighed: bool
-    chosen: list[str] = field(init=False, default_factory=list)
-    reached: float = field(init=False, default=0.0)
-    white_gain: float = field(init=False, default=0.0)
     _count: int = field(init=False, default=0)
     _parts: dict[str, Array] = field(init=False, default_factory=dict)
 

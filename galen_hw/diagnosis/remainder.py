@@ -14,6 +14,7 @@ from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.generic import Inputs
 from galen_hw.diagnosis.inner_products import Functions, Sums, by_name
 from galen_hw.diagnosis.pursuit import Pursuit
+from galen_hw.diagnosis.regression import Regression
 from galen_hw.diagnosis.rows import Rows
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
@@ -86,8 +87,10 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
         names = [name for name in functions.columns if name in kind]
         plain, whitened = functions.plain(names, c), functions.white(names, c)
         targets = rest[functions.rows, c], white[functions.rows, c]
-        tried = [of(plain, whitened, *targets, weighed=w) for of in (Ridge, Pursuit) for w in (True, False)]
-        best: Ridge | Pursuit = max(tried, key=lambda one: one.reached)
+        tried: list[Regression] = [
+            of(plain, whitened, *targets, weighed=w) for of in (Ridge, Pursuit) for w in (True, False)
+        ]
+        best = max(tried, key=lambda one: one.reached)
         if best.chosen:
             parts[c] = best.coefficients()
             crossed[functions.rows, c] = best.crossed() * bench.noise.sigma[c]
@@ -98,24 +101,9 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
 
 
 @dataclass
-class Ridge:
-    """Ridge regression of one channel's rest on families of functions, few of them.
+class Ridge(Regression):
+    """Ridge regression on families of functions, few of them."""
 
-    Args:
-        plain, white: inner products of the families, the plain ones first.
-        rest, white_rest: (n,) over the noise's standard deviation, and whitened.
-        weighed: fitted as whitened (generalised) or as it is: the first is best where noise is the rest's larger part, the
-            second where physics is.
-    """
-
-    plain: Sums
-    white: Sums
-    rest: Array
-    white_rest: Array
-    weighed: bool
-    chosen: list[str] = field(init=False, default_factory=list)
-    reached: float = field(init=False, default=0.0)
-    white_gain: float = field(init=False, default=0.0)
     _ridge: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:

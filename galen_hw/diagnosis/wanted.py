@@ -16,6 +16,8 @@ LEAST_SURE = 3.5
 """Standard errors by which held-out data must want the one effect that was found."""
 BESIDE = 5.0
 """And any of several: what joins a model was chosen among all that its rest resembles."""
+LEAST_SIZE = 0.1
+"""Rms over the noise, in the channels where it acts, from which what raw errors do not show may be believed."""
 LEAST_SUPPORT = 0.05
 """An effect must take this share of what would be left above the noise of the channels in which it acts without it."""
 
@@ -57,8 +59,6 @@ def shows_in_noise(bench: Bench, scorer: Scorer, out: Selection, i: int) -> bool
     return sure(rest, without) >= BESIDE
 
 
-LEAST_SIZE = 0.1
-"""Rms over the noise, in the channels where it acts, from which what raw errors do not show may be believed."""
 PIECES = 40
 """Pieces of held-out rows, each one value for the error of a gain."""
 
