@@ -129,20 +129,33 @@ def _where_and_how_much(cases: list[Scored], pictures: Path) -> str:
     seconds = [c.seconds for c in cases]
     lines.append(f"- time for one diagnosis: median {np.median(seconds):.1f} s, longest {max(seconds):.1f} s\n")
     if rows:
-        figure, ax = plt.subplots(figsize=(6.4, 4), layout="constrained")
-        for name in sorted({f"{r[0]}: {r[1]}" for r in rows}):
-            some = [r for r in rows if f"{r[0]}: {r[1]}" == name]
-            ax.errorbar(
-                range(len(some)), [abs(r[3]) / abs(r[2]) for r in some], yerr=[1.96 * r[4] / abs(r[2]) for r in some],
-                fmt="o", ms=3, lw=0.8, label=name,
-            )  # fmt: skip
-        ax.axhline(1.0, color="k", lw=0.8)
-        ax.set(ylim=(0, 2.5), ylabel="found / true, with 95 % interval", xlabel="case")
-        ax.legend(fontsize=6, ncols=3, frameon=False)
-        figure.savefig(pictures / "parameters.png", dpi=160)
-        plt.close(figure)
+        _draw_parameters(rows, pictures / "parameters.png")
         lines.append("![parameters](proof/parameters.png)\n")
     return "\n".join(lines)
+
+
+def _draw_parameters(rows: list[tables.ParameterRow], path: Path) -> None:
+    """A line per parameter found, by effect, the surest first; those whose interval misses the truth stand out."""
+    ordered = sorted(rows, key=lambda r: (r.effect, r.name, r.std / abs(r.true)))
+    figure, ax = plt.subplots(figsize=(6.4, 0.8 + 0.15 * len(ordered)), layout="constrained")
+    for holds, label, colour in ((True, "holds the truth", "#0b6e99"), (False, "misses it", "#c8501e")):
+        some = [(y, r) for y, r in enumerate(ordered) if r.holds is holds]
+        ax.errorbar(
+            [abs(r.found / r.true) for _, r in some], [y for y, _ in some], xerr=[1.96 * r.std / abs(r.true) for _, r in some],
+            fmt="o", ms=3, lw=1.0, color=colour, label=f"95 % interval {label} ({len(some)})",
+        )  # fmt: skip
+    names = [f"{r.effect}: {r.name}" for r in ordered]
+    firsts = [k for k, name in enumerate(names) if k == 0 or names[k - 1] != name]
+    for k in firsts[1:]:
+        ax.axhline(k - 0.5, color="0.85", lw=0.6, zorder=0)
+    middles = [(a + b - 1) / 2 for a, b in zip(firsts, [*firsts[1:], len(names)], strict=True)]
+    ax.set_yticks(middles, [names[k] for k in firsts], fontsize=8)
+    ax.tick_params(axis="y", length=0)
+    ax.axvline(1.0, color="k", lw=0.8)
+    ax.set(xlim=(0, 2), ylim=(len(ordered) - 0.4, -0.6), xlabel="found / true, a line per case")
+    figure.legend(fontsize=8, ncols=2, frameon=False, loc="outside upper center")
+    figure.savefig(path, dpi=160)
+    plt.close(figure)
 
 
 def _rival_table(rivals: list[dict[str, Any]], pictures: Path) -> str:

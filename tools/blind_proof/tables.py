@@ -2,7 +2,7 @@
 
 from collections import Counter, defaultdict
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -117,8 +117,28 @@ def _fit_figures(cases: list[Scored]) -> list[Figure]:
     ]
 
 
-def parameter_rows(cases: list[Scored]) -> list[tuple[str, str, float, float, float]]:
-    """(effect, parameter, true value, found value, std) wherever truth and finding speak of the same quantity."""
+class ParameterRow(NamedTuple):
+    """A parameter as concealed and as found, with the standard deviation that was claimed."""
+
+    effect: str
+    name: str
+    true: float
+    found: float
+    std: float
+
+    @property
+    def error(self) -> float:
+        """How far off, signs aside: conventions differ."""
+        return abs(abs(self.found) - abs(self.true))
+
+    @property
+    def holds(self) -> bool:
+        """Whether the 95 % interval holds the truth."""
+        return self.error <= 1.96 * self.std
+
+
+def parameter_rows(cases: list[Scored]) -> list[ParameterRow]:
+    """Wherever truth and finding speak of the same quantity."""
     rows = []
     for case in cases:
         if case.verdict is None or case.truth["share"] != "single" or case.truth["mask"]:
@@ -128,7 +148,8 @@ def parameter_rows(cases: list[Scored]) -> list[tuple[str, str, float, float, fl
             for name, value in effect["parameters"].items() if finding else ():
                 match = _same(name, finding["parameters"])  # type: ignore[index]
                 if match is not None and value:
-                    rows.append((effect["key"], name, float(value), float(match["value"]), float(match["std"])))
+                    row = ParameterRow(effect["key"], name, float(value), float(match["value"]), float(match["std"]))
+                    rows.append(row)
     return rows
 
 
@@ -144,9 +165,8 @@ def _parameter_figures(cases: list[Scored]) -> list[Figure]:
     rows = parameter_rows([c for c in cases if any(e["snr"] and e["snr"] >= 0.8 for e in c.truth["effects"])])
     if not rows:
         return []
-    true, found, std = (np.array([r[k] for r in rows]) for k in (2, 3, 4))
-    error = float(np.median(np.abs(np.abs(found) - np.abs(true)) / np.abs(true)))
-    held = int(np.sum(np.abs(np.abs(found) - np.abs(true)) <= 1.96 * std))
+    error = float(np.median([r.error / abs(r.true) for r in rows]))
+    held = sum(r.holds for r in rows)
     rate = held / len(rows)
     return [
         Figure(
