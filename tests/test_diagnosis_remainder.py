@@ -13,13 +13,17 @@ from diagnosis_cases import SIGMA, WRENCH, Bench
 
 from galen_hw.diagnosis import adequacy
 from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.findings import dependence
 from galen_hw.diagnosis.generic import Inputs, dictionaries
 from galen_hw.diagnosis.inner_products import Functions
 from galen_hw.diagnosis.pursuit import Pursuit
+from galen_hw.diagnosis.regression import Blend
 from galen_hw.diagnosis.remainder import RIDGES, Ridge, learn
 from galen_hw.diagnosis.rows import Rows
 from galen_hw.diagnosis.seek import spikes
+from galen_hw.diagnosis.touches import foretold
+from galen_hw.diagnosis.trees import beside
 from galen_hw.diagnosis.wanted import support
 from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.table import scene_of
@@ -220,6 +224,40 @@ def test_a_force_in_a_corner_of_the_motion_is_neither_slow_noise_nor_a_touch() -
     assert "roll and tilt together" in dependence("input 4 and input 5 together", work.bench.scene)
 
 
+@pytest.mark.parametrize(("motion", "expected"), [(1, ["unknown"]), (2, ["contact"])])
+def test_a_pull_at_a_place_is_no_touch_and_the_same_pull_at_any_place_is(motion: int, expected: list[str]) -> None:
+    """A drape is tight where roll and tilt go far to one side: with that motion it is no event, with another it is one."""
+    roll, tilt = (x / np.abs(x).max() for x in Bench(1, rows=4000).q[:, [3, 4]].T)
+    pull = np.maximum(roll + tilt - 1.0, 0.0) ** 1.5
+    bench = Bench(motion, rows=4000)
+    bench.wrench[:, 3] += 1.2 * SIGMA[3] * pull / np.sqrt(np.mean(pull**2))
+    assert named(judged(bench)) == expected
+
+
+def test_what_touches_in_a_place_is_told_in_the_channel_and_size_that_it_has() -> None:
+    """Of two pushes of one kind at one place each follows from the other; of one push alone nothing does."""
+    corner = Bench(1, rows=4000)
+    roll, tilt = (x / np.abs(x).max() for x in corner.q[:, [3, 4]].T)
+    pull = np.maximum(roll + tilt - 1.0, 0.0) ** 1.5
+    pull *= 1.2 * SIGMA[3] / np.sqrt(np.mean(pull**2))
+    corner.wrench[:, 3] += pull
+    work = judged(corner)
+    on = np.flatnonzero(np.diff(np.concatenate([[0], pull > 0.1 * pull.max(), [0]])))
+    episodes = tuple((float(corner.t[a]) - 0.3, float(corner.t[b - 1]) + 0.3) for a, b in on.reshape(-1, 2))
+    assert len(episodes) >= 3
+
+    def found(episodes: tuple[tuple[float, float], ...]) -> list[adequacy.Left]:
+        touches = work.bench.add(Contact(("wrench.torque.x",), episodes))
+        whole = Model(work.bench, work.model.nuisances, [touches], work.model.white)
+        return foretold(whole, whole.without([touches]))
+
+    (one,) = found(episodes)
+    assert WRENCH[one.channel] == "wrench.torque.x"
+    assert one.size == pytest.approx(1.2 * SIGMA[3], rel=0.5)
+    assert 0.0 < one.share < 1.0
+    assert found(episodes[-1:]) == []
+
+
 def test_noise_with_heavy_tails_has_no_glitches() -> None:
     """Far samples that are but the end of a tail of nearer ones; as far ones out of nothing are glitches."""
     bench = Bench(12, rows=6000, rate=50.0)
@@ -291,6 +329,59 @@ def test_what_predicts_a_row_was_not_fitted_on_it() -> None:
     assert alone.crossed() == pytest.approx(out, abs=1e-9)
     noise = np.random.default_rng(5).normal(size=(2, len(y)))
     assert not Pursuit(sums, functions.white(names, 0), *noise, weighed=True).chosen
+
+
+def test_a_mean_of_two_regressions_is_judged_as_each_of_them_is() -> None:
+    """Its predictions of blocks left out, its gain and its coefficients are the means that it says it is."""
+    work = judged(stray(Bench(1, rows=4000)))
+    bench, names = work.bench, ["products of speeds", "positions times speeds"]
+    functions = Functions(bench)
+    sums = functions.plain(names, 0), functions.white(names, 0)
+    y = work.model.rest()[functions.rows, 0] / bench.noise.sigma[0]
+    one, other = (
+        of(*sums, y, work.model.rest(white=True)[functions.rows, 0], weighed=False) for of in (Pursuit, Ridge)
+    )
+    both = Blend.between(one, other)
+    mean = 0.5 * (one.crossed() + other.crossed())
+    assert both.crossed() == pytest.approx(mean)
+    assert both.reached == pytest.approx(float(y @ y - (y - mean) @ (y - mean)))
+    # The mean of two errs no more than they do on the average.
+    assert both.reached >= 0.5 * (one.reached + other.reached)
+    told = {n: one.coefficients().get(n, 0.0) + other.coefficients().get(n, 0.0) for n in both.chosen}
+    for name, theta in both.coefficients().items():
+        assert theta == pytest.approx(0.5 * told[name])
+
+
+def edge(bench: Bench) -> Bench:
+    """A force that is there wherever roll is beyond an edge, with a ripple along tilt: no family has such a bend."""
+    roll, tilt = bench.q[:, 3], bench.q[:, 4]
+    bench.wrench[:, 0] += 3.0 * SIGMA[0] * ((roll > 0.1) * np.sign(tilt) - 0.5 * (np.abs(tilt) > 0.15))
+    return bench
+
+
+def test_trees_stand_beside_functions_where_they_say_more_of_blocks_left_out_and_hold_on_another_motion() -> None:
+    """Edges in joint space are theirs; one smooth product of two speeds is not, and they stay away from it."""
+    learnt, other = (scene_of(edge(Bench(seed, rows=6000)).observations()) for seed in (1, 2))
+    work = diagnose(learnt, holdout=other)
+    kinds = {0: {"the joint positions, finely"}}
+    functions = Functions(work.bench)
+    alone = learn(work.model, kinds, functions)
+    assert alone is not None
+    both = beside(alone, work.model, functions)
+    assert list(both.trees) == [0]
+    rows = Rows(tuple(other.segments), work.bench.rows.stride)
+    rest = rows.average(other.residual)
+
+    def error(told: np.ndarray | None) -> float:
+        assert told is not None
+        return float(np.std((rest - told)[:, 0]))
+
+    assert error(both.predict(other, rows, 6)) < 0.95 * error(alone.predict(other, rows, 6))
+    smooth = judged(stray(Bench(1, rows=4000)))
+    functions = Functions(smooth.bench)
+    single = learn(smooth.model, {0: {"products of speeds"}}, functions)
+    assert single is not None
+    assert beside(single, smooth.model, functions).trees == {}
 
 
 def slow(bench: Bench) -> Bench:

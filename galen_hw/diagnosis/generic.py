@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -12,6 +13,8 @@ from galen_hw.diagnosis.rows import Mask, Rows
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
+POSITION = "the joint positions, finely"
+"""What local functions of all positions at once are functions of."""
 MOST_PRODUCTS = 40
 MOST_PAIRS = 25
 PLACES = np.array([-1.5, -0.5, 0.5, 1.5])
@@ -119,6 +122,18 @@ class Inputs:
             scene.observations.predict == "position",
         )
 
+    @cached_property
+    def past(self) -> Array:
+        """(M, lags p) changes of the positions since some rows ago; since the first row where there is no such row."""
+        z = self.position
+        each = [np.concatenate([np.repeat(z[:1], k, axis=0), z[:-k]]) - z for k in self.lags]
+        return np.concatenate(each, axis=1) if each else z[:, :0]
+
+    @property
+    def seen(self) -> Array:
+        """(M, k) all of it in one row, as what learns functions by itself wants it."""
+        return np.concatenate([self.position, self.rate, self.second, self.load, self.past], axis=1)
+
     def comparable(self, other: "Inputs") -> bool:
         """Whether what is by the row here holds there too: a row lasts as long, and there are enough of them."""
         same = abs(self.period - other.period) <= 0.01 * self.period
@@ -136,7 +151,7 @@ def broad(inputs: Inputs) -> Iterator[tuple[str, Array]]:
     z, load, rate, second = inputs.position, inputs.load, inputs.rate, inputs.second
     if not z.size:
         return
-    for scale, name in ((0.7, "the joint positions"), (2.0, "the joint positions, finely")):
+    for scale, name in ((0.7, "the joint positions"), (2.0, POSITION)):
         yield name, _waves(z, scale)
     yield "products of joint positions", _products(z, z)
     for j in range(min(z.shape[1], 8)):
@@ -157,9 +172,8 @@ def broad(inputs: Inputs) -> Iterator[tuple[str, Array]]:
             yield "the simulated channels times speeds", _products(load, rate)
         for low in (0.004, 0.012, 0.035, 0.1):
             yield "a resonance that motion excites", _resonators(second, low)
-        past = [np.concatenate([np.repeat(z[:1], k, axis=0), z[:-k]]) - z for k in inputs.lags]
-        if past:
-            yield "the past of the inputs", np.concatenate(past, axis=1)
+        if inputs.lags:
+            yield "the past of the inputs", inputs.past
 
 
 def _products(a: Array, b: Array) -> Array:

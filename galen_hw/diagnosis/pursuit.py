@@ -33,8 +33,8 @@ class Pursuit(Regression):
     def __post_init__(self) -> None:
         """Chooses how many functions, then which."""
         names = list(self.plain.columns)
-        self._X, white = self.plain.joined(names), self.white.joined(names)
-        self._learnt, self._target = (white, self.white_rest) if self.weighed else (self._X, self.rest)
+        self._X, self._white = self.plain.joined(names), self.white.joined(names)
+        self._learnt, self._target = (self._white, self.white_rest) if self.weighed else (self._X, self.rest)
         size = np.linalg.norm(self._learnt, axis=0)
         self._size = np.where(size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300), size, np.inf)
         every = np.arange(len(self.rest))
@@ -45,7 +45,9 @@ class Pursuit(Regression):
             return
         # Another motion is where more functions than are needed differ.
         self._count = int(np.flatnonzero(raw >= ENOUGH * best)[0])
-        self.reached, self.white_gain = (float(g[self._count]) for g in (raw, self._gains(white, self.white_rest)))
+        self.reached, self.white_gain = (
+            float(g[self._count]) for g in (raw, self._gains(self._white, self.white_rest))
+        )
         theta, ends = self._path(every)[:, self._count], np.cumsum([0, *map(self._width, names)])
         parts = {n: theta[a:b] for n, a, b in zip(names, ends[:-1], ends[1:], strict=True)}
         self._parts = {n: part for n, part in parts.items() if part.any()}
@@ -55,11 +57,11 @@ class Pursuit(Regression):
         """Of every function of the families that one was chosen from, in the channel's unit."""
         return self._parts
 
-    def crossed(self) -> Array:
+    def crossed(self, *, white: bool = False) -> Array:
         """(n,) what the functions predict of each row from other folds, over the noise's deviation."""
-        out = np.zeros(len(self.rest))
+        out, X = np.zeros(len(self.rest)), self._white if white else self._X
         for rows, theta in zip(self.plain.folds, self._folds, strict=True):
-            out[rows] = self._X[rows] @ theta[:, self._count]
+            out[rows] = X[rows] @ theta[:, self._count]
         return out
 
     def _width(self, name: str) -> int:

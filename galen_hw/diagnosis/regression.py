@@ -2,6 +2,9 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
 
 from galen_hw.diagnosis.inner_products import Sums
 from galen_hw.spatial import Array
@@ -33,5 +36,37 @@ class Regression(ABC):
         """(k,) of every function of the chosen families, in the channel's unit."""
 
     @abstractmethod
-    def crossed(self) -> Array:
-        """(n,) what is predicted of each row from other folds, over the noise's deviation."""
+    def crossed(self, *, white: bool = False) -> Array:
+        """(n,) what is predicted of each row from other folds, over the noise's deviation; or of the whitened rest."""
+
+
+@dataclass
+class Blend(Regression):
+    """Mean of two regressions: where neither is the truth their errors differ, and partly cancel (Bates and Granger 1969)."""
+
+    of: tuple[Regression, ...] = ()
+
+    @classmethod
+    def between(cls, *of: Regression) -> Self:
+        """Of regressions of one rest on the same families."""
+        one = of[0]
+        return cls(one.plain, one.white, one.rest, one.white_rest, one.weighed, of)
+
+    def __post_init__(self) -> None:
+        """Judges it on the same folds as each of them."""
+        self.chosen = list(dict.fromkeys(name for one in self.of for name in one.chosen))
+        for_plain, for_white = self.crossed(), self.crossed(white=True)
+        self.reached = float(for_plain @ (2.0 * self.rest - for_plain))
+        self.white_gain = float(for_white @ (2.0 * self.white_rest - for_white))
+
+    def coefficients(self) -> dict[str, Array]:
+        """Means of theirs; 0 where one takes nothing."""
+        out: dict[str, Array] = {}
+        for one in self.of:
+            for name, theta in one.coefficients().items():
+                out[name] = out.get(name, 0.0) + theta / len(self.of)
+        return {name: out[name] for name in self.chosen}
+
+    def crossed(self, *, white: bool = False) -> Array:
+        """(n,) mean of what they predict of each row from other folds."""
+        return np.asarray(sum(one.crossed(white=white) for one in self.of) / len(self.of))

@@ -9,12 +9,13 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from sklearn.ensemble import HistGradientBoostingRegressor
 
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.generic import Inputs
 from galen_hw.diagnosis.inner_products import Functions, Sums, by_name
 from galen_hw.diagnosis.pursuit import Pursuit
-from galen_hw.diagnosis.regression import Regression
+from galen_hw.diagnosis.regression import Blend, Regression
 from galen_hw.diagnosis.rows import Rows
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
@@ -40,6 +41,7 @@ class Remainder:
         offsets: per channel, the mean of their sum over the rows that it was learnt on.
         gain: fall of the whitened sum of squares on blocks left out, all channels together.
         crossed: (M, C) prediction of each row that it was learnt on from other blocks, 0 elsewhere.
+        trees: per channel, what is the other half of a mean with the sum of the parts.
     """
 
     inputs: Inputs
@@ -47,6 +49,7 @@ class Remainder:
     offsets: dict[int, float]
     gain: float
     crossed: Array
+    trees: dict[int, HistGradientBoostingRegressor] = field(default_factory=dict)
 
     def predict(self, scene: Scene, rows: Rows, width: int) -> Array | None:
         """(M, C) for another recording; None where it cannot speak of it."""
@@ -68,6 +71,8 @@ class Remainder:
                     out[:, c] += X @ families[kind]
         for c, offset in self.offsets.items():
             out[:, c] -= offset
+        for c, trees in self.trees.items():
+            out[:, c] = 0.5 * (out[:, c] + trees.predict(inputs.seen))
         return out
 
 
@@ -88,8 +93,11 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
         plain, whitened = functions.plain(names, c), functions.white(names, c)
         targets = rest[functions.rows, c], white[functions.rows, c]
         tried: list[Regression] = [
-            of(plain, whitened, *targets, weighed=w) for of in (Ridge, Pursuit) for w in (True, False)
+            max((of(plain, whitened, *targets, weighed=w) for w in (True, False)), key=lambda one: one.reached)
+            for of in (Ridge, Pursuit)
         ]
+        if all(one.chosen for one in tried):
+            tried.append(Blend.between(*tried))
         best = max(tried, key=lambda one: one.reached)
         if best.chosen:
             parts[c] = best.coefficients()
@@ -148,9 +156,10 @@ class Ridge(Regression):
         ends = np.cumsum([len(self._sizes[n]) for n in self.chosen])[:-1]
         return dict(zip(self.chosen, np.split(theta, ends), strict=True))
 
-    def crossed(self) -> Array:
+    def crossed(self, *, white: bool = False) -> Array:
         """(n,) what the chosen families predict of each row from other folds, over the noise's deviation."""
-        out, X = np.zeros(len(self.rest)), self.plain.joined(self.chosen) / self._size(self.chosen)
+        columns = (self.white if white else self.plain).joined(self.chosen)
+        out, X = np.zeros(len(self.rest)), columns / self._size(self.chosen)
         for rows, theta in zip(self.plain.folds, self._thetas(self.chosen), strict=True):
             out[rows] = X[rows] @ theta[:, self._ridge]
         return out

@@ -1,0 +1,75 @@
+"""Whether what passes for touches is an event or a place: nobody pushes by the arm's position."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from galen_hw.diagnosis import trees
+from galen_hw.diagnosis.adequacy import Left
+from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.generic import POSITION, Inputs
+from galen_hw.diagnosis.rows import Mask
+from galen_hw.physics.event_effects import Contact
+
+FORETOLD: Final = 0.4
+"""Share of what touches take, in the moments of each, that must follow from the positions of the others."""
+AROUND: Final = 0.5
+"""Of a touch's length: how long before and after it nothing is learnt about it either."""
+
+
+def touches_of(model: Model) -> list[Hypothesis]:
+    """Contacts that a model believes in."""
+    return [h for h in model.effects if isinstance(h.effect, Contact)]
+
+
+def foretold(whole: Model, less: Model) -> list[Left]:
+    """What a model without its contacts leaves during each, if that follows from where the arm was during the others.
+
+    Of trees on the joint positions, which know corners of a workspace that polynomials do not. One touch alone has no others.
+
+    Args:
+        whole: with contacts; less: the same without them.
+    """
+    bench, touches = whole.bench, touches_of(whole)
+    channels = sorted({c for h in touches for c in h.raw.channels})
+    # What belongs to moments is fitted on all rows, those set aside too.
+    good = ~bench.dropped
+    during = good & np.any([h.raw.values.any(axis=(1, 2)) for h in touches], axis=0)
+    each = [rows for rows in _each(bench, touches) if np.any(during & rows)]
+    if len(each) < 2:
+        return []
+    sigma = bench.noise.sigma[channels]
+    missed, kept = (model.rest()[:, channels] / sigma for model in (less, whole))
+    position = Inputs.of(bench.scene, bench.rows).position
+    predicted = np.zeros_like(missed)
+    for rows in each:
+        others, asked = good & ~rows, during & rows
+        for c in range(len(channels)):
+            predicted[asked, c] = trees.new().fit(position[others], missed[others, c]).predict(position[asked])
+    gain = np.sum(predicted * (2.0 * missed - predicted), axis=0)
+    if gain.sum() < FORETOLD * np.sum(missed[during] ** 2 - kept[during] ** 2):
+        return []
+    share = gain / np.sum(missed[good] ** 2, axis=0)
+    size = sigma * np.sqrt(np.sum(predicted**2, axis=0) / good.sum())
+    found = [
+        Left(c, POSITION, float(gain[k] - 1.0) / np.sqrt(2.0), float(share[k]), float(size[k]), predicted[:, [k]])
+        for k, c in enumerate(channels)
+        if gain[k] > 0.0
+    ]
+    return sorted(found, key=lambda one: -one.z)
+
+
+def _each(bench: Bench, touches: Sequence[Hypothesis]) -> list[Mask]:
+    """Rows (M,) of each touch with its surroundings; what overlaps is one."""
+    time = bench.rows.average(bench.scene.time)
+    near = np.zeros(len(bench.rows), dtype=bool)
+    for h in touches:
+        assert isinstance(h.effect, Contact), "touches are contacts"
+        for start, end in h.effect.episodes:
+            margin = AROUND * (end - start)
+            near |= (time >= start - margin) & (time <= end + margin)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(int))).reshape(-1, 2)
+    at = np.arange(len(near))
+    return [(at >= a) & (at < b) for a, b in edges]
