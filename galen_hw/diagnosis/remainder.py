@@ -33,7 +33,7 @@ TRIED: Final = 8
 
 @dataclass(frozen=True)
 class Remainder:
-    """Ridge regressions of what a model left on generic functions, channel by channel.
+    """Regressions of what a model left on generic functions, channel by channel.
 
     Args:
         inputs: of the recording that it was learnt on.
