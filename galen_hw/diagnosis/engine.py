@@ -50,9 +50,9 @@ Progress = Callable[[str, float], None]
 """Told what is being done and which share (0 to 1) of the whole is behind."""
 
 
-# The matrices are many and small: BLAS gains nothing by threads, and beside other work they wait for one another for longer
-# than they compute.
-@threadpool_limits.wrap(limits=1, user_api="blas")  # type: ignore[untyped-decorator]
+# The matrices are many and small: BLAS gains nothing by threads, and beside other work they, and those of trees, wait for one
+# another for longer than they compute.
+@threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
 def diagnose(
     scene: Scene,
     *,

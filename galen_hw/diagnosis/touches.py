@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from galen_hw.diagnosis import trees
 from galen_hw.diagnosis.adequacy import Left
@@ -24,6 +25,7 @@ def touches_of(model: Model) -> list[Hypothesis]:
     return [h for h in model.effects if isinstance(h.effect, Contact)]
 
 
+@threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
 def foretold(whole: Model, less: Model) -> list[Left]:
     """What a model without its contacts leaves during each, if that follows from where the arm was during the others.
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from sklearn.ensemble import HistGradientBoostingRegressor
+from threadpoolctl import threadpool_limits
 
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.inner_products import Functions
@@ -16,6 +17,8 @@ def new() -> HistGradientBoostingRegressor:
     return HistGradientBoostingRegressor(early_stopping=False, random_state=0)
 
 
+# Threads of several diagnoses at once would spin and wait for one another: seven times as long on two cores.
+@threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
 def beside(remainder: Remainder, model: Model, functions: Functions) -> Remainder:
     """A remainder's mean with trees on the inputs and their past, in the channels where it predicts blocks left out better.
 
