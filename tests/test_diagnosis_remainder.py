@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import SIGMA, WRENCH, Bench
+from diagnosis_cases import SIGMA, WRENCH, Bench, creep
 
 from galen_hw.diagnosis import adequacy
 from galen_hw.diagnosis.engine import Work, diagnose
@@ -80,6 +80,19 @@ def test_what_does_not_hold_elsewhere_is_not_counted() -> None:
     assert d.fit["rmse_after"]["wrench.force.x"] == pytest.approx(d.fit["rmse_before"]["wrench.force.x"], rel=1e-6)
     assert "unknown" not in named(work) or d.findings[-1].evidence["heldout_gain"] == 0.0
     assert not [name for f in d.findings for name in f.parameters if name.startswith("rmse_named")]
+
+
+@pytest.mark.parametrize(("size", "verdict"), [(0.7, "partly_explained"), (0.0, "explained")])
+def test_what_a_flexible_name_leaves_of_another_recording_is_said_of_it(size: float, verdict: str) -> None:
+    """Creep is there, and leaves nothing of the first recording; what the second has besides is too small to stand out."""
+    learnt, other = Bench(23, rows=4000), Bench(24, rows=4000)
+    creep(learnt)
+    creep(other)
+    work = judged(learnt, stray(other, size))
+    d = work.diagnosis
+    assert d.verdict == verdict
+    assert named(work) == ["creep", "unknown"][: 1 + (size > 0.0)]
+    assert all("wrench.force.x of another recording" in f.says for f in d.findings if f.effect == "unknown")
 
 
 def test_flexible_names_yield_to_what_explains_better_without_one() -> None:

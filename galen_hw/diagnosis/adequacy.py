@@ -38,6 +38,7 @@ class Left:
         z: (T - k) / sqrt(2 k); for a model that does not hold on held-out data, its mean square over the noise's.
         share: of the whitened rest's mean square, on blocks left out.
         size: rms in raw units; basis: (M, k) the functions.
+        elsewhere: it is left of another recording, by what was learnt on the first.
     """
 
     channel: int
@@ -47,6 +48,7 @@ class Left:
     size: float
     basis: Array
     place: int = 0
+    elsewhere: bool = False
 
 
 class Family(NamedTuple):

@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 from galen_hw.diagnosis import adequacy, glitches
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.confusion import confusions
+from galen_hw.diagnosis.elsewhere import left_elsewhere
 from galen_hw.diagnosis.experiment import next_experiment
 from galen_hw.diagnosis.final import MERIT, Model, merit, offsets, settle_model, weighed
 from galen_hw.diagnosis.findings import findings_of, unknown_finding
@@ -105,6 +106,8 @@ def diagnose(
     left = strong(left, judged, bench)
     if (left or might_yield(model)) and not premise.wrong:
         model, judged, left = predict_unnamed(generic, model, holdout, judged, left)
+    if not left and holdout is not None and might_yield(model):
+        left = strong(left_elsewhere(model, holdout, judged), judged, bench)
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
     diagnosis.holdout = judged.name
     tell("done", 1.0)

@@ -9,7 +9,7 @@ from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.guards import Premise
-from galen_hw.diagnosis.judge import Judged
+from galen_hw.diagnosis.judge import ELSEWHERE, Judged
 from galen_hw.diagnosis.result import Finding, Value
 from galen_hw.diagnosis.select import CHANCE
 from galen_hw.diagnosis.selection import Selection
@@ -211,7 +211,7 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
         alike = [one for one in left if one.channel == left[0].channel and one.z >= ALIKE * left[0].z]
         best = min(alike, key=lambda one: one.place)
         share, z = best.share, best.z
-        where = names[best.channel]
+        where = names[best.channel] + (f" of {ELSEWHERE}" if best.elsewhere else "")
         if best.basis.shape[1]:
             says = (
                 f"Structure is left in {where} that no named effect explains: {dependence(best.kind, bench.scene)}, "

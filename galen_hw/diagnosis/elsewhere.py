@@ -1,0 +1,60 @@
+"""Structure in what a model leaves of another recording: physics that names stood in for on one motion shows on the next."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from galen_hw.diagnosis import adequacy
+from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.bends import tangent
+from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.judge import Judged, apply
+from galen_hw.physics.scene import Scene
+
+MISSED: Final = 1.1
+"""Mean square of another recording over the noise's from which a channel is asked."""
+LEAST: Final = 0.05
+"""Share of what was there at first that must be left: a law of the right form, learnt on one motion, may err by less."""
+
+
+def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[adequacy.Left]:
+    """What a model leaves above the noise of another recording, strongest first, by the noise of the first.
+
+    To be asked of models with flexible names: these may follow one motion by what the next one does not have, and there generic
+    functions find what they left out. Of other models it would mostly be told that an effect was too weak to be seen at first.
+    What the model's own parameters, learnt anew, would take is no structure but their error. Nothing is asked where something
+    belongs to moments: it is fitted to each recording anew, and what such a fit leaves proves nothing.
+    """
+    bench, here = model.bench, _bench(model, scene, judged)
+    effects = [(h, h.effect) for h in model.effects if h.effect is not None]
+    ratio, excess = judged.after / judged.floor, judged.before - judged.floor
+    if here is None or ratio.max() <= MISSED or any(effect.EPISODIC or effect.BRIEF for _, effect in effects):
+        return []
+    rest = apply(model, scene)
+    at, good = np.arange(len(rest)), np.flatnonzero(~here.dropped)
+    rest = np.stack([np.interp(at, good, rest[good, c]) for c in range(here.width)], axis=-1)
+    # The second recording's noise may be larger or smaller, of the same colour.
+    white = here.whitened(rest) * bench.noise.sigma / np.sqrt(judged.floor)
+    own = [here.made(None, columns).white for columns in here.constants()]
+    for h, effect in effects:
+        again = here.add(effect)
+        own.append((again if h.theta is None else tangent(here, again, h.theta)).white)
+    (left,) = adequacy.leftovers(here, adequacy.families(here), [adequacy.Fitted(own, rest, white)])
+    return [
+        replace(one, elsewhere=True)
+        for one in left
+        if ratio[one.channel] > MISSED and one.size**2 > LEAST * excess[one.channel]
+    ]
+
+
+def _bench(model: Model, scene: Scene, judged: Judged) -> Bench | None:
+    """One for the other recording with rows as long, the first one's noise and clocks; None where its rows cannot be as long."""
+    first = model.bench
+    here = Bench(scene, held=0.0, most=max(-(-len(scene) // first.rows.stride), 1))
+    if here.rows.stride != first.rows.stride:
+        return None
+    if judged.good is not None:
+        here.dropped = ~judged.good
+    here.noise, here.timing = replace(first.noise, rows=here.rows, kept={}), first.timing
+    return here
