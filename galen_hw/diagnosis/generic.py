@@ -14,7 +14,7 @@ from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
 POSITION = "the joint positions, finely"
-"""What local functions of all positions at once are functions of."""
+"""What quick waves over all positions at once are functions of, and trees on the positions."""
 MOST_PRODUCTS = 40
 MOST_PAIRS = 25
 PLACES = np.array([-1.5, -0.5, 0.5, 1.5])

@@ -51,7 +51,8 @@ def foretold(whole: Model, less: Model) -> list[Left]:
         for c in range(len(channels)):
             predicted[asked, c] = trees.new().fit(position[others], missed[others, c]).predict(position[asked])
     gain = np.sum(predicted * (2.0 * missed - predicted), axis=0)
-    if gain.sum() < FORETOLD * np.sum(missed[during] ** 2 - kept[during] ** 2):
+    taken = np.sum(missed[during] ** 2 - kept[during] ** 2)
+    if taken <= 0.0 or gain.sum() < FORETOLD * taken:
         return []
     share = gain / np.sum(missed[good] ** 2, axis=0)
     size = sigma * np.sqrt(np.sum(predicted**2, axis=0) / good.sum())
