@@ -205,14 +205,21 @@ def weighed(model: Model) -> Model:
     return Model(bench, model.nuisances, model.effects, model.white, plain=True)
 
 
-def merit(model: Model) -> float:
-    """Fall of the whitened sum of squares on the training rows less the price of the parameters."""
-    train = model.bench.train
-    price = 0.0
+def merit(model: Model, *, foretelling: bool = False) -> float:
+    """Fall of the whitened sum of squares on the training rows less the price of the parameters.
+
+    Args:
+        foretelling: what lasts pays for what it would lose on blocks left out (Akaike 1974), not for being the truth (Schwarz
+            1978): beside what was itself judged on such blocks.
+    """
+    train, full, price = model.bench.train, float(np.log(model.bench.noise.effective)), 0.0
     for h in model.effects:
-        effect = h.effect
-        freedom = h.count if effect is None or effect.freedom is None else min(h.count, effect.freedom)
-        price += (freedom + (0 if effect is None else len(effect.searched()))) * np.log(model.bench.noise.effective)
+        effect, numbers = h.effect, h.count
+        if effect is not None:
+            relaxed = effect.freedom is not None and not effect.loose
+            numbers = (min(h.count, effect.freedom or 0) if relaxed else h.count) + len(effect.searched())
+        lasts = effect is not None and not effect.EPISODIC
+        price += numbers * (2.0 if foretelling and lasts else full)
     fall = np.sum(model.bench.whitened(model.bench.whole)[train] ** 2) - np.sum(model.rest(white=True)[train] ** 2)
     return float(fall - price)
 

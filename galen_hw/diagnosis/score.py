@@ -1,5 +1,6 @@
 """Likelihood ratios of all hypotheses against what is already in the model, from inner products alone."""
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ class Score:
         gain: fall of the whitened sum of squares.
         count: parameters that it really adds.
         surprise: minus log of the chance of such a gain under noise, places looked at included.
-        rank: gain less the price of its parameters (k log n), in units of the log likelihood ratio.
+        rank: gain less the price of its parameters (k log n) and of the places of its kind, in units of the log likelihood ratio.
         beyond: what more it may gain between the points of its grid, where its searched value is its size.
     """
 
@@ -63,6 +64,7 @@ class Scorer:
         self.white = bench.whitened(bench.y)
         self.fake = bench.surrogates()
         self._train = bench.train
+        self._occam = _occam(library)
         self._room, self.b = np.empty((0, 0)), np.empty(0)
         self.fakes = np.empty((0, self.fake.shape[2]))
         self.places: list[slice] = []
@@ -245,7 +247,18 @@ class Scorer:
 
     def _score(self, i: int, gain: float, count: int, surprise: float) -> Score:
         price = (self._freedom(i, count) + len(self._searched(i))) * np.log(self.bench.noise.effective)
-        return Score(gain, count, surprise, float(gain - price - 2.0 * np.log(self.library[i].looked)))
+        looked = self.library[i].looked
+        # What was sought in the residual pays for the places it was sought at.
+        places = 2.0 * np.log(looked) if looked > 1 else self._occam.get(self._key(i), 0.0)
+        return Score(gain, count, surprise, float(gain - price - places))
+
+    def in_full(self, i: int, score: Score) -> Score:
+        """A score with the price of all numbers that a loose hypothesis has; of another the same."""
+        effect = self.library[i].effect
+        if effect is None or not effect.loose:
+            return score
+        owed = score.count - self._freedom(i, score.count)
+        return replace(score, rank=score.rank - owed * float(np.log(self.bench.noise.effective)))
 
     def covariance(self, at: "Index") -> Array:
         """Of the parameters of the columns `at`, for noise of unit variance."""
@@ -259,6 +272,10 @@ class Scorer:
         """Whitened mean square of a model's rest: 1 when only noise is left, more when physics is missing."""
         _, at, rest = self.solve(chosen)
         return max(1.0, rest / max(int(self._train.sum()) * self.bench.width - len(at), 1))
+
+    def _key(self, i: int) -> str:
+        effect = self.library[i].effect
+        return "" if effect is None else effect.KEY
 
     def _searched(self, i: int) -> dict[str, float]:
         effect = self.library[i].effect
@@ -278,6 +295,16 @@ class Scorer:
     def _surprise(self, gain: Array, count: "Index") -> Array:
         """Minus log p; by F where the noise rests on few degrees of freedom."""
         return -log_tail(gain, np.maximum(count, 1), self.bench.noise.degrees)
+
+
+def _occam(library: list[Hypothesis]) -> dict[str, float]:
+    """Per kind, twice the log of how many hypotheses of it there are, searched values apart.
+
+    Kinds are equally likely beforehand, and so are the places and forms of one: the best of thirty must be better than the one
+    and only by as much as luck makes it (MacKay 1992, the factor named after Occam).
+    """
+    families = {h.effect.family for h in library if h.effect is not None}
+    return {key: 2.0 * float(np.log(n)) for key, n in Counter(family[0] for family in families).items()}
 
 
 def threshold(highest: Array, chance: float) -> float:

@@ -189,7 +189,10 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
     for i in list(out.chosen):
         others = [j for j in out.chosen if j != i]
         taken = {place_of(scorer.library[j].effect) for j in others}
-        rivals = {j: s for j, s in in_place(bench, scorer, out.chosen, i).items() if j not in refused}
+        # A cable has shown by now whether a tendon does what its spring does.
+        rivals = {
+            j: scorer.in_full(j, s) for j, s in in_place(bench, scorer, out.chosen, i).items() if j not in refused
+        }
         rivals = {j: s for j, s in rivals.items() if place_of(scorer.library[j].effect) not in taken}
         rivals = {j: s for j, s in rivals.items() if not _loosens(scorer.library[j].effect, scorer.library[i].effect)}
         if i not in rivals:

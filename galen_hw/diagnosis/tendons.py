@@ -10,7 +10,7 @@ from galen_hw.diagnosis.nonlinear import settle
 from galen_hw.diagnosis.plainness import ALIKE
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection, place_of
-from galen_hw.physics.cable_effects import LOOSE, TENDON, CableDrag
+from galen_hw.physics.cable_effects import TENDON, CableDrag
 from galen_hw.spatial import Array
 
 FIRST_STEPS = 6
@@ -35,7 +35,7 @@ def tightened(bench: Bench, scorer: Scorer, out: Selection, just: int | None = N
         effect = scorer.library[i].effect
         if not isinstance(effect, CableDrag) or model in out.tightened or len(out.tightened) == OFTEN:
             continue
-        if effect.form in LOOSE or (effect.curved and just is None):
+        if effect.loose or (effect.curved and just is None):
             out.tightened.add(model)
             return _instead(bench, scorer, out, i, MOST_BESIDE if just is None else 0)
     return False

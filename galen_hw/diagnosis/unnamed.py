@@ -53,7 +53,7 @@ def predict_unnamed(
         its_rest = strong(left, judged, model.bench)
         # Asked of contacts alone: what else leaves with them may have been there.
         place = foretold(model, less) if {id(h) for h in touches_of(model)} == out else []
-        its_rest = its_rest or place
+        its_rest = sorted([*its_rest, *place], key=lambda one: -one.z)
         reached, its_own = _explained(less, its_rest, functions)
         if reached > now + MERIT or place:
             other = judge_remainder(less, holdout, plainly, its_own)
@@ -73,12 +73,18 @@ def _finished(
 
 
 def _explained(model: Model, rest: list[adequacy.Left], functions: Functions) -> tuple[float, Remainder | None]:
-    """Merit of a model together with what generic functions predict of its rest on blocks left out; and these."""
+    """Merit of a model together with what generic functions predict of its rest on blocks left out; and these.
+
+    Each family pays for having been chosen among all: that choice no block was left out of.
+    """
     kinds: dict[int, set[str]] = {}
     for one in rest:
         kinds.setdefault(one.channel, set()).add(one.kind)
-    remainder = learn(model, kinds, functions)
-    return merit(model) + (0.0 if remainder is None else remainder.gain), remainder
+    remainder, own = learn(model, kinds, functions), merit(model, foretelling=True)
+    if remainder is None:
+        return own, None
+    chosen = sum(len(families) for families in remainder.parts.values())
+    return own + remainder.gain - 2.0 * chosen * float(np.log(len(functions.columns))), remainder
 
 
 def _yielding(model: Model) -> list[set[int]]:

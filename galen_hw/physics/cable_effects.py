@@ -78,6 +78,11 @@ class CableDrag(Effect):
         return {"spring": 7, "pull": 6}.get(self.form)
 
     @property
+    def loose(self) -> bool:
+        """Springs and pulls have more parameters than a cable has."""
+        return self.form in LOOSE
+
+    @property
     def relaxed(self) -> Self:
         """The spring for the tendon."""
         return replace(self, form="spring") if self.curved else self

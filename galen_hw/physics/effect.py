@@ -152,6 +152,11 @@ class Effect(ABC):
         """Physical parameters where the columns are a relaxation with more; None: as many as columns."""
         return None
 
+    @property
+    def loose(self) -> bool:
+        """Whether it stands for physics with fewer parameters that is sought from it; where none is found it owes all of them."""
+        return False
+
     def pinned(self, scene: Scene) -> Array | None:
         """(k,) the one value that its linear parameters can have, nan for one that is free; None where all are."""
         if self.freedom != 0:
