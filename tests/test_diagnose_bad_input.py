@@ -370,3 +370,14 @@ def test_missing_rows_do_not_turn_an_encoders_rounding_into_acceleration() -> No
         kept = np.sort(rng.choice(len(t), 3200, replace=False))
         found = derivatives(t[kept], x[kept, None], [slice(0, 3200)])[1][:, 0]
         assert np.std(found - ddq[kept]) < 0.1 * np.std(ddq)
+
+
+def test_json_may_go_where_the_summary_goes_otherwise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A script reads the answer and nothing else; whoever sits before the screen still sees the summary."""
+    heavier = INFO | {"tool": {"name": "retractor", "mass": 0.25, "com": COM.tolist()}}
+    folder = write(tmp_path / "run", recording(), heavier)
+    assert main(["diagnose", str(folder), "--json", "-"]) == 1
+    out, err = capsys.readouterr()
+    assert [f["effect"] for f in json.loads(out)["findings"]] == ["payload"]
+    assert "named physics explains it" in " ".join(err.split())
+    assert not (tmp_path / "-").exists()

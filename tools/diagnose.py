@@ -4,6 +4,7 @@ import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from rich.console import Console
 
@@ -19,6 +20,8 @@ from galen_hw.recording import Recording, read_recording
 from galen_hw.tools.diagnose_input import observations_of
 from galen_hw.tools.diagnose_screen import counting, show, working
 from galen_hw.tools.diagnose_tool import model_to_save, tool_named, with_tool
+
+STDOUT: Final = "-"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--together", action="store_true", help="fit all recordings as one: the same machine, several runs"
     )
-    parser.add_argument("--json", metavar="OUT", help="write the answer as JSON")
+    parser.add_argument(
+        "--json", metavar="OUT", help="write the answer as JSON; -: to the standard output, the summary to the other"
+    )
     parser.add_argument("--report", metavar="OUT.html", help="write a page with figures")
     parser.add_argument(
         "--tool", metavar="NAME", help="the tool in hand, of the store or a tool's file (default: as recorded)"
@@ -60,11 +65,14 @@ def run(args: argparse.Namespace) -> int:
     _check_outputs(args)
     paths = [p for given in args.recordings for p in expanded(Path(given))]
     answers = _all(paths, args)
-    show(Console(), answers)
+    show(Console(stderr=args.json == STDOUT), answers)
     if args.json:
         values = [answer.to_json() for answer in answers]
         text = json.dumps(values if len(values) > 1 else values[0], indent=1, ensure_ascii=False, allow_nan=False)
-        write_atomic(Path(args.json), text + "\n")
+        if args.json == STDOUT:
+            print(text)
+        else:
+            write_atomic(Path(args.json), text + "\n")
     return EXIT_OK if all(a.verdict == "agrees" for a in answers) else EXIT_FOUND
 
 
