@@ -26,16 +26,16 @@ def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[adequacy.
     What the model's own parameters, learnt anew, would take is no structure but their error. Nothing is asked where something
     belongs to moments: it is fitted to each recording anew, and what such a fit leaves proves nothing.
     """
-    bench, here = model.bench, _bench(model, scene, judged)
     effects = [(h, h.effect) for h in model.effects if h.effect is not None]
     ratio, excess = judged.after / judged.floor, judged.before - judged.floor
-    if here is None or ratio.max() <= MISSED or any(effect.EPISODIC or effect.BRIEF for _, effect in effects):
+    if ratio.max() <= MISSED or any(effect.EPISODIC or effect.BRIEF for _, effect in effects):
+        return []
+    here = _bench(model, scene, judged)
+    if here is None:
         return []
     rest = apply(model, scene)
-    at, good = np.arange(len(rest)), np.flatnonzero(~here.dropped)
-    rest = np.stack([np.interp(at, good, rest[good, c]) for c in range(here.width)], axis=-1)
     # The second recording's noise may be larger or smaller, of the same colour.
-    white = here.whitened(rest) * bench.noise.sigma / np.sqrt(judged.floor)
+    white = here.whitened(rest) * model.bench.noise.sigma / np.sqrt(judged.floor)
     own = [here.made(None, columns).white for columns in here.constants()]
     for h, effect in effects:
         again = here.add(effect)
