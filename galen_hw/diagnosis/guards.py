@@ -216,7 +216,7 @@ def quiet(scene: Scene) -> Scene:
     seen = scene.observations
     if seen.predict not in ("pose", "targets") or not scene.clock or not np.isfinite(scene.q).all():
         return scene
-    q = denoised(scene.time, at_rest(scene.q, scene.segments), scene.segments)
+    q = denoised(scene.time, at_rest(scene.time, scene.q, scene.segments), scene.segments)
     places = {f"joint.{name}.position": q[:, i] for i, name in enumerate(scene.joint_names)}
     return scene_of(replace(seen, columns=dict(seen.columns) | places))
 

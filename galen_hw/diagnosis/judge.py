@@ -171,13 +171,15 @@ def _channels(model: Model, key: str) -> list[int]:
 
 
 def _places(model: Model, guard: Guard) -> dict[int, tuple[float, float]]:
-    """Support and `sure` of each lasting effect whose kind stands in several places."""
+    """Support and `sure` of each lasting effect whose kind stands in several places, where these rows could tell."""
     keys = [h.effect.KEY for h in model.effects if h.effect is not None]
     out: dict[int, tuple[float, float]] = {}
     for k, h in enumerate(model.effects):
         if h.effect is None or h.effect.EPISODIC or h.effect.BRIEF or keys.count(h.effect.KEY) < 2:
             continue
-        out[k] = guard.of(model.without([h]), list(h.raw.channels))
+        part = model.without([h])
+        if guard.could_tell(part):
+            out[k] = guard.of(part, list(h.raw.channels))
     return out
 
 

@@ -104,3 +104,11 @@ class Guard:
         """Support, in its own channels, and `sure` of what a smaller model has left out."""
         without = self._rest_of(part)
         return support(without[:, own], self._rest[:, own]), sure(self._rest, without)
+
+    def could_tell(self, part: Model) -> bool:
+        """Whether held-out rows would surely want what a smaller model has left out if it is there as it was learnt.
+
+        Luck has the square of the effect itself for its variance, in units of the noise: a motion that hardly rouses an effect
+        neither wants nor refuses it.
+        """
+        return float(np.sum((self._rest_of(part) - self._rest) ** 2)) >= BESIDE**2

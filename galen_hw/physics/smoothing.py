@@ -1,5 +1,8 @@
 """Derivatives of recorded positions by regression splines, or by local polynomials behind a low-pass; low-passes for forces."""
 
+import math
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, CubicSpline, make_lsq_spline
@@ -240,8 +243,23 @@ def _on_grid(t: Array, x: Array, band: float | None) -> Array:
     return np.asarray(CubicSpline(grid, _filtered(np.interp(grid, t, x), step, band), axis=1)(t))
 
 
-def at_rest(x: Array, segments: list[slice]) -> Array:
-    """Signals (N, n), those that hold noise alone in a segment (successive rows know nothing of each other) at its mean."""
+MEDIAN_OF_NORMAL = 0.6745
+"""Median size of what is normal with a standard deviation of one."""
+STILL_ROWS = 8
+"""Rows of which the mean is one value where a rest is sought."""
+STILL_S = 1.0
+"""Shortest rest that is worth finding, in s."""
+STILL = 3.5
+"""Standard errors by which a mean may be away from the rest that it is part of."""
+STILL_SUM = 2.0
+"""And standard deviations by which the sum of their squares may exceed what noise makes: a slow motion is no rest."""
+
+
+def at_rest(time: Array, x: Array, segments: list[slice]) -> Array:
+    """Signals (N, n) over time (N,) in s with the mean of each rest in its place, as far as their own noise can tell rests.
+
+    At rest a reading holds noise alone (successive rows know nothing of each other); a whole segment may be one.
+    """
     out = x.copy()
     for part in segments:
         if part.stop - part.start < SHORTEST:
@@ -249,7 +267,49 @@ def at_rest(x: Array, segments: list[slice]) -> Array:
         spread = np.var(x[part], axis=0)
         white = np.mean(np.diff(x[part], axis=0) ** 2, axis=0) > WHITE * 2.0 * spread
         out[part] = np.where(white & (spread > 0.0), np.mean(x[part], axis=0), x[part])
+        length = max(math.ceil(STILL_S / float(np.median(np.diff(time[part]))) / STILL_ROWS), 3)
+        for j in np.flatnonzero(~white):
+            for rest in _rests(x[part, j], length):
+                at = slice(part.start + rest.start, part.start + rest.stop)
+                out[at, j] = np.mean(x[at, j])
     return out
+
+
+def _rests(x: Array, shortest: int) -> Iterator[slice]:
+    """Runs of rows of a noisy signal (N,) that stays where it is, of at least `shortest` times `STILL_ROWS` rows.
+
+    Means of a few rows each stay within what the noise of a row makes of them, each and as a whole. The noise is told by fourth
+    differences, in which it has 70 times its variance and what moves at the pace of an arm is gone; by their median.
+    """
+    count = len(x) // STILL_ROWS
+    sigma = float(np.nanmedian(np.abs(np.diff(x, 4)))) / (MEDIAN_OF_NORMAL * math.sqrt(70.0))
+    if count < shortest or not sigma > 0.0:
+        return
+    means = np.mean(x[: count * STILL_ROWS].reshape(count, STILL_ROWS), axis=1) * math.sqrt(STILL_ROWS) / sigma
+    first = 0
+    while first + shortest <= count:
+        last, total = first, 0.0
+        while last < count:
+            n = last - first
+            if n and abs(means[last] - total / n) > STILL * math.sqrt(1.0 + 1.0 / n):
+                break
+            total, last = total + means[last], last + 1
+        n = last - first
+        if n >= shortest and _stays(means[first:last]):
+            # The means at either end may hold the first of a move.
+            yield slice((first + 1) * STILL_ROWS, (last - 1) * STILL_ROWS)
+            first = last
+        else:
+            first += max(n // 4, 1)
+
+
+def _stays(z: Array) -> bool:
+    """Whether values (n,) of unit variance are that alone: no coarser means of them, down to two, are further apart."""
+    while len(z) >= 2:
+        if float(np.sum((z - z.mean()) ** 2)) > len(z) - 1 + STILL_SUM * math.sqrt(2.0 * (len(z) - 1)):
+            return False
+        z = (z[: len(z) // 2 * 2].reshape(-1, 2).sum(axis=1)) / math.sqrt(2.0)
+    return True
 
 
 END = 0.6

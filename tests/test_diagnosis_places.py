@@ -1,0 +1,45 @@
+"""A place of a kind is dropped only where held-out rows could have wanted it."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from galen_hw.diagnosis.judge import _places
+from galen_hw.diagnosis.wanted import BESIDE, Guard, poor
+
+ROWS = 4000
+
+
+class Holding:
+    """A model of effects that stand in joints; what it leaves on held-out rows are those that it does not hold."""
+
+    def __init__(self, effects: list[Any], shapes: list[np.ndarray], noise: np.ndarray) -> None:
+        self.effects, self._shapes, self._noise = effects, shapes, noise
+        self.bench = SimpleNamespace(scene=SimpleNamespace(clock=True))
+
+    def without(self, left: list[Any]) -> "Holding":
+        return Holding([e for e in self.effects if e not in left], self._shapes, self._noise)
+
+    def rest(self) -> np.ndarray:
+        return self._noise + sum(s for k, s in enumerate(self._shapes) if k not in {e.place for e in self.effects})
+
+
+def hardening(place: int) -> SimpleNamespace:
+    kind = SimpleNamespace(KEY="hardening", EPISODIC=False, BRIEF=False)
+    return SimpleNamespace(effect=kind, place=place, raw=SimpleNamespace(channels=[0]))
+
+
+@pytest.mark.parametrize(("sigmas", "asked"), [(0.5 * BESIDE, False), (4.0 * BESIDE, True)])
+def test_a_place_that_the_held_out_motion_hardly_rouses_is_not_refused_by_it(sigmas: float, asked: bool) -> None:
+    rng = np.random.default_rng(2)
+    wave = np.sin(np.linspace(0.0, 60.0, ROWS))[:, None]
+    wave *= 1.0 / np.sqrt(float(np.sum(wave**2)))
+    noise = rng.normal(size=(ROWS, 1))
+    model: Any = Holding([hardening(0), hardening(1)], [40.0 * wave, sigmas * np.roll(wave, 700, axis=0)], noise)
+    guard = Guard(np.ones(1), lambda part: part.rest(), lambda part: part.rest(), model)  # type: ignore[attr-defined]
+    places = _places(model, guard)
+    assert 0 in places, "what the motion rouses is asked about"
+    assert not poor(*places[0], alone=False)
+    assert (1 in places) is asked
