@@ -62,23 +62,28 @@ class Model:
         self.y = self.bench.whole - sum(bends, np.zeros_like(self.bench.whole))
         train, everything = np.flatnonzero(self.bench.train), np.flatnonzero(~self.bench.dropped)
         parts, y = self.flat() if self.plain else (self.parts, self.white)
-        self.theta = self._fitted(parts, y, train)
         self.final = self._fitted(parts, y, everything)
         self.covariance = self._covariance(parts, y, everything)
-        # What belongs to moments has no rows to be learnt on but its own.
+        # What belongs to moments has no rows to be learnt on but its own; the others are learnt beside it as it is.
+        moments = np.full(len(self.final), np.nan)
         for h, s in zip(self.parts, self.slices(), strict=True):
             if h.effect is not None and h.effect.EPISODIC:
-                self.theta[s] = self.final[s]
+                moments[s] = self.final[s]
+        self.theta = self._fitted(parts, y, train, moments)
 
-    def _fitted(self, parts: list[Hypothesis], y: Array, rows: Chosen) -> Array:
-        """Parameters learnt on some rows; what is curved stays where it was settled if its tangent does not reach so far."""
-        theta = fit(parts, y, rows, self.bench.width)
-        stays = [np.full(h.count, np.nan) for h in parts]
-        for k, (h, s) in enumerate(zip(parts, self.slices(), strict=True)):
+    def _fitted(self, parts: list[Hypothesis], y: Array, rows: Chosen, known: Array | None = None) -> Array:
+        """Parameters learnt on some rows; what is curved stays where it was settled if its tangent does not reach so far.
+
+        Args:
+            parts, y: a model and what it is to give; rows: to learn on; known: (k,) parameters that are given, else nan.
+        """
+        held = np.full(sum(h.count for h in parts), np.nan) if known is None else known.copy()
+        theta = fit(parts, y, rows, self.bench.width, held)
+        far = False
+        for h, s in zip(parts, self.slices(), strict=True):
             if h.theta is not None and h.effect is not None and h.effect.curved and not self._reaches(h, theta[s]):
-                stays[k] = h.theta
-        held = np.concatenate([np.empty(0), *stays])
-        return theta if np.isnan(held).all() else fit(parts, y, rows, self.bench.width, held)
+                held[s], far = h.theta, True
+        return fit(parts, y, rows, self.bench.width, held) if far else theta
 
     def _reaches(self, h: Hypothesis, theta: Array) -> bool:
         """Whether an effect does at theta (k,) what its tangent says, by the noise."""
