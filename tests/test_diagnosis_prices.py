@@ -8,7 +8,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import SIGMA, Bench, hanging, payload
+from diagnosis_cases import SIGMA, Bench, hanging, payload, rotation, sines
 
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.final import merit
@@ -88,3 +88,24 @@ def test_a_small_payload_under_slow_noise_is_no_cable(seed: int) -> None:
     found = [finding.effect for finding in diagnosed(bench).diagnosis.findings]
     assert found[0] == "payload"
     assert "cable_drag" not in found
+
+
+def test_a_small_body_has_no_inertia_of_its_own() -> None:
+    """Where its place says what the motion tells badly, that is believed: on another motion it would be wrong by much."""
+    bench = Bench(6)
+    bench.belief = {"dynamic": True}
+    bench.q = np.stack([sines(bench.rng, bench.t, s, 0.05, 0.5) for s in (0.02, 0.02, 0.02, 0.45, 0.35)], axis=1)
+    bench.R = rotation(bench.q[:, 3], bench.q[:, 4])
+    mass, c = 0.02, np.array([0.02, -0.01, -0.12])
+    scene = scene_of(bench.observations())
+    port = scene.body_port()
+    assert port is not None
+    inertia = mass * (c @ c * np.eye(3) - np.outer(c, c))
+    whole = np.concatenate([[mass], mass * c, inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+    bench.wrench = scene.simulated + port @ whole
+    work = diagnosed(bench)
+    assert [h.effect.KEY for h in work.model.effects] == ["payload"]
+    effect = work.model.effects[0].effect
+    assert effect.part == "point"
+    np.testing.assert_allclose(effect.at, c, atol=2e-3)
+    assert work.model.theta[work.model.slices()[-1]][0] == pytest.approx(mass, rel=0.03)

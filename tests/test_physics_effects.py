@@ -14,6 +14,7 @@ from physics_scenes import JOINTS, belief, scene
 
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import GalenRobot
+from galen_hw.physics.body_effects import Payload
 from galen_hw.physics.cable_effects import CableDrag
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.elastic_effects import Compliance
@@ -39,7 +40,7 @@ def proposals(group, static=False):
     found += [Drift("", "wander", None, 0.0, 10.0, (first, last)), Drift("", "warm_up", 3.0, 0.0, 10.0, (first, last))]
     found += [Step((first,), 5.0), Vibration((first, last), 3.0), Contact((first,), ((2.0, 4.0), (7.0, 8.0)))]
     if group in ("wrench", "effort"):
-        found += [CableDrag("tendon"), CableDrag("tendon_dry")]
+        found += [CableDrag("tendon"), CableDrag("tendon_dry"), Payload("point", (0.02, -0.01, -0.1))]
     found += [Glitches((first,), (3, 9))] + ([TorqueRipple("elbow", 9.0)] if group == "effort" else [])
     return made, list({e.family: e for e in found}.values())
 
@@ -102,6 +103,22 @@ def test_saved_terms_build_streams_and_outside_forces_do_not():
     broken = {"effect": "creep", "parameters": {k: v for k, v in term["parameters"].items() if k != "share"}}
     with pytest.raises(UsageError, match="no parameter"):
         build_streams([broken], joint_names=JOINTS, robot=GalenRobot())
+
+
+@pytest.mark.parametrize("group", ["wrench", "effort"])
+def test_a_point_of_mass_has_the_inertia_of_its_place(group):
+    """The same as a body with any inertia whose inertia is m (c.c 1 - c c^T); told by mass and moment alone."""
+    made = scene(group, np.random.default_rng(1))
+    mass, c = 0.013, np.array([0.02, -0.03, -0.11])
+    inertia = mass * (c @ c * np.eye(3) - np.outer(c, c))
+    body = np.concatenate([[mass], mass * c])
+    whole = np.concatenate([body, inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+    told = Payload("full").told_by(whole)
+    assert told is not None
+    np.testing.assert_allclose(told.at, c)
+    np.testing.assert_allclose(told.change(made, body), Payload("full").change(made, whole), atol=1e-13)
+    assert Payload("body").told_by(np.array([0.001, 0.0, 0.0, 0.001])) is None, "a metre away is on no tool"
+    assert Payload("moment").told_by(body[1:]) is None
 
 
 def test_segments_start_afresh():

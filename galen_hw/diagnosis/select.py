@@ -82,7 +82,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         moved = _swap(bench, scorer, out, refused)
         if moved:
             settle(bench, scorer, out.chosen)
-        if _enrich(bench, scorer, out):
+        if _enrich(bench, scorer, out) or _bound(bench, scorer, out):
             settle(bench, scorer, out.chosen)
         retime(bench, scorer, out.chosen)
         refused.clear()
@@ -345,6 +345,33 @@ def _enrich(bench: Bench, scorer: Scorer, out: Selection) -> bool:
             if richer >= RICHER and plausible(bench, scorer, trial[:place] + trial[place + 1 :], j):
                 out.chosen, changed = trial, True
                 break
+    return changed
+
+
+BOUND_STEPS = 3
+BOUND_MARGIN = 0.1
+"""In rank: less would only place the same body a hair elsewhere."""
+
+
+def _bound(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """An effect whose parameters obey a law that they place themselves stands for a freer one where it ranks above it."""
+    changed = False
+    for place, i in enumerate(list(out.chosen)):
+        others, j = [k for k in out.chosen if k != i], i
+        for _ in range(BOUND_STEPS):
+            effect = scorer.library[j].effect
+            theta, at, _ = scorer.solve([*others, j])
+            own = scorer.places[j]
+            told = None if effect is None else effect.told_by(theta[(at >= own.start) & (at < own.stop)])
+            if told is None:
+                break
+            scorer.append([bench.add(told)])
+            j = len(scorer.library) - 1
+        if j == i:
+            continue
+        scores, _ = scorer.scores(others, [i, j])
+        if j in scores and (i not in scores or scores[j].rank > scores[i].rank + BOUND_MARGIN):
+            out.chosen[place], changed = j, True
     return changed
 
 

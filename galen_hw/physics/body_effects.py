@@ -1,7 +1,7 @@
 """Effects of bodies and gravity: a different load, a tilted base, forgotten inertia."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -14,21 +14,28 @@ MOMENTS = ("moment_x", "moment_y", "moment_z")
 INERTIA = ("inertia_xx", "inertia_xy", "inertia_yy", "inertia_xz", "inertia_yz", "inertia_zz")
 
 
+FARTHEST = 0.5
+"""m from the sensor to the middle of what a hand or a clip may have put on the tool."""
+
+
 @dataclass(frozen=True)
 class Payload(Effect):
     """The carried body differs: mass dm, first moment d(m c) and inertia enter Newton and Euler linearly.
 
     Source: Atkeson, An, Hollerbach 1986. `part`: "mass" (at the believed centre of mass), "body" (mass and moment), "full"
-    (with inertia about the sensor's origin). Visible when gravity turns in the sensor. Confused with gain and
+    (with inertia about the sensor's origin), "point" (mass and moment, with the inertia of mass at one point, `at`:
+    I = m (c.c 1 - c c^T), linear in m c once c is told; what is small has hardly more, and a motion that turns about one
+    axis alone would give it any). Visible when gravity turns in the sensor. Confused with gain and
     cross_talk, and with bias where it does not turn.
     """
 
     KEY = "payload"
     part: str = "body"
+    at: tuple[float, float, float] | None = None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """The three parts; inertia only where something accelerates."""
+        """The parts; inertia only where something accelerates."""
         port = scene.body_port() if scene.observations.predict in ("wrench", "effort") else None
         if port is None:
             return
@@ -38,11 +45,19 @@ class Payload(Effect):
         if np.any(np.abs(port[:, :, 4:]) > 0.0) and scene.clock:
             yield cls("full")
 
+    def told_by(self, theta: Array) -> Self | None:
+        """A small body where mass and moment (4 and more,) say that it is; None if that is no place near a sensor."""
+        if self.part not in ("body", "full", "point") or theta[0] == 0.0:
+            return None
+        x, y, z = (float(v) for v in theta[1:4] / theta[0])
+        return replace(self, part="point", at=(x, y, z)) if x * x + y * y + z * z < FARTHEST**2 else None
+
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Changes of mass, first moment and inertia."""
         mass, moments = [Parameter("mass", "kg")], [Parameter(name, "kg m") for name in MOMENTS]
         inertia = [Parameter(name, "kg m^2") for name in INERTIA]
-        chosen = {"mass": mass, "moment": moments, "body": mass + moments, "full": mass + moments + inertia}
+        body = mass + moments
+        chosen = {"mass": mass, "moment": moments, "body": body, "point": body, "full": body + inertia}
         return tuple(chosen[self.part])
 
     def columns(self, scene: Scene) -> Columns:
@@ -54,9 +69,23 @@ class Payload(Effect):
             port = port[:, :, :1] + port[:, :, 1:4] @ com[:, None]
         elif self.part == "moment":
             port = port[:, :, 1:4]
+        elif self.part == "point":
+            assert self.at is not None, "told by a body"
+            bound = np.zeros((6, 4))
+            bound[:, 1:] = _inertia_of_moment(np.array(self.at))
+            port = port[:, :, :4] + port[:, :, 4:] @ bound
         else:
             port = port[:, :, : 4 if self.part == "body" else 10]
         return Columns(tuple(range(len(scene.channels))), port)
+
+
+def _inertia_of_moment(c: Array) -> Array:
+    """(6, 3) inertia about the origin, in the order of INERTIA, of mass at c (3,), by its first moment m c."""
+    out = np.empty((6, 3))
+    for k, unit in enumerate(np.eye(3)):
+        inertia = c[k] * np.eye(3) - 0.5 * (np.outer(unit, c) + np.outer(c, unit))
+        out[:, k] = [inertia[0, 0], inertia[0, 1], inertia[1, 1], inertia[0, 2], inertia[1, 2], inertia[2, 2]]
+    return out
 
 
 @dataclass(frozen=True)

@@ -209,6 +209,10 @@ class Effect(ABC):
         """The same without what a richer form of it adds."""
         return self
 
+    def told_by(self, theta: Array) -> Self | None:
+        """The same, bound by a law between its parameters that these (k,) can place; None without one."""
+        return None
+
     def unlimited(self) -> Self:
         """The same without what keeps a search away from its look-alikes: what it may be, not what it would be called."""
         return self
