@@ -4,6 +4,7 @@ Arrays are batches: `q`, `dq`, `ddq` are (N, n) in the order of `joint_names`, r
 """
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -211,6 +212,26 @@ class UrdfRobot:
             return np.asarray(pin.rnea(self.model, data, qi, vi, ai))
 
         return _rows(one, (self.model.nv,), q, dq, ddq)
+
+    def with_load(self, body: ArrayLike) -> "UrdfRobot | None":
+        """The same robot whose last link has inertial parameters (10,) more, as of `dynamics_regressor`; None: no body."""
+        total = self.model.inertias[-1].toDynamicParameters() + np.asarray(body, dtype=float)
+        if not total[0] > 0.0:
+            return None
+        other = self._of(pin.Model(self.model))
+        other.model.inertias[len(self.model.inertias) - 1] = pin.Inertia.FromDynamicParameters(total)
+        return other
+
+    def under(self, gravity: ArrayLike) -> "UrdfRobot":
+        """The same robot under another gravity (3,), m/s^2, in the axes of its root."""
+        other = self._of(pin.Model(self.model))
+        other.model.gravity.linear = np.asarray(gravity, dtype=float)
+        return other
+
+    def _of(self, model: pin.Model) -> "UrdfRobot":
+        other = copy(self)
+        vars(other).update(model=model, _data=model.createData())
+        return other
 
     def dynamics_regressor(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
         """Joint efforts per inertial parameter, (N, n, 10 n), pinocchio's order m, m c, I about the joint."""

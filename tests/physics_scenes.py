@@ -3,10 +3,15 @@
 import numpy as np
 
 from galen_hw.kinematics import GalenRobot
+from galen_hw.physics.body_effects import Payload
+from galen_hw.physics.cable_effects import CableDrag
+from galen_hw.physics.event_effects import Contact, Glitches, Step, Vibration
+from galen_hw.physics.joint_effects import TorqueRipple
 from galen_hw.physics.observations import Belief, Group, Observations
 from galen_hw.physics.rigid import Body
 from galen_hw.physics.scene import Scene
-from galen_hw.physics.table import scene_of
+from galen_hw.physics.sensor_effects import Drift
+from galen_hw.physics.table import EFFECTS, effect_class, scene_of
 
 JOINTS = GalenRobot().joint_names
 WRENCH = tuple(f"wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz")
@@ -74,3 +79,20 @@ def _joints(group: Group, rng: np.random.Generator, rows: int, rate: float) -> S
         columns |= {f"joint.{name}.position": q[:, i], f"joint.{name}.effort": np.sin(t + i)}
         columns |= {f"joint.{name}.command": q[:, i]} if group == "position" else {}
     return scene_of(Observations(group, columns, None, Belief(robot=UrdfRobot(URDF))))
+
+
+def proposals(group, static=False):
+    """A scene of a group, and every hypothesis that it allows, those that are sought from others included."""
+    made = (
+        scene(group, np.random.default_rng(1), dynamic=not static)
+        if group == "wrench"
+        else scene(group, np.random.default_rng(1))
+    )
+    found = [e for key in EFFECTS for e in effect_class(key).propose(made)]
+    first, last = made.channels[0], made.channels[-1]
+    found += [Drift("", "wander", None, 0.0, 10.0, (first, last)), Drift("", "warm_up", 3.0, 0.0, 10.0, (first, last))]
+    found += [Step((first,), 5.0), Vibration((first, last), 3.0), Contact((first,), ((2.0, 4.0), (7.0, 8.0)))]
+    if group in ("wrench", "effort"):
+        found += [CableDrag("tendon"), CableDrag("tendon_dry"), Payload("point", (0.02, -0.01, -0.1))]
+    found += [Glitches((first,), (3, 9))] + ([TorqueRipple("elbow", 9.0)] if group == "effort" else [])
+    return made, list({e.family: e for e in found}.values())

@@ -10,39 +10,19 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 
 from conformance import check_effect
-from physics_scenes import JOINTS, belief, scene
+from physics_scenes import JOINTS, belief, proposals, scene
 
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.body_effects import Payload
-from galen_hw.physics.cable_effects import CableDrag
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.elastic_effects import Compliance
-from galen_hw.physics.event_effects import Contact, Glitches, Step, Vibration
 from galen_hw.physics.geometry_effects import JointOffset, JointScale
-from galen_hw.physics.joint_effects import TorqueRipple
 from galen_hw.physics.rigid import predicted_wrench
-from galen_hw.physics.sensor_effects import Drift
 from galen_hw.physics.streams import EffectStream, build_streams
 from galen_hw.physics.table import EFFECTS, effect_class, scene_of
 
 GROUPS = ("wrench", "pose", "targets", "effort", "position")
-
-
-def proposals(group, static=False):
-    made = (
-        scene(group, np.random.default_rng(1), dynamic=not static)
-        if group == "wrench"
-        else scene(group, np.random.default_rng(1))
-    )
-    found = [e for key in EFFECTS for e in effect_class(key).propose(made)]
-    first, last = made.channels[0], made.channels[-1]
-    found += [Drift("", "wander", None, 0.0, 10.0, (first, last)), Drift("", "warm_up", 3.0, 0.0, 10.0, (first, last))]
-    found += [Step((first,), 5.0), Vibration((first, last), 3.0), Contact((first,), ((2.0, 4.0), (7.0, 8.0)))]
-    if group in ("wrench", "effort"):
-        found += [CableDrag("tendon"), CableDrag("tendon_dry"), Payload("point", (0.02, -0.01, -0.1))]
-    found += [Glitches((first,), (3, 9))] + ([TorqueRipple("elbow", 9.0)] if group == "effort" else [])
-    return made, list({e.family: e for e in found}.values())
 
 
 @pytest.mark.parametrize("group", GROUPS)
@@ -80,7 +60,7 @@ def test_a_stream_gives_what_the_batch_gives(effect):
     made, _ = proposals("wrench")
     theta = np.full(len(effect.parameters(made)), 0.013)
     batch = effect.change(made, theta)
-    stream = EffectStream(effect, theta, JOINTS, belief())
+    stream = EffectStream([(effect, theta)], JOINTS, belief())
     rows = [
         stream.at(made.time[k], made.q[k], made.rates[0][k], made.rates[1][k], made.simulated[k])
         for k in range(len(made))

@@ -64,19 +64,23 @@ class Payload(Effect):
         """The body's port."""
         port = scene.body_port()
         assert port is not None, "proposed only where there is a port"
+        return Columns(tuple(range(len(scene.channels))), port @ self._bodies(scene))
+
+    def body(self, scene: Scene, theta: Array) -> Array:
+        """What it is of a body."""
+        return np.asarray(self._bodies(scene) @ theta)
+
+    def _bodies(self, scene: Scene) -> Array:
+        """(10, k) inertial parameters per parameter of its own."""
         if self.part == "mass":
-            com = scene.belief.tool.com
-            port = port[:, :, :1] + port[:, :, 1:4] @ com[:, None]
-        elif self.part == "moment":
-            port = port[:, :, 1:4]
-        elif self.part == "point":
+            return np.concatenate([[1.0], scene.belief.tool.com, np.zeros(6)])[:, None]
+        if self.part == "moment":
+            return np.eye(10)[:, 1:4]
+        out = np.eye(10)[:, : 10 if self.part == "full" else 4]
+        if self.part == "point":
             assert self.at is not None, "told by a body"
-            bound = np.zeros((6, 4))
-            bound[:, 1:] = _inertia_of_moment(np.array(self.at))
-            port = port[:, :, :4] + port[:, :, 4:] @ bound
-        else:
-            port = port[:, :, : 4 if self.part == "body" else 10]
-        return Columns(tuple(range(len(scene.channels))), port)
+            out[4:, 1:4] = _inertia_of_moment(np.array(self.at))
+        return out
 
 
 def _inertia_of_moment(c: Array) -> Array:

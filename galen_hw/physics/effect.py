@@ -55,6 +55,10 @@ DOUBT: Final = 2.2
 """`Effect.doubt` where the proposals stand on a grid of octaves or so."""
 
 
+LOADS: Final = ("wrench", "effort")
+"""Groups whose channels are loads."""
+
+
 SAMPLED: Final = 97
 """So many rows are looked at before a column is searched for a value: nearly all columns are full."""
 
@@ -190,6 +194,14 @@ class Effect(ABC):
         """Keys of the ends of a stream that are part of what it describes: its change does not go through them again."""
         return ()
 
+    def reads(self, scene: Scene) -> bool:
+        """Whether it acts on a load as it is read, whatever makes it up: the changes of other effects too."""
+        return False
+
+    def body(self, scene: Scene, theta: Array) -> Array | None:
+        """(10,) inertial parameters that it hangs on the sensor, in the order of `Scene.body_port`; None: no body."""
+        return None
+
     def at_work(self, scene: Scene) -> bool:
         """Whether it does, in this recording, what it is named for: friction that never breaks loose is a lag by another name."""
         return True
@@ -211,6 +223,10 @@ class Effect(ABC):
 
     def told_by(self, theta: Array) -> Self | None:
         """The same, bound by a law between its parameters that these (k,) can place; None without one."""
+        return None
+
+    def otherwise(self) -> Self | None:
+        """The same physics counted from another zero, where other effects may make up for the difference; None: there is none."""
         return None
 
     def unlimited(self) -> Self:

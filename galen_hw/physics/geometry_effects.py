@@ -9,6 +9,7 @@ import numpy as np
 from galen_hw.physics.effect import Columns, Effect, Parameter, in_all
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.scene_pose import ArmScene
+from galen_hw.physics.scene_wrench import WrenchScene
 from galen_hw.physics.screws import axis_screws, joint_screws
 from galen_hw.spatial import Array
 
@@ -39,14 +40,21 @@ class JointOffset(Effect):
         return (Parameter("offset", joint_unit(self.joint)),)
 
     def columns(self, scene: Scene) -> Columns:
-        """The joint's port."""
-        port = _less_zero(scene, lambda at: at.joint_port(self.joint))
+        """Slope of the misread arm, else the joint's port."""
+        slope = _slope(lambda x: self._misread(scene, x))
+        port = slope if slope is not None else _less_zero(scene, lambda at: at.joint_port(self.joint))
         assert port is not None, "proposed only where there is a port"
         return in_all([port], len(scene.channels))
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """The turned arm itself, where its screws are known."""
+        """The misread arm itself, or the turned one, where its screws are known."""
+        misread = self._misread(scene, float(theta[0]))
+        if misread is not None:
+            return misread
         return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * np.ones(len(at))))
+
+    def _misread(self, scene: Scene, offset: float) -> Array | None:
+        return _less_zero(scene, lambda at: at.misread(self.joint, offset=offset))
 
 
 @dataclass(frozen=True)
@@ -69,8 +77,9 @@ class JointScale(Effect):
         return (Parameter("scale_error", "1"),)
 
     def columns(self, scene: Scene) -> Columns:
-        """The joint's port times its position."""
-        stretched = _less_zero(scene, self._stretched)
+        """Slope of the misread arm, else the joint's port times its position."""
+        slope = _slope(lambda x: self._misread(scene, x))
+        stretched = slope if slope is not None else _less_zero(scene, self._stretched)
         assert stretched is not None, "proposed only where there is a port"
         return in_all([stretched], len(scene.channels))
 
@@ -79,8 +88,14 @@ class JointScale(Effect):
         return None if port is None else port * scene.q[:, [scene.joint_index(self.joint)]]
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """The turned arm itself, where its screws are known."""
+        """The misread arm itself, or the turned one, where its screws are known."""
+        misread = self._misread(scene, float(theta[0]))
+        if misread is not None:
+            return misread
         return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * at.q[:, at.joint_index(self.joint)]))
+
+    def _misread(self, scene: Scene, scale: float) -> Array | None:
+        return _less_zero(scene, lambda at: at.misread(self.joint, scale=scale))
 
 
 @dataclass(frozen=True)
@@ -184,6 +199,8 @@ class SensorMounting(Effect):
         return out
 
     def _moved(self, scene: Scene, vector: Array) -> Array:
+        if self.part == "turn" and isinstance(scene, WrenchScene):
+            return scene.reseated(vector)
         T = scene.T_sensor if isinstance(scene, ArmScene) else scene.T  # type: ignore[attr-defined]
         along = T[:, :3, :3] @ vector
         if self.part == "shift":
@@ -211,6 +228,17 @@ def _less_zero(scene: Scene, change: Callable[[Scene], Array | None]) -> Array |
     out = change(scene)
     zero = None if out is None or scene.zeroing is None else change(scene.zeroing)
     return out if out is None or zero is None else out - zero
+
+
+STRIDE = 1e-4
+"""rad, m or a share: a central difference over twice as much is exact to 1e-8."""
+
+
+def _slope(change: Callable[[float], Array | None]) -> Array | None:
+    """Central difference at nothing."""
+    up = change(STRIDE)
+    down = None if up is None else change(-STRIDE)
+    return None if up is None or down is None else (up - down) / (2.0 * STRIDE)
 
 
 def _by_screw(scene: Scene, joint: str, amount: Array) -> Array | None:

@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from galen_hw.physics.effect import (
+    LOADS,
     Columns,
     Effect,
     Parameter,
@@ -58,9 +59,17 @@ class Creep(Effect):
         """Another constant, not above the longest of which this recording sees enough to tell it from a give."""
         return replace(self, constant=min(values["constant"], self.longest))
 
+    def otherwise(self) -> Self:
+        """What comes later or what is missing at first: a load that was read wrong all along makes one of the other."""
+        return replace(self, form="less" if self.form == "more" else "more")
+
     def unlimited(self) -> Self:
         """Any constant: what never settles in this recording is a give to it, but it may be there."""
         return replace(self, longest=np.inf)
+
+    def reads(self, scene: Scene) -> bool:
+        """Where it is the sensor's own."""
+        return not self.joint and scene.observations.predict in LOADS
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Settled share of the load, or give of the joint."""
@@ -173,6 +182,10 @@ class Hysteresis(Effect):
         """The joint that drives it."""
         own = joint_of(self.channel)
         return (self.driver.split(":", 1)[1],) if ":" in self.driver else ((own,) if own else ())
+
+    def reads(self, scene: Scene) -> bool:
+        """Where it is the sensor's own."""
+        return self.channel != "" and self.driver == self.channel and scene.observations.predict in LOADS
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Weights of the operators."""

@@ -28,6 +28,23 @@ class Body:
     com: Array = field(default_factory=lambda: np.zeros(3))
     inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
+    def with_parameters(self, more: Array) -> "Body | None":
+        """With m, m c (3) and inertia xx xy yy xz yz zz about the sensor's origin added (10,); None if nothing weighs then."""
+        mass = self.mass + float(more[0])
+        if mass <= 0.0:
+            return None
+        com = np.asarray(self.mass * self.com + more[1:4]) / mass
+        xx, xy, yy, xz, yz, zz = more[4:]
+        about_origin = (
+            self.inertia + self.mass * _parallel(self.com) + np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        )
+        return Body(mass, com, about_origin - mass * _parallel(com))
+
+
+def _parallel(c: Array) -> Array:
+    """(3, 3) inertia about the origin of unit mass at c."""
+    return np.asarray(np.dot(c, c) * np.eye(3) - np.outer(c, c))
+
 
 def gravity_in_sensor(R: ArrayLike, gravity: ArrayLike = NOMINAL_GRAVITY) -> Array:
     """Gravity s = R^T g, (..., 3) m/s^2, of sensor orientations (..., 3, 3)."""

@@ -40,7 +40,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 _FIRST = threading.RLock()
-"""Two searches may ask at once, and one answer (`gravity_port`) changes the robot's gravity for a moment."""
+"""Two searches may ask at once."""
 
 
 def once(method: F) -> F:
@@ -99,6 +99,33 @@ class Scene:
         """The same scene with what a model adds to its simulation: a reading that clips, clips all of it."""
         one = copy(self)
         one.standing, one.carried, one.limited = standing, carried, frozenset(limited)
+        return one
+
+    def reading(self, simulated: Array) -> Self:
+        """The same scene with something else (N, C) that is simulated."""
+        return self._otherwise(simulated=simulated)
+
+    def with_body(self, body: Array) -> Self | None:
+        """The scene of a machine that carries a body more, of inertial parameters (10,) as of `body_port`; None: unknown.
+
+        What is simulated stays as it is.
+        """
+        return None
+
+    def _otherwise(self, **values: Any) -> Self:
+        """A copy with other attributes; what was computed from the old ones is forgotten, but not what was simulated."""
+        kept = {
+            "simulated": self.simulated,
+            "measured": self.measured,
+            "q": self.q,
+            "rates": self.rates,
+            "band": self.band,
+        }
+        one = copy(self)
+        for name in [n for n in vars(one) if isinstance(getattr(type(one), n, None), cached_property)]:
+            del vars(one)[name]
+        vars(one).pop("_once", None)
+        vars(one).update(kept | values)
         return one
 
     def row(self, k: int, memory: Memory) -> Self:
@@ -250,6 +277,10 @@ class Scene:
         port = self.joint_port(joint)
         live = [] if port is None else np.flatnonzero(port.any(axis=0)).tolist()
         return tuple(live or range(len(self.channels)))
+
+    def misread(self, joint: str, *, offset: float = 0.0, scale: float = 0.0) -> Array | None:
+        """(N, C) change, exactly, if a joint stands at (1 + scale) q + offset where q is read; None: the port must do."""
+        return None
 
     def gravity_port(self) -> Array | None:
         """(N, C, 3) answer to gravity in the base, per m/s^2."""

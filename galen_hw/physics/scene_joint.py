@@ -1,8 +1,9 @@
 """Efforts and positions of joints."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -154,6 +155,26 @@ class EffortScene(JointScene):
 
         return self._along(self._coarse(run))
 
+    def misread(self, joint: str, *, offset: float = 0.0, scale: float = 0.0) -> Array | None:
+        """Inverse dynamics of another motion."""
+        robot = self._urdf()
+        if robot is None:
+            return None
+        shift, stretch = np.zeros(self.q.shape[1]), np.ones(self.q.shape[1])
+        shift[self.joint_index(joint)], stretch[self.joint_index(joint)] = offset, 1.0 + scale
+        dq, ddq = self.rates if self.belief.dynamic else (np.zeros_like(self.q),) * 2
+
+        def run(rows: Array) -> Array:
+            return robot.inverse_dynamics(self.q[rows] * stretch + shift, dq[rows] * stretch, ddq[rows] * stretch)
+
+        return self._along(self._coarse(run)) - self._rigid(robot)
+
+    @once
+    def _rigid(self, robot: UrdfRobot) -> Array:
+        """(N, C) efforts of the motion itself, between the same coarse rows."""
+        dq, ddq = self.rates if self.belief.dynamic else (np.zeros_like(self.q),) * 2
+        return self._along(self._coarse(lambda rows: robot.inverse_dynamics(self.q[rows], dq[rows], ddq[rows])))
+
     @once
     def gravity_port(self) -> Array | None:
         """Efforts per unit of gravity along x, y, z of the base."""
@@ -161,14 +182,14 @@ class EffortScene(JointScene):
         if robot is None:
             return None
         zero = np.zeros_like(self.q)
-        before = robot.model.gravity.linear.copy()
-        try:
-            parts = []
-            for unit in np.eye(3):
-                robot.model.gravity.linear = unit
-                parts.append(self._coarse(lambda rows: robot.inverse_dynamics(self.q[rows], zero[rows], zero[rows])))
-        finally:
-            robot.model.gravity.linear = before
+        parts = []
+        for unit in np.eye(3):
+            under = robot.under(unit)
+
+            def run(rows: Array, one: UrdfRobot = under) -> Array:
+                return one.inverse_dynamics(self.q[rows], zero[rows], zero[rows])
+
+            parts.append(self._coarse(run))
         return np.stack([self._along(part) for part in parts], axis=-1)
 
     @once
@@ -180,6 +201,12 @@ class EffortScene(JointScene):
         dq, ddq = self.rates
         full = self._coarse(lambda rows: robot.dynamics_regressor(self.q[rows], dq[rows], ddq[rows])[:, :, -10:])
         return self._along(full)
+
+    def with_body(self, body: Array) -> Self | None:
+        """The last link is another one."""
+        robot = self._urdf()
+        other = None if robot is None else robot.with_load(body)
+        return None if other is None else self._otherwise(belief=replace(self.belief, robot=other))
 
     @once
     def inertial_port(self) -> Array | None:

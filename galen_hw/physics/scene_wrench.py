@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -116,11 +117,44 @@ class WrenchScene(Scene):
         belief = replace(b, tool=Body(), zeroed_rotation=None, zeroed_joints=None, dynamic=False, terms=())
         return WrenchScene(Observations("wrench", columns, None, belief))
 
+    def with_body(self, body: Array) -> Self | None:
+        """The tool is another one."""
+        tool = self.belief.tool.with_parameters(body)
+        return None if tool is None else self._otherwise(belief=replace(self.belief, tool=tool))
+
     @once
     def joint_port(self, joint: str) -> Array | None:
         """The sensor turned about the joint's axis."""
         screws = joint_screws(self, joint)
         return None if screws is None else self._turned(screws[:, 3:])
+
+    def misread(self, joint: str, *, offset: float = 0.0, scale: float = 0.0) -> Array | None:
+        """Weight and, where the baseline has it, inertia of the bodies in another pose and motion of the arm."""
+        robot = self.belief.robot
+        if robot is None or joint not in self.joint_names or not np.isfinite(self.q).all():
+            return None
+        j = self.joint_index(joint)
+        q, dq, ddq = (x.copy() for x in (self.q, *self.rates))
+        for x in (q, dq, ddq):
+            x[:, j] *= 1.0 + scale
+        q[:, j] += offset
+        if self.belief.dynamic:
+            return self._moving(robot.sensor_motion(q, dq, ddq))
+        zeros = np.zeros((len(q), 3))
+        return self._moving(Motion(robot.sensor_pose(q), zeros, zeros, zeros))
+
+    def reseated(self, turn: Array) -> Array:
+        """(N, 6) change, exactly, if the sensor is turned on its flange by a rotation vector (3,) in its own axes."""
+        T = self.T.copy()
+        T[:, :3, :3] = self.R @ rotation_exp(turn)
+        return self._moving(Motion(T, self.motion.acceleration, self.motion.omega, self.motion.alpha))
+
+    def _moving(self, motion: Motion) -> Array:
+        """(N, 6) change of the reading if the sensor moved otherwise."""
+        gravity = self.belief.gravity
+        turned = gravity_in_sensor(motion.T[:, :3, :3], gravity) - gravity_in_sensor(self.R, gravity)
+        more = inertial_wrench(motion, *self._bodies) - self._inertia if self.belief.dynamic else 0.0
+        return np.asarray(turned @ self.weight.T + more)
 
     def _turned(self, phi: Array) -> Array:
         """Change (N, 6) of the reading for a small rotation phi (N, 3) of the sensor, base coordinates."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.physics.effect import (
+    LOADS,
     Columns,
     Downstream,
     Effect,
@@ -160,6 +161,10 @@ class Gain(Effect):
         spread = np.nanstd(scene.simulated, axis=0)
         yield from (cls(name) for name, s in zip(scene.channels, spread, strict=True) if s > 0.0)
 
+    def reads(self, scene: Scene) -> bool:
+        """All that the channel carries."""
+        return scene.observations.predict in LOADS
+
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Relative error of the scale."""
         return (Parameter("gain_error", "1"),)
@@ -191,6 +196,10 @@ class CrossTalk(Effect):
             for b, s in zip(scene.channels, spread, strict=True):
                 if a != b and s > 0.0:
                     yield cls(a, b)
+
+    def reads(self, scene: Scene) -> bool:
+        """All that the channel carries."""
+        return scene.observations.predict in LOADS
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """The share that leaks."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import Robot
-from galen_hw.physics.effect import Effect
+from galen_hw.physics.compound import Placed, compound
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.scene_wrench import WRENCH, WrenchScene
 from galen_hw.physics.table import effect_of
@@ -43,26 +43,27 @@ class Sample(Protocol):
 
 
 class EffectStream:
-    """One effect with its memory.
+    """Effects that stand beside each other, with their memory.
 
     Args:
-        effect: the piece of physics; theta: its linear parameters (k,).
+        effects: the pieces of physics with their linear parameters (k,); those of the wall clock (`DATED`) by themselves.
         joint_names: order of the joints in the samples.
         belief: robot, and for errors of geometry the bodies.
     """
 
-    def __init__(self, effect: Effect, theta: Array, joint_names: Sequence[str], belief: Belief) -> None:
-        self.effect, self.theta, self.belief = effect, theta, belief
+    def __init__(self, effects: Sequence[Placed], joint_names: Sequence[str], belief: Belief) -> None:
+        self.effects, self.belief = effects, belief
+        self._dated = any(effect.KEY in DATED for effect, _ in effects)
         self._columns = [f"joint.{name}.position" for name in joint_names]
         self._order = [list(joint_names).index(n) for n in belief.robot.joint_names] if belief.robot else []
         self._memory: Memory = {}
         self._last: tuple[float, Array, Array] | None = None
 
     def step(self, sample: Sample) -> Array:
-        """(6,) that the effect adds to the reading, sensor frame, N and N m."""
+        """(6,) that the effects add to the reading, sensor frame, N and N m."""
         time, q = sample.t_ns * 1e-9, np.asarray(sample.q, dtype=float)
         rate = self._rates(time, q)
-        if self.effect.KEY in DATED:
+        if self._dated:
             time = sample.timestamp
         return self.at(time, q, rate, np.zeros_like(rate), np.asarray(sample.predicted, dtype=float))
 
@@ -74,7 +75,7 @@ class EffectStream:
         rates = tuple(x[self._order][None] if self._order else x[None] for x in (dq, ddq))
         observations = Observations("wrench", columns, simulated, self.belief)
         scene = WrenchScene(observations, rates=(rates[0], rates[1]), memory=self._memory)
-        return np.asarray(self.effect.change(scene, self.theta)[0])
+        return np.asarray(np.sum(compound(scene, self.effects), axis=0)[0])
 
     def _rates(self, time: float, q: Array) -> Array:
         if self._last is None:
@@ -95,7 +96,7 @@ def build_streams(
     robot: Robot | None,
     belief: Belief | None = None,
 ) -> list[EffectStream]:
-    """A stream for every term.
+    """One stream for all terms that the machine meets together, and one for each that goes by the wall clock.
 
     Args:
         terms: objects or mappings with `effect` and `parameters`, as `galen-hw diagnose --save-model` writes them.
@@ -107,7 +108,10 @@ def build_streams(
         UsageError: an effect that is not known, is not about wrenches, or cannot be predicted live.
     """
     known = replace(belief or Belief(), robot=robot)
-    return [_stream(_plain(term), joint_names, known) for term in terms]
+    placed = [_placed(_plain(term), joint_names, known) for term in terms]
+    together = [one for one in placed if one[0].KEY not in DATED]
+    apart = [[one] for one in placed if one[0].KEY in DATED]
+    return [EffectStream(effects, joint_names, known) for effects in (together, *apart) if effects]
 
 
 def _plain(term: Any) -> dict[str, Any]:
@@ -116,7 +120,7 @@ def _plain(term: Any) -> dict[str, Any]:
     return {"effect": term.effect, "parameters": dict(term.parameters)}
 
 
-def _stream(term: dict[str, Any], joint_names: Sequence[str], belief: Belief) -> EffectStream:
+def _placed(term: dict[str, Any], joint_names: Sequence[str], belief: Belief) -> Placed:
     key, parameters = term["effect"], term["parameters"]
     where = f"terms: {key}"
     why = why_not_live(term)
@@ -127,7 +131,7 @@ def _stream(term: dict[str, Any], joint_names: Sequence[str], belief: Belief) ->
     columns = dict(observations.columns) | {f"joint.{n}.position": np.zeros(1) for n in joint_names}
     scene = WrenchScene(Observations("wrench", columns, None, belief), rates=_still(belief))
     try:
-        return EffectStream(effect, effect.theta_of(scene, parameters), joint_names, belief)
+        return effect, effect.theta_of(scene, parameters)
     except KeyError as error:
         raise UsageError(f"no parameter {error}", where=where, todo="save the model again") from error
 

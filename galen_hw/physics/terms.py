@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from galen_hw.physics.compound import compound
 from galen_hw.physics.table import effect_of
 from galen_hw.spatial import Array
 
@@ -46,16 +47,14 @@ def dated(term: Term, shift: float) -> dict[str, Any]:
 
 
 def known_change(scene: "Scene", terms: Sequence[Term]) -> Array:
-    """(N, C) what the terms of a file add to a scene's simulation, each by itself, as the live services add them.
+    """(N, C) what the terms of a file add to a scene's simulation together, as the live services add them.
 
     Terms of other groups, terms that are not served live, and dated ones in a recording that does not say when it was
     made are left out.
     """
     out = np.zeros((len(scene), len(scene.channels)))
-    for term in usable(scene, terms):
-        effect = effect_of(term)
-        out += effect.change(scene, effect.theta_of(scene, term["parameters"]))
-    return out
+    effects = [(effect_of(term), term["parameters"]) for term in usable(scene, terms)]
+    return sum(compound(scene, [(e, e.theta_of(scene, values)) for e, values in effects]), out)
 
 
 def usable(scene: "Scene", terms: Sequence[Term]) -> list[dict[str, Any]]:

@@ -43,10 +43,10 @@ class TermSample:
 
 
 class TermStream(Protocol):
-    """One further effect of the prediction, sample by sample."""
+    """Further effects of the prediction, sample by sample."""
 
     def step(self, sample: TermSample) -> Sequence[float]:
-        """(6,) that it adds to the reading, sensor frame, N and N m."""
+        """(6,) that they add to the reading, sensor frame, N and N m."""
         ...
 
 

@@ -1,0 +1,154 @@
+"""What several effects do together: each on a machine that has the others."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from physics_scenes import JOINTS, belief, proposals
+
+from galen_hw.physics.body_effects import INERTIA, Payload
+from galen_hw.physics.compound import READERS, compound
+from galen_hw.physics.geometry_effects import JointOffset, JointScale, SensorMounting
+from galen_hw.physics.memory_effects import Creep
+from galen_hw.physics.rigid import Body
+from galen_hw.physics.sensor_effects import CrossTalk, Gain
+from galen_hw.physics.streams import EffectStream
+from galen_hw.physics.table import EFFECTS, scene_of
+
+BODY = np.array([0.05, 0.001, -0.002, 0.003])
+POINT = (0.02, -0.04, 0.06)
+"""BODY's moment over its mass."""
+
+
+def test_one_alone_does_what_it_does_alone():
+    """Nothing is there to meet: every hypothesis of every group that carries loads."""
+    for group in ("wrench", "effort", "pose"):
+        scene, found = proposals(group)
+        for effect in found:
+            theta = np.full(len(effect.parameters(scene)), 0.013)
+            (alone,) = compound(scene, [(effect, theta)])
+            np.testing.assert_array_equal(alone, effect.change(scene, theta))
+
+
+def test_a_new_load_is_turned_by_a_wrong_joint_and_scaled_by_a_wrong_gain():
+    """The same as simulating the other machine and scaling what it reads; the sum of both alone is not."""
+    scene, _ = proposals("wrench")
+    tool = scene.belief.tool.with_parameters(np.concatenate([BODY, np.zeros(6)]))
+    q = scene.observations.columns["joint.tilt.position"] + 0.03
+    columns = dict(scene.observations.columns) | {"joint.tilt.position": q}
+    real = scene_of(
+        replace(scene.observations, columns=columns, belief=replace(scene.belief, tool=tool)), rates=scene.rates
+    )
+    wanted = real.simulated.copy()
+    wanted[:, 2] *= 1.07
+    placed = [
+        (Gain("wrench.force.z"), np.array([0.07])),
+        (JointOffset("tilt"), np.array([0.03])),
+        (Payload("full"), np.concatenate([BODY, np.zeros(6)])),
+    ]
+    together = sum(compound(scene, placed))
+    np.testing.assert_allclose(scene.simulated + together, wanted, atol=1e-9)
+    apart = sum(effect.change(scene, theta) for effect, theta in placed)
+    assert np.max(np.abs(together - apart)) > 1e-3
+
+
+def test_the_calibration_matrix_comes_after_the_memory_of_the_load():
+    """In whatever order they are named."""
+    scene, _ = proposals("wrench")
+    creep = Creep(0.5, "wrench.force.x")
+    placed = [
+        (Gain("wrench.force.x"), np.array([0.1])),
+        (CrossTalk("wrench.force.y", "wrench.force.x"), np.array([0.2])),
+        (creep, np.array([0.05])),
+    ]
+    gain, leak, slow = compound(scene, placed)
+    np.testing.assert_array_equal(slow, creep.change(scene, np.array([0.05])))
+    crept = scene.simulated + slow
+    np.testing.assert_allclose(leak[:, 1], 0.2 * crept[:, 0])
+    np.testing.assert_allclose(gain[:, 0], 0.1 * crept[:, 0])
+    other = compound(scene, placed[::-1])[::-1]
+    for a, b in zip((gain, leak, slow), other, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_efforts_carry_the_new_load_too():
+    """A last link that is heavier, in another pose: the same as the inverse dynamics of both."""
+    scene, _ = proposals("effort")
+    robot, joint = scene.belief.robot, scene.joint_names[1]
+    body = np.concatenate([[0.3], 0.3 * np.array(POINT), [1e-3, 0.0, 1e-3, 0.0, 0.0, 1e-3]])
+    shift = np.zeros(len(scene.joint_names))
+    shift[1] = 0.02
+    real = robot.with_load(body).inverse_dynamics(scene.q + shift, *scene.rates)
+    together = sum(compound(scene, [(JointOffset(joint), np.array([0.02])), (Payload("full"), body)]))
+    order = [scene.joint_index(name.split(".")[1]) for name in scene.channels]
+    np.testing.assert_allclose(scene.simulated + together, real[:, order], atol=1e-9)
+
+
+def test_a_stream_of_several_gives_what_the_batch_gives():
+    """Two that remember do not share their memory; a gain scales what they add."""
+    scene, _ = proposals("wrench")
+    placed = [
+        (Creep(0.5, "wrench.force.x"), np.array([0.05])),
+        (Creep(2.0, "wrench.torque.y"), np.array([0.03])),
+        (Gain("wrench.force.x"), np.array([0.1])),
+        (Payload("body"), BODY),
+        (JointScale("tilt"), np.array([0.02])),
+    ]
+    batch = sum(compound(scene, placed))
+    stream = EffectStream(placed, JOINTS, belief())
+    rows = [
+        stream.at(scene.time[k], scene.q[k], scene.rates[0][k], scene.rates[1][k], scene.simulated[k])
+        for k in range(len(scene))
+    ]
+    np.testing.assert_allclose(np.array(rows), batch, atol=1e-10)
+
+
+def test_every_reader_has_its_place():
+    """Whatever says that it reads a load is in the order in which the load is met."""
+    for group in ("wrench", "effort"):
+        scene, found = proposals(group)
+        assert {e.KEY for e in found if e.reads(scene)} <= set(READERS) <= set(EFFECTS)
+
+
+@given(
+    mass=st.floats(0.01, 3.0),
+    com=st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3),
+    more=st.floats(0.001, 1.0),
+    at=st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3),
+)
+@settings(max_examples=50, deadline=None)
+def test_a_point_of_mass_added_to_a_body_is_the_body_of_both(mass, com, more, at):
+    """Mass, moment and the inertia about the common centre (Steiner)."""
+    c, p = np.array(com), np.array(at)
+    inertia = more * (p @ p * np.eye(3) - np.outer(p, p))
+    six = [inertia[0, 0], inertia[0, 1], inertia[1, 1], inertia[0, 2], inertia[1, 2], inertia[2, 2]]
+    both = Body(mass, c, 1e-3 * np.eye(3)).with_parameters(np.array([more, *(more * p), *six]))
+    assert both is not None
+    d = c - p
+    steiner = 1e-3 * np.eye(3) + mass * more / (mass + more) * (d @ d * np.eye(3) - np.outer(d, d))
+    np.testing.assert_allclose(both.mass, mass + more)
+    np.testing.assert_allclose(both.com, (mass * c + more * p) / (mass + more), atol=1e-12)
+    np.testing.assert_allclose(both.inertia, steiner, atol=1e-9)
+
+
+def test_what_would_weigh_nothing_is_no_body():
+    """A load of more than minus the tool."""
+    assert Body(0.1).with_parameters(np.array([-0.2, *np.zeros(9)])) is None
+    assert len(INERTIA) == 6
+
+
+@pytest.mark.parametrize("effect", [JointOffset("tilt"), JointScale("tilt"), SensorMounting("turn")])
+def test_a_wrong_arm_accelerates_otherwise_too(effect):
+    """In a model with inertia the change is that of the whole reading, not of its weight alone."""
+    scene, _ = proposals("wrench")
+    static = scene_of(replace(scene.observations, belief=replace(scene.belief, dynamic=False)), rates=scene.rates)
+    theta = np.full(len(effect.parameters(scene)), 0.02)
+    assert scene.belief.dynamic
+    assert np.max(np.abs(effect.change(scene, theta) - effect.change(static, theta))) > 1e-6
