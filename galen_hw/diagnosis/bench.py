@@ -36,6 +36,7 @@ class Hypothesis:
         looked: at how many places it was looked for.
         theta: parameters at which `raw` is the slope (nonlinear effects); None: at zero.
         bend: (M, C) what it predicts at theta beyond slope times theta; None where it is linear.
+        beside: (M, C) what it adds in a settled model because the others are there too; None: nothing.
     """
 
     effect: Effect | None
@@ -45,6 +46,7 @@ class Hypothesis:
     name: str = ""
     theta: Array | None = None
     bend: Array | None = None
+    beside: Array | None = None
 
     @property
     def count(self) -> int:
@@ -75,8 +77,8 @@ class Hypothesis:
 
     def does(self, theta: Array) -> Array:
         """(M, len(channels)) its change with parameters theta (k,), what it is bent by included."""
-        straight = self.raw.values @ theta
-        return straight if self.bend is None else np.asarray(straight + self.bend[:, list(self.raw.channels)])
+        more = [x[:, list(self.raw.channels)] for x in (self.bend, self.beside) if x is not None]
+        return np.asarray(sum(more, self.raw.values @ theta))
 
     def pinned_gain(self, scene: Scene, A: Array, r: Array) -> float | None:
         """Fall of the whitened sum of squares at the one value its parameters can have, by inner products; None: free.
@@ -111,6 +113,8 @@ class Bench:
     dropped: Mask = field(init=False)
     noise: Noise = field(init=False)
     timing: list[tuple[Downstream, Array]] = field(default_factory=list)
+    company: Array | float = 0.0
+    """(M, C) what the effects of the present model add because of each other: a gain scales a new load too."""
 
     def __post_init__(self) -> None:
         """Averages the residual and marks the rows set aside."""

@@ -30,9 +30,9 @@ def tangent(bench: Bench, h: Hypothesis, theta: Array) -> Hypothesis:
 
 
 def straightened(scorer: Scorer, chosen: list[int]) -> Array:
-    """(M, C) residual less what the effects of a model predict beyond their slopes."""
+    """(M, C) residual less what a model predicts beyond its slopes, and what the effects of the present one do to each other."""
     bends = [b for i in chosen if (b := scorer.library[i].bend) is not None]
-    return np.asarray(scorer.bench.whole - sum(bends, np.zeros_like(scorer.bench.whole)))
+    return np.asarray(scorer.bench.whole - scorer.bench.company - sum(bends, np.zeros_like(scorer.bench.whole)))
 
 
 def rebase(scorer: Scorer, chosen: list[int]) -> None:

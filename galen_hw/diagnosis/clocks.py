@@ -226,7 +226,7 @@ def _exchanged(
         for effect, size in clocks:
             h = bench.add(effect)
             fresh.append(tangent(bench, h, np.array([size])) if isinstance(effect, TimeDelay) else h)
-        bench.y = bench.whole - sum((h.bend for h in fresh if h.bend is not None), np.zeros_like(y))
+        bench.y = bench.whole - bench.company - sum((h.bend for h in fresh if h.bend is not None), np.zeros_like(y))
         scorer.append(fresh)
         scorer.retarget(bench.y)
         trial = list(range(len(scorer.library) - len(fresh), len(scorer.library)))

@@ -3,10 +3,12 @@
 import itertools
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from galen_hw.diagnosis import stream
 from galen_hw.diagnosis.algebra import solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.linear import fit, left_out, predicted
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 BETTER = 0.98
 """Error on blocks left out, over that of the weighed fit, below which the plain one is taken."""
 
+STAYS: Final = 1e-2
+"""Of the noise of one row: what moves by less stays."""
 NOTHING: Final = 1e-3
 """Mean square, of the noise's, that is no matter."""
 MERIT: Final = 6.0
@@ -43,7 +47,6 @@ class Model:
         white: whitened residual, less what the effects predict beyond their slopes (y: the same unfiltered).
         plain: all frequencies weighed alike, for a model that leaves physics over.
         theta: parameters learnt on the training rows (those of moments on all), nuisances first; final: on all rows,
-            covariance: of these.
     """
 
     bench: Bench
@@ -54,22 +57,47 @@ class Model:
     y: Array = field(init=False)
     theta: Array = field(init=False)
     final: Array = field(init=False)
-    covariance: Array = field(init=False)
 
     def __post_init__(self) -> None:
         """Fits."""
-        bends = [h.bend for h in self.effects if h.bend is not None]
-        self.y = self.bench.whole - sum(bends, np.zeros_like(self.bench.whole))
+        self.y = self.bench.whole - _beyond(self.effects, self.bench.whole)
         train, everything = np.flatnonzero(self.bench.train), np.flatnonzero(~self.bench.dropped)
         parts, y = self.flat() if self.plain else (self.parts, self.white)
         self.final = self._fitted(parts, y, everything)
-        self.covariance = self._covariance(parts, y, everything)
         # What belongs to moments has no rows to be learnt on but its own; the others are learnt beside it as it is.
         moments = np.full(len(self.final), np.nan)
         for h, s in zip(self.parts, self.slices(), strict=True):
             if h.effect is not None and h.effect.EPISODIC:
                 moments[s] = self.final[s]
         self.theta = self._fitted(parts, y, train, moments)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(k, k) of the parameters learnt on all rows."""
+        parts, y = self.flat() if self.plain else (self.parts, self.white)
+        return self._covariance(parts, y, np.flatnonzero(~self.bench.dropped))
+
+    @cached_property
+    def variance(self) -> Array:
+        """(k,) of the parameters, with what they would be by another convention that fits as well: nobody can tell which holds.
+
+        What settles after a load is more in the end, or was less at first, and a load that was read wrong is the difference.
+        """
+        out = np.maximum(np.diag(self.covariance), 0.0)
+        for k, h in enumerate(self.effects):
+            other = None if h.effect is None else h.effect.otherwise()
+            if other is None or len(self.effects) < 2:
+                continue
+            effects = [
+                *self.effects[:k],
+                replace(self.bench.add(other, h.looked), beside=h.beside),
+                *self.effects[k + 1 :],
+            ]
+            rival = Model(self.bench, self.nuisances, effects, self.white, self.plain)
+            own, its = (float(np.sum(m.rest(white=True)[self.bench.train] ** 2)) for m in (self, rival))
+            if abs(its - own) < MERIT:
+                out = out + (rival.final - self.final) ** 2
+        return out
 
     def _fitted(self, parts: list[Hypothesis], y: Array, rows: Chosen, known: Array | None = None) -> Array:
         """Parameters learnt on some rows; what is curved stays where it was settled if its tangent does not reach so far.
@@ -110,12 +138,15 @@ class Model:
             [h.effect for h in out if isinstance(h.effect, Saturation)],
         )
         if not limits:
-            bends = [h.bend for h in out if h.bend is not None]
-            white = self.bench.whitened(self.y + sum(bends)) if bends else self.white
+            bent = any(h.bend is not None or h.beside is not None for h in out)
+            white = self.bench.whitened(self.y + _beyond(out, self.y)) if bent else self.white
             return Model(self.bench, self.nuisances, kept, white, self.plain)
         bench = copy(self.bench)
         bench.timing = [(effect, theta) for effect, theta in bench.timing if effect not in limits]
-        whole = [h if h.effect is None or h.theta is not None else bench.add(h.effect, h.looked) for h in kept]
+        whole = [
+            h if h.effect is None or h.theta is not None else replace(bench.add(h.effect, h.looked), beside=h.beside)
+            for h in kept
+        ]
         return Model(bench, self.nuisances, whole, self.white, self.plain)
 
     def flat(self) -> tuple[list[Hypothesis], Array]:
@@ -143,9 +174,13 @@ class Model:
         return np.asarray(np.mean(self.rest()[rows] ** 2, axis=0))
 
     def _covariance(self, parts: list[Hypothesis], white: Array, rows: Chosen) -> Array:
-        """Sandwich over contiguous blocks: valid when the whitening is not perfect; never below the classical one."""
+        """Sandwich over contiguous blocks: valid when the whitening is not perfect; never below the classical one.
+
+        Nor below what it would be if the noise had no more scatter from band to band than its spectrum shows for certain.
+        """
         size = len(self.final)
         G, meat = np.zeros((size, size)), np.zeros((size, size))
+        even = np.zeros((size, size))
         scores = np.zeros((int(self.bench.block.max()) + 1, size))
         left = white.copy()
         for h, s in zip(parts, self.slices(), strict=True):
@@ -160,6 +195,12 @@ class Model:
             e = left[rows, c]
             total += float(e @ e)
             G[np.ix_(at, at)] += X.T @ X
+            if not self.plain:
+                even_out = [
+                    self.bench.noise.as_smooth(h.white.values[:, h.white.channels.index(c)], c) for h, _ in mine
+                ]
+                S = np.concatenate(even_out, axis=1)[rows]
+                even[np.ix_(at, at)] += S.T @ S
             np.add.at(scores, (self.bench.block[rows][:, None], at[None, :]), X * e[:, None])
         bread = solve_sym(G, np.eye(size))
         blocks = max(len(np.unique(self.bench.block[rows])), 2)
@@ -167,16 +208,48 @@ class Model:
         variance = max(1.0, total / max(len(rows) * self.bench.width - size, 1))
         robust, plain = bread @ meat @ bread, bread * variance
         ratio = np.sqrt(np.maximum(np.diag(robust), 0.0) / np.maximum(np.diag(plain), 1e-300))
+        smooth = np.diag(bread @ even @ bread) / np.maximum(np.diag(bread), 1e-300)
         # Forty blocks give the sandwich an error of a tenth: it speaks only where it differs by more than that.
-        factor = np.where(ratio > 1.35, ratio, 1.0)
+        factor = np.where(ratio > 1.35, ratio, np.sqrt(np.maximum(smooth, 1.0)))
         return np.asarray(plain * np.outer(factor, factor))
+
+
+def _beyond(effects: list[Hypothesis], like: Array) -> Array:
+    """(M, C) what effects add beyond slope times parameters."""
+    return sum((x for h in effects for x in (h.bend, h.beside) if x is not None), np.zeros_like(like))
+
+
+TOGETHER_ROUNDS: Final = 4
+
+
+def together(model: Model) -> Model:
+    """The model with what its effects do to each other, fitted again until that stays: a gain scales a new load too."""
+    bench = model.bench
+    kinds = [(k, h.effect) for k, h in enumerate(model.effects) if h.effect is not None]
+    if len(kinds) < 2:
+        return model
+    before = [np.zeros_like(bench.whole) for _ in kinds]
+    alone = Model(bench, model.nuisances, model.effects, model.white, model.plain)
+    for _ in range(TOGETHER_ROUNDS):
+        slices = model.slices()[len(model.nuisances) :]
+        placed = [(effect, model.final[slices[k]]) for k, effect in kinds]
+        now = [bench.rows.average(x) for x in stream.beside(bench.scene, placed, bench.timing)]
+        moved = max(float(np.max(np.abs(a - b) / bench.noise.sigma)) for a, b in zip(now, before, strict=True))
+        if moved < STAYS:
+            break
+        before, effects = now, list(model.effects)
+        for (k, _), x in zip(kinds, now, strict=True):
+            effects[k] = replace(effects[k], beside=x if x.any() else None)
+        white = alone.white - bench.whitened(sum(now, np.zeros_like(bench.whole)))
+        model = Model(bench, model.nuisances, effects, white, model.plain)
+    return model
 
 
 def settle_model(bench: Bench, scorer: Scorer, selection: Selection) -> Model:
     """Constants that the baseline may not fit become findings where they are significant, and go where they are not."""
     chosen = selection.hypotheses
     if not scorer.free:
-        return Model(bench, list(scorer.base), chosen, scorer.white)
+        return together(Model(bench, list(scorer.base), chosen, scorer.white))
     allowed = [h for i, h in enumerate(scorer.base) if bench.scene.belief.bias_free or i >= bench.width]
     questioned = [h for h in scorer.base if h not in allowed]
     as_effects = [_named(bench, h) for h in questioned]
@@ -191,7 +264,7 @@ def settle_model(bench: Bench, scorer: Scorer, selection: Selection) -> Model:
         matters = float(model.final[s][0] ** 2) > 0.02 * bench.noise.sigma[c] ** 2 * max(misfit, 1.0)
         if z[s][0] > np.sqrt(2.0 * selection.needed * misfit) and matters:
             keep.append(h)
-    return Model(bench, allowed, [*keep, *chosen], scorer.white)
+    return together(Model(bench, allowed, [*keep, *chosen], scorer.white))
 
 
 def weighed(model: Model) -> Model:

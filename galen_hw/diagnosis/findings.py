@@ -15,7 +15,7 @@ from galen_hw.diagnosis.select import CHANCE
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.sizes import SIGNAL, headline
 from galen_hw.diagnosis.variables import joint_units
-from galen_hw.diagnosis.wander import frequency_spread
+from galen_hw.diagnosis.wander import mean_frequency
 from galen_hw.diagnosis.words import BELIEVED, SAYS
 from galen_hw.physics.event_effects import Glitches, Vibration
 from galen_hw.physics.scene import Scene
@@ -100,17 +100,19 @@ def _prefix(h: Hypothesis) -> str:
 def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int) -> dict[str, Value]:
     bench, effect = model.bench, h.effect
     assert effect is not None, "effects, not nuisances"
-    variance = np.maximum(np.diag(model.covariance)[s], 0.0)
-    searched = {name: _searched_spread(model, h, s, name, value) for name, value in effect.searched().items()}
+    variance = model.variance[s]
+    values = effect.searched()
+    searched = {name: _searched_spread(model, h, s, name, value) for name, value in values.items()}
     if isinstance(effect, Vibration):
         own, pull = searched["frequency"]
-        searched["frequency"] = float(np.hypot(own, frequency_spread(model, effect))), pull
+        values["frequency"], wandering = mean_frequency(model, effect)
+        searched["frequency"] = float(np.hypot(own, wandering)), pull
     for spread, pull in searched.values():
         variance = variance + (pull * spread) ** 2
     named = zip(effect.parameters(bench.scene), model.final[s], np.sqrt(variance), strict=True)
     mark = prefix or (f"{number + 1}: " if number else "")
     out = {f"{mark}{p.name}": Value(float(v), float(d), _unit(bench.scene, effect.joints, p.unit)) for p, v, d in named}
-    for name, value in effect.searched().items():
+    for name, value in values.items():
         unit = _unit(bench.scene, effect.joints, effect.SEARCHED[name].unit)
         out[f"{mark}{name}"] = Value(value, searched[name][0], unit)
     if hasattr(effect, "moment"):
@@ -159,7 +161,7 @@ def _evidence(model: Model, selection: Selection, parts: list[Hypothesis]) -> tu
     """Score and surprise of a finding: of its parts together, or the z of a constant."""
     score, surprise = 0.0, 0.0
     for i, h in zip(selection.chosen, selection.hypotheses, strict=True):
-        if any(h is p for p in parts) and i in selection.evidence:
+        if any(h.effect is p.effect for p in parts) and i in selection.evidence:
             score += selection.evidence[i].rank
             surprise = max(surprise, selection.evidence[i].surprise)
     if score == 0.0:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.fft import dct, idct, next_fast_len
 
 from galen_hw.diagnosis.rows import Rows
-from galen_hw.diagnosis.slow_noise import shelves
+from galen_hw.diagnosis.slow_noise import shelves, smoothed
 from galen_hw.spatial import Array
 
 BANDS_PER_DECADE = 6
@@ -71,6 +71,33 @@ class Noise:
     def colour(self, z: Array, channel: int) -> Array:
         """White noise (M, k) turned into noise like the channel's."""
         return self._filtered(self.transformed(z)[:, None], (channel,), 0.5)[:, 0]
+
+    def as_smooth(self, white: Array, channel: int) -> Array:
+        """(M, k) whitened columns of one channel, weighed by how much more noise a smooth spectrum has there (root of it).
+
+        The scatter of the measured bands whitens too much here and too little there; what it makes of a fit is told by this.
+        """
+        if not len(self.edges):
+            return white
+        out, transformed = np.empty_like(white), self.transformed(white)
+        centres = np.log(np.sqrt(self.edges[1:] * self.edges[:-1]))
+        for run, place in zip(self.rows.runs, self._places, strict=True):
+            if self._coloured(run):
+                n = place.stop - place.start
+                at = np.log(np.maximum(np.arange(n) / (2.0 * n), 1e-9))
+                root = np.exp(0.5 * np.interp(at, centres, self._roughness[:, channel]))
+                out[run] = idct(transformed[place] * root[:, None], axis=0)[: run.stop - run.start]
+            else:
+                out[run] = white[run]
+        return out
+
+    @cached_property
+    def _roughness(self) -> Array:
+        """(B, C) logarithm of a smooth spectrum over the measured one."""
+        lengths = [run.stop - run.start for run in self.rows.runs if run.stop - run.start >= SHORTEST]
+        lines = sum(lengths) * np.diff(self.edges)
+        smooth = smoothed(np.sqrt(self.edges[1:] * self.edges[:-1]), self.levels, lines)
+        return np.asarray(np.log(smooth / self.levels))
 
     def flat(self) -> "Noise":
         """White noise at the lowest level of the spectrum: the least that the noise can be."""

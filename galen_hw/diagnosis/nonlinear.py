@@ -38,7 +38,7 @@ def settle(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
             fresh.append((place, new))
         if not fresh or not moved:
             return
-        bench.y = bench.whole - beyond
+        bench.y = bench.whole - bench.company - beyond
         scorer.append([h for _, h in fresh])
         for k, (place, _) in enumerate(fresh):
             chosen[place] = len(scorer.library) - len(fresh) + k

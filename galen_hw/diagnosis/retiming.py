@@ -6,9 +6,10 @@ import numpy as np
 
 from galen_hw.diagnosis import stream
 from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.bends import rebase
 from galen_hw.diagnosis.nonlinear import settle
 from galen_hw.diagnosis.score import Scorer
-from galen_hw.physics.effect import Downstream
+from galen_hw.physics.effect import Downstream, Effect
 from galen_hw.physics.sensor_effects import Saturation
 from galen_hw.spatial import Array
 
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from galen_hw.physics.scene import Scene
 
 
+ROUNDS = 4
+MET = 0.02
+"""Of the noise of one row: what the effects do to each other is told anew when it has moved by more."""
 LATER = 0.1
 """A delay or lag that moves by more than this share makes all other effects' columns anew."""
 
@@ -48,14 +52,32 @@ def load(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
         if len(h.raw.channels) == 1:
             standing[h.raw.channels[0]] = theta[done]
         done += h.count
-    effects = []
+    carried = stream.carried(scene, _placed(scorer, chosen, theta), bench.timing)
+    bench.stream = scene.carrying(standing, carried, stream.limited(bench.timing))
+
+
+def settle_together(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
+    """Nonlinear effects where they stand, and what all do to each other taken off the residual: nothing is to be found in it."""
+    for _ in range(ROUNDS):
+        settle(bench, scorer, chosen)
+        placed = _placed(scorer, chosen, scorer.solve(chosen)[0])
+        together = stream.beside(bench.scene, placed, bench.timing) if len(placed) > 1 else []
+        now = sum((bench.rows.average(x) for x in together), np.zeros_like(bench.whole))
+        if np.max(np.abs(now - bench.company) / bench.noise.sigma) < MET:
+            return
+        bench.company = now
+        rebase(scorer, chosen)
+
+
+def _placed(scorer: Scorer, chosen: list[int], theta: Array) -> list[tuple[Effect, Array]]:
+    """The chosen effects with their share of the parameters of all."""
+    out, done = [], sum(h.count for h in scorer.base)
     for i in chosen:
         h = scorer.library[i]
-        t, done = theta[done : done + h.count], done + h.count
         if h.effect is not None:
-            effects.append((h.effect, t))
-    carried = stream.carried(scene, effects, bench.timing)
-    bench.stream = scene.carrying(standing, carried, stream.limited(bench.timing))
+            out.append((h.effect, theta[done : done + h.count]))
+        done += h.count
+    return out
 
 
 def _same_clips(timing: list[tuple[Downstream, Array]], old: "Scene", new: "Scene") -> bool:

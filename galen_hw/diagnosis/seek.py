@@ -1,5 +1,6 @@
 """Looks into a residual for what belongs to one recording: glitches, steps, contacts, shared drifts, spectral lines, ripple."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -123,12 +124,15 @@ def drifts(scene: Scene, rest: Array, time: Array) -> list[Sought]:
     return [Sought(effect, len(scene.channels)) for _, effect in best.values()]
 
 
-WANDER = 5
+WANDERS = (0, 5, 15)
 """Half cosines over the recording that the phase of a hum may follow."""
 
 
-def lines(scene: Scene, rest: Array, runs: tuple[slice, ...]) -> list[Sought]:
-    """The strongest line of the spectrum over its neighbourhood, over all channels and in each."""
+def lines(scene: Scene, rest: Array, runs: tuple[slice, ...], known: Sequence[Vibration] = ()) -> list[Sought]:
+    """The strongest line of the spectrum over its neighbourhood, over all channels and in each.
+
+    What is left within the breadth of a known line is its own: two lines so near would be each other's wander.
+    """
     long = max(runs, key=lambda r: r.stop - r.start)
     n = long.stop - long.start
     if not scene.clock or n < 256:
@@ -143,15 +147,19 @@ def lines(scene: Scene, rest: Array, runs: tuple[slice, ...]) -> list[Sought]:
     ground = _ground(power, 4 * 61) + 1e-300
     ratio = power / ground
     ratio[: _above_motion(scene, runs, pad, n)] = 0.0
+    dt = span / max(n - 1, 1)
+    frequency = np.arange(len(ratio)) / (pad * dt)
+    for line in known:
+        near = np.abs(frequency - line.frequency) < line.breadth(scene)
+        ratio[np.ix_(near, [scene.channels.index(name) for name in line.channels])] = 0.0
     out = []
     joint = ratio.sum(axis=1)
-    dt = span / max(n - 1, 1)
     for score, names in [
         (joint, scene.channels),
         *((ratio[:, c], (scene.channels[c],)) for c in range(ratio.shape[1])),
     ]:
         f = _peak(score) / (pad * dt)
-        out += [Sought(Vibration(tuple(names), float(f), wander), n // 2) for wander in (0, WANDER)]
+        out += [Sought(Vibration(tuple(names), float(f), wander), n // 2) for wander in WANDERS]
     return [s for s in out if s.effect.frequency > 0]  # type: ignore[attr-defined]
 
 

@@ -7,15 +7,16 @@ from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.bends import as_if, rebase, unbent
 from galen_hw.diagnosis.clocks import one_clock, reclocked
 from galen_hw.diagnosis.linear import crossed, rests
-from galen_hw.diagnosis.nonlinear import bent, in_place, polished, settle
+from galen_hw.diagnosis.nonlinear import bent, in_place, polished
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
-from galen_hw.diagnosis.retiming import load, retime
+from galen_hw.diagnosis.retiming import load, retime, settle_together
 from galen_hw.diagnosis.score import Score, Scorer, threshold
 from galen_hw.diagnosis.selection import Selection, place_of
 from galen_hw.diagnosis.tendons import tightened
 from galen_hw.diagnosis.wanted import shows_in_noise
 from galen_hw.diagnosis.worth import WORTH, asked, plausible, taken, worth
 from galen_hw.physics.effect import Effect
+from galen_hw.physics.event_effects import Vibration
 from galen_hw.physics.table import EFFECTS, effect_class
 
 CHANCE = 0.002
@@ -44,7 +45,8 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[seek.Sought]
     added = bench.rows.average(np.asarray(bench.stream.standing + bench.stream.carried))
     stream = bench.rows.average(bench.scene.simulated) + added
     found += seek.saturations(bench.scene, bench.whole - added, stream)
-    return found + seek.lines(bench.scene, rest, bench.rows.runs) + seek.ripples(bench.scene, rest)
+    known = [effect for i in chosen if isinstance(effect := scorer.library[i].effect, Vibration)]
+    return found + seek.lines(bench.scene, rest, bench.rows.runs, known) + seek.ripples(bench.scene, rest)
 
 
 def at_first_sight(bench: Bench) -> list[seek.Sought]:
@@ -77,13 +79,13 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
             or (moved and _exchanged(bench, scorer, out, refused))
         ):
             break
-        settle(bench, scorer, out.chosen)
+        settle_together(bench, scorer, out.chosen)
         _drop(scorer, out)
         moved = _swap(bench, scorer, out, refused)
         if moved:
-            settle(bench, scorer, out.chosen)
+            settle_together(bench, scorer, out.chosen)
         if _enrich(bench, scorer, out) or _bound(bench, scorer, out):
-            settle(bench, scorer, out.chosen)
+            settle_together(bench, scorer, out.chosen)
         retime(bench, scorer, out.chosen)
         refused.clear()
     for i in out.chosen:
@@ -91,6 +93,8 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         score = _alone(scorer, out.chosen, i)
         if score is not None:
             out.evidence[i] = score
+    bench.company = 0.0
+    rebase(scorer, out.chosen)
     return out
 
 

@@ -51,6 +51,37 @@ def shelves(centres: Array, levels: Array, lines: Array) -> Array:
     return np.where(flat, fitted[0] * (1.0 + 1.0 / np.sqrt(known)), np.nan)
 
 
+STIFFNESS = 10.0 ** np.linspace(-3.0, 5.0, 33)
+"""Of the smoothed spectrum against bending, per band: from none to a straight line."""
+
+
+def smoothed(centres: Array, levels: Array, lines: Array) -> Array:
+    """(B, C) levels of a spectrum that bends no more than its bands show: a power law is not held back, their scatter is.
+
+    A smoothing spline of the logarithms, whose stiffness is the likeliest one (restricted likelihood; Wahba 1985), the
+    scatter of a band being known from its number of lines. Arguments as of `shelves`.
+    """
+    count = len(centres)
+    if count < LEAST_BANDS:
+        return levels
+    u, weights = np.log(centres), np.maximum(lines, 1.0) / WINDOWED
+    bend = np.zeros((count - 2, count))
+    for k in range(count - 2):
+        left, right = u[k + 1] - u[k], u[k + 2] - u[k + 1]
+        bend[k, k : k + 3] = [2.0 / (left * (left + right)), -2.0 / (left * right), 2.0 / (right * (left + right))]
+    against = bend.T @ bend
+    out = np.empty_like(levels)
+    for c, y in enumerate(np.log(levels).T):
+        best = np.inf
+        for stiffness in STIFFNESS:
+            whole = np.diag(weights) + stiffness * against
+            fit = np.linalg.solve(whole, weights * y)
+            cost = float(np.linalg.slogdet(whole)[1] - (count - 2) * np.log(stiffness) + (y - fit) @ (weights * y))
+            if cost < best:
+                best, out[:, c] = cost, np.exp(fit)
+    return out
+
+
 def _likeliest(levels: Array, weights: Array, shapes: list[Array]) -> tuple[Array, Array, "Index"]:
     """The best of several sums of shapes (B, K), amplitudes >= 0: (C,) deviance, (B, C) levels, (C,) which.
 

@@ -4,13 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from galen_hw.physics.compound import Placed, compound
 from galen_hw.physics.effect import Columns, Downstream, Effect
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.sensor_effects import Saturation
 from galen_hw.spatial import Array
 
-Placed = tuple[Effect, Array]
-"""An effect with its linear parameters (k,)."""
 Timing = Sequence[tuple[Downstream, Array]]
 """The ends of a stream with their parameters, the first one first."""
 
@@ -24,9 +23,17 @@ def through(effect: Effect, timing: Timing) -> Timing:
     return [(other, theta) for other, theta in timing if other.KEY not in effect.contains]
 
 
-def change(scene: Scene, effect: Effect, theta: Array, timing: Timing) -> Array:
+def arriving(scene: Scene, effects: Sequence[Placed], timing: Timing) -> Array:
+    """(N, C) what effects add together, each as it arrives."""
+    out = np.zeros((len(scene), len(scene.channels)))
+    for (effect, _), change in zip(effects, compound(scene, effects), strict=True):
+        out += arrived(scene, effect, change, timing)
+    return out
+
+
+def arrived(scene: Scene, effect: Effect, change: Array, timing: Timing) -> Array:
     """(N, C) what one effect adds, as it arrives."""
-    columns = Columns(tuple(range(len(scene.channels))), effect.change(scene, theta)[:, :, None])
+    columns = Columns(tuple(range(len(scene.channels))), change[:, :, None])
     for other, its in through(effect, timing):
         columns = other.delivered(scene, columns, its)
     return columns.values[:, :, 0]
@@ -35,10 +42,15 @@ def change(scene: Scene, effect: Effect, theta: Array, timing: Timing) -> Array:
 def carried(scene: Scene, effects: Sequence[Placed], timing: Timing) -> Array:
     """(N, C) what all but limits add, as if nothing clipped."""
     open_end = [(other, its) for other, its in timing if not isinstance(other, Saturation)]
-    out = np.zeros((len(scene), len(scene.channels)))
-    for effect, theta in effects:
-        if not isinstance(effect, Saturation):
-            out += change(scene, effect, theta, open_end)
+    return arriving(scene, [(e, theta) for e, theta in effects if not isinstance(e, Saturation)], open_end)
+
+
+def beside(scene: Scene, effects: Sequence[Placed], timing: Timing) -> list[Array]:
+    """(N, C) what each effect adds, as it arrives, because the others are there too."""
+    out = []
+    for (effect, theta), change in zip(effects, compound(scene, effects), strict=True):
+        more = np.zeros_like(change) if effect.DOWNSTREAM else change - effect.change(scene, theta)
+        out.append(arrived(scene, effect, more, timing) if more.any() else more)
     return out
 
 
@@ -54,4 +66,4 @@ def added(scene: Scene, effects: Sequence[Placed], timing: Timing) -> Array:
         return whole
     # Few rows clip: the median constant is that of the others.
     stream = scene.carrying(np.median(scene.residual - whole, axis=0), whole, limited(timing))
-    return np.asarray(np.sum([change(stream, effect, theta, timing) for effect, theta in effects], axis=0))
+    return arriving(stream, effects, timing)

@@ -11,8 +11,10 @@ from galen_hw.spatial import Array
 PIECES: Final = 16
 
 
-def frequency_spread(model: Model, effect: Vibration) -> float:
-    """Standard deviation (Hz) of the frequency by the wander of the phase alone, 0 where none is seen.
+def mean_frequency(model: Model, effect: Vibration) -> tuple[float, float]:
+    """Frequency over the whole recording, and its standard deviation by the wander of the phase alone (0: none seen), Hz.
+
+    A line whose phase may wander is as well fitted a little beside its frequency: the mean one is where the phase has no slope.
 
     The phase of what is measured, piece by piece, against the fitted line: what its steps from piece to piece show beyond
     noise is taken for a random walk of s^2 rad^2 a second. Means over pieces of length d differ by 2/3 s^2 d in the mean
@@ -24,7 +26,7 @@ def frequency_spread(model: Model, effect: Vibration) -> float:
     run = max(bench.rows.runs, key=lambda r: r.stop - r.start)
     rows = np.arange(run.start, run.stop)[~bench.dropped[run]]
     if len(rows) < 8 * PIECES:
-        return 0.0
+        return effect.frequency, 0.0
     turning = np.exp(-2j * np.pi * effect.frequency * time[rows])
     # Without the effect, as it was fitted, the rest holds the oscillation itself.
     rest = _alone(model, effect)[rows][:, places] / bench.noise.sigma[places]
@@ -37,7 +39,9 @@ def frequency_spread(model: Model, effect: Vibration) -> float:
     seen = np.mean(steps**2) - np.mean(noise / np.maximum(np.abs(z) ** 2, 1e-300))
     span = float(time[rows[-1]] - time[rows[0]])
     walk = max(float(seen), 0.0) * 1.5 * PIECES / span
-    return float(np.sqrt(1.2 * walk / span) / (2.0 * np.pi))
+    middle = np.array([time[rows[p]].mean() for p in pieces])
+    beyond = float(np.polyfit(middle, np.unwrap(np.angle(z)), 1, w=np.abs(z))[0]) if effect.wander else 0.0
+    return effect.frequency + beyond / (2.0 * np.pi), float(np.sqrt(1.2 * walk / span) / (2.0 * np.pi))
 
 
 def _alone(model: Model, effect: Vibration) -> Array:

@@ -123,6 +123,10 @@ class Vibration(_Shaped):
         """A line is as narrow as the recording is long; one line beside it the fit has the next hump."""
         return 1.0 + 1.0 / (float(np.ptp(scene.time)) * self.frequency)
 
+    def breadth(self, scene: Scene) -> float:
+        """Hz to either side that belong to it: what its slow changes reach, and one line of the spectrum more."""
+        return (0.5 * self.wander + 1.0) / max(float(np.ptp((scene.whole or scene).time)), 1e-9)
+
     def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
         """Sine and cosine of the clock, growing and fading slowly.
 

@@ -1,0 +1,137 @@
+"""How large what was found is: sizes and their intervals where several effects meet, and where the noise is scattered."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from diagnosis_cases import COM, Bench, hanging, lagged, rotation, sines
+
+from galen_hw.diagnosis.engine import diagnose
+from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.slow_noise import smoothed
+from galen_hw.physics.body_effects import Payload
+from galen_hw.physics.memory_effects import Creep
+from galen_hw.physics.rigid import Body
+from galen_hw.physics.table import scene_of
+
+
+def slowly(seed: int) -> Bench:
+    """An arm that moves so slowly that nothing has inertia."""
+    case = Bench(seed, rows=6000, rate=5.0)
+    case.q = np.stack([sines(case.rng, case.t, size, 0.003, 0.03) for size in (0.02, 0.02, 0.02, 0.45, 0.35)], axis=1)
+    return case
+
+
+def told(case: Bench) -> dict[str, dict[str, tuple[float, float]]]:
+    """Found effects with values and standard deviations."""
+    answer = diagnose(scene_of(case.observations())).diagnosis
+    return {f.effect: {name: (v.value, v.std) for name, v in f.parameters.items()} for f in answer.findings}
+
+
+def test_a_new_load_on_a_wrong_joint_read_by_a_wrong_gain_is_told_in_its_own_size() -> None:
+    """Each alone they would be a tenth off: ten to thirty standard deviations."""
+    case = slowly(4)
+    gain, scale = 1.09, 0.02
+    heavier, moment = 0.287 + 0.03, 0.287 * COM + 0.03 * np.array([0.01, 0.0, -0.08])
+    R = rotation(case.q[:, 3], case.q[:, 4] * (1.0 + scale))
+    case.wrench = hanging(R, heavier, moment / heavier)
+    case.wrench[:, 2] *= gain
+    found = told(case)
+    assert set(found) == {"payload", "joint_scale", "gain"}
+    for effect, name, true in [
+        ("payload", "mass", 0.03),
+        ("joint_scale", "scale_error", scale),
+        ("gain", "gain_error", gain - 1.0),
+    ]:
+        value, std = found[effect][name]
+        assert abs(value - true) < 3.0 * std, (effect, value, std)
+        assert std < 0.05 * true
+
+
+def test_a_joint_that_is_read_wrong_moves_otherwise_too() -> None:
+    """In quick motion the scale is told by the inertia of the tool as well as by its weight."""
+    case = Bench(2, rows=6000, rate=50.0)
+    case.belief = {"dynamic": True, "tool": Body(0.6, np.array([0.0, 0.0, -0.2]))}
+    scale = 0.02
+    case.q[:] = 0.0
+    quick, slow = 2.0 * np.pi * 0.5, 2.0 * np.pi * 0.13
+    case.q[:, 4] = 0.4 * np.sin(quick * case.t) + 0.2 * np.sin(slow * case.t)
+    tilt = (1.0 + scale) * case.q[:, 4]
+    rate = (1.0 + scale) * (0.4 * quick * np.cos(quick * case.t) + 0.2 * slow * np.cos(slow * case.t))
+    ahead = -(1.0 + scale) * (0.4 * quick**2 * np.sin(quick * case.t) + 0.2 * slow**2 * np.sin(slow * case.t))
+    # A body at (x, 0, z) in the axes of the tilting link, by Newton.
+    x, _, z = case.observations().belief.robot.tilt_to_sensor
+    z -= 0.2
+    fx = 0.6 * (9.80665 * np.sin(tilt) - (ahead * z - rate**2 * x))
+    fz = 0.6 * (-9.80665 * np.cos(tilt) - (-ahead * x - rate**2 * z))
+    zero = np.zeros_like(fx)
+    case.wrench = np.stack([fx, zero, fz, zero, -0.2 * fx, zero], axis=1)
+    found = told(case)
+    assert set(found) == {"joint_scale"}
+    value, std = found["joint_scale"]["scale_error"]
+    assert abs(value - scale) < 4.0 * std
+    assert abs(value - scale) < 0.01 * scale
+
+
+def test_a_hum_whose_phase_walks_is_one_vibration_of_its_mean_frequency() -> None:
+    """Two lines within each other's breadth would be each other's wander, with amplitudes that mean nothing."""
+    case = Bench(6, rows=12000, rate=100.0)
+    rng = np.random.default_rng(5)
+    walk = np.cumsum(rng.normal(size=len(case.t))) * 0.02
+    case.wrench[:, 0] += 0.03 * np.sin(2.0 * np.pi * 11.3 * case.t + walk - walk.mean())
+    found = told(case)
+    assert list(found) == ["vibration"]
+    frequencies = [v for name, v in found["vibration"].items() if name.endswith("frequency")]
+    (frequency,) = frequencies
+    slope = np.polyfit(case.t, walk, 1)[0] / (2.0 * np.pi)
+    assert abs(frequency[0] - 11.3 - slope) < 2e-3
+    assert 0.0 < frequency[1] < 0.02
+    amplitude, spread = found["vibration"]["rms_signal"]
+    assert amplitude == pytest.approx(0.03 / np.sqrt(2.0), rel=0.1)
+    assert spread < 0.1 * amplitude
+
+
+def test_what_creeps_and_a_load_that_was_wrong_all_along_say_how_little_is_known_of_the_load() -> None:
+    """More in the end, or less at first: what a load makes of the difference is part of its uncertainty."""
+    case = slowly(8)
+    R = rotation(case.q[:, 3], case.q[:, 4])
+    case.wrench = hanging(R)
+    bench = diagnose(scene_of(case.observations())).bench
+    heavier = hanging(R, 0.287 + 0.004, COM)
+    crept = heavier + 0.01 * (np.stack([lagged(case.t, c, 40.0) for c in heavier.T], axis=1) - heavier)
+    y = bench.rows.average(crept - hanging(R) + case.noise)
+    bench.whole = y
+    nuisances = [bench.made(None, c) for c in bench.constants()]
+    for form in ("more", "less"):
+        effects = [bench.add(Payload("body")), bench.add(Creep(40.0, form=form))]
+        model = Model(bench, nuisances, effects, bench.whitened(y))
+        at = model.slices()[len(nuisances)].start
+        assert abs(model.final[at] - 0.004) < 2.0 * np.sqrt(model.variance[at])
+        alone = np.sqrt(model.covariance[at, at])
+        assert alone < 0.2 * np.sqrt(model.variance[at])
+        if form == "more":
+            assert abs(model.final[at] - 0.004) > 5.0 * alone
+
+
+@pytest.mark.parametrize("kind", ["white", "flicker", "corner"])
+def test_a_smooth_spectrum_is_nearer_to_the_true_one_than_its_bands_are(kind: str) -> None:
+    """The scatter of bands with few lines goes, power laws and bends stay."""
+    rng = np.random.default_rng(2)
+    edges = np.geomspace(6e-4, 0.5, 18)
+    centres, lines = np.sqrt(edges[1:] * edges[:-1]), np.maximum(12000.0 * np.diff(edges), 18.0)
+    true = {
+        "white": np.ones_like(centres),
+        "flicker": 0.01 / centres,
+        "corner": 0.2 + 5.0 / (1.0 + (centres / 0.01) ** 2),
+    }[kind]
+    freedom = 2.0 * lines / 1.94
+    raw = true[:, None] * rng.chisquare(freedom[:, None], size=(len(centres), 200)) / freedom[:, None]
+    found = smoothed(centres, raw, lines)
+    before, after = (np.sqrt(np.mean(np.log(x / true[:, None]) ** 2)) for x in (raw, found))
+    assert after < (0.5 if kind == "white" else 0.75) * before
+    bias = np.mean(np.log(found / true[:, None]), axis=1)
+    assert np.max(np.abs(bias)) < 0.15
