@@ -75,6 +75,17 @@ class Hypothesis:
         held = None if self.effect is None else self.effect.held
         return np.full(self.count, np.nan) if held is None else held
 
+    def owed(self, count: int | None = None, *, whole: bool = False) -> int:
+        """Numbers that it pays for: those that its physics has, searched values included, of `count` columns that show (all).
+
+        `whole`: with all parameters of a loose hypothesis, which stands for physics with fewer and may not be it.
+        """
+        shown = self.count if count is None else count
+        if self.effect is None:
+            return shown
+        relaxed = self.effect.freedom is not None and not (whole and self.effect.loose)
+        return (min(shown, self.effect.freedom or 0) if relaxed else shown) + len(self.effect.searched())
+
     def does(self, theta: Array) -> Array:
         """(M, len(channels)) its change with parameters theta (k,), what it is bent by included."""
         more = [x[:, list(self.raw.channels)] for x in (self.bend, self.beside) if x is not None]
@@ -233,12 +244,7 @@ class Bench:
 
     def whitened(self, y: Array) -> Array:
         """(M, C) residual whitened; dropped rows are bridged first."""
-        out = np.empty_like(y)
-        good = np.flatnonzero(~self.dropped)
-        for c in range(self.width):
-            filled = np.interp(np.arange(len(y)), good, y[good, c]) if self.dropped.any() else y[:, c]
-            out[:, c] = self.noise.whiten(filled[:, None], c)[:, 0]
-        return out
+        return self.noise.bridged(y, ~self.dropped)
 
     def surrogates(self, count: int = SURROGATES) -> Array:
         """(M, C, count) whitened noise like this recording's, quantised where its channels are."""

@@ -312,8 +312,7 @@ def price(h: Hypothesis) -> float:
     """
     if h.effect is None:
         return 1.0
-    freedom = h.count if h.effect.freedom is None else min(h.count, h.effect.freedom)
-    return float(freedom + len(h.effect.searched()) + 2.0 * np.log(h.looked))
+    return float(h.owed() + 2.0 * np.log(h.looked))
 
 
 def _angle(cosine: float) -> float:

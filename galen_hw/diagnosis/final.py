@@ -292,12 +292,8 @@ def merit(model: Model, *, foretelling: bool = False) -> float:
     """
     train, full, price = model.bench.train, float(np.log(model.bench.noise.effective)), 0.0
     for h in model.effects:
-        effect, numbers = h.effect, h.count
-        if effect is not None:
-            relaxed = effect.freedom is not None and not effect.loose
-            numbers = (min(h.count, effect.freedom or 0) if relaxed else h.count) + len(effect.searched())
-        lasts = effect is not None and not effect.EPISODIC
-        price += numbers * (2.0 if foretelling and lasts else full)
+        lasts = h.effect is not None and not h.effect.EPISODIC
+        price += h.owed(whole=True) * (2.0 if foretelling and lasts else full)
     fall = np.sum(model.bench.whitened(model.bench.whole)[train] ** 2) - np.sum(model.rest(white=True)[train] ** 2)
     return float(fall - price)
 

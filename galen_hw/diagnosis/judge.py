@@ -9,7 +9,6 @@ from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.linear import predicted
-from galen_hw.diagnosis.noise import Noise
 from galen_hw.diagnosis.remainder import Remainder
 from galen_hw.diagnosis.rows import Mask, Rows
 from galen_hw.diagnosis.wanted import Guard, poor, support, sure
@@ -125,7 +124,7 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
         guard = Guard(
             floor,
             lambda part: apply(part, holdout)[good],
-            lambda part: _whitened(noise, apply(part, holdout), good),
+            lambda part: noise.bridged(apply(part, holdout), good)[good],
             model,
         )
     for key, part in smaller.items():
@@ -133,13 +132,6 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
         judged.support[key], judged.sure[key] = guard.of(part, _channels(model, key))
     judged.places = _places(model, guard)
     return judged
-
-
-def _whitened(noise: Noise, rest: Array, good: Mask) -> Array:
-    """(n, C) of the good rows, whitened by the noise of another recording; bad rows are bridged before."""
-    at, kept = np.arange(len(rest)), np.flatnonzero(good)
-    whole = np.stack([np.interp(at, kept, rest[kept, c]) for c in range(rest.shape[1])], axis=-1)
-    return np.stack([noise.whiten(whole[:, [c]], c)[:, 0] for c in range(rest.shape[1])], axis=-1)[good]
 
 
 def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remainder: Remainder | None) -> Judged:

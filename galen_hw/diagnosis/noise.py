@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import dct, idct, next_fast_len
 
-from galen_hw.diagnosis.rows import Rows
+from galen_hw.diagnosis.rows import Mask, Rows
 from galen_hw.diagnosis.slow_noise import shelves, smoothed
 from galen_hw.spatial import Array
 
@@ -67,6 +67,14 @@ class Noise:
     def whiten(self, x: Array, channel: int) -> Array:
         """(M, k) columns of one channel, scaled and filtered so that its noise becomes white with unit variance."""
         return self.whitened(self.transformed(x), channel)
+
+    def bridged(self, y: Array, good: Mask) -> Array:
+        """(M, C) all channels whitened, rows (M,) that are not good bridged before."""
+        out, at = np.empty_like(y), np.flatnonzero(good)
+        for c in range(y.shape[1]):
+            filled = y[:, c] if good.all() else np.interp(np.arange(len(y)), at, y[at, c])
+            out[:, c] = self.whiten(filled[:, None], c)[:, 0]
+        return out
 
     def colour(self, z: Array, channel: int) -> Array:
         """White noise (M, k) turned into noise like the channel's."""

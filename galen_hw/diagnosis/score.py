@@ -246,7 +246,7 @@ class Scorer:
         return {i: out[i] for i in asked if i in out}, highest
 
     def _score(self, i: int, gain: float, count: int, surprise: float) -> Score:
-        price = (self._freedom(i, count) + len(self._searched(i))) * np.log(self.bench.noise.effective)
+        price = self.library[i].owed(count) * np.log(self.bench.noise.effective)
         looked = self.library[i].looked
         # What was sought in the residual pays for the places it was sought at.
         places = 2.0 * np.log(looked) if looked > 1 else self._occam.get(self._key(i), 0.0)
@@ -254,10 +254,8 @@ class Scorer:
 
     def in_full(self, i: int, score: Score) -> Score:
         """A score with the price of all numbers that a loose hypothesis has; of another the same."""
-        effect = self.library[i].effect
-        if effect is None or not effect.loose:
-            return score
-        owed = score.count - self._freedom(i, score.count)
+        h = self.library[i]
+        owed = h.owed(score.count, whole=True) - h.owed(score.count)
         return replace(score, rank=score.rank - owed * float(np.log(self.bench.noise.effective)))
 
     def covariance(self, at: "Index") -> Array:
@@ -276,14 +274,6 @@ class Scorer:
     def _key(self, i: int) -> str:
         effect = self.library[i].effect
         return "" if effect is None else effect.KEY
-
-    def _searched(self, i: int) -> dict[str, float]:
-        effect = self.library[i].effect
-        return {} if effect is None else effect.searched()
-
-    def _freedom(self, i: int, count: int) -> int:
-        effect = self.library[i].effect
-        return count if effect is None or effect.freedom is None else min(count, effect.freedom)
 
     def _families(self) -> list[float]:
         names = [h.family for h in self.library]
