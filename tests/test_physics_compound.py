@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from physics_scenes import JOINTS, belief, proposals
 
 from galen_hw.physics.body_effects import INERTIA, Payload
-from galen_hw.physics.compound import READERS, compound
+from galen_hw.physics.compound import READERS, compound, meet
 from galen_hw.physics.geometry_effects import JointOffset, JointScale, SensorMounting
 from galen_hw.physics.memory_effects import Creep
 from galen_hw.physics.rigid import Body
@@ -35,6 +35,22 @@ def test_one_alone_does_what_it_does_alone():
             theta = np.full(len(effect.parameters(scene)), 0.013)
             (alone,) = compound(scene, [(effect, theta)])
             np.testing.assert_array_equal(alone, effect.change(scene, theta))
+
+
+def test_what_carries_nothing_meets_nothing():
+    """Two errors of an arm that is tracked: each as if alone, and nothing to be told of both."""
+    scene, found = proposals("pose")
+    placed = [
+        (e, np.full(len(e.parameters(scene)), 0.013)) for e in found if e.KEY in ("joint_offset", "backlash", "gain")
+    ]
+    assert len(placed) > 3
+    assert not meet(scene, placed)
+    for change, (effect, theta) in zip(compound(scene, placed), placed, strict=True):
+        np.testing.assert_array_equal(change, effect.change(scene, theta))
+    loads, _ = proposals("wrench")
+    payload, gain = (Payload("body"), BODY), (Gain("wrench.force.x"), np.array([0.1]))
+    assert meet(loads, [payload, gain])
+    assert not meet(loads, [payload])
 
 
 def test_a_new_load_is_turned_by_a_wrong_joint_and_scaled_by_a_wrong_gain():

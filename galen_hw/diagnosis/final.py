@@ -224,24 +224,20 @@ TOGETHER_ROUNDS: Final = 4
 
 def together(model: Model) -> Model:
     """The model with what its effects do to each other, fitted again until that stays: a gain scales a new load too."""
-    bench = model.bench
+    bench, white = model.bench, model.white
     kinds = [(k, h.effect) for k, h in enumerate(model.effects) if h.effect is not None]
-    if len(kinds) < 2:
-        return model
     before = [np.zeros_like(bench.whole) for _ in kinds]
-    alone = Model(bench, model.nuisances, model.effects, model.white, model.plain)
     for _ in range(TOGETHER_ROUNDS):
         slices = model.slices()[len(model.nuisances) :]
         placed = [(effect, model.final[slices[k]]) for k, effect in kinds]
         now = [bench.rows.average(x) for x in stream.beside(bench.scene, placed, bench.timing)]
-        moved = max(float(np.max(np.abs(a - b) / bench.noise.sigma)) for a, b in zip(now, before, strict=True))
-        if moved < STAYS:
+        if not now or max(np.max(np.abs(a - b) / bench.noise.sigma) for a, b in zip(now, before, strict=True)) < STAYS:
             break
         before, effects = now, list(model.effects)
         for (k, _), x in zip(kinds, now, strict=True):
             effects[k] = replace(effects[k], beside=x if x.any() else None)
-        white = alone.white - bench.whitened(sum(now, np.zeros_like(bench.whole)))
-        model = Model(bench, model.nuisances, effects, white, model.plain)
+        left = white - bench.whitened(sum(now, np.zeros_like(bench.whole)))
+        model = Model(bench, model.nuisances, effects, left, model.plain)
     return model
 
 

@@ -61,7 +61,7 @@ def settle_together(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
     for _ in range(ROUNDS):
         settle(bench, scorer, chosen)
         placed = _placed(scorer, chosen, scorer.solve(chosen)[0])
-        together = stream.beside(bench.scene, placed, bench.timing) if len(placed) > 1 else []
+        together = stream.beside(bench.scene, placed, bench.timing)
         now = sum((bench.rows.average(x) for x in together), np.zeros_like(bench.whole))
         if np.max(np.abs(now - bench.company) / bench.noise.sigma) < MET:
             return

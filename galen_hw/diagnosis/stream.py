@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from galen_hw.physics.compound import Placed, compound
+from galen_hw.physics.compound import Placed, compound, meet
 from galen_hw.physics.effect import Columns, Downstream, Effect
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.sensor_effects import Saturation
@@ -46,8 +46,10 @@ def carried(scene: Scene, effects: Sequence[Placed], timing: Timing) -> Array:
 
 
 def beside(scene: Scene, effects: Sequence[Placed], timing: Timing) -> list[Array]:
-    """(N, C) what each effect adds, as it arrives, because the others are there too."""
-    out = []
+    """(N, C) what each effect adds, as it arrives, because the others are there too; nothing at all where none meets another."""
+    out: list[Array] = []
+    if not meet(scene, effects):
+        return out
     for (effect, theta), change in zip(effects, compound(scene, effects), strict=True):
         more = np.zeros_like(change) if effect.DOWNSTREAM else change - effect.change(scene, theta)
         out.append(arrived(scene, effect, more, timing) if more.any() else more)

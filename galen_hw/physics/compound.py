@@ -53,6 +53,11 @@ def compound(scene: "Scene", placed: Sequence[Placed]) -> list[Array]:
     return out
 
 
+def meet(scene: "Scene", placed: Sequence[Placed]) -> bool:
+    """Whether any of them does otherwise because of the others."""
+    return len(placed) > 1 and any(e.reads(scene) or e.body(scene, theta) is not None for e, theta in placed)
+
+
 def _own(scene: "Scene", k: int) -> "Scene":
     """The scene with the memory of the k-th effect; a batch has none."""
     if scene.memory is None:
