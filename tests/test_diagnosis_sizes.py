@@ -2,20 +2,25 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import COM, Bench, hanging, lagged, rotation, sines
+from diagnosis_cases import COM, WRENCH, Bench, hanging, lagged, rotation, sines
 
+from galen_hw.diagnosis import stream
 from galen_hw.diagnosis.engine import diagnose
-from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.final import Model, together
+from galen_hw.diagnosis.retiming import settle_together
+from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.slow_noise import smoothed
 from galen_hw.physics.body_effects import Payload
 from galen_hw.physics.memory_effects import Creep
 from galen_hw.physics.rigid import Body
+from galen_hw.physics.sensor_effects import Gain
 from galen_hw.physics.table import scene_of
 
 
@@ -115,6 +120,28 @@ def test_what_creeps_and_a_load_that_was_wrong_all_along_say_how_little_is_known
         assert alone < 0.2 * np.sqrt(model.variance[at])
         if form == "more":
             assert abs(model.final[at] - 0.004) > 5.0 * alone
+
+
+def test_what_does_not_come_to_rest_is_left_as_if_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shares of several hundred per cent undo each other ever more; a clock that is seconds off had made numbers without end."""
+    case = Bench(8)
+    bench = diagnose(scene_of(case.observations())).bench
+    effects = [bench.add(Gain(WRENCH[0])), bench.add(Creep(4.0, WRENCH[0]))]
+    model = Model(bench, [bench.made(None, c) for c in bench.constants()], effects, bench.whitened(bench.whole))
+    calls = []
+
+    def growing(scene: Any, placed: Any, timing: Any) -> list[np.ndarray]:
+        calls.append(1)
+        return [10.0 ** len(calls) * np.ones((len(scene), 6)) for _ in placed]
+
+    monkeypatch.setattr(stream, "beside", growing)
+    assert together(model) is model
+    assert len(calls) == 2
+    scorer = Scorer(bench, effects)
+    chosen = [len(scorer.base), len(scorer.base) + 1]
+    settle_together(bench, scorer, chosen)
+    assert np.max(np.abs(bench.company)) == 0.0
+    assert np.isfinite(scorer.solve(chosen)[0]).all()
 
 
 @pytest.mark.parametrize("kind", ["white", "flicker", "corner"])

@@ -223,21 +223,29 @@ TOGETHER_ROUNDS: Final = 4
 
 
 def together(model: Model) -> Model:
-    """The model with what its effects do to each other, fitted again until that stays: a gain scales a new load too."""
-    bench, white = model.bench, model.white
+    """The model with what its effects do to each other, fitted again until that stays: a gain scales a new load too.
+
+    Where it does not come to rest, the effects are left each as if alone.
+    """
+    bench, alone, last = model.bench, model, np.inf
     kinds = [(k, h.effect) for k, h in enumerate(model.effects) if h.effect is not None]
     before = [np.zeros_like(bench.whole) for _ in kinds]
     for _ in range(TOGETHER_ROUNDS):
         slices = model.slices()[len(model.nuisances) :]
         placed = [(effect, model.final[slices[k]]) for k, effect in kinds]
         now = [bench.rows.average(x) for x in stream.beside(bench.scene, placed, bench.timing)]
-        if not now or max(np.max(np.abs(a - b) / bench.noise.sigma) for a, b in zip(now, before, strict=True)) < STAYS:
+        moved = max(
+            (float(np.max(np.abs(a - b) / bench.noise.sigma)) for a, b in zip(now, before, strict=False)), default=0.0
+        )
+        if moved < STAYS:
             break
-        before, effects = now, list(model.effects)
+        if not moved < last:
+            return alone
+        before, last, effects = now, moved, list(model.effects)
         for (k, _), x in zip(kinds, now, strict=True):
             effects[k] = replace(effects[k], beside=x if x.any() else None)
-        left = white - bench.whitened(sum(now, np.zeros_like(bench.whole)))
-        model = Model(bench, model.nuisances, effects, left, model.plain)
+        white = alone.white - bench.whitened(sum(now, np.zeros_like(bench.whole)))
+        model = Model(bench, model.nuisances, effects, white, model.plain)
     return model
 
 

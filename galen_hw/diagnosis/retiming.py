@@ -57,16 +57,26 @@ def load(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
 
 
 def settle_together(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
-    """Nonlinear effects where they stand, and what all do to each other taken off the residual: nothing is to be found in it."""
+    """Nonlinear effects where they stand, and what all do to each other taken off the residual: nothing is to be found in it.
+
+    A model of which one part undoes another (two slow shares of several hundred per cent) does not come to rest: its effects
+    are left each as if alone.
+    """
+    last = np.inf
     for _ in range(ROUNDS):
         settle(bench, scorer, chosen)
         placed = _placed(scorer, chosen, scorer.solve(chosen)[0])
         together = stream.beside(bench.scene, placed, bench.timing)
         now = sum((bench.rows.average(x) for x in together), np.zeros_like(bench.whole))
-        if np.max(np.abs(now - bench.company) / bench.noise.sigma) < MET:
+        moved = float(np.max(np.abs(now - bench.company) / bench.noise.sigma))
+        if moved < MET:
             return
-        bench.company = now
+        rests = moved < last  # not of what is not finite
+        bench.company, last = now if rests else 0.0, moved
         rebase(scorer, chosen)
+        if not rests:
+            settle(bench, scorer, chosen)
+            return
 
 
 def _placed(scorer: Scorer, chosen: list[int], theta: Array) -> list[tuple[Effect, Array]]:
