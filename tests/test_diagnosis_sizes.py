@@ -122,7 +122,10 @@ def test_what_creeps_and_a_load_that_was_wrong_all_along_say_how_little_is_known
             assert abs(model.final[at] - 0.004) > 5.0 * alone
 
 
-def test_what_does_not_come_to_rest_is_left_as_if_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("growth", "rounds"), [(10.0, 2), (np.nan, 1)])
+def test_what_does_not_come_to_rest_is_left_as_if_alone(
+    monkeypatch: pytest.MonkeyPatch, growth: float, rounds: int
+) -> None:
     """Shares of several hundred per cent undo each other ever more; a clock that is seconds off had made numbers without end."""
     case = Bench(8)
     bench = diagnose(scene_of(case.observations())).bench
@@ -132,11 +135,11 @@ def test_what_does_not_come_to_rest_is_left_as_if_alone(monkeypatch: pytest.Monk
 
     def growing(scene: Any, placed: Any, timing: Any) -> list[np.ndarray]:
         calls.append(1)
-        return [10.0 ** len(calls) * np.ones((len(scene), 6)) for _ in placed]
+        return [growth ** len(calls) * np.ones((len(scene), 6)) for _ in placed]
 
     monkeypatch.setattr(stream, "beside", growing)
     assert together(model) is model
-    assert len(calls) == 2
+    assert len(calls) == rounds
     scorer = Scorer(bench, effects)
     chosen = [len(scorer.base), len(scorer.base) + 1]
     settle_together(bench, scorer, chosen)
