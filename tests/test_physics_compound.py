@@ -8,19 +8,22 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 from physics_scenes import JOINTS, belief, proposals
 
-from galen_hw.physics.body_effects import INERTIA, Payload
-from galen_hw.physics.compound import READERS, compound, meet
+from galen_hw.physics.body_effects import INERTIA, BaseTilt, Payload
+from galen_hw.physics.compound import READERS, STANDS, compound, meet
 from galen_hw.physics.geometry_effects import JointOffset, JointScale, SensorMounting
 from galen_hw.physics.memory_effects import Creep
 from galen_hw.physics.rigid import Body
+from galen_hw.physics.scene_wrench import ORIENTATION
 from galen_hw.physics.sensor_effects import CrossTalk, Gain
 from galen_hw.physics.streams import EffectStream
 from galen_hw.physics.table import EFFECTS, scene_of
+from galen_hw.spatial import rotation_exp
 
 BODY = np.array([0.05, 0.001, -0.002, 0.003])
 POINT = (0.02, -0.04, 0.06)
@@ -107,6 +110,74 @@ def test_efforts_carry_the_new_load_too():
     np.testing.assert_allclose(scene.simulated + together, real[:, order], atol=1e-9)
 
 
+ARM = {"scale": 0.03, "offset": 0.04, "tilt": np.array([0.02, -0.03]), "turn": np.array([0.01, -0.02, 0.03])}
+
+
+def wrong_arm(joint):
+    """Everything that may be wrong about how an arm stands, named in no order."""
+    return [
+        (BaseTilt("xy"), ARM["tilt"]),
+        (JointOffset(joint), np.array([ARM["offset"]])),
+        (JointScale(joint), np.array([ARM["scale"]])),
+    ]
+
+
+@pytest.mark.parametrize("zeroed", [False, True])
+def test_errors_of_an_arm_meet_each_other(zeroed):
+    """A scale, a zero, a tilted base and a turned sensor at once: the reading of the arm that has them all."""
+    scene, _ = proposals("wrench")
+    joint, b = "tilt", scene.belief
+    at = scene.joint_index(joint)
+
+    def really(q):
+        out = np.array(q, dtype=float)
+        out[..., at] = (1.0 + ARM["scale"]) * out[..., at] + ARM["offset"]
+        return out
+
+    turn, gravity = rotation_exp(ARM["turn"]), rotation_exp(np.append(ARM["tilt"], 0.0)) @ b.gravity
+    stood = np.array([0.0, 0.0, -0.2, 0.15, 0.3])
+    bias = Body(0.4, np.array([0.01, 0.0, -0.03]))
+    belief = real = replace(b, dynamic=False)
+    if zeroed:
+        R, its = (b.robot.sensor_pose(q[None])[0, :3, :3] for q in (stood, really(stood)))
+        belief = replace(belief, bias_body=bias, zeroed_rotation=R, zeroed_joints=tuple(stood))
+        real = replace(belief, zeroed_rotation=its @ turn)
+    scene = scene_of(replace(scene.observations, belief=belief), rates=scene.rates)
+    real = replace(real, gravity=gravity)
+    turned = scene_of(
+        replace(
+            scene.observations,
+            belief=replace(real, robot=None),
+            columns=_orientations(b.robot.sensor_pose(really(scene.q))[:, :3, :3] @ turn),
+        )
+    )
+    placed = [(SensorMounting("turn"), ARM["turn"]), *wrong_arm(joint)]
+    assert meet(scene, placed)
+    together = sum(compound(scene, placed))
+    np.testing.assert_allclose(scene.simulated + together, turned.simulated, atol=1e-9)
+    apart = sum(effect.change(scene, theta) for effect, theta in placed)
+    assert np.max(np.abs(together - apart)) > 1e-3
+
+
+def _orientations(R):
+    return dict(zip(ORIENTATION, Rotation.from_matrix(R).as_quat().T, strict=True))
+
+
+def test_efforts_of_a_wrong_arm_are_those_of_its_motion():
+    """Inverse dynamics under another gravity, of the joint's real motion."""
+    scene, _ = proposals("effort")
+    joint = scene.joint_names[1]
+    together = sum(compound(scene, wrong_arm(joint)))
+    q, dq, ddq = (x.copy() for x in (scene.q, *scene.rates))
+    for x in (q, dq, ddq):
+        x[:, 1] *= 1.0 + ARM["scale"]
+    q[:, 1] += ARM["offset"]
+    gravity = rotation_exp(np.append(ARM["tilt"], 0.0)) @ scene.belief.gravity
+    real = scene.belief.robot.under(gravity).inverse_dynamics(q, dq, ddq)
+    order = [scene.joint_index(name.split(".")[1]) for name in scene.channels]
+    np.testing.assert_allclose(scene.simulated + together, real[:, order], atol=1e-9)
+
+
 def test_a_stream_of_several_gives_what_the_batch_gives():
     """Two that remember do not share their memory; a gain scales what they add."""
     scene, _ = proposals("wrench")
@@ -116,6 +187,8 @@ def test_a_stream_of_several_gives_what_the_batch_gives():
         (Gain("wrench.force.x"), np.array([0.1])),
         (Payload("body"), BODY),
         (JointScale("tilt"), np.array([0.02])),
+        (JointOffset("tilt"), np.array([0.03])),
+        (BaseTilt("x"), np.array([0.02])),
     ]
     batch = sum(compound(scene, placed))
     stream = EffectStream(placed, JOINTS, belief())
@@ -131,6 +204,8 @@ def test_every_reader_has_its_place():
     for group in ("wrench", "effort"):
         scene, found = proposals(group)
         assert {e.KEY for e in found if e.reads(scene)} <= set(READERS) <= set(EFFECTS)
+        meeting = [e for e in found if e.stands(scene, np.full(len(e.parameters(scene)), 0.01)) is not None]
+        assert {"joint_offset", "base_tilt"} <= {e.KEY for e in meeting} <= set(STANDS) <= set(EFFECTS)
 
 
 @given(

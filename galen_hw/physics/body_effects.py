@@ -8,7 +8,7 @@ import numpy as np
 
 from galen_hw.physics.effect import Columns, Effect, Parameter, in_all
 from galen_hw.physics.scene import Scene
-from galen_hw.spatial import Array
+from galen_hw.spatial import Array, rotation_exp
 
 MOMENTS = ("moment_x", "moment_y", "moment_z")
 INERTIA = ("inertia_xx", "inertia_xy", "inertia_yy", "inertia_xz", "inertia_yz", "inertia_zz")
@@ -122,13 +122,19 @@ class BaseTilt(Effect):
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
         """The turned gravity itself."""
-        from galen_hw.spatial import rotation_exp
-
-        port, vector = scene.gravity_port(), np.zeros(3)
+        port = scene.gravity_port()
         assert port is not None, "proposed only where there is a port"
+        return np.asarray(port @ (self._turned(scene, theta) - scene.belief.gravity))
+
+    def stands(self, scene: Scene, theta: Array) -> Scene | None:
+        """Under the turned gravity."""
+        return scene.under(self._turned(scene, theta))
+
+    def _turned(self, scene: Scene, theta: Array) -> Array:
+        vector = np.zeros(3)
         for letter, angle in zip(self.axis, theta, strict=True):
             vector["xy".index(letter)] = angle
-        return np.asarray(port @ (rotation_exp(vector) @ scene.belief.gravity - scene.belief.gravity))
+        return np.asarray(rotation_exp(vector) @ scene.belief.gravity)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """What several effects do together: a gain scales what a new load adds too, and a joint that is off turns that load as well.
 
 The order is the machine's: what hangs on it, how it stands and moves, what the sensor makes of its load (memory before the
-calibration matrix), and what belongs to moments or to the wire, which the others do not meet.
+calibration matrix), and what belongs to moments or to the wire, which the others do not meet. Errors of geometry meet each
+other: a scale that is off carries the zero that is off beside it, and turns what a tilted base weighs.
 """
 
 from collections.abc import Sequence
@@ -22,6 +23,9 @@ Placed = tuple["Effect", Array]
 READERS = ("hysteresis", "creep", "cross_talk", "gain")
 """Keys of what acts on a load that is read, in the order in which the load meets them."""
 
+STANDS = ("joint_scale", "joint_offset", "base_tilt", "link_geometry", "sensor_mounting")
+"""Keys of what is wrong about how the arm stands: each meets what the ones before have made of it, q' = (1 + k) q + d."""
+
 
 def compound(scene: "Scene", placed: Sequence[Placed]) -> list[Array]:
     """(N, C) what each effect adds where the others are too; `effect.change` where it is alone.
@@ -38,8 +42,15 @@ def compound(scene: "Scene", placed: Sequence[Placed]) -> list[Array]:
         if body is not None:
             out[k] = effect.change(meets[k], theta)
             carrying = carrying.with_body(body) or carrying
+    wrong = _wrong(placed)
+    standing = carrying
+    for k in wrong:
+        effect, theta = placed[k]
+        out[k] = effect.change(_own(standing, k), theta)
+        if k != wrong[-1]:
+            standing = effect.stands(standing, theta) or standing
     for k, (effect, theta) in enumerate(placed):
-        if k in read or effect.body(scene, theta) is not None:
+        if k in read or k in wrong or effect.body(scene, theta) is not None:
             continue
         # A body's own change has its inertia in it.
         own = effect.EPISODIC or effect.DOWNSTREAM or effect.KEY == "inertial"
@@ -55,7 +66,16 @@ def compound(scene: "Scene", placed: Sequence[Placed]) -> list[Array]:
 
 def meet(scene: "Scene", placed: Sequence[Placed]) -> bool:
     """Whether any of them does otherwise because of the others."""
-    return len(placed) > 1 and any(e.reads(scene) or e.body(scene, theta) is not None for e, theta in placed)
+    if len(placed) > 1 and any(e.reads(scene) or e.body(scene, theta) is not None for e, theta in placed):
+        return True
+    wrong = [placed[k] for k in _wrong(placed)]
+    return len(wrong) > 1 and any(effect.stands(scene, theta) is not None for effect, theta in wrong)
+
+
+def _wrong(placed: Sequence[Placed]) -> list[int]:
+    """Places of what is wrong about how the arm stands, in the order in which they meet."""
+    found = [k for k, (effect, _) in enumerate(placed) if effect.KEY in STANDS]
+    return sorted(found, key=lambda k: STANDS.index(placed[k][0].KEY))
 
 
 def _own(scene: "Scene", k: int) -> "Scene":

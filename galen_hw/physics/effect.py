@@ -202,6 +202,10 @@ class Effect(ABC):
         """(10,) inertial parameters that it hangs on the sensor, in the order of `Scene.body_port`; None: no body."""
         return None
 
+    def stands(self, scene: Scene, theta: Array) -> Scene | None:
+        """The scene of a machine that stands as it says, which other errors of geometry meet; None: they do not."""
+        return None
+
     def at_work(self, scene: Scene) -> bool:
         """Whether it does, in this recording, what it is named for: friction that never breaks loose is a lag by another name."""
         return True

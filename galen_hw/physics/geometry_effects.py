@@ -53,6 +53,10 @@ class JointOffset(Effect):
             return misread
         return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * np.ones(len(at))))
 
+    def stands(self, scene: Scene, theta: Array) -> Scene | None:
+        """With the joint where it really is."""
+        return scene.standing_at(self.joint, offset=float(theta[0]))
+
     def _misread(self, scene: Scene, offset: float) -> Array | None:
         return _less_zero(scene, lambda at: at.misread(self.joint, offset=offset))
 
@@ -93,6 +97,10 @@ class JointScale(Effect):
         if misread is not None:
             return misread
         return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * at.q[:, at.joint_index(self.joint)]))
+
+    def stands(self, scene: Scene, theta: Array) -> Scene | None:
+        """With the joint where it really is."""
+        return scene.standing_at(self.joint, scale=float(theta[0]))
 
     def _misread(self, scene: Scene, scale: float) -> Array | None:
         return _less_zero(scene, lambda at: at.misread(self.joint, scale=scale))

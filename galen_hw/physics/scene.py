@@ -112,6 +112,26 @@ class Scene:
         """
         return None
 
+    def standing_at(self, joint: str, *, offset: float = 0.0, scale: float = 0.0) -> Self | None:
+        """The scene of an arm whose joint stands at (1 + scale) q + offset where q is read; None: nothing else would change.
+
+        What is simulated stays as it is.
+        """
+        return None
+
+    def under(self, gravity: Array) -> Self | None:
+        """The scene under another gravity (3,) in the base, m/s^2; None: nothing else would change. As of `standing_at`."""
+        return None
+
+    def _stretched(self, joint: str, offset: float, scale: float) -> tuple[Array, Array, Array]:
+        """q, dq, ddq (N, n) of an arm whose joint stands at (1 + scale) q + offset where q is read."""
+        j = self.joint_index(joint)
+        q, dq, ddq = (x.copy() for x in (self.q, *self.rates))
+        for x in (q, dq, ddq):
+            x[:, j] *= 1.0 + scale
+        q[:, j] += offset
+        return q, dq, ddq
+
     def _otherwise(self, **values: Any) -> Self:
         """A copy with other attributes; what was computed from the old ones is forgotten, but not what was simulated."""
         kept = {

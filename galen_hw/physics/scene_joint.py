@@ -160,12 +160,12 @@ class EffortScene(JointScene):
         robot = self._urdf()
         if robot is None:
             return None
-        shift, stretch = np.zeros(self.q.shape[1]), np.ones(self.q.shape[1])
-        shift[self.joint_index(joint)], stretch[self.joint_index(joint)] = offset, 1.0 + scale
-        dq, ddq = self.rates if self.belief.dynamic else (np.zeros_like(self.q),) * 2
+        q, dq, ddq = self._stretched(joint, offset, scale)
+        if not self.belief.dynamic:
+            dq = ddq = np.zeros_like(q)
 
         def run(rows: Array) -> Array:
-            return robot.inverse_dynamics(self.q[rows] * stretch + shift, dq[rows] * stretch, ddq[rows] * stretch)
+            return robot.inverse_dynamics(q[rows], dq[rows], ddq[rows])
 
         return self._along(self._coarse(run)) - self._rigid(robot)
 
@@ -207,6 +207,20 @@ class EffortScene(JointScene):
         robot = self._urdf()
         other = None if robot is None else robot.with_load(body)
         return None if other is None else self._otherwise(belief=replace(self.belief, robot=other))
+
+    def standing_at(self, joint: str, *, offset: float = 0.0, scale: float = 0.0) -> Self | None:
+        """The robot moves otherwise."""
+        if self._urdf() is None:
+            return None
+        q, *rates = self._stretched(joint, offset, scale)
+        return self._otherwise(q=q, rates=tuple(rates))
+
+    def under(self, gravity: Array) -> Self | None:
+        """Its links weigh otherwise."""
+        robot = self._urdf()
+        if robot is None:
+            return None
+        return self._otherwise(belief=replace(self.belief, robot=robot.under(gravity), gravity=gravity))
 
     @once
     def inertial_port(self) -> Array | None:

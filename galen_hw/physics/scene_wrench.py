@@ -122,6 +122,22 @@ class WrenchScene(Scene):
         tool = self.belief.tool.with_parameters(body)
         return None if tool is None else self._otherwise(belief=replace(self.belief, tool=tool))
 
+    def standing_at(self, joint: str, *, offset: float = 0.0, scale: float = 0.0) -> Self | None:
+        """The joint stood otherwise at the zeroing too."""
+        if self.belief.robot is None or joint not in self.joint_names or not np.isfinite(self.q).all():
+            return None
+        q, *rates = self._stretched(joint, offset, scale)
+        belief, zero = self.belief, self.zeroing
+        zero = None if zero is None else zero.standing_at(joint, offset=offset, scale=scale)
+        if zero is not None:
+            belief = replace(belief, zeroed_rotation=zero.R[0], zeroed_joints=zero.q[0])
+        return self._otherwise(q=q, rates=tuple(rates), belief=belief, zeroing=zero)
+
+    def under(self, gravity: Array) -> Self | None:
+        """Of all bodies, the one that was zeroed away included."""
+        zero = None if self.zeroing is None else self.zeroing.under(gravity)
+        return self._otherwise(belief=replace(self.belief, gravity=gravity), zeroing=zero)
+
     @once
     def joint_port(self, joint: str) -> Array | None:
         """The sensor turned about the joint's axis."""
@@ -133,11 +149,7 @@ class WrenchScene(Scene):
         robot = self.belief.robot
         if robot is None or joint not in self.joint_names or not np.isfinite(self.q).all():
             return None
-        j = self.joint_index(joint)
-        q, dq, ddq = (x.copy() for x in (self.q, *self.rates))
-        for x in (q, dq, ddq):
-            x[:, j] *= 1.0 + scale
-        q[:, j] += offset
+        q, dq, ddq = self._stretched(joint, offset, scale)
         if self.belief.dynamic:
             return self._moving(robot.sensor_motion(q, dq, ddq))
         zeros = np.zeros((len(q), 3))
