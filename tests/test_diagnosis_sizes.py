@@ -20,7 +20,7 @@ from galen_hw.diagnosis.slow_noise import smoothed
 from galen_hw.physics.body_effects import Payload
 from galen_hw.physics.memory_effects import Creep
 from galen_hw.physics.rigid import Body
-from galen_hw.physics.sensor_effects import Gain
+from galen_hw.physics.sensor_effects import Drift, Gain
 from galen_hw.physics.table import scene_of
 
 
@@ -80,6 +80,65 @@ def test_a_joint_that_is_read_wrong_moves_otherwise_too() -> None:
     value, std = found["joint_scale"]["scale_error"]
     assert abs(value - scale) < 4.0 * std
     assert abs(value - scale) < 0.01 * scale
+
+
+def test_a_wrong_joint_on_a_late_stream_is_told_in_its_own_size() -> None:
+    """What it does beyond its slope is late too: on time it had moved the scale by several standard deviations."""
+    case = Bench(5, rows=6000, rate=20.0)
+    scale, late = 0.06, 0.25
+    on_time = hanging(rotation(case.q[:, 3], case.q[:, 4] * (1.0 + scale)))
+    case.wrench = np.stack([np.interp(case.t - late, case.t, c) for c in on_time.T], axis=1)
+    case.noise *= 0.3
+    found = told(case)
+    assert set(found) == {"joint_scale", "time_delay"}
+    for effect, name, true in [("joint_scale", "scale_error", scale), ("time_delay", "delay", late)]:
+        value, std = found[effect][name]
+        assert abs(value - true) < 3.5 * std, (effect, value, std)
+        assert std < 0.01 * true
+
+
+def test_what_is_searched_is_as_unknown_as_what_is_linear() -> None:
+    """Standard deviations of all at once are those of the Jacobian of the whole model, searched constants included."""
+    case = slowly(3)
+    bench = diagnose(scene_of(case.observations())).bench
+    known = [(Payload("mass"), [0.01]), (Drift(WRENCH[2], "warm_up", 2000.0, 0.0, 1200.0), [0.5]), (Creep(40.0), None)]
+    effects = [(e, np.full(len(e.parameters(bench.scene)), 0.1) if t is None else np.array(t)) for e, t in known]
+
+    def whole(linear: np.ndarray, searched: np.ndarray) -> np.ndarray:
+        out, done, sought = np.zeros_like(bench.whole), 0, iter(searched)
+        for effect, theta in effects:
+            here = effect.with_searched({name: next(sought) for name in effect.searched()})
+            out += bench.rows.average(here.change(bench.scene, linear[done : done + len(theta)]))
+            done += len(theta)
+        return bench.whitened(out).reshape(-1)
+
+    linear = np.concatenate([theta for _, theta in effects])
+    searched = np.array([value for effect, _ in effects for value in effect.searched().values()])
+    J = [whole(linear + 1e-4 * e, searched) - whole(linear - 1e-4 * e, searched) for e in np.eye(len(linear))]
+    J = [j / 2e-4 for j in J]
+    J += [
+        (whole(linear, searched + step) - whole(linear, searched - step)) / (2.0 * step[k])
+        for k, step in enumerate(np.diag(1e-3 * searched))
+    ]
+    hypotheses = [bench.add(effect) for effect, _ in effects]
+    constants = [bench.made(None, c) for c in bench.constants()]
+    ones = [np.zeros((len(bench.rows), bench.width)) for _ in constants]
+    for one, h in zip(ones, constants, strict=True):
+        one[:, h.white.channels] = h.white.values[:, :, 0]
+    X = np.stack([*J, *(one.reshape(-1) for one in ones)], axis=1)
+    X = X[np.repeat(~bench.dropped, bench.width)]
+    size = np.linalg.norm(X, axis=0)
+    wanted = (np.sqrt(np.diag(np.linalg.inv(X.T @ X / np.outer(size, size)))) / size)[: len(J)]
+    y = whole(linear, searched).reshape(bench.whole.shape) + bench.whitened(bench.rows.average(case.noise))
+    model = Model(bench, constants, hypotheses, y)
+    places = np.concatenate([np.arange(s.start, s.stop) for s in model.slices()[len(constants) :]])
+    told = np.concatenate([np.sqrt(np.diag(model.joint.covariance)[places]), list(model.joint.searched.values())])
+    assert len(told) == len(wanted)
+    # The sandwich of forty blocks is never below, and errs by a tenth or two.
+    assert np.all(told > 0.95 * wanted)
+    assert np.all(told < 1.5 * wanted)
+    alone = np.sqrt(np.diag(model.covariance)[places])
+    assert np.max(told[: len(alone)] / alone) > 1.3
 
 
 def test_a_hum_whose_phase_walks_is_one_vibration_of_its_mean_frequency() -> None:

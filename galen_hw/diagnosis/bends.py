@@ -6,7 +6,8 @@ import numpy as np
 
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.score import Scorer
-from galen_hw.physics.effect import Columns
+from galen_hw.diagnosis.stream import arrived
+from galen_hw.physics.effect import Columns, Effect
 from galen_hw.spatial import Array
 
 ROUNDING = 1e-6
@@ -15,18 +16,22 @@ ROUNDING = 1e-6
 
 def tangent(bench: Bench, h: Hypothesis, theta: Array) -> Hypothesis:
     """The hypothesis linearised at theta, with what it predicts there beyond slope times theta."""
-    effect, scene = h.effect, bench.scene
+    effect = h.effect
     assert effect is not None, "nuisances are linear"
-    here = effect.change(scene, theta)
     slopes = []
-    for k, stride in enumerate(effect.strides(scene, theta).tolist()):
+    for k, stride in enumerate(effect.strides(bench.scene, theta).tolist()):
         step = np.zeros(h.count)
         step[k] = stride
-        slopes.append((effect.change(scene, theta + step) - effect.change(scene, theta - step)) / (2.0 * stride))
-    raw = bench.averaged(Columns(tuple(range(bench.width)), np.stack(slopes, axis=-1)))
+        slopes.append((does(bench, effect, theta + step) - does(bench, effect, theta - step)) / (2.0 * stride))
+    raw = Columns(tuple(range(bench.width)), np.stack(slopes, axis=-1))
     out = bench.made(effect, raw, h.looked)
-    out.theta, out.bend = theta, bench.rows.average(here) - raw.values @ theta
+    out.theta, out.bend = theta, does(bench, effect, theta) - raw.values @ theta
     return out
+
+
+def does(bench: Bench, effect: Effect, theta: Array) -> Array:
+    """(M, C) averaged change of an effect with parameters theta (k,), as it arrives through a late or lagging stream."""
+    return bench.rows.average(arrived(bench.stream, effect, effect.change(bench.scene, theta), bench.timing))
 
 
 def straightened(scorer: Scorer, chosen: list[int]) -> Array:

@@ -230,7 +230,7 @@ def _exchanged(
         scorer.append(fresh)
         scorer.retarget(bench.y)
         trial = list(range(len(scorer.library) - len(fresh), len(scorer.library)))
-        settle(bench, scorer, trial)
+        settle(bench, scorer, trial, anew=True)
     finally:
         bench.timing = timing  # the search brings all columns to the clocks that it finds chosen
     price = (len(clocks) - len(old)) * float(np.log(bench.noise.effective))

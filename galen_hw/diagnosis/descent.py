@@ -6,7 +6,7 @@ import numpy as np
 
 from galen_hw.diagnosis.algebra import solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis
-from galen_hw.diagnosis.bends import tangent
+from galen_hw.diagnosis.bends import does, tangent
 from galen_hw.diagnosis.linear import rests
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.physics.effect import Columns
@@ -102,7 +102,7 @@ def descended(
 def _cost(bench: Bench, beside: Beside, h: Hypothesis, theta: Array) -> float:
     """Whitened sum of squares beside a model with the effect at theta, less that without it."""
     assert h.effect is not None, "nuisances are linear"
-    there = bench.rows.average(h.effect.change(bench.scene, theta))
+    there = does(bench, h.effect, theta)
     return -beside.whole(bench.made(None, Columns(tuple(range(bench.width)), there[:, :, None])))
 
 

@@ -1,6 +1,7 @@
 """The chosen model, settled: what is held constant, its parameters with honest errors, and how it does on held-out rows."""
 
 import itertools
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -11,6 +12,7 @@ import numpy as np
 from galen_hw.diagnosis import stream
 from galen_hw.diagnosis.algebra import solve_sym
 from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.bends import does
 from galen_hw.diagnosis.linear import fit, left_out, predicted
 from galen_hw.diagnosis.rows import Chosen
 from galen_hw.diagnosis.score import Scorer
@@ -29,12 +31,29 @@ if TYPE_CHECKING:
 BETTER = 0.98
 """Error on blocks left out, over that of the weighed fit, below which the plain one is taken."""
 
+STEP: Final = 0.02
+"""Of the logarithm of the factor within which a searched value is sought: by as much its slope is told."""
+NEVER: Final = 1e-9
+"""Share of the square of a slope that must be left beside the effect's own columns."""
 STAYS: Final = 1e-2
 """Of the noise of one row: what moves by less stays."""
 NOTHING: Final = 1e-3
 """Mean square, of the noise's, that is no matter."""
 MERIT: Final = 6.0
 """Difference of merit from which the other of two models is taken."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Errors of a model's parameters, all of them unknown at once.
+
+    Args:
+        covariance: (k, k) of the linear parameters, whatever the searched ones are.
+        searched: standard deviation of every searched value, by the place of its effect in the model and its name.
+    """
+
+    covariance: Array
+    searched: dict[tuple[int, str], float]
 
 
 @dataclass
@@ -78,12 +97,51 @@ class Model:
         return self._covariance(parts, y, np.flatnonzero(~self.bench.dropped))
 
     @cached_property
+    def joint(self) -> Joint:
+        """Errors with the searched values as unknowns too: what is not sure of one is not sure of what it can be made up by.
+
+        The model is linear in a searched value where it stands (Gauss and Newton). One that the others can make up for
+        altogether is not known at all.
+        """
+        ways: dict[tuple[int, str], Hypothesis] = {}
+        lost: dict[tuple[int, str], float] = {}
+        for k, h in enumerate(self.effects):
+            for name, value in (h.effect.searched() if h.effect is not None else {}).items():
+                way = self._way(k, name)
+                if way is None:
+                    lost[k, name] = abs(value)
+                else:
+                    ways[k, name] = way
+        if not ways:
+            return Joint(self.covariance, lost)
+        parts, y = self.flat() if self.plain else (self.parts, self.white)
+        more = [self._plain(way) for way in ways.values()] if self.plain else list(ways.values())
+        whole, size = self._covariance(parts, y, np.flatnonzero(~self.bench.dropped), more), len(self.final)
+        spread = np.sqrt(np.maximum(np.diag(whole)[size:], 0.0)).tolist()
+        return Joint(whole[:size, :size], lost | dict(zip(ways, spread, strict=True)))
+
+    def _way(self, k: int, name: str) -> Hypothesis | None:
+        """How the k-th effect changes with a searched value, as a column; None where the model's own columns do the same."""
+        h, s = self.effects[k], self.slices()[len(self.nuisances) + k]
+        assert h.effect is not None, "effects, not nuisances"
+        value, channels = h.effect.searched()[name], list(h.raw.channels)
+        step = STEP * float(np.log(h.effect.doubt(self.bench.scene))) * value
+        up, down = (self.bench.raw(h.effect.with_searched({name: value + sign * step})) for sign in (1.0, -1.0))
+        slope = (up.values - down.values) @ self.final[s] / (2.0 * step)
+        way = self.bench.made(None, Columns(h.raw.channels, slope[:, :, None]))
+        ones = np.eye(len(channels))[np.tile(np.arange(len(channels)), len(slope))]
+        X = np.concatenate([h.white.values.reshape(-1, h.count), ones], axis=1)
+        X, y = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300), way.white.values.reshape(-1)
+        left = y - X @ np.linalg.lstsq(X, y, rcond=1e-9)[0]
+        return way if float(left @ left) > NEVER * float(y @ y) else None
+
+    @cached_property
     def variance(self) -> Array:
         """(k,) of the parameters, with what they would be by another convention that fits as well: nobody can tell which holds.
 
         What settles after a load is more in the end, or was less at first, and a load that was read wrong is the difference.
         """
-        out = np.maximum(np.diag(self.covariance), 0.0)
+        out = np.maximum(np.diag(self.joint.covariance), 0.0)
         for k, h in enumerate(self.effects):
             other = None if h.effect is None else h.effect.otherwise()
             if other is None or len(self.effects) < 2:
@@ -117,8 +175,7 @@ class Model:
         """Whether an effect does at theta (k,) what its tangent says, by the noise."""
         assert h.effect is not None, "nuisances are linear"
         assert h.bend is not None, "a tangent has one"
-        there = self.bench.rows.average(h.effect.change(self.bench.scene, theta))
-        off = there - h.bend - h.raw.values @ theta
+        off = does(self.bench, h.effect, theta) - h.bend - h.raw.values @ theta
         return bool(np.max(np.mean(off**2, axis=0) / self.bench.noise.sigma**2) < NOTHING)
 
     @property
@@ -151,13 +208,11 @@ class Model:
 
     def flat(self) -> tuple[list[Hypothesis], Array]:
         """Parts and residual with all frequencies weighed alike."""
-        sigma = self.bench.noise.sigma
+        return [self._plain(h) for h in self.parts], self.y / self.bench.noise.sigma
 
-        def plain(h: Hypothesis) -> Hypothesis:
-            values = h.raw.values / sigma[list(h.raw.channels)][:, None]
-            return replace(h, white=Columns(h.raw.channels, values))
-
-        return [plain(h) for h in self.parts], self.y / sigma
+    def _plain(self, h: Hypothesis) -> Hypothesis:
+        values = h.raw.values / self.bench.noise.sigma[list(h.raw.channels)][:, None]
+        return replace(h, white=Columns(h.raw.channels, values))
 
     def rest(self, *, white: bool = False) -> Array:
         """(M, C) what the model learnt on the training rows leaves."""
@@ -173,12 +228,15 @@ class Model:
         """(C,) mean squared error on rows."""
         return np.asarray(np.mean(self.rest()[rows] ** 2, axis=0))
 
-    def _covariance(self, parts: list[Hypothesis], white: Array, rows: Chosen) -> Array:
+    def _covariance(
+        self, parts: list[Hypothesis], white: Array, rows: Chosen, more: Sequence[Hypothesis] = ()
+    ) -> Array:
         """Sandwich over contiguous blocks: valid when the whitening is not perfect; never below the classical one.
 
         Nor below what it would be if the noise had no more scatter from band to band than its spectrum shows for certain.
+        `more`: single columns whose factors are unknown too, and stand behind the parameters.
         """
-        size = len(self.final)
+        size = len(self.final) + len(more)
         G, meat = np.zeros((size, size)), np.zeros((size, size))
         even = np.zeros((size, size))
         scores = np.zeros((int(self.bench.block.max()) + 1, size))
@@ -186,8 +244,10 @@ class Model:
         for h, s in zip(parts, self.slices(), strict=True):
             left[:, list(h.white.channels)] -= h.white.values @ self.final[s]
         total = 0.0
+        behind = [slice(len(self.final) + k, len(self.final) + k + 1) for k in range(len(more))]
+        placed = list(zip([*parts, *more], [*self.slices(), *behind], strict=True))
         for c in range(self.bench.width):
-            mine = [(h, s) for h, s in zip(parts, self.slices(), strict=True) if c in h.white.channels]
+            mine = [(h, s) for h, s in placed if c in h.white.channels]
             if not mine:
                 continue
             at = np.concatenate([np.arange(s.start, s.stop) for _, s in mine])
@@ -209,8 +269,7 @@ class Model:
         robust, plain = bread @ meat @ bread, bread * variance
         ratio = np.sqrt(np.maximum(np.diag(robust), 0.0) / np.maximum(np.diag(plain), 1e-300))
         smooth = np.diag(bread @ even @ bread) / np.maximum(np.diag(bread), 1e-300)
-        # Forty blocks give the sandwich an error of a tenth: it speaks only where it differs by more than that.
-        factor = np.where(ratio > 1.35, ratio, np.sqrt(np.maximum(smooth, 1.0)))
+        factor = np.maximum(ratio, np.sqrt(np.maximum(smooth, 1.0)))
         return np.asarray(plain * np.outer(factor, factor))
 
 

@@ -102,19 +102,16 @@ def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int)
     assert effect is not None, "effects, not nuisances"
     variance = model.variance[s]
     values = effect.searched()
-    searched = {name: _searched_spread(model, h, s, name, value) for name, value in values.items()}
+    searched = {name: model.joint.searched[model.effects.index(h), name] for name in values}
     if isinstance(effect, Vibration):
-        own, pull = searched["frequency"]
         values["frequency"], wandering = mean_frequency(model, effect)
-        searched["frequency"] = float(np.hypot(own, wandering)), pull
-    for spread, pull in searched.values():
-        variance = variance + (pull * spread) ** 2
+        searched["frequency"] = float(np.hypot(searched["frequency"], wandering))
     named = zip(effect.parameters(bench.scene), model.final[s], np.sqrt(variance), strict=True)
     mark = prefix or (f"{number + 1}: " if number else "")
     out = {f"{mark}{p.name}": Value(float(v), float(d), _unit(bench.scene, effect.joints, p.unit)) for p, v, d in named}
     for name, value in values.items():
         unit = _unit(bench.scene, effect.joints, effect.SEARCHED[name].unit)
-        out[f"{mark}{name}"] = Value(value, searched[name][0], unit)
+        out[f"{mark}{name}"] = Value(value, searched[name], unit)
     if hasattr(effect, "moment"):
         out[f"{mark}moment"] = Value(float(effect.moment), 0.0, "s")
     if hasattr(effect, "limit"):
@@ -131,30 +128,6 @@ def _unit(scene: Scene, joints: tuple[str, ...], unit: str) -> str:
     inner = re.sub(r"\((\S+) or (\S+)\)", r"\2" if slides else r"\1", unit)
     first, either, second = inner.partition(" or ")
     return second if slides and either else first
-
-
-def _searched_spread(model: Model, h: Hypothesis, s: slice, name: str, value: float) -> tuple[float, Array]:
-    """Standard deviation of a searched value, from the curvature of the fit along it, the linear parameters following.
-
-    Also how these follow (k,), per unit of it: what is not sure of it is not sure of them either.
-    """
-    bench, effect = model.bench, h.effect
-    assert effect is not None, "effects, not nuisances"
-    step = 0.02 * np.log(effect.doubt(bench.scene)) * value
-    up, down = (bench.add(effect.with_searched({name: value + sign * step})) for sign in (1.0, -1.0))
-    channels = list(h.white.channels)
-    slope = ((up.white.values - down.white.values) @ model.final[s] / (2.0 * step)).reshape(-1)
-    own = h.white.values.reshape(-1, h.count)
-    ones = np.eye(len(channels))[np.tile(np.arange(len(channels)), len(bench.rows))]
-    X = np.concatenate([own, ones], axis=1)
-    size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
-    follow = np.linalg.lstsq(X / size, slope, rcond=1e-9)[0]
-    left = slope - X / size @ follow
-    information = float(left @ left)
-    if not information > 0.0:
-        return float(value), np.zeros(h.count)
-    rest = model.rest(white=True)[bench.train][:, channels]
-    return float(np.sqrt(max(float(np.mean(rest**2)), 1.0) / information)), (follow / size)[: h.count]
 
 
 def _evidence(model: Model, selection: Selection, parts: list[Hypothesis]) -> tuple[float, float]:

@@ -16,8 +16,11 @@ from galen_hw.physics.effect import DOUBT, Effect
 from galen_hw.spatial import Array
 
 
-def settle(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
-    """Nonlinear effects are linearised anew where they stand; what they do beyond their slope is taken off the residual."""
+def settle(bench: Bench, scorer: Scorer, chosen: list[int], *, anew: bool = False) -> None:
+    """Nonlinear effects are linearised anew where they stand; what they do beyond their slope is taken off the residual.
+
+    `anew`: even where they stand as before, since all that they do arrives otherwise.
+    """
     rebase(scorer, chosen)
     for _ in range(3):
         theta = scorer.solve(chosen)[0]
@@ -36,8 +39,9 @@ def settle(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
                 moved or h.theta is None or bool(np.max(np.abs(h.theta - new.theta)) > 1e-3 * np.max(np.abs(new.theta)))
             )
             fresh.append((place, new))
-        if not fresh or not moved:
+        if not fresh or not (moved or anew):
             return
+        anew = False
         bench.y = bench.whole - bench.company - beyond
         scorer.append([h for _, h in fresh])
         for k, (place, _) in enumerate(fresh):

@@ -41,7 +41,7 @@ def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
         bench.timing = now
         bench.stream.limited = frozenset(stream.limited(now))
         scorer.retime()
-        settle(bench, scorer, chosen)
+        settle(bench, scorer, chosen, anew=True)
 
 
 def load(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
