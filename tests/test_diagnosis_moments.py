@@ -4,13 +4,18 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import SIGMA, WRENCH, Bench
 
+from galen_hw.diagnosis.bench import Bench as DiagnosisBench
 from galen_hw.diagnosis.engine import diagnose
 from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.linear import left_out
+from galen_hw.diagnosis.score import Scorer
+from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.sensor_effects import Drift
 from galen_hw.physics.table import scene_of
 
@@ -29,3 +34,47 @@ def test_offsets_are_learnt_beside_the_drift_that_is_told() -> None:
     for h, s in zip(model.parts, model.slices(), strict=True):
         if h.effect is not None:
             np.testing.assert_array_equal(model.theta[s], model.final[s])
+
+
+def touched(bench: DiagnosisBench, *, aside: bool) -> tuple[float, float]:
+    """A moment of a second and a half that lies in the middle of one block, set aside or learnt from."""
+    time = bench.rows.average(bench.scene.time)
+    numbers = [b for b in np.unique(bench.block) if bench.aside[bench.block == b].all() == aside]
+    inside = time[bench.block == numbers[len(numbers) // 2]]
+    middle = float(inside.mean())
+    return middle - 0.75, middle + 0.75
+
+
+def test_a_touch_in_a_block_left_out_decides_nothing_between_models_that_have_it() -> None:
+    """It cannot be foretold from the others: what then stands there had been the larger part of both models' errors."""
+    case = Bench(5, rows=4000)
+    work = diagnose(scene_of(case.observations()))
+    bench = work.bench
+    start, end = touched(bench, aside=False)
+    time = bench.rows.average(bench.scene.time)
+    during = (time >= start) & (time <= end)
+    y = bench.whole + 20.0 * SIGMA[0] * (during[:, None] & (np.arange(6) == 0))
+    model = [*(bench.made(None, c) for c in bench.constants()), bench.add(Contact(WRENCH[:1], ((start, end),)))]
+    white, before = bench.whitened(y), bench.y
+    bench.y = y
+    try:
+        left = left_out(bench, model, white)
+        without = left_out(bench, model[:-1], white)
+    finally:
+        bench.y = before
+    assert left[0] < 1.1 * SIGMA[0] ** 2
+    assert without[0] > 1.5 * SIGMA[0] ** 2
+
+
+def test_a_touch_that_is_not_learnt_from_costs_nothing() -> None:
+    """Two touches of which one lies in rows set aside owe for the other alone: it had been left out, and spoilt what judges."""
+    case = Bench(5, rows=4000)
+    bench = diagnose(scene_of(case.observations())).bench
+    seen, hidden = (touched(bench, aside=aside) for aside in (False, True))
+    contacts = [Contact(WRENCH[:2], tuple(sorted(episodes))) for episodes in ((seen,), (seen, hidden))]
+    scorer = Scorer(bench, [bench.add(contact) for contact in contacts])
+    first = len(scorer.base)
+    one, both = (scorer.scores([], [first + k])[0][first + k] for k in range(2))
+    each = np.log(bench.noise.effective)
+    assert both.rank - both.gain == pytest.approx(one.rank - one.gain, abs=0.5 * each)
+    assert one.gain - one.rank > 3.5 * each

@@ -181,6 +181,22 @@ def test_what_creeps_and_a_load_that_was_wrong_all_along_say_how_little_is_known
             assert abs(model.final[at] - 0.004) > 5.0 * alone
 
 
+def test_a_small_body_is_told_anew_where_it_sits_beside_another_convention() -> None:
+    """A law between parameters goes with them: placed where the other convention had it, that one would be refused."""
+    case = slowly(8)
+    bench = diagnose(scene_of(case.observations())).bench
+    at = np.array([0.05, 0.01, -0.12])
+    y = bench.rows.average(hanging(rotation(case.q[:, 3], case.q[:, 4]), 0.002, at))
+    nuisances = [bench.made(None, c) for c in bench.constants()]
+    model = Model(bench, nuisances, [bench.add(Payload("point", (0.0, 0.1, 0.0)))], bench.whitened(y))
+    told = model.retold().effects[0].effect
+    assert isinstance(told, Payload)
+    assert told.at is not None
+    np.testing.assert_allclose(told.at, at, atol=1e-4)
+    free = Model(bench, nuisances, [bench.add(Payload("body"))], bench.whitened(y))
+    assert free.retold() is free
+
+
 @pytest.mark.parametrize(("growth", "rounds"), [(10.0, 2), (np.nan, 1)])
 def test_what_does_not_come_to_rest_is_left_as_if_alone(
     monkeypatch: pytest.MonkeyPatch, growth: float, rounds: int

@@ -151,11 +151,20 @@ class Model:
                 replace(self.bench.add(other, h.looked), beside=h.beside),
                 *self.effects[k + 1 :],
             ]
-            rival = Model(self.bench, self.nuisances, effects, self.white, self.plain)
+            rival = Model(self.bench, self.nuisances, effects, self.white, self.plain).retold()
             own, its = (float(np.sum(m.rest(white=True)[self.bench.train] ** 2)) for m in (self, rival))
             if abs(its - own) < MERIT:
                 out = out + (rival.final - self.final) ** 2
         return out
+
+    def retold(self) -> "Model":
+        """The same with every law that binds parameters placed anew by what they are here: a small body where it now sits."""
+        effects, slices = list(self.effects), self.slices()[len(self.nuisances) :]
+        for k, (h, s) in enumerate(zip(self.effects, slices, strict=True)):
+            told = h.effect.told_by(self.final[s]) if h.effect is not None and h.effect.bound else None
+            if told is not None:
+                effects[k] = replace(self.bench.add(told, h.looked), beside=h.beside)
+        return self if effects == self.effects else Model(self.bench, self.nuisances, effects, self.white, self.plain)
 
     def _fitted(self, parts: list[Hypothesis], y: Array, rows: Chosen, known: Array | None = None) -> Array:
         """Parameters learnt on some rows; what is curved stays where it was settled if its tangent does not reach so far.

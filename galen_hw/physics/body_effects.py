@@ -45,6 +45,11 @@ class Payload(Effect):
         if np.any(np.abs(port[:, :, 4:]) > 0.0) and scene.clock:
             yield cls("full")
 
+    @property
+    def bound(self) -> bool:
+        """Where it is one point."""
+        return self.at is not None
+
     def told_by(self, theta: Array) -> Self | None:
         """A small body where mass and moment (4 and more,) say that it is; None if that is no place near a sensor."""
         if self.part not in ("body", "full", "point") or theta[0] == 0.0:

@@ -225,6 +225,11 @@ class Effect(ABC):
         """The same without what a richer form of it adds."""
         return self
 
+    @property
+    def bound(self) -> bool:
+        """Whether a law between its parameters holds, as placed by `told_by`."""
+        return False
+
     def told_by(self, theta: Array) -> Self | None:
         """The same, bound by a law between its parameters that these (k,) can place; None without one."""
         return None
