@@ -96,10 +96,9 @@ def diagnose(
     generic = adequacy.families(bench)
     bench.learn_noise((), known.columns(bench, generic))
     tell("choosing effects", 0.5)
-    selection, model, left = _searched(bench, effects, columns, generic, blind=bool(premise.wrong))
+    searches, left = _searched(bench, effects, columns, generic, blind=bool(premise.wrong))
     tell("judging on held-out data", 0.9)
-    chosen = weighed(model)
-    model, judged = earned(chosen, holdout)
+    selection, chosen, model, judged = _held_up(bench, searches, holdout)
     if model is not chosen:
         left = left_by([model], generic)[0]
     glitch = [] if premise.wrong else glitches.confirmed(glitch, model)
@@ -151,7 +150,7 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
     generic = adequacy.families(coarse)
     seen = [coarse.raw(s.effect) for s in at_first_sight(bench)]
     coarse.learn_noise(columns, [*adequacy.compact(coarse, generic), *seen], above=coarse.motion_band())
-    _, model, left = _searched(coarse, effects, columns, generic, blind=blind)
+    ((_, model), *_), left = _searched(coarse, effects, columns, generic, blind=blind)
     if not left and len(coarse.noise.edges):
         # What is finely structured passes for quick noise. Only blocks that it was not fitted on can tell, whatever the noise.
         coarse.noise = coarse.noise.flat()
@@ -163,47 +162,76 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
     return _Known(chosen, {x.channel: x.kind for x in reversed(left)})
 
 
+Search = tuple[Selection, Model]
+"""How a model was found, and the model."""
+
+
 def _searched(
     bench: Bench, effects: list[Effect], columns: list[Columns], generic: list[adequacy.Family], *, blind: bool
-) -> tuple[Selection, Model, list[adequacy.Left]]:
-    """The chosen model under the present noise, and what it leaves."""
+) -> tuple[list[Search], list[adequacy.Left]]:
+    """What was searched under the present noise, the better model first, and what that leaves."""
     hypotheses = [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)]
-    selection, model = _chosen(bench, hypotheses, blind=blind)
-    return selection, model, left_by([model], generic)[0]
+    searches = _chosen(bench, hypotheses, blind=blind)
+    return searches, left_by([searches[0][1]], generic)[0]
 
 
 def _silent(stage: str, share: float) -> None:
     del stage, share
 
 
-def _chosen(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> tuple[Selection, Model]:
-    """The better of two searches.
+def _chosen(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> list[Search]:
+    """One search or two, the better model first and on this bench; the other has a bench of its own.
 
     With offsets always in the model and judged at the end (a drift is not called an offset), and with offsets among the
     hypotheses (a constant error of geometry is not called one).
     """
     if blind:
         nothing = Selection(Scorer(bench, hypotheses))
-        return nothing, settle_model(bench, nothing.scorer, nothing)
+        return [(nothing, settle_model(bench, nothing.scorer, nothing))]
 
-    def searched(on: Bench, own: list[Hypothesis]) -> tuple[Selection, Model]:
+    def searched(on: Bench, own: list[Hypothesis]) -> Search:
         selection = select(on, Scorer(on, [*own, *hypotheses], free=not own))
         return selection, settle_model(on, selection.scorer, selection)
 
     own = offsets(bench)
     if not own:
-        return searched(bench, own)
+        return [searched(bench, own)]
     # Each has what the search changes (the residual without bends, the late stream) to itself, and a core if there are two.
-    twin = copy(bench)
-    both = Parallel(n_jobs=2, require="sharedmem")(delayed(searched)(*one) for one in ((bench, []), (twin, own)))
-    (selection, model), (other, rival) = both
-    better = merit(rival) - merit(model)
+    first, other = Parallel(n_jobs=2, require="sharedmem")(
+        delayed(searched)(*one) for one in ((copy(bench), []), (copy(bench), own))
+    )
+    better = merit(other[1]) - merit(first[1])
     # A constant that something else accounts for as well is an effect too many.
-    if better <= MERIT and not (better > 0.0 and len(rival.effects) < len(model.effects)):
-        return selection, model
-    bench.y, bench.timing, bench.stream = twin.y, twin.timing, twin.stream
-    other.scorer.bench = rival.bench = bench
-    return other, rival
+    if better > MERIT or (better > 0.0 and len(other[1].effects) < len(first[1].effects)):
+        first, other = other, first
+    _taken_over(bench, *first)
+    return [first, other]
+
+
+def _taken_over(bench: Bench, selection: Selection, model: Model) -> None:
+    """The bench as a search left its own."""
+    own = model.bench
+    bench.y, bench.timing, bench.stream = own.y, own.timing, own.stream
+    selection.scorer.bench = model.bench = bench
+
+
+def _held_up(bench: Bench, searches: list[Search], holdout: Scene | None) -> tuple[Selection, Model, Model, Judged]:
+    """How it was found, the model that leaves `left`, the model without what held-out data refuse, and how it does on these.
+
+    Where some of the better model's names are refused (two offsets in the place of a warm-up), the other search may have found
+    what holds: then that is taken.
+    """
+    (selection, found), *others = searches
+    chosen = weighed(found)
+    model, judged = earned(chosen, holdout)
+    if model is chosen:
+        return selection, chosen, model, judged
+    for other, rival in others:
+        kept, its = earned(weighed(rival), holdout)
+        if merit(kept) > merit(model) + MERIT:
+            _taken_over(bench, other, kept)
+            return other, chosen, kept, its
+    return selection, chosen, model, judged
 
 
 def _said(

@@ -1,0 +1,62 @@
+"""Two searches, and held-out data that say which of them holds."""
+
+import sys
+from copy import copy
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from diagnosis_cases import SIGMA, WRENCH, Bench
+
+from galen_hw.diagnosis import engine
+from galen_hw.diagnosis.bench import Bench as DiagnosisBench
+from galen_hw.diagnosis.engine import Search, diagnose
+from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.score import Scorer
+from galen_hw.diagnosis.selection import Selection
+from galen_hw.physics.effect import Effect
+from galen_hw.physics.sensor_effects import Drift, Gain
+from galen_hw.physics.table import scene_of
+
+
+@pytest.fixture(scope="module")
+def warming() -> DiagnosisBench:
+    """A sensor that drifts by three times its noise."""
+    case = Bench(7)
+    case.wrench[:, 2] += 3.0 * SIGMA[2] * case.t / case.t[-1]
+    return diagnose(scene_of(case.observations())).bench
+
+
+def search(bench: DiagnosisBench, *effects: Effect) -> Search:
+    """One that ended with these."""
+    own = copy(bench)
+    scorer = Scorer(own, [own.add(effect) for effect in effects])
+    chosen = scorer.library[len(scorer.base) :]
+    return Selection(scorer), Model(own, list(scorer.base), chosen, own.whitened(own.whole))
+
+
+def test_where_a_name_is_refused_the_other_search_is_asked(warming: DiagnosisBench) -> None:
+    """A gain of what does not read wrong holds on no block that was set aside; the drift does."""
+    drift = Drift(WRENCH[2], "linear", None, 0.0, float(warming.scene.time[-1]))
+    wrong, right = search(warming, Gain(WRENCH[0])), search(warming, drift)
+    selection, chosen, model, judged = engine._held_up(warming, [wrong, right], None)
+    assert selection is right[0]
+    assert chosen is wrong[1]
+    assert [h.effect for h in model.effects] == [drift]
+    assert model.bench is warming
+    assert selection.scorer.bench is warming
+    assert judged.after[2] < judged.before[2]
+
+
+def test_what_holds_is_kept_and_what_is_no_better_does_not_take_its_place(warming: DiagnosisBench) -> None:
+    """The better model stays as long as no name of it is refused, and where the other has nothing that holds either."""
+    drift = Drift(WRENCH[2], "linear", None, 0.0, float(warming.scene.time[-1]))
+    right, wrong = search(warming, drift), search(warming, Gain(WRENCH[0]))
+    assert engine._held_up(warming, [right, wrong], None)[0] is right[0]
+    other = search(warming, Gain(WRENCH[4]))
+    selection, chosen, model, _ = engine._held_up(warming, [wrong, other], None)
+    assert selection is wrong[0]
+    assert model is not chosen
+    assert not model.effects
