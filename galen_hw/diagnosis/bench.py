@@ -37,6 +37,7 @@ class Hypothesis:
         theta: parameters at which `raw` is the slope (nonlinear effects); None: at zero.
         bend: (M, C) what it predicts at theta beyond slope times theta; None where it is linear.
         beside: (M, C) what it adds in a settled model because the others are there too; None: nothing.
+        unseen: see `aside`; None: not asked yet.
     """
 
     effect: Effect | None
@@ -47,6 +48,7 @@ class Hypothesis:
     theta: Array | None = None
     bend: Array | None = None
     beside: Array | None = None
+    unseen: int | None = None
 
     @property
     def count(self) -> int:
@@ -58,6 +60,16 @@ class Hypothesis:
         i = self.white.channels.index(channel)
         at = np.flatnonzero(self.live[i])
         return at, self.white.values[:, i] if len(at) == self.count else self.white.values[:, i, at]
+
+    def aside(self, train: Mask) -> int:
+        """How many parameters belong to moments of which no row is learnt from: they gain nothing there, and cost nothing.
+
+        Told once, for it is asked at every turn of a search: the rows `train` (M,) of a bench stay as they are.
+        """
+        if self.unseen is None:
+            episodic = self.effect is not None and self.effect.EPISODIC
+            self.unseen = self.count - int(self.raw.values[train].any(axis=(0, 1)).sum()) if episodic else 0
+        return self.unseen
 
     @cached_property
     def live(self) -> Mask:

@@ -246,18 +246,13 @@ class Scorer:
         return {i: out[i] for i in asked if i in out}, highest
 
     def _score(self, i: int, gain: float, count: int, surprise: float) -> Score:
-        price = self.library[i].owed(max(count - self._aside(i), 0)) * np.log(self.bench.noise.effective)
+        price = self.library[i].owed(max(count - self.library[i].aside(self._train), 0)) * np.log(
+            self.bench.noise.effective
+        )
         looked = self.library[i].looked
         # What was sought in the residual pays for the places it was sought at.
         places = 2.0 * np.log(looked) if looked > 1 else self._occam.get(self._key(i), 0.0)
         return Score(gain, count, surprise, float(gain - price - places))
-
-    def _aside(self, i: int) -> int:
-        """How many parameters belong to moments of which no row is learnt from: they gain nothing here, and cost nothing."""
-        h = self.library[i]
-        if h.effect is None or not h.effect.EPISODIC:
-            return 0
-        return h.count - int(h.raw.values[self._train].any(axis=(0, 1)).sum())
 
     def in_full(self, i: int, score: Score) -> Score:
         """A score with the price of all numbers that a loose hypothesis has; of another the same."""
