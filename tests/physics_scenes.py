@@ -92,6 +92,7 @@ def proposals(group, static=False):
     first, last = made.channels[0], made.channels[-1]
     found += [Drift("", "wander", None, 0.0, 10.0, (first, last)), Drift("", "warm_up", 3.0, 0.0, 10.0, (first, last))]
     found += [Step((first,), 5.0), Vibration((first, last), 3.0), Contact((first,), ((2.0, 4.0), (7.0, 8.0)))]
+    found += [Step((first,), 5.0, one.name) for one in made.slipping()] + [Contact((first,), ((2.0, 4.0),), 3)]
     if group in ("wrench", "effort"):
         found += [CableDrag("tendon"), CableDrag("tendon_dry"), Payload("point", (0.02, -0.01, -0.1))]
     found += [Glitches((first,), (3, 9))] + ([TorqueRipple("elbow", 9.0)] if group == "effort" else [])

@@ -234,7 +234,9 @@ def test_a_force_in_a_corner_of_the_motion_is_neither_slow_noise_nor_a_touch() -
     bench.wrench[:, 2] += 3.0 * SIGMA[2] * corner / corner.std()
     work = judged(bench)
     assert (work.diagnosis.verdict, named(work)) == ("unexplained", ["unknown"])
-    assert "roll and tilt together" in dependence("input 4 and input 5 together", work.bench.scene)
+    assert "roll and tilt together" in dependence(
+        "input 4 and input 5 together", Inputs.of(work.bench.scene, work.bench.rows).names
+    )
 
 
 @pytest.mark.parametrize(("motion", "expected"), [(1, ["unknown"]), (2, ["contact"])])

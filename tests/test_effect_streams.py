@@ -36,6 +36,7 @@ def hypotheses(whole: Scene) -> list[Effect]:
     found = [e for key in EFFECTS for e in effect_class(key).propose(whole)]
     found += [Step((first,), 5.0), Vibration((first, last), 3.0), Contact((first,), ((2.0, 4.0), (7.0, 8.0)))]
     found.append(Drift("", "wander", None, 0.0, 10.0, (first, last)))
+    found += [Step((), 5.0, one.name) for one in whole.slipping()]
     if whole.observations.predict in ("wrench", "effort"):
         found += [CableDrag("tendon"), CableDrag("tendon_dry")]
     if whole.observations.predict == "effort":

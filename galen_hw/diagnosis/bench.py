@@ -68,8 +68,12 @@ class Hypothesis:
         """
         if self.unseen is None:
             episodic = self.effect is not None and self.effect.EPISODIC
-            self.unseen = self.count - int(self.raw.values[train].any(axis=(0, 1)).sum()) if episodic else 0
+            self.unseen = sum(not self._seen(j, train) for j in range(self.count)) if episodic else 0
         return self.unseen
+
+    def _seen(self, column: int, train: Mask) -> bool:
+        """Whether a column is other than zero in any row that is learnt from; only channels in which it lives are looked at."""
+        return any(bool(self.raw.values[train, i, column].any()) for i in np.flatnonzero(self.live[:, column]))
 
     @cached_property
     def live(self) -> Mask:

@@ -1,6 +1,7 @@
 """From hypotheses to findings: one for each key, with all its channels, joints and parameters."""
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.special import erfc
@@ -8,6 +9,7 @@ from scipy.special import erfc
 from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.generic import Inputs
 from galen_hw.diagnosis.guards import Premise
 from galen_hw.diagnosis.judge import ELSEWHERE, Judged
 from galen_hw.diagnosis.result import Finding, Value
@@ -188,8 +190,9 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
         share, z = best.share, best.z
         where = names[best.channel] + (f" of {ELSEWHERE}" if best.elsewhere else "")
         if best.basis.shape[1]:
+            follows = dependence(best.kind, Inputs.of(bench.scene, bench.rows).names)
             says = (
-                f"Structure is left in {where} that no named effect explains: {dependence(best.kind, bench.scene)}, "
+                f"Structure is left in {where} that no named effect explains: {follows}, "
                 f"which makes up {100 * share:.2g} % of what is left and holds on blocks that it was not fitted on."
             )
         else:
@@ -209,11 +212,9 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
     return Finding("unknown", channels, [], says, parameters, evidence)
 
 
-def dependence(kind: str, scene: Scene) -> str:
-    """What generic functions found, in words; inputs by their joints' names."""
+def dependence(kind: str, names: Sequence[str]) -> str:
+    """What generic functions found, in words; inputs by their names, see `generic.Inputs`."""
     number = re.fullmatch(r"periodic in input (\d+)", kind)
-    if number and int(number[1]) <= len(scene.moved):
-        return f"it repeats along {scene.moved[int(number[1]) - 1]}"
-    for i, joint in enumerate(scene.moved):
-        kind = re.sub(rf"input {i + 1}\b", joint, kind)
-    return f"it follows {kind}"
+    if number:
+        return f"it repeats along {names[int(number[1]) - 1]}"
+    return "it follows " + re.sub(r"input (\d+)", lambda found: names[int(found[1]) - 1], kind)

@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from galen_hw.diagnosis.rows import Mask, Rows
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.scene_wrench import WrenchScene
 from galen_hw.spatial import Array
 
 POSITION = "the joint positions, finely"
@@ -49,13 +50,14 @@ class Inputs:
     """What a recording knows of its causes, on averaged rows, in the units of the recording that is learnt from.
 
     Args:
-        position: (M, p) joint positions that move, or the simulated channels; applied forces.
+        position: (M, p) joint positions that move, the axes of a sensor of which no joints are known, or the simulated channels;
+            applied forces.
         load: (M, c) simulated channels; rate, second: (M, p) of the positions, by the row; empty without a clock.
         reach: (p,) of the positions.
         lags: rows by which the past is taken.
         scales: of these four; joints, forces: which columns the positions are.
         period: s a row.
-        same: the simulated channels are positions themselves.
+        same: the simulated channels are positions themselves; turns: the positions are the sensor's axes.
     """
 
     position: Array
@@ -69,6 +71,7 @@ class Inputs:
     forces: tuple[str, ...]
     period: float
     same: bool
+    turns: bool
 
     @classmethod
     def of(cls, scene: Scene, rows: Rows, like: "Inputs | None" = None) -> Self:
@@ -81,7 +84,13 @@ class Inputs:
         joints = scene.moved if like is None else like.joints
         forces = tuple(n for n in given if n.startswith("applied.force")) if like is None else like.forces
         load = rows.average(np.nan_to_num(scene.simulated))
-        raw = [rows.average(scene.q[:, [scene.joint_index(j) for j in joints]])] if joints else [load]
+        if joints:
+            raw = [rows.average(scene.q[:, [scene.joint_index(j) for j in joints]])]
+        elif isinstance(scene, WrenchScene):
+            # A wrench may follow the heading too (a cable, a magnet), which the weight in the sensor does not show.
+            raw = [rows.average(scene.R.reshape(len(scene), 9))]
+        else:
+            raw = [load]
         raw += [rows.average(np.nan_to_num(given[name]))[:, None] for name in forces]
         return cls._scaled(scene, rows, np.concatenate(raw, axis=1), load, like, joints, forces)
 
@@ -120,7 +129,17 @@ class Inputs:
             forces,
             period,
             scene.observations.predict == "position",
+            not joints and isinstance(scene, WrenchScene),
         )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(p,) what each column of the positions is, in words."""
+        count = len(self.scales[0].kept) - len(self.forces)
+        axes = tuple(f"the sensor's {a} axis along base {b}" for b in "xyz" for a in "xyz")
+        simulated = tuple(f"simulated channel {k + 1}" for k in range(count))
+        own = self.joints or (axes if self.turns else simulated)
+        return tuple(itertools.compress((*own, *self.forces), self.scales[0].kept))
 
     @cached_property
     def past(self) -> Array:

@@ -33,6 +33,7 @@ class Judged:
         support: per effect's key, the share of the held-out excess that would be left without it, in the channels where it
             acts, that it takes.
         sure: per effect's key, by how many standard errors held-out rows want it, see `wanted.sure`.
+        refused: keys of which held-out rows, that it would show in, hold the contrary.
         unnamed: with what generic functions predict besides, without a name, where that earns its place; None: it does not.
         places: where a key stands more than once, per number in the model's effects: the same of that one alone.
         episodes: times (s) of contacts in another recording; good: (M,) its rows that are judged on, all others left out of
@@ -46,6 +47,7 @@ class Judged:
     floor: Array
     support: dict[str, float] = field(default_factory=dict)
     sure: dict[str, float] = field(default_factory=dict)
+    refused: set[str] = field(default_factory=set)
     places: dict[int, tuple[float, float]] = field(default_factory=dict)
     episodes: tuple[tuple[float, float], ...] = ()
     good: Mask | None = None
@@ -130,6 +132,8 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
     for key, part in smaller.items():
         judged.without[key] = np.mean(guard.raw(part) ** 2, axis=0)
         judged.support[key], judged.sure[key] = guard.of(part, _channels(model, key))
+        if judged.sure[key] < 0.0 and guard.could_tell(part):
+            judged.refused.add(key)
     judged.places = _places(model, guard)
     return judged
 
@@ -232,7 +236,7 @@ def apply(model: Model, scene: Scene, besides: Array | None = None) -> Array:
     left = _less(rest, columns)
     for effect in found:
         if isinstance(effect, Step):
-            jumps = [_full(replace(effect, moment=t), scene, rows, bench.width) for t in _moments(scene, left)]
+            jumps = [_full(replace(effect, moment=t), scene, rows, bench.width) for t in _moments(scene, left, rows)]
             columns.append(min(jumps, key=lambda jump: float(np.sum(_less(left, [jump]) ** 2))))
             left = _less(rest, columns)
     return left
@@ -246,9 +250,10 @@ def _again(effect: Drift | Vibration, scene: Scene) -> list[Drift | Vibration]:
     return [begun] if begun.form == "wander" else [begun, replace(begun, form="wander", constant=None)]
 
 
-def _moments(scene: Scene, rest: Array) -> list[float]:
+def _moments(scene: Scene, rest: Array, rows: Rows) -> list[float]:
     """Times at which something may have jumped in a recording; its start where nothing did."""
-    found = [s.effect.moment for s in seek.steps(scene, rest) if isinstance(s.effect, Step)]
+    jumps = seek.steps(scene, rest) + seek.slips(scene, rest, rows.average)
+    found = [s.effect.moment for s in jumps if isinstance(s.effect, Step)]
     return sorted(set(found)) or [float(scene.time[0])]
 
 
@@ -278,8 +283,9 @@ def _nuisances(refit: list[Hypothesis], scene: Scene, rows: Rows, bench: Bench) 
 
 
 def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) -> tuple[Model, Judged]:
-    """The model without what held-out data do not support, the least supported first; what belongs to moments shows nowhere else.
+    """The model without what held-out data do not support, the least supported first.
 
+    What belongs to moments shows nowhere else, and need not be wanted there; it only must not make worse what it touches.
     Where a kind stands in several places (friction in five joints), each place has to earn its own.
 
     Args:
@@ -290,7 +296,9 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
         lasting = [k for k in judged.without if not effect_class(k).EPISODIC and not effect_class(k).BRIEF]
         sole = len(judged.without) == 1
         weak = [
-            (judged.support[key], key) for key in lasting if poor(judged.support[key], judged.sure[key], alone=sole)
+            (judged.support[key], key)
+            for key in judged.without
+            if key in judged.refused or (key in lasting and poor(judged.support[key], judged.sure[key], alone=sole))
         ]
         places = [(support, k) for k, (support, sure) in judged.places.items() if poor(support, sure, alone=False)]
         if places:

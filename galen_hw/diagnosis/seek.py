@@ -1,6 +1,6 @@
 """Looks into a residual for what belongs to one recording: glitches, steps, contacts, shared drifts, spectral lines, ripple."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,8 @@ FEW_ROWS = 40
 """Rows too few to look for a moment or a movement in."""
 SHARED = 0.1
 """Share of the strongest channel's gain from which another channel is in it too."""
+MOMENTS = 400
+"""Moments at which something carried may have slipped."""
 FEW_CLIPPED = 5
 """Rows beyond a limit that are too few to show that it is one."""
 
@@ -67,6 +69,39 @@ def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]
         if 1 < len(some) < C:
             found.append(Sought(Step(some, _at(scene, row + 1, N)), N // 4))
     return found
+
+
+def slips(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[Sought]:
+    """For all that the arm carries the moment at which a slip of it takes most out of the rest (M, C).
+
+    With A the answer to a slip and b its product with the rest, both summed over the rows behind a moment, and S of all rows
+    what constants of the baseline take of it, the gain is b (A - A S^-1 A)^-1 b.
+
+    Args:
+        average: rows (N, ...) to (M, ...).
+    """
+    M = len(rest)
+    if M < FEW_ROWS:
+        return []
+    margin, out = max(M // 60, 3), []
+    sigma = np.maximum(_slow_spread(rest), 1e-300)
+    for one in scene.slipping():
+        own = list(one.channels)
+        X, r = average(one.values) / sigma[own, None], (rest - rest.mean(axis=0))[:, own] / sigma[own]
+        # Moves in metres and in radians, made comparable.
+        X = X / np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)
+        behind = [
+            np.cumsum(each[::-1], axis=0)[::-1]
+            for each in (np.einsum("mck,mcl->mkl", X, X), np.einsum("mck,mc->mk", X, r))
+        ]
+        moments = np.unique(np.linspace(margin, M - margin - 1, MOMENTS).astype(int))
+        A, b = behind[0][moments], behind[1][moments]
+        free = A - A @ np.linalg.pinv(behind[0][0], rcond=1e-9, hermitian=True) @ A
+        gain = np.einsum("mk,mkl,ml->m", b, np.linalg.pinv(free, rcond=1e-6, hermitian=True), b)
+        moment = _at(scene, int(moments[int(np.argmax(gain))]), M)
+        names = tuple(scene.channels[c] for c in own)
+        out.append(Sought(Step(names, moment, one.name), M // 4))
+    return out
 
 
 def _white_jumps(rest: Array) -> Array:
@@ -184,13 +219,15 @@ def _ground(power: Array, width: int) -> Array:
 
 
 def _above_motion(scene: Scene, runs: tuple[slice, ...], pad: int, n: int) -> int:
-    """First place of the padded spectrum that lies above what the joints themselves do: a line below is motion."""
+    """First place of the padded spectrum that lies above what the arm itself does: a line below is motion."""
     least = (pad // n) * 8
-    moving = [scene.joint_index(joint) for joint in scene.moved]
-    if not moving:
-        return least
     rows = np.linspace(0, len(scene) - 1, sum(run.stop - run.start for run in runs)).astype(int)
-    x = scene.q[rows][:, moving]
+    moving = [scene.joint_index(joint) for joint in scene.moved]
+    # Where no joints are known, what is simulated of a recorded orientation shows the motion.
+    x = scene.q[rows][:, moving] if moving else scene.simulated[rows]
+    x = x[:, np.ptp(x, axis=0) > 0.0]
+    if not x.shape[1]:
+        return least
     power = np.abs(np.fft.rfft((x - x.mean(axis=0)) * np.hanning(len(x))[:, None], axis=0)) ** 2
     share = np.cumsum(power, axis=0) / power.sum(axis=0)
     reach = int(np.max(np.argmax(share > 0.999, axis=0)))
@@ -262,6 +299,8 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
     return list(out.values())
 
 
+WAVES = (1, 5)
+"""Half waves of an episode that a touch may follow: a knock, and a hand that swells and turns."""
 FELT = 3.0
 """Mean square of running means during the episodes, noise alone being one, from which a channel feels them."""
 
@@ -280,7 +319,7 @@ def _contact(scene: Scene, loud: Mask, length: int, away: Array, z: Array) -> li
     times = tuple((_at(scene, a, N), _at(scene, b - 1, N)) for a, b in episodes)
     ways = (share > 1.2 * covered + 0.02, np.mean(z[inside] ** 2, axis=0) > FELT)
     channels = [tuple(n for n, there in zip(scene.channels, way, strict=True) if there) for way in ways]
-    return [Sought(Contact(names, times), N // length) for names in channels if names]
+    return [Sought(Contact(names, times, waves), N // length) for names in channels if names for waves in WAVES]
 
 
 def _episodes(loud: Mask, length: int) -> list[tuple[int, int]]:

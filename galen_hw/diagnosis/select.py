@@ -6,6 +6,7 @@ from galen_hw.diagnosis import seek
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.bends import as_if, rebase, unbent
 from galen_hw.diagnosis.clocks import one_clock, reclocked
+from galen_hw.diagnosis.courses import followed
 from galen_hw.diagnosis.linear import crossed, rests
 from galen_hw.diagnosis.nonlinear import bent, in_place, polished
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
@@ -40,6 +41,7 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[seek.Sought]
     load(bench, scorer, chosen)
     rest, _ = rests(bench, scorer, chosen)
     found = seek.steps(bench.scene, rest, bench.noise) + seek.contacts(bench.scene, rest)
+    found += seek.slips(bench.scene, rest, bench.rows.average)
     found += seek.drifts(bench.scene, rest, bench.rows.average(bench.scene.time))
     # A limit that was found before something else was is sought again as if it had not been.
     added = bench.rows.average(np.asarray(bench.stream.standing + bench.stream.carried))
@@ -84,7 +86,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         moved = _swap(bench, scorer, out, refused)
         if moved:
             settle_together(bench, scorer, out.chosen)
-        if _enrich(bench, scorer, out) or _bound(bench, scorer, out):
+        if _enrich(bench, scorer, out) or _bound(bench, scorer, out) or followed(bench, scorer, out):
             settle_together(bench, scorer, out.chosen)
         retime(bench, scorer, out.chosen)
         refused.clear()

@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_each, unit_of
-from galen_hw.physics.scene import Scene
+from galen_hw.physics.scene import Carried, Scene
 from galen_hw.spatial import Array
 
 
@@ -48,16 +48,30 @@ class _Shaped(_Sought):
 class Step(_Shaped):
     """The offset jumps at a moment: r = a for t >= t0. A bump, a re-zeroing, a moved marker.
 
+    `carried` names what has slipped on the arm (a target, the tool): its jump has the body's axes, and turns with the arm.
     Visible with rest on both sides. Confused with drift (smooth) and contact (which ends).
     """
 
     KEY = "step"
     channels: tuple[str, ...]
     moment: float
+    carried: str = ""
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """The jump of every channel."""
+        """The jump of every channel, or shifts and turns of what has slipped."""
+        if self.carried:
+            return tuple(Parameter(f"jump_{self.carried}_{move}", unit) for move, unit in self._slipped(scene).moves)
         return tuple(Parameter(f"jump_{name}", unit_of(scene, name)) for name in self.channels)
+
+    def _slipped(self, scene: Scene) -> Carried:
+        return next(one for one in scene.slipping() if one.name == self.carried)
+
+    def averaged(self, scene: Scene, average: Callable[[Array], Array]) -> Columns:
+        """As of all that has a shape, or what the slip does in every pose after it."""
+        if not self.carried:
+            return super().averaged(scene, average)
+        slipped = self._slipped(scene)
+        return Columns(slipped.channels, average(slipped.values * (scene.time >= self.moment)[:, None, None]))
 
     def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
         """One after the moment."""
@@ -68,20 +82,22 @@ class Step(_Shaped):
 class Contact(_Shaped):
     """An outside force during episodes (start, end) in s: in each, a level and a bow in every channel named.
 
+    A hand that swells, turns and lets go needs more than that: `waves` half waves of the episode, the bow being the first.
     Visible as a residual that comes and goes. Confused with glitches (a few samples), step (which stays) and payload.
     """
 
     KEY = "contact"
     channels: tuple[str, ...]
     episodes: tuple[tuple[float, float], ...]
+    waves: int = 1
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Level and bow per channel and episode."""
+        """Level, bow and further half waves per channel and episode."""
         return tuple(
             Parameter(f"{what}_{k + 1}_{name}", unit_of(scene, name))
             for name in self.channels
             for k in range(len(self.episodes))
-            for what in ("level", "bow")
+            for what in ("level", "bow", *(f"wave{i}" for i in range(2, self.waves + 1)))
         )
 
     def parted(self, count: int) -> Self:
@@ -90,11 +106,12 @@ class Contact(_Shaped):
         return replace(self, episodes=tuple(part for edge in edges for part in itertools.pairwise(edge)))
 
     def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
-        """Box and half sine of every episode."""
+        """Box and half sines of every episode."""
         out = []
         for start, end in self.episodes:
             inside = ((scene.time >= start) & (scene.time <= end)).astype(float)
-            out += [inside, inside * np.sin(np.pi * (scene.time - start) / max(end - start, 1e-9))]
+            phase = np.pi * (scene.time - start) / max(end - start, 1e-9)
+            out += [inside, *(inside * np.sin(i * phase) for i in range(1, self.waves + 1))]
         return average(np.stack(out, axis=-1))
 
 

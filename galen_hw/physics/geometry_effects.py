@@ -11,7 +11,7 @@ from galen_hw.physics.scene import Scene
 from galen_hw.physics.scene_pose import ArmScene
 from galen_hw.physics.scene_wrench import WrenchScene
 from galen_hw.physics.screws import axis_screws, joint_screws
-from galen_hw.spatial import Array
+from galen_hw.spatial import Array, rotation_exp
 
 FURTHEST = {"m": 0.05, "rad": 0.5}
 """An arm that is built so wrong is another arm."""
@@ -164,6 +164,9 @@ class LinkGeometry(Effect):
 class SensorMounting(Effect):
     """The sensor is turned or shifted on its flange: a constant screw behind the last joint, in sensor axes.
 
+    `turn`: the tool turns with it, tau = c x f as before. `turn_alone` (wrench): the tool stays as it was, and the whole reading
+    is turned, Q^T f and Q^T tau; to the first order the two differ by a moment of the tool's weight.
+
     Visible when gravity (wrench) or the arm (pose) turns in the sensor. Easily confused: a turn about the last joint's axis is
     that joint's offset; for a wrench a shift is a payload's moment, a turn is a skew cross_talk.
     """
@@ -173,17 +176,19 @@ class SensorMounting(Effect):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """A turn, and a shift."""
+        """A turn, of a wrench's sensor with its tool or alone, and a shift."""
         if scene.screw_port([np.zeros((len(scene), 6))]) is None:
             return
         yield cls("turn")
+        if scene.observations.predict == "wrench":
+            yield cls("turn_alone")
         if scene.observations.predict in ("pose", "wrench"):
             yield cls("shift")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """About or along the sensor's axes."""
-        unit = "rad" if self.part == "turn" else "m"
-        return tuple(Parameter(f"{self.part}_{letter}", unit, furthest=FURTHEST[unit]) for letter in "xyz")
+        unit, name = ("m", "shift") if self.part == "shift" else ("rad", "turn")
+        return tuple(Parameter(f"{name}_{letter}", unit, furthest=FURTHEST[unit]) for letter in "xyz")
 
     def columns(self, scene: Scene) -> Columns:
         """Slope of `exact`; a shifted wrench is linear."""
@@ -202,6 +207,9 @@ class SensorMounting(Effect):
         return None if linear else self._with_zero(scene, theta)
 
     def _with_zero(self, scene: Scene, vector: Array) -> Array:
+        if self.part == "turn_alone":
+            read = scene.simulated.reshape(len(scene), 2, 3)
+            return np.asarray((read @ rotation_exp(vector) - read).reshape(len(scene), 6))
         out = _less_zero(scene, lambda at: self._moved(at, vector))
         assert out is not None, "proposed only where there is a port"
         return out

@@ -33,6 +33,20 @@ class Port:
     joint: str = ""
 
 
+@dataclass(frozen=True)
+class Carried:
+    """Small shifts and turns of something that the arm carries (a marker, the tool), in axes that move with the body.
+
+    Args:
+        name: of it; channels: numbers of those that answer; moves: name and unit of each; values: (N, c, k) answer to each.
+    """
+
+    name: str
+    channels: tuple[int, ...]
+    moves: tuple[tuple[str, str], ...]
+    values: Array
+
+
 BANDS = (40.0, 20.0, 10.0, 5.0, 2.5)
 """Low-passes in Hz that are tried on noisy motion."""
 
@@ -330,6 +344,10 @@ class Scene:
         """(N, C, 3) answer to an outside force on the tip, base frame, per N."""
         return None
 
+    def slipping(self) -> list[Carried]:
+        """What may slip on the arm; nothing where the channels are not of a place."""
+        return []
+
     def nuisances(self) -> list[Array]:
         """Columns (N, C) that the baseline fits before it is compared (a tracker's frame), constants apart."""
         return []
@@ -340,6 +358,8 @@ class Scene:
         if self.memory is not None:
             out, self.memory[name] = run(slice(None), self.memory.get(name, None if start is None else start[0]))
             return out
+        if len(self.segments) == 1:
+            return run(self.segments[0], None if start is None else start[0])[0]
         out = np.empty_like(x)
         for number, part in enumerate(self.segments):
             out[part] = run(part, None if start is None else start[number])[0]

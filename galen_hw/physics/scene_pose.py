@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from galen_hw.errors import UsageError
-from galen_hw.physics.scene import Port, Scene, once
+from galen_hw.physics.scene import Carried, Port, Scene, once
 from galen_hw.physics.screws import axis_screws, exponential, joint_screws
 from galen_hw.spatial import Array, rotation_from_quaternion, rotation_log
 
@@ -17,6 +17,10 @@ POSITION = tuple(f"pose.position.{axis}" for axis in "xyz")
 ORIENTATION = tuple(f"pose.orientation.{axis}" for axis in "xyz")
 QUATERNION = (*ORIENTATION, "pose.orientation.w")
 APPLIED = tuple(f"applied.force.{axis}" for axis in "xyz")
+
+
+SLIPS = tuple((f"{what}_{axis}", unit) for what, unit in (("shift", "m"), ("turn", "rad")) for axis in "xyz")
+"""Moves of what the arm carries, and their units."""
 
 
 class ArmScene(Scene):
@@ -155,6 +159,15 @@ class PoseScene(ArmScene):
         move = screw[:, :3] + np.cross(screw[:, 3:], self.simulated[:, :3])
         return np.concatenate([move, screw[:, 3:]], axis=1)[:, : len(self.channels)]
 
+    @once
+    def slipping(self) -> list[Carried]:
+        """The tool in its holder: shifts and, where orientation is tracked, turns about the tip, in the sensor's axes."""
+        R, width = self._pose[:, :3, :3], len(self.channels)
+        values = np.zeros((len(self), width, width))
+        values[:, :3, :3] = R
+        values[:, 3:, 3:] = R[:, : width - 3, : width - 3]
+        return [Carried("tool", tuple(range(width)), SLIPS[:width], values)]
+
     def screw_port(self, screws: list[Array]) -> Array | None:
         """Exactly, by the product of exponentials."""
         Q = np.tile(np.eye(4), (len(self), 1, 1))
@@ -221,13 +234,29 @@ class TargetsScene(ArmScene):
             return []
         rows = (len(self), 1)
         out = [self._answer(np.tile(unit, rows)) for unit in np.eye(6)]
-        R = self.registration[0] @ self.T_sensor[:, :3, :3]
-        for k in range(len(self.channels) // 3):
+        for target in self._each():
             for axis in range(3):
                 column = np.zeros((len(self), len(self.channels)))
-                column[:, 3 * k : 3 * k + 3] = R[:, :, axis]
+                column[:, list(target.channels)] = target.values[:, :, axis]
                 out.append(column)
         return out
+
+    def _each(self) -> list[Carried]:
+        """Every target by itself, in the sensor's axes."""
+        R = self.registration[0] @ self.T_sensor[:, :3, :3]
+        names = [self.channels[3 * k].rsplit(".", 2)[0] for k in range(len(self.channels) // 3)]
+        return [Carried(name, (3 * k, 3 * k + 1, 3 * k + 2), SLIPS[:3], R) for k, name in enumerate(names)]
+
+    @once
+    def slipping(self) -> list[Carried]:
+        """Every target by itself, and the body that bears them all: shifts, and turns about their middle."""
+        if self.belief.robot is None:
+            return []
+        axes, middle = self.T_sensor[:, :3, :3], self._points.mean(axis=1)
+        shifts = [np.concatenate([axes[:, :, i], np.zeros_like(middle)], axis=1) for i in range(3)]
+        turns = [np.concatenate([np.cross(middle, axes[:, :, i]), axes[:, :, i]], axis=1) for i in range(3)]
+        whole = np.stack([self._answer(screw) for screw in shifts + turns], axis=-1)
+        return [*self._each(), Carried("targets", tuple(range(len(self.channels))), SLIPS, whole)]
 
 
 def register(T: Array, y: Array, turns: int = 60) -> tuple[Array, Array, Array]:

@@ -2,14 +2,16 @@
 
 from dataclasses import replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from galen_hw.kinematics import Motion
+from galen_hw.physics.imu import imu_ends, imu_motion
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.rigid import Body, gravity_in_sensor, inertial_wrench, predicted_wrench, weight_map
-from galen_hw.physics.scene import Port, Scene, once
+from galen_hw.physics.scene import Memory, Port, Scene, once
 from galen_hw.physics.screws import axis_screws, joint_screws
 from galen_hw.spatial import Array, rotation_exp, rotation_from_quaternion, skew, transform
 
@@ -36,13 +38,38 @@ class WrenchScene(Scene):
         """(N, 3, 3) sensor to base."""
         return np.asarray(self.T[:, :3, :3])
 
+    @property
+    def _jointed(self) -> bool:
+        return self.belief.robot is not None and bool(self.joint_names) and bool(np.isfinite(self.q).all())
+
+    @cached_property
+    def sensed(self) -> Motion | None:
+        """Of the sensor as its IMU has it; None where joints say how it moves, or no IMU does."""
+        return None if self._jointed else imu_motion(self.observations, self.T)
+
     @cached_property
     def motion(self) -> Motion:
-        """Of the sensor; at rest without a clock or joints."""
+        """Of the sensor: by the joints, else by its IMU; at rest without a clock or either."""
         robot, zeros = self.belief.robot, np.zeros((len(self), 3))
-        if robot is None or not self.joint_names or not np.isfinite(self.q).all():
-            return Motion(self.T, zeros, zeros, zeros)
+        if robot is None or not self._jointed:
+            return self.sensed or Motion(self.T, zeros, zeros, zeros)
         return robot.sensor_motion(self.q, *self.rates)
+
+    @cached_property
+    def ends(self) -> NDArray[np.bool_]:
+        """(N,) rows at the segments' ends, where the speed and acceleration of what moves are not known."""
+        found = super().ends
+        return found if self.sensed is None or self._rates is not None else found | imu_ends(self.observations, self.R)
+
+    def row(self, k: int, memory: Memory) -> Self:
+        """Row k by itself; how the sensor moves there, the whole recording's IMU says."""
+        one, sensed, at = super().row(k, memory), self.sensed, slice(k, k + 1)
+        if sensed is not None:
+            one.sensed = Motion(sensed.T[at], sensed.acceleration[at], sensed.omega[at], sensed.alpha[at])
+        return one
+
+    def _otherwise(self, **values: Any) -> Self:
+        return super()._otherwise(**{"sensed": self.sensed} | values)
 
     def _simulate(self) -> Array:
         b = self.belief
@@ -52,7 +79,7 @@ class WrenchScene(Scene):
         return static + self._inertia if b.dynamic else static
 
     def _uses_rates(self) -> bool:
-        return self.belief.dynamic and bool(self.belief.tool.mass)
+        return self.belief.dynamic and bool(self.belief.tool.mass) and self._jointed
 
     @property
     def _bodies(self) -> list:  # type: ignore[type-arg]

@@ -1,0 +1,49 @@
+"""The course of a touch: followed more finely where a level and a few half waves leave much of it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.score import Scorer
+from galen_hw.diagnosis.selection import Selection
+from galen_hw.physics.event_effects import Contact
+
+FINEST = 96
+"""Half waves of an episode at most."""
+ROWS_A_WAVE = 4
+"""Rows of the shortest episode that a half wave has at least."""
+MARGIN = 6.0
+
+
+def followed(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Whether a chosen touch was exchanged for the same with more half waves, twice as many while likelihood pays for them.
+
+    A hand that pushes a thousand times harder than the noise leaves of any plain shape more than noise, which is its own.
+    """
+    changed = False
+    for place, i in enumerate(list(out.chosen)):
+        finer = i
+        while (better := _finer(bench, scorer, [k for k in out.chosen if k != i], finer)) is not None:
+            finer = better
+        if finer != i:
+            out.chosen[place], changed = finer, True
+    return changed
+
+
+def _finer(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int | None:
+    """The same touch with twice as many half waves, in the library; None where it does not pay, or is none."""
+    effect = scorer.library[i].effect
+    if not isinstance(effect, Contact):
+        return None
+    time = bench.rows.average(bench.scene.time)
+    shortest = min(int(np.sum((time >= start) & (time <= end))) for start, end in effect.episodes)
+    if 2 * effect.waves > min(FINEST, shortest // ROWS_A_WAVE):
+        return None
+    new, j = bench.add(replace(effect, waves=2 * effect.waves), scorer.library[i].looked), len(scorer.library)
+    with scorer.trying([new]):
+        scores, _ = scorer.scores(others, [i, j])
+    if j not in scores or (i in scores and scores[j].rank <= scores[i].rank + MARGIN):
+        return None
+    scorer.append([new])
+    return j
