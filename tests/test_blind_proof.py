@@ -13,7 +13,7 @@ from galen_hw.kinematics import GalenRobot, UrdfRobot
 
 pytest.importorskip("mujoco", reason="the generator needs MuJoCo: pip install mujoco")
 
-from galen_hw.tools.blind_proof import judge, real, score, seal, tables
+from galen_hw.tools.blind_proof import judge, real, report, score, seal, tables
 from galen_hw.tools.blind_proof.generator import arm, build, galen, look_alikes, motion, signal, wrench
 from galen_hw.tools.blind_proof.generator.case import Case, Injected
 from galen_hw.tools.blind_proof.generator.plan import plan
@@ -124,6 +124,30 @@ def test_a_run_that_was_cut_off_goes_on_with_the_same_truth_and_keeps_its_verdic
     assert seal.seal(plan(1, 3), tmp_path) == text
     with pytest.raises(RuntimeError, match="another truth"):
         seal.seal(plan(2, 3), tmp_path)
+
+
+def test_what_was_judged_when_the_time_was_over_is_a_mixed_sample_and_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No case is begun after it; the truth of all is unsealed, and the report says of how many it speaks."""
+    clock = [0.0]
+
+    def ask(case: Path, *, second_run: bool) -> dict[str, object]:
+        clock[0] += 20.0
+        return {"exit": 0}
+
+    monkeypatch.setattr(judge, "_ask", ask)
+    monkeypatch.setattr(judge.time, "monotonic", lambda: clock[0])
+    cases = plan(3, 40)
+    text = seal.seal(cases, tmp_path)
+    plans = [{"name": c.name, "second_run": False} for c in cases]
+    paths = judge.verdicts(tmp_path, plans, tmp_path / "verdicts", workers=1, minutes=4.0)
+    assert len(paths) == 12
+    judged = {path.stem for path in paths}
+    assert len({c.share for c in cases if c.name in judged}) >= 3
+    assert len(seal.unseal(text, tmp_path, paths)) == 40
+    assert report._count(12, 40).startswith("12 of 40 recordings")
+    assert report._count(40, 40) == "40 recordings"
 
 
 @pytest.mark.parametrize("tau", [1e-3, 1e-2, 0.1])

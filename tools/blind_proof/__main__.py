@@ -1,6 +1,6 @@
 """`make proof`: plan, generate, seal, diagnose, unseal, score, compare with rivals, write docs/proof.md.
 
-    python -m galen_hw.tools.blind_proof [--cases 400] [--seed N] [--keep DIR] [--write docs/proof.md] [--no-rivals]
+    python -m galen_hw.tools.blind_proof [--cases 400] [--seed N] [--keep DIR] [--minutes N] [--write docs/proof.md] [--no-rivals]
 
 Without `--seed` the seed comes from the commit's hash. With `--keep` a run that was cut off goes on when it is called again on
 the same commit: the same set is generated, its truth must have the digest that was written, and what was judged stays.
@@ -43,10 +43,12 @@ def main() -> int:
                 )
                 return 2
             begun.write_text(json.dumps([seed, commit]))
-            cases, scored = _judged(seed, args.cases, folder, args.workers)
+            cases, scored = _judged(seed, args.cases, folder, args.workers, args.minutes)
         rivals = [] if args.no_rivals else _rivals(cases, scored, folder, args.workers, args.rivals)
         recordings = real.LEFT_OUT if args.no_real else _real(folder / "real", args.workers, commit)
-        missed = report.write(Path(args.write), scored, rivals, recordings, seed=seed, commit=commit)
+        missed = report.write(
+            Path(args.write), scored, rivals, recordings, seed=seed, commit=commit, planned=len(cases)
+        )
     for line in missed:
         print(f"missed: {line}", file=sys.stderr)
     return 1 if missed else 0
@@ -64,6 +66,12 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument(
         "--keep", help="folder for data, verdicts and truth (a temporary one); a judged one is not judged again"
     )
+    parser.add_argument(
+        "--minutes",
+        type=float,
+        default=float("inf"),
+        help="after so many no other case is judged, and the report is of those that were (default: all are)",
+    )
     parser.add_argument("--write", default="docs/proof.md", help="where the report goes, figures beside it")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument(
@@ -74,20 +82,20 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _judged(seed: int, count: int, folder: Path, workers: int) -> tuple[list[Case], list[score.Scored]]:
-    """Generate and seal, ask the tool, unseal, score."""
+def _judged(seed: int, count: int, folder: Path, workers: int, minutes: float) -> tuple[list[Case], list[score.Scored]]:
+    """Generate and seal, ask the tool, unseal, score: all cases, and those that were judged in time."""
     planned = plan(seed, count)
     with ProcessPoolExecutor(workers) as pool:
         made = pool.map(build, planned, [folder / c.name for c in planned])
         cases = list(track(made, total=len(planned), description="generating"))
     sealed = seal.seal(cases, folder)
     plans = [{"name": c.name, "second_run": _second_run(c)} for c in cases]
-    verdicts = judge.verdicts(folder, plans, folder / "verdicts", workers)
+    verdicts = judge.verdicts(folder, plans, folder / "verdicts", workers, minutes)
     return cases, _scored(seal.unseal(sealed, folder, verdicts), folder)
 
 
 def _unsealed(folder: Path) -> tuple[list[Case], list[score.Scored]]:
-    """A set that was judged and unsealed before, scored again from its files.
+    """A set that was judged and unsealed before, all or a part, scored again from its files.
 
     Raises:
         RuntimeError: the truth is not the one that was sealed.
@@ -100,7 +108,10 @@ def _unsealed(folder: Path) -> tuple[list[Case], list[score.Scored]]:
 def _scored(truth: list[dict[str, Any]], folder: Path) -> list[score.Scored]:
     out = []
     for case in truth:
-        verdict = json.loads((folder / "verdicts" / f"{case['name']}.json").read_text())
+        path = folder / "verdicts" / f"{case['name']}.json"
+        if not path.exists():
+            continue
+        verdict = json.loads(path.read_text())
         out.append(score.score(case | {"second_run": _second_run(Case.from_dict(case))}, verdict))
     return out
 
@@ -114,7 +125,8 @@ def _rivals(
     cases: list[Case], scored: list[score.Scored], folder: Path, workers: int, most: int | None
 ) -> list[dict[str, Any]]:
     """Held-out errors of the tool and its rivals on cases with a second run and something to find: all, or every n-th."""
-    chosen = [(c, s) for c, s in zip(cases, scored, strict=True) if s.rmse_ratio() is not None and c.effects]
+    by = {s.truth["name"]: s for s in scored}
+    chosen = [(c, by[c.name]) for c in cases if c.name in by and by[c.name].rmse_ratio() is not None and c.effects]
     if most is not None and most < len(chosen):
         chosen = [chosen[i] for i in np.linspace(0, len(chosen) - 1, most).astype(int)]
     with ProcessPoolExecutor(workers) as pool:

@@ -1,5 +1,6 @@
 """Hand the recordings to the tool, through its command line like anybody else, and keep what it says."""
 
+import hashlib
 import json
 import os
 import subprocess
@@ -15,22 +16,30 @@ ONE_RUN = {"step", "contact", "glitches", "drift", "temperature", "vibration"}
 """Effects of a moment or of the clock: a second run does not repeat them; the tool sets blocks of the first aside."""
 
 
-def verdicts(folder: Path, plans: list[dict[str, Any]], out: Path, workers: int) -> list[Path]:
-    """One verdict file a case: {"exit", "said", "seconds", "json"}; at most `workers` at a time. Those that are there stay."""
+def verdicts(
+    folder: Path, plans: list[dict[str, Any]], out: Path, workers: int, minutes: float = float("inf")
+) -> list[Path]:
+    """One verdict file a case: {"exit", "said", "seconds", "json"}; at most `workers` at a time. Those that are there stay.
+
+    After so many minutes no other case is begun; they are taken in an order that mixes the kinds, so that what was judged by
+    then is a sample of all. Returns the files that are there.
+    """
     out.mkdir(parents=True, exist_ok=True)
+    end = time.monotonic() + 60.0 * minutes
     paths = [out / f"{plan['name']}.json" for plan in plans]
+    mixed = sorted(zip(plans, paths, strict=True), key=lambda one: hashlib.sha256(one[0]["name"].encode()).digest())
     with Progress() as progress, ThreadPoolExecutor(workers) as pool:
         task = progress.add_task("diagnosing", total=len(plans))
 
         def one(plan: dict[str, Any], path: Path) -> None:
-            if not path.exists():
+            if not path.exists() and time.monotonic() < end:
                 part = path.with_suffix(".part")
                 part.write_text(json.dumps(_ask(folder / plan["name"], second_run=plan["second_run"])))
                 part.replace(path)
             progress.advance(task)
 
-        list(pool.map(one, plans, paths))
-    return paths
+        list(pool.map(lambda each: one(*each), mixed))
+    return [path for path in paths if path.exists()]
 
 
 def _ask(case: Path, *, second_run: bool) -> dict[str, Any]:

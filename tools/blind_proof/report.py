@@ -30,8 +30,12 @@ def write(
     *,
     seed: int,
     commit: str,
+    planned: int | None = None,
 ) -> list[str]:
-    """Write the report and its figures; returns the promised figures that were missed, a line each."""
+    """Write the report and its figures, of all recordings or of those that were judged in time.
+
+    Returns the promised figures that were missed, a line each.
+    """
     pictures = path.parent / "proof"
     pictures.mkdir(parents=True, exist_ok=True)
     promised = tables.figures(cases, rivals)
@@ -39,7 +43,7 @@ def write(
         "# The blind proof\n",
         PREAMBLE,
         ALIKE if any(e.get("apart") is not None for c in cases for e in c.truth["effects"]) else "",
-        f"{len(cases)} recordings, seed {seed} (commit {commit}).\n",
+        f"{_count(len(cases), planned)}, seed {seed} (commit {commit}).\n",
         _failures(cases),
         _promises(promised),
         _power(cases, pictures),
@@ -50,6 +54,12 @@ def write(
     ]
     path.write_text("\n".join(p for p in parts if p))
     return [f"{f.what}: promised {f.promised}, reached {f.reached}" for f in promised if not f.good]
+
+
+def _count(judged: int, planned: int | None) -> str:
+    if planned is None or planned == judged:
+        return f"{judged} recordings"
+    return f"{judged} of {planned} recordings, taken in mixed order until the time that was given was over"
 
 
 def _failures(cases: list[Scored]) -> str:
