@@ -9,6 +9,8 @@ from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.physics.event_effects import Contact
 
+HAND = 5
+"""Half waves that a hand which swells and turns asks for at first, where a knock is a level and a bow."""
 FINEST = 96
 """Half waves of an episode at most."""
 ROWS_A_WAVE = 4
@@ -32,15 +34,16 @@ def followed(bench: Bench, scorer: Scorer, out: Selection) -> bool:
 
 
 def _finer(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int | None:
-    """The same touch with twice as many half waves, in the library; None where it does not pay, or is none."""
+    """The same touch with more half waves, in the library; None where they do not pay, or it is none."""
     effect = scorer.library[i].effect
     if not isinstance(effect, Contact):
         return None
     time = bench.rows.average(bench.scene.time)
     shortest = min(int(np.sum((time >= start) & (time <= end))) for start, end in effect.episodes)
-    if 2 * effect.waves > min(FINEST, shortest // ROWS_A_WAVE):
+    waves = max(2 * effect.waves, HAND)
+    if waves > min(FINEST, shortest // ROWS_A_WAVE):
         return None
-    new, j = bench.add(replace(effect, waves=2 * effect.waves), scorer.library[i].looked), len(scorer.library)
+    new, j = bench.add(replace(effect, waves=waves), scorer.library[i].looked), len(scorer.library)
     with scorer.trying([new]):
         scores, _ = scorer.scores(others, [i, j])
     if j not in scores or (i in scores and scores[j].rank <= scores[i].rank + MARGIN):

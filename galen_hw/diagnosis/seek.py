@@ -299,8 +299,6 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
     return list(out.values())
 
 
-WAVES = (1, 5)
-"""Half waves of an episode that a touch may follow: a knock, and a hand that swells and turns."""
 FELT = 3.0
 """Mean square of running means during the episodes, noise alone being one, from which a channel feels them."""
 
@@ -319,7 +317,7 @@ def _contact(scene: Scene, loud: Mask, length: int, away: Array, z: Array) -> li
     times = tuple((_at(scene, a, N), _at(scene, b - 1, N)) for a, b in episodes)
     ways = (share > 1.2 * covered + 0.02, np.mean(z[inside] ** 2, axis=0) > FELT)
     channels = [tuple(n for n, there in zip(scene.channels, way, strict=True) if there) for way in ways]
-    return [Sought(Contact(names, times, waves), N // length) for names in channels if names for waves in WAVES]
+    return [Sought(Contact(names, times), N // length) for names in channels if names]
 
 
 def _episodes(loud: Mask, length: int) -> list[tuple[int, int]]:

@@ -3,12 +3,15 @@
 from typing import Final
 
 import numpy as np
+from scipy.stats import norm as normal
+from scipy.stats import t as student
 
 from galen_hw.diagnosis.final import Model
 from galen_hw.physics.event_effects import Vibration
 from galen_hw.spatial import Array
 
 PIECES: Final = 16
+WIDER: Final = float(student.isf(0.025, PIECES - 1) / normal.isf(0.025))
 
 
 def mean_frequency(model: Model, effect: Vibration) -> tuple[float, float]:
@@ -18,7 +21,8 @@ def mean_frequency(model: Model, effect: Vibration) -> tuple[float, float]:
 
     The phase of what is measured, piece by piece, against the fitted line: what its steps from piece to piece show beyond
     noise is taken for a random walk of s^2 rad^2 a second. Means over pieces of length d differ by 2/3 s^2 d in the mean
-    square, and the slope of a walk over a time T has the variance 6/5 s^2 / T (least squares; Durlauf and Phillips 1988).
+    square, and the slope of a walk over a time T has the variance 6/5 s^2 / T (least squares; Durlauf and Phillips 1988). That
+    s^2 rests on few steps widens the deviation as Student's t is wider than a normal law.
     """
     bench = model.bench
     places = [bench.scene.channels.index(name) for name in effect.channels]
@@ -41,7 +45,7 @@ def mean_frequency(model: Model, effect: Vibration) -> tuple[float, float]:
     walk = max(float(seen), 0.0) * 1.5 * PIECES / span
     middle = np.array([time[rows[p]].mean() for p in pieces])
     beyond = float(np.polyfit(middle, np.unwrap(np.angle(z)), 1, w=np.abs(z))[0]) if effect.wander else 0.0
-    return effect.frequency + beyond / (2.0 * np.pi), float(np.sqrt(1.2 * walk / span) / (2.0 * np.pi))
+    return effect.frequency + beyond / (2.0 * np.pi), float(WIDER * np.sqrt(1.2 * walk / span) / (2.0 * np.pi))
 
 
 def _alone(model: Model, effect: Vibration) -> Array:
