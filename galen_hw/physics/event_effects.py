@@ -9,7 +9,8 @@ from typing import ClassVar, Self
 import numpy as np
 
 from galen_hw.physics.effect import Columns, Effect, Parameter, Searched, in_each, unit_of
-from galen_hw.physics.scene import Carried, Scene
+from galen_hw.physics.ports import Carried
+from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
 

@@ -7,7 +7,7 @@ An effect is then the same few lines whichever group is compared, and does nothi
 import threading
 from collections.abc import Callable, Iterable
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, wraps
 from typing import Any, Self, TypeVar
 
@@ -16,35 +16,12 @@ from numpy.typing import NDArray
 
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.operators import ServoState, delay, lag, play, servo
+from galen_hw.physics.ports import Carried, Port
 from galen_hw.physics.smoothing import derivatives, ends
 from galen_hw.spatial import Array
 
 Memory = dict[Any, Any]
 """What operators remember from row to row, by the name of their place in the effect."""
-
-
-@dataclass(frozen=True)
-class Port:
-    """The answer (N, C) of all channels to one small cause, with its name and unit."""
-
-    name: str
-    unit: str
-    values: Array
-    joint: str = ""
-
-
-@dataclass(frozen=True)
-class Carried:
-    """Small shifts and turns of something that the arm carries (a marker, the tool), in axes that move with the body.
-
-    Args:
-        name: of it; channels: numbers of those that answer; moves: name and unit of each; values: (N, c, k) answer to each.
-    """
-
-    name: str
-    channels: tuple[int, ...]
-    moves: tuple[tuple[str, str], ...]
-    values: Array
 
 
 BANDS = (40.0, 20.0, 10.0, 5.0, 2.5)

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from galen_hw.errors import UsageError
-from galen_hw.physics.scene import Carried, Port, Scene, once
+from galen_hw.physics.ports import Carried, Port
+from galen_hw.physics.scene import Scene, once
 from galen_hw.physics.screws import axis_screws, exponential, joint_screws
 from galen_hw.spatial import Array, rotation_from_quaternion, rotation_log
 
