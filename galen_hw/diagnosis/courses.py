@@ -25,12 +25,16 @@ def followed(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     """
     changed = False
     for place, i in enumerate(list(out.chosen)):
-        finer = i
-        while (better := _finer(bench, scorer, [k for k in out.chosen if k != i], finer)) is not None:
-            finer = better
-        if finer != i:
-            out.chosen[place], changed = finer, True
+        out.chosen[place] = finest(bench, scorer, [k for k in out.chosen if k != i], i)
+        changed = changed or out.chosen[place] != i
     return changed
+
+
+def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
+    """The same touch, in the library, with as many half waves as pay beside the others; what is none stays as it is."""
+    while (finer := _finer(bench, scorer, others, i)) is not None:
+        i = finer
+    return i
 
 
 def _finer(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int | None:

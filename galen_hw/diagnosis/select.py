@@ -6,7 +6,7 @@ from galen_hw.diagnosis import seek
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.bends import as_if, rebase, unbent
 from galen_hw.diagnosis.clocks import one_clock, reclocked
-from galen_hw.diagnosis.courses import followed
+from galen_hw.diagnosis.courses import finest, followed
 from galen_hw.diagnosis.linear import crossed, rests
 from galen_hw.diagnosis.nonlinear import bent, in_place, polished
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
@@ -123,6 +123,8 @@ def _best(bench: Bench, scorer: Scorer, out: Selection, scores: dict[int, Score]
             better = polished(bench, scorer, out.chosen, i)
             paid, whole = worth(bench, scorer, out, better) if better != i else (paid, whole)
         share, of_all = asked(bench, out, scorer.library[i].effect, misfit)
+        if paid < share and (finer := finest(bench, scorer, out.chosen, i)) != i:
+            better, (paid, whole) = finer, worth(bench, scorer, out, finer)
         if (paid >= share and whole >= of_all) or shows_in_noise(bench, scorer, out, better):
             if plausible(bench, scorer, out.chosen, better):
                 return better
