@@ -7,6 +7,7 @@ import numpy as np
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
+from galen_hw.diagnosis.worth import PROVED
 from galen_hw.physics.event_effects import Contact
 
 HAND = 5
@@ -31,10 +32,14 @@ def followed(bench: Bench, scorer: Scorer, out: Selection) -> bool:
 
 
 def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
-    """The same touch, in the library, with as many half waves as pay beside the others; what is none stays as it is."""
-    while (finer := _finer(bench, scorer, others, i)) is not None:
-        i = finer
-    return i
+    """The same touch, in the library, with as many half waves as pay beside the others; what is none stays as it is.
+
+    So it does where noise alone is not left with them: what other physics does in an episode would pass for its course.
+    """
+    found = i
+    while (finer := _finer(bench, scorer, others, found)) is not None:
+        found = finer
+    return found if found == i or scorer.misfit([*others, found]) < PROVED else i
 
 
 def _finer(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int | None:

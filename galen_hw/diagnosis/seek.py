@@ -161,6 +161,8 @@ def drifts(scene: Scene, rest: Array, time: Array) -> list[Sought]:
 
 WANDERS = (0, 5, 15)
 """Half cosines over the recording that the phase of a hum may follow."""
+NARROW = 0.1
+"""Share of its frequency that a line may reach to either side: what is broader is no narrow band (a quality of five)."""
 
 
 def lines(scene: Scene, rest: Array, runs: tuple[slice, ...], known: Sequence[Vibration] = ()) -> list[Sought]:
@@ -194,8 +196,9 @@ def lines(scene: Scene, rest: Array, runs: tuple[slice, ...], known: Sequence[Vi
         *((ratio[:, c], (scene.channels[c],)) for c in range(ratio.shape[1])),
     ]:
         f = _peak(score) / (pad * dt)
-        out += [Sought(Vibration(tuple(names), float(f), wander), n // 2) for wander in WANDERS]
-    return [s for s in out if s.effect.frequency > 0]  # type: ignore[attr-defined]
+        hums = [Vibration(tuple(names), float(f), wander) for wander in WANDERS]
+        out += [Sought(hum, n // 2) for hum in hums if hum.breadth(scene) <= NARROW * hum.frequency]
+    return out
 
 
 def _peak(score: Array) -> float:

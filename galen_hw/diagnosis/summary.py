@@ -38,8 +38,10 @@ def lines(d: Diagnosis) -> list[tuple[str, str]]:
 
 
 def channel_words(channel: str) -> str:
-    """Short for people: "torque x", "elbow effort", "position z"."""
+    """Short for people: "torque x", "elbow effort", "position z", "target 2 x"."""
     parts = channel.split(".")
+    if parts[0] == "target" and len(parts) == 4:
+        return f"target {parts[1]} {parts[3]}"
     if parts[0] == "joint" and len(parts) > 2:
         return f"{'.'.join(parts[1:-1])} {parts[-1]}"
     return " ".join(parts[1:]) if len(parts) > 1 else channel
