@@ -1,10 +1,12 @@
 """The course of a touch: followed more finely where a level and a few half waves leave much of it."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.linear import rests
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.worth import PROVED
@@ -16,6 +18,8 @@ FINEST = 96
 """Half waves of an episode at most."""
 ROWS_A_WAVE = 4
 """Rows of the shortest episode that a half wave has at least."""
+MOST = 1000
+"""Columns that a touch may have, level and waves of all episodes and channels."""
 MARGIN = 6.0
 
 
@@ -34,28 +38,41 @@ def followed(bench: Bench, scorer: Scorer, out: Selection) -> bool:
 def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
     """The same touch, in the library, with as many half waves as pay beside the others; what is none stays as it is.
 
-    So it does where noise alone is not left with them: what other physics does in an episode would pass for its course.
+    So it does where more than noise is left at all other times: what other physics does in an episode would pass for its course.
     """
-    found = i
-    while (finer := _finer(bench, scorer, others, found)) is not None:
-        found = finer
-    return found if found == i or scorer.misfit([*others, found]) < PROVED else i
-
-
-def _finer(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int | None:
-    """The same touch with more half waves, in the library; None where they do not pay, or it is none."""
     effect = scorer.library[i].effect
-    if not isinstance(effect, Contact):
-        return None
+    if not isinstance(effect, Contact) or not _quiet_else(bench, scorer, [*others, i], effect):
+        return i
+    found, looked = None, scorer.library[i].looked
+    best = scorer.scores(others, [i])[0].get(i)
+    rank = -np.inf if best is None else best.rank
+    for waves in _counts(bench, effect):
+        new = bench.add(replace(effect, waves=waves), looked)
+        with scorer.trying([new]):
+            score = scorer.scores(others, [len(scorer.library) - 1])[0].get(len(scorer.library) - 1)
+        if score is None or score.rank <= rank + MARGIN:
+            break
+        found, rank = new, score.rank
+    if found is None:
+        return i
+    scorer.append([found])
+    return len(scorer.library) - 1
+
+
+def _counts(bench: Bench, effect: Contact) -> Iterator[int]:
+    """Numbers of half waves to try one after another: more than it has, and no more than its episodes and memory can bear."""
     time = bench.rows.average(bench.scene.time)
     shortest = min(int(np.sum((time >= start) & (time <= end))) for start, end in effect.episodes)
+    places = len(effect.episodes) * len(effect.channels)
     waves = max(2 * effect.waves, HAND)
-    if waves > min(FINEST, shortest // ROWS_A_WAVE):
-        return None
-    new, j = bench.add(replace(effect, waves=waves), scorer.library[i].looked), len(scorer.library)
-    with scorer.trying([new]):
-        scores, _ = scorer.scores(others, [i, j])
-    if j not in scores or (i in scores and scores[j].rank <= scores[i].rank + MARGIN):
-        return None
-    scorer.append([new])
-    return j
+    while waves <= min(FINEST, shortest // ROWS_A_WAVE, MOST // places):
+        yield waves
+        waves *= 2
+
+
+def _quiet_else(bench: Bench, scorer: Scorer, model: list[int], effect: Contact) -> bool:
+    """Whether a model leaves hardly more than noise on the rows outside a touch's episodes."""
+    time = bench.rows.average(bench.scene.time)
+    outside = bench.train & ~np.any([(time >= start) & (time <= end) for start, end in effect.episodes], axis=0)
+    rest = rests(bench, scorer, model)[0][outside]
+    return len(rest) > 0 and float(np.mean((rest / bench.noise.sigma) ** 2)) < PROVED

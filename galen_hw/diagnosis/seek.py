@@ -165,8 +165,12 @@ NARROW = 0.1
 """Share of its frequency that a line may reach to either side: what is broader is no narrow band (a quality of five)."""
 
 
-def lines(scene: Scene, rest: Array, runs: tuple[slice, ...], known: Sequence[Vibration] = ()) -> list[Sought]:
+def lines(
+    scene: Scene, rest: Array, runs: tuple[slice, ...], known: Sequence[Vibration] = (), *, narrow: float = NARROW
+) -> list[Sought]:
     """The strongest line of the spectrum over its neighbourhood, over all channels and in each.
+
+    `narrow`: share of its frequency that it may reach to either side.
 
     What is left within the breadth of a known line is its own: two lines so near would be each other's wander.
     """
@@ -197,7 +201,7 @@ def lines(scene: Scene, rest: Array, runs: tuple[slice, ...], known: Sequence[Vi
     ]:
         f = _peak(score) / (pad * dt)
         hums = [Vibration(tuple(names), float(f), wander) for wander in WANDERS]
-        out += [Sought(hum, n // 2) for hum in hums if hum.breadth(scene) <= NARROW * hum.frequency]
+        out += [Sought(hum, n // 2) for hum in hums if hum.breadth(scene) <= narrow * hum.frequency]
     return out
 
 

@@ -52,9 +52,9 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[seek.Sought]
 
 
 def at_first_sight(bench: Bench) -> list[seek.Sought]:
-    """What belongs to moments and shows in the residual itself: it must not pass for noise."""
+    """What belongs to moments and shows in the residual itself: it must not pass for noise, whatever it is to be called."""
     rest = bench.whole - np.median(bench.whole, axis=0)
-    found = seek.contacts(bench.scene, rest) + seek.lines(bench.scene, rest, bench.rows.runs)
+    found = seek.contacts(bench.scene, rest) + seek.lines(bench.scene, rest, bench.rows.runs, narrow=np.inf)
     return found + seek.steps(bench.scene, rest)[:-1]
 
 
