@@ -17,7 +17,6 @@ from galen_hw.diagnosis.select import CHANCE
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.sizes import SIGNAL, headline
 from galen_hw.diagnosis.variables import joint_units
-from galen_hw.diagnosis.verdict import BEYOND
 from galen_hw.diagnosis.wander import mean_frequency
 from galen_hw.diagnosis.words import BELIEVED, SAYS
 from galen_hw.physics.event_effects import Glitches, Vibration
@@ -26,17 +25,13 @@ from galen_hw.spatial import Array
 
 
 def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list[Glitches]) -> list[Finding]:
-    """All findings, most certain and largest first: by likelihood, or by what they take of held-out data.
-
-    The latter where physics is missing there: whitened, what a wrong model gets wrong quickly counts for too much.
-    """
+    """All findings, most certain and largest first."""
     by_key: dict[str, list[Hypothesis]] = {}
     for h in model.effects:
         assert h.effect is not None, "effects, not nuisances"
         by_key.setdefault(h.effect.KEY, []).append(h)
     out = [_finding(model, selection, judged, key, parts) for key, parts in by_key.items()]
-    by = "heldout_gain" if float(np.max(judged.after / judged.floor)) > BEYOND else "score"
-    out.sort(key=lambda f: -f.evidence[by])
+    out.sort(key=lambda f: -f.evidence["score"])
     isolated = [_glitch(model.bench, judged, g) for g in glitch]
     return out + [one for one in isolated if one.evidence["false_alarm_probability"] < CHANCE]
 

@@ -132,7 +132,8 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
     for key, part in smaller.items():
         judged.without[key] = np.mean(guard.raw(part) ** 2, axis=0)
         judged.support[key], judged.sure[key] = guard.of(part, _channels(model, key))
-        if judged.sure[key] < 0.0 and guard.could_tell(part):
+        # In another recording what belongs to moments is not there: then these rows speak of the others' sizes alone.
+        if holdout is None and judged.sure[key] < 0.0 and guard.could_tell(part):
             judged.refused.add(key)
     judged.places = _places(model, guard)
     return judged
