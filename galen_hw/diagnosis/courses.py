@@ -21,6 +21,7 @@ ROWS_A_WAVE = 4
 MOST = 1000
 """Columns that a touch may have, level and waves of all episodes and channels."""
 MARGIN = 6.0
+"""In rank, beyond the price of the waves: less may be luck of the search."""
 
 
 def followed(bench: Bench, scorer: Scorer, out: Selection) -> bool:
