@@ -90,6 +90,8 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
             settle_together(bench, scorer, out.chosen)
         retime(bench, scorer, out.chosen)
         refused.clear()
+    # The last turn moved what is searched: what stood before need not stand now.
+    _drop(scorer, out)
     for i in out.chosen:
         # What the others can do as well has no score of its own.
         score = _alone(scorer, out.chosen, i)
