@@ -158,9 +158,25 @@ class UrdfRobot:
         """Pinocchio's working memory: every batch has its own, so that threads may ask at once; live rows share one."""
         return self._data if len(rows) == 1 else self.model.createData()
 
+    @property
+    def chain(self) -> tuple[tuple[str, ...], ...]:
+        """Joints that carry the sensor, the base's first, one a link."""
+        carried = self.model.supports[self.model.frames[self._sensor].parentJoint]
+        return tuple((self.model.names[i],) for i in carried if i > 0)
+
+    def _moved_by(self, joint: str) -> int:
+        """Frame of the link that a joint moves, at the joint."""
+        return int(self.model.getFrameId(joint, pin.FrameType.JOINT))
+
     def frame_pose(self, q: ArrayLike, link: str | None = None) -> Array:
         """Pose (N, 4, 4) of `link` (the sensor if None) in the base."""
-        frame = self._sensor if link is None else self._frame(link)
+        return self._pose(q, self._sensor if link is None else self._frame(link))
+
+    def link_pose(self, q: ArrayLike, joint: str) -> Array:
+        """Pose (N, 4, 4) in the base of the link that a joint moves, at the joint."""
+        return self._pose(q, self._moved_by(joint))
+
+    def _pose(self, q: ArrayLike, frame: int) -> Array:
         q = _batch(q)
         data = self._scratch(q)
         inv_base = np.linalg.inv(self._T_root_base)
@@ -177,12 +193,19 @@ class UrdfRobot:
 
     def sensor_jacobian(self, q: ArrayLike) -> Array:
         """Twist [v, w] of the sensor's origin per joint rate, (N, 6, n), in base coordinates."""
+        return self._jacobian(q, self._sensor)
+
+    def link_jacobian(self, q: ArrayLike, joint: str) -> Array:
+        """The same of the link that a joint moves, at the joint."""
+        return self._jacobian(q, self._moved_by(joint))
+
+    def _jacobian(self, q: ArrayLike, frame: int) -> Array:
         q = _batch(q)
         data = self._scratch(q)
         blocks = np.kron(np.eye(2), self._R_base_root)
 
         def one(qi: Array) -> Array:
-            J = pin.computeFrameJacobian(self.model, data, qi, self._sensor, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+            J = pin.computeFrameJacobian(self.model, data, qi, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
             return np.asarray(J)
 
         return np.asarray(blocks @ _rows(one, (6, self.model.nv), q))
@@ -267,6 +290,22 @@ class GalenRobot:
     name: str = "galen"
     joint_names: tuple[str, ...] = GALEN_JOINTS
 
+    @property
+    def chain(self) -> tuple[tuple[str, ...], ...]:
+        """Joints that carry the sensor, the base's first; the carriages move one link together."""
+        return (self.joint_names[:3], *((joint,) for joint in self.joint_names[3:]))
+
+    def link_pose(self, q: ArrayLike, joint: str) -> Array:
+        """Pose (N, 4, 4) in the base of the link that a joint moves, at the joint; of the platform for any carriage."""
+        q = _batch(q)
+        platform = self.delta.platform(q[:, :3])
+        if joint not in self.joint_names[3:]:
+            return transform(np.broadcast_to(np.eye(3), (len(q), 3, 3)), platform)
+        Rr, p = rotation_about(0, q[:, 3]), platform + np.asarray(self.platform_to_roll)
+        if joint == self.joint_names[3]:
+            return transform(Rr, p)
+        return transform(self.sensor_rotation(q), p + Rr @ np.asarray(self.roll_to_tilt))
+
     def sensor_rotation(self, q: ArrayLike) -> Array:
         """Sensor to base, R = Rx(roll) Ry(tilt), (N, 3, 3)."""
         q = _batch(q)
@@ -307,7 +346,8 @@ class GalenRobot:
 
 
 Robot = GalenRobot | UrdfRobot
-"""Either kind: both have joint_names, lower, upper, gravity, sensor_pose, sensor_jacobian and sensor_motion."""
+"""Either kind: both have joint_names, lower, upper, gravity, chain, link_pose, sensor_pose, sensor_jacobian and
+sensor_motion."""
 
 
 def _load(urdf: Path | str) -> pin.Model:

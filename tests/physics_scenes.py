@@ -1,5 +1,7 @@
 """Small scenes of every group, made without the program's own simulation where that matters."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from galen_hw.kinematics import GalenRobot
@@ -95,5 +97,7 @@ def proposals(group, static=False):
     found += [Step((first,), 5.0, one.name) for one in made.slipping()] + [Contact((first,), ((2.0, 4.0),), 3)]
     if group in ("wrench", "effort"):
         found += [CableDrag("tendon"), CableDrag("tendon_dry"), Payload("point", (0.02, -0.01, -0.1))]
+        tied = [e for e in CableDrag.propose(made) if e.anchored or e.clipped]
+        found += [replace(e, form=form) for e in tied for form in ("tendon", "tendon_dry")]
     found += [Glitches((first,), (3, 9))] + ([TorqueRipple("elbow", 9.0)] if group == "effort" else [])
     return made, list({e.family: e for e in found}.values())

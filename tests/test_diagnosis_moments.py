@@ -1,6 +1,7 @@
 """What belongs to moments is learnt where it is; the rest of the model is learnt beside it as it is."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,9 @@ from galen_hw.diagnosis.engine import diagnose
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.linear import left_out
 from galen_hw.diagnosis.score import Scorer
+from galen_hw.diagnosis.touches import slight
 from galen_hw.physics.event_effects import Contact
-from galen_hw.physics.sensor_effects import Drift
+from galen_hw.physics.sensor_effects import Drift, Saturation
 from galen_hw.physics.table import scene_of
 
 
@@ -78,3 +80,28 @@ def test_a_touch_that_is_not_learnt_from_costs_nothing() -> None:
     each = np.log(bench.noise.effective)
     assert both.rank - both.gain == pytest.approx(one.rank - one.gain, abs=0.5 * each)
     assert one.gain - one.rank > 3.5 * each
+
+
+def test_readings_that_clip_at_both_ends_are_limits_and_no_touch() -> None:
+    """In the same episodes a level and a bow each do about what both limits do together."""
+    case = Bench(6, rows=4000)
+    limit = 0.6 * float(np.abs(case.wrench[:, 1]).max())
+    case.wrench[:, 1] = np.clip(case.wrench[:, 1] + case.noise[:, 1], -limit, limit) - case.noise[:, 1]
+    work = diagnose(scene_of(case.observations()))
+    assert [f.effect for f in work.diagnosis.findings] == ["saturation"]
+    told = sorted(h.effect.limit for h in work.model.effects if isinstance(h.effect, Saturation))
+    np.testing.assert_allclose(told, [-limit, limit], atol=1e-6)
+
+
+def test_a_touch_below_what_physics_leaves_is_a_part_of_that() -> None:
+    """A contact of a tenth of what has no name besides is not an event that anybody could vouch for."""
+    case = Bench(7, rows=4000)
+    work = diagnose(scene_of(case.observations()))
+    bench = work.bench
+    touch = bench.add(Contact(WRENCH[:1], ((50.0, 60.0),)))
+    y = bench.whole + 3.0 * SIGMA[0] * touch.raw.values[:, 0, :1] * (np.arange(6) == 0)
+    bench.whole, bench.y = y, y
+    model = Model(bench, work.model.nuisances, [touch], bench.whitened(y))
+    judged = work.judged
+    assert slight(model, judged) == []
+    assert slight(model, replace(judged, after=judged.floor + 4.0 * SIGMA**2)) == [touch]

@@ -123,4 +123,30 @@ def test_a_robot_of_one_joint_has_a_jacobian_of_one_column():
     <joint name="tip" type="fixed"><parent link="arm"/><child link="end"/><origin xyz="0.5 0 0"/></joint></robot>"""
     J = UrdfRobot(urdf).sensor_jacobian([[0.0], [0.4]])
     assert J.shape == (2, 6, 1)
-    np.testing.assert_allclose(J[0, :, 0], [0.0, 0.0, -0.5, 0.0, 1.0, 0.0], atol=1e-12)
+    assert_allclose(J[0, :, 0], [0.0, 0.0, -0.5, 0.0, 1.0, 0.0], atol=1e-12)
+
+
+def test_links_of_the_closed_form_stand_where_the_urdf_has_them() -> None:
+    """Roll and tilt of both, and the sensor at its offset from the last; its chain is in the order of the joints."""
+    robot, q = GalenRobot(), np.random.default_rng(4).uniform(-0.05, 0.05, (5, 5))
+    tilt = robot.link_pose(q, "tilt")
+    sensor = tilt @ np.array([[1, 0, 0, 0.055], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    assert_allclose(sensor, robot.sensor_pose(q), atol=1e-12)
+    platform, roll = robot.link_pose(q, "carriage2"), robot.link_pose(q, "roll")
+    assert_allclose(platform[:, :3, 3], robot.delta.platform(q[:, :3]), atol=1e-15)
+    assert_allclose(np.linalg.inv(platform) @ roll @ [0, 0, 0, 1], np.tile([0, 0, 0.045, 1], (5, 1)), atol=1e-12)
+    assert [joints[-1] for joints in robot.chain] == ["carriage3", "roll", "tilt"]
+
+
+def test_links_of_a_urdf_move_as_their_jacobian_says() -> None:
+    """By small steps of every joint; what is beyond the link moves it not."""
+    robot = UrdfRobot(URDF, sensor_link="sensor")
+    names = [joint for (joint,) in robot.chain]
+    q = np.random.default_rng(5).uniform(-0.2, 0.2, (1, len(robot.joint_names)))
+    for joint in names:
+        J, step = robot.link_jacobian(q, joint)[0], 1e-6
+        for k in range(len(robot.joint_names)):
+            up, down = (robot.link_pose(q + s * step * np.eye(q.shape[1])[k], joint)[0, :3, 3] for s in (1.0, -1.0))
+            assert_allclose(J[:3, k], (up - down) / (2.0 * step), atol=1e-8)
+    last = robot.joint_names.index(names[-1])
+    assert not robot.link_jacobian(q, names[0])[0][:, last].any()

@@ -9,12 +9,14 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 
 import diagnosis_cases as cases
-from diagnosis_cases import Bench
+from diagnosis_cases import Bench, rotation
+from physics_scenes import scene
 
 from galen_hw.diagnosis.descent import Beside, descended
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.cable_effects import CableDrag
+from galen_hw.physics.scene_joint import EffortScene
 from galen_hw.physics.scene_wrench import WrenchScene
 from galen_hw.physics.table import scene_of
 
@@ -91,6 +93,47 @@ def test_what_is_beside_a_cable_is_not_taken_for_a_part_of_it(hidden) -> None:
     hidden(bench)
     pulled(bench, 1.0, 0.2, 0.005)
     assert named(diagnosed(bench)) == {"cable_drag", hidden.__name__}
+
+
+def test_a_cable_that_is_tied_to_the_platform_is_told_from_there() -> None:
+    """It knows nothing of where the platform is: seen from the base nothing stretches as it does."""
+    bench = Bench(rows=4000)
+    platform = np.array([0.0, 0.05, 0.3])
+    Rr = rotation(bench.q[:, 3], np.zeros(len(bench.q)))
+    p = np.array([0.0, 0.0, 0.045]) + Rr @ [0.210, 0.0, 0.035] + bench.R @ [0.055, 0.0, 0.0]
+    for k, (R, at) in enumerate(zip(bench.R, p, strict=True)):
+        span = platform - at - R @ CLIP
+        felt = R.T @ (4.0 * (np.linalg.norm(span) - 0.2) * span / np.linalg.norm(span))
+        bench.wrench[k] += np.concatenate([felt, np.cross(CLIP, felt)])
+    work = diagnosed(bench)
+    assert named(work) == {"cable_drag"}
+    (effect,) = [h.effect for h in work.model.effects]
+    assert isinstance(effect, CableDrag)
+    assert effect.anchored == "carriage3"
+    told = found_cable(work)
+    for name, value in {"stiffness": 4.0, **{f"anchor_{a}": x for a, x in zip("xyz", platform, strict=True)}}.items():
+        assert told[name][0] == pytest.approx(value, abs=4.0 * told[name][1]), name
+
+
+def test_a_cable_pulls_at_the_link_that_it_is_clipped_to() -> None:
+    """Of an arm's efforts: what is beyond the clip holds nothing of it. By virtual work, of the length by small steps."""
+    effort = scene("effort", np.random.default_rng(1))
+    assert isinstance(effort, EffortScene)
+    anchor, clip, stiffness, rest = np.array([0.5, 0.1, 0.2]), np.array([0.05, 0.0, 0.3]), 40.0, 0.1
+    cable = CableDrag("tendon", clipped="shoulder")
+
+    def energy(shoulder: np.ndarray) -> np.ndarray:
+        c, s = np.cos(shoulder), np.sin(shoulder)
+        at = np.stack([c * clip[0] + s * clip[2], np.full_like(c, clip[1]), c * clip[2] - s * clip[0]], axis=-1)
+        return 0.5 * stiffness * (np.linalg.norm(anchor - at, axis=1) - rest) ** 2
+
+    step = 1e-5
+    held = (energy(effort.q[:, 0] + step) - energy(effort.q[:, 0] - step)) / (2.0 * step)
+    change = cable.change(effort, np.array([stiffness, *anchor, rest, *clip]))
+    np.testing.assert_allclose(change[:, 0], held, atol=1e-6 * np.abs(held).max())
+    np.testing.assert_allclose(change[:, 1], 0.0, atol=1e-12)
+    assert cable.family != CableDrag("tendon").family
+    assert "shoulder" in {e.clipped for e in CableDrag.propose(effort)}
 
 
 def test_a_pull_that_nothing_stretches_is_no_cable() -> None:

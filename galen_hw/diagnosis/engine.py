@@ -22,6 +22,7 @@ from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import at_first_sight, library, select
 from galen_hw.diagnosis.selection import Selection
+from galen_hw.diagnosis.touches import slight
 from galen_hw.diagnosis.unnamed import left_by, might_yield, predict_unnamed
 from galen_hw.diagnosis.verdict import beyond, strong, verdict_of
 from galen_hw.physics.effect import Columns, Effect
@@ -101,6 +102,8 @@ def diagnose(
     selection, chosen, model, judged = _held_up(bench, searches, holdout)
     if model is not chosen:
         left = left_by([model], generic)[0]
+    if small := slight(model, judged):
+        model, judged = earned(model.without(small), holdout, judged)
     glitch = [] if premise.wrong else glitches.confirmed(glitch, model)
     left = strong(left, judged, bench)
     if (left or might_yield(model)) and not premise.wrong:

@@ -7,6 +7,7 @@ from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.bends import as_if, rebase, unbent
 from galen_hw.diagnosis.clocks import one_clock, reclocked
 from galen_hw.diagnosis.courses import finest, followed
+from galen_hw.diagnosis.limits import clipped
 from galen_hw.diagnosis.linear import crossed, rests
 from galen_hw.diagnosis.nonlinear import bent, in_place, polished
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
@@ -74,7 +75,8 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
             out.chosen.append(best)
             tightened(bench, scorer, out, best)
         elif not (
-            _split(bench, scorer, out)
+            clipped(bench, scorer, out)
+            or _split(bench, scorer, out)
             or tightened(bench, scorer, out)
             or one_clock(bench, scorer, out)
             or reclocked(bench, scorer, out)

@@ -51,7 +51,7 @@ def place_of(effect: Effect | None) -> tuple[str, ...]:
     """Where an effect sits: one hypothesis of a kind a place; those of moments may stand side by side."""
     if effect is None or effect.KEY in ("step", "vibration", "torque_ripple", "contact"):
         return (str(id(effect)),)
-    names = ("joint", "channel", "driver", "source", "place", "part", "axis")
+    names = ("joint", "channel", "driver", "source", "place", "part", "axis", "upper")
     place = [str(getattr(effect, name, "")) for name in names]
     errors = getattr(effect, "errors", ())
     form = getattr(effect, "form", "") if effect.KEY == "compliance" else ""

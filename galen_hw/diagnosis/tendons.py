@@ -1,5 +1,7 @@
 """A tendon in the place of a spring: what the spring's many parameters took from others must be said by these."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from galen_hw.diagnosis.bench import Bench, Hypothesis
@@ -18,6 +20,8 @@ MARGIN = 6.0
 """Beyond the price of a parameter, in units of the log likelihood ratio."""
 OFTEN = 3
 """Times that a search asks for its tendon: where physics is missing its models never settle."""
+Start = tuple[CableDrag, Array]
+"""A tendon, and parameters (k,) from which it is sought."""
 MOST_BESIDE = 3
 """Effects that may come to light beside a tendon before it is compared with the spring."""
 
@@ -58,26 +62,32 @@ def _instead(bench: Bench, scorer: Scorer, out: Selection, i: int, most: int) ->
     return False
 
 
-def _starts(bench: Bench, scorer: Scorer, others: list[int], i: int) -> list[Array]:
-    """(8,) tendons that pull as a spring does in the place of the cable i; and as that one does if it is a tendon."""
-    h, out = scorer.library[i], list[Array]()
-    loose = (j for j, one in enumerate(scorer.library) if one.effect == CableDrag("spring"))
+def _starts(bench: Bench, scorer: Scorer, others: list[int], i: int) -> list[Start]:
+    """Tendons that pull as a spring does in the place of the cable i, wherever it is tied; and as that one does if it is one."""
+    h, out = scorer.library[i], list[Start]()
     with as_if(scorer, others):
-        for j in loose:
-            spring, theta = scorer.library[j].effect, scorer.solve([*others, j])[0][-scorer.library[j].count :]
-            assert isinstance(spring, CableDrag), "what relaxes a cable is one"
-            out += spring.tendons(bench.scene, theta)
-    return out if h.theta is None else [*out, h.theta[: len(TENDON)]]
+        for j, one in enumerate(scorer.library):
+            spring = one.effect
+            if isinstance(spring, CableDrag) and spring.form == "spring":
+                theta = scorer.solve([*others, j])[0][-one.count :]
+                out += [(replace(spring, form="tendon"), start) for start in spring.tendons(bench.scene, theta)]
+    return out if h.theta is None else [*out, _start(h)]
+
+
+def _start(h: Hypothesis) -> Start:
+    """To begin with what is a tendon already."""
+    assert isinstance(h.effect, CableDrag), "a tendon is asked for"
+    assert h.theta is not None, "a tangent has one"
+    return replace(h.effect, form="tendon"), h.theta[: len(TENDON)]
 
 
 def _with_tendon(
-    bench: Bench, scorer: Scorer, out: Selection, others: list[int], starts: list[Array], most: int
+    bench: Bench, scorer: Scorer, out: Selection, others: list[int], starts: list[Start], most: int
 ) -> list[int]:
     """The others with the tendon that suits them, and with what comes to light beside it, best first."""
     rebase(scorer, others)
     while True:
         found = _best(bench, Beside(bench, scorer, others), starts)
-        assert found.theta is not None, "a tangent has one"
         scorer.append([found])
         trial = [*others, len(scorer.library) - 1]
         settle(bench, scorer, trial)
@@ -85,7 +95,7 @@ def _with_tendon(
         if best is None:
             return trial
         # The tendon is sought anew beside it: what it had done in its place may be far from what it is.
-        others, starts, most = [*trial[:-1], best], [found.theta[: len(TENDON)]], most - 1
+        others, starts, most = [*trial[:-1], best], [_start(found)], most - 1
         rebase(scorer, others)
 
 
@@ -115,23 +125,23 @@ def _numbers(scorer: Scorer, i: int) -> int:
     return h.count - int(np.sum(~np.isnan(h.held))) + (0 if h.effect is None else len(h.effect.searched()))
 
 
-def _best(bench: Bench, beside: Beside, starts: list[Array]) -> Hypothesis:
-    """The tendon that explains most beside a model, from tendons (8,) to begin with; in a conduit that rubs where that pays."""
-    tendon = CableDrag("tendon")
-    cost, found = _least(bench, beside, tendon, starts)
-    assert found.theta is not None, "a tangent has one"
-    rubbing = tendon.rubbing(bench.scene, found.theta) if bench.scene.clock else []
+def _best(bench: Bench, beside: Beside, starts: list[Start]) -> Hypothesis:
+    """The tendon that explains most beside a model, from tendons to begin with; in a conduit that rubs where that pays."""
+    cost, found = _least(bench, beside, starts)
+    effect, theta = _start(found)
+    rubbing = effect.rubbing(bench.scene, theta) if bench.scene.clock else []
     if not rubbing:
         return found
-    less, other = _least(bench, beside, CableDrag("tendon_dry"), rubbing)
+    less, other = _least(bench, beside, [(replace(effect, form="tendon_dry"), start) for start in rubbing])
     return other if less + np.log(bench.noise.effective) + MARGIN < cost else found
 
 
-def _least(bench: Bench, beside: Beside, effect: CableDrag, starts: list[Array]) -> tuple[float, Hypothesis]:
+def _least(bench: Bench, beside: Beside, starts: list[Start]) -> tuple[float, Hypothesis]:
     """From the start that promises most after a few steps."""
-    h, begun = bench.add(effect), starts[0]
+    tendons = {effect: bench.add(effect) for effect, _ in starts}
+    effect, begun = starts[0]
     if len(starts) > 1:
-        first = [descended(bench, beside, h, start, FIRST_STEPS) for start in starts]
-        found = min(first, key=lambda end: end[0])[1].theta
-        begun = begun if found is None else found
-    return descended(bench, beside, h, begun)
+        first = [(e, descended(bench, beside, tendons[e], start, FIRST_STEPS)) for e, start in starts]
+        effect, (_, found) = min(first, key=lambda end: end[1][0])
+        begun = begun if found.theta is None else found.theta
+    return descended(bench, beside, tendons[effect], begun)

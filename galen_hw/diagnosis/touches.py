@@ -11,11 +11,14 @@ from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.generic import POSITION, Inputs
+from galen_hw.diagnosis.judge import Judged
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.physics.event_effects import Contact
 
 FORETOLD: Final = 0.4
 """Share of what touches take, in the moments of each, that must follow from the positions of the others."""
+OUT: Final = 2.0
+"""Mean square of touches over that of what physics leaves, on rows that it did not learn from, from which they are events."""
 AROUND: Final = 0.5
 """Of a touch's length: how long before and after it nothing is learnt about it either."""
 
@@ -23,6 +26,22 @@ AROUND: Final = 0.5
 def touches_of(model: Model) -> list[Hypothesis]:
     """Contacts that a model believes in."""
     return [h for h in model.effects if isinstance(h.effect, Contact)]
+
+
+def slight(model: Model, judged: Judged) -> list[Hypothesis]:
+    """Touches that take less of a recording than physics leaves of it, in the channel where they are largest: part of that.
+
+    What bends otherwise than any name leaves most where the arm goes furthest, in episodes as if it were touched.
+    """
+    left, out = np.maximum(judged.after - judged.floor, 0.0), []
+    for h, at in zip(model.parts, model.slices(), strict=True):
+        if isinstance(h.effect, Contact):
+            channels = list(h.raw.channels)
+            taken = np.mean((h.raw.values @ model.final[at]) ** 2, axis=0)
+            most = int(np.argmax(taken / judged.floor[channels]))
+            if taken[most] < OUT * left[channels[most]]:
+                out.append(h)
+    return out
 
 
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]

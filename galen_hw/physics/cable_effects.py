@@ -30,6 +30,8 @@ RUBBING: Final = (0.2, 0.7)
 """Friction of a conduit where the search for it begins, of the standard deviation of the pull."""
 LEAST_LENGTH: Final = 1e-6
 """m; a shorter tendon has no direction."""
+NEAR: Final = 2
+"""Links before the sensor's own to which its cable may be tied."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,9 @@ class CableDrag(Effect):
     "tendon_dry": the same in a conduit whose friction holds the pull back until the spring has overcome it (a play);
     "joint": one channel along with one joint, r = k q_j, with the cable's own dry friction r = k q_j + c s(dq_j) in "joint_dry".
 
+    A cable that is tied to the arm itself has its far end on the link that the joint `anchored` moves, in whose frame the anchor
+    then is; in efforts it may be clipped to the link that the joint `clipped` moves instead of the last.
+
     Visible when the arm moves far. Confused with drift where poses are ordered, with payload and base_tilt, and
     with hysteresis when it rubs.
     """
@@ -51,6 +56,8 @@ class CableDrag(Effect):
     channel: str = ""
     joint: str = ""
     transition: float = 1.0
+    anchored: str = ""
+    clipped: str = ""
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -59,8 +66,10 @@ class CableDrag(Effect):
         if group == "wrench" and scene.belief.robot is not None:
             yield cls("spring")
             yield cls("pull")
-        if isinstance(scene, EffortScene) and scene.tip() is not None:
+            yield from (cls("spring", anchored=joint) for joint in _carriers(scene)[-NEAR:])
+        if isinstance(scene, EffortScene) and scene.link() is not None:
             yield cls("spring")
+            yield from (cls("spring", clipped=joint) for joint in _carriers(scene))
         if group not in ("wrench", "effort"):
             return
         for joint in scene.moved:
@@ -131,8 +140,9 @@ class CableDrag(Effect):
             return self._tangent_at_nothing(scene)
         if isinstance(scene, EffortScene):
             return self._in_efforts(scene)
-        Rt = np.swapaxes(scene.T[:, :3, :3], 1, 2)  # type: ignore[attr-defined]
-        p = np.einsum("nij,nj->ni", Rt, scene.T[:, :3, 3])  # type: ignore[attr-defined]
+        T = scene.sensor_in(self.anchored)  # type: ignore[attr-defined]
+        Rt = np.swapaxes(T[:, :3, :3], 1, 2)
+        p = np.einsum("nij,nj->ni", Rt, T[:, :3, 3])
         levers = skew(np.eye(3))
         out = np.zeros((len(scene), 6, 16))
         out[:, :3, 0], out[:, :3, 1:4] = -p, Rt
@@ -146,7 +156,7 @@ class CableDrag(Effect):
         """The pull of a tendon."""
         if not self.curved:
             return None
-        R, p, answer = _carrier(scene)
+        R, p, answer = self._carrier(scene)
         lever, span, length = _stretched(R, p, theta)
         tension = abs(theta[0]) * np.maximum(length - theta[4], 0.0)
         if self.form == "tendon_dry":
@@ -161,7 +171,7 @@ class CableDrag(Effect):
 
     def tendons(self, scene: Scene, theta: Array) -> list[Array]:
         """(8,) parameters of tendons that pull about as this spring does with its parameters theta (k,)."""
-        R, p = (x.mean(axis=-1) for x in _carrier(scene)[:2])
+        R, p = (x.mean(axis=-1) for x in self._carrier(scene)[:2])
         stiffness, constant, of_stiffness, of_constant = theta[0], theta[1:4], theta[4:7], theta[7:16]
         # One lever stands in twelve numbers.
         known = of_stiffness * stiffness + of_constant.reshape(3, 3) @ constant
@@ -177,10 +187,22 @@ class CableDrag(Effect):
 
     def rubbing(self, scene: Scene, theta: Array) -> list[Array]:
         """(9,) parameters of tendons as this one is with its parameters theta (8,), in a conduit that rubs little or much."""
-        R, p, _ = _carrier(scene)
+        R, p, _ = self._carrier(scene)
         length = _stretched(R, p, theta)[2]
         swing = float(np.std(theta[0] * np.maximum(length - theta[4], 0.0)))
         return [np.append(theta, share * swing) for share in RUBBING] if swing > 0.0 else []
+
+    def _carrier(self, scene: Scene) -> tuple[Array, Array, Array | None]:
+        """Of the body that it pulls: orientation (3, 3, N), position (3, N), efforts (N, C, 6) per wrench (None: felt)."""
+        if isinstance(scene, EffortScene):
+            known = scene.link(self.clipped)
+            assert known is not None, "proposed only with a URDF"
+            pose, answer = known
+        else:
+            pose, answer = scene.sensor_in(self.anchored), None  # type: ignore[attr-defined]
+        # Row after row in memory: four times as fast to work with.
+        whole = np.ascontiguousarray(pose[:, :3].transpose(1, 2, 0))
+        return whole[:, :3], whole[:, 3], answer
 
     def _tangent_at_nothing(self, scene: Scene) -> Columns:
         """Without stiffness it does nothing wherever it is: one from origin to origin, and none of the others."""
@@ -191,8 +213,8 @@ class CableDrag(Effect):
         return Columns(tuple(range(len(scene.channels))), values)
 
     def _in_efforts(self, scene: "EffortScene") -> Columns:
-        """The same spring on the last link, by virtual work: stiffness, pulls, and what an unknown lever adds."""
-        known = scene.tip()
+        """The same spring on a link, by virtual work: stiffness, pulls, and what an unknown lever adds."""
+        known = scene.link(self.clipped)
         assert known is not None, "proposed only with a URDF"
         pose, answer = known
         R, p = pose[:, :3, :3], pose[:, :3, 3]
@@ -209,17 +231,11 @@ class CableDrag(Effect):
         return in_all(out, len(scene.channels))
 
 
-def _carrier(scene: Scene) -> tuple[Array, Array, Array | None]:
-    """Of the body that the cable pulls: orientation (3, 3, N), position (3, N), efforts (N, C, 6) per wrench (None: felt)."""
-    if isinstance(scene, EffortScene):
-        known = scene.tip()
-        assert known is not None, "proposed only with a URDF"
-        pose, answer = known
-    else:
-        pose, answer = scene.T, None  # type: ignore[attr-defined]
-    # Row after row in memory: four times as fast to work with.
-    whole = np.ascontiguousarray(pose[:, :3].transpose(1, 2, 0))
-    return whole[:, :3], whole[:, 3], answer
+def _carriers(scene: Scene) -> tuple[str, ...]:
+    """Joints whose links move in this recording and beyond which the arm moves too, the base's first; one of a few together."""
+    robot, moved = scene.belief.robot, set(scene.moved)
+    links = () if robot is None else tuple(joints for joints in robot.chain if moved.intersection(joints))
+    return tuple(joints[-1] for joints in links[:-1])
 
 
 def _stretched(R: Array, p: Array, theta: Array) -> tuple[Array, Array, Array]:

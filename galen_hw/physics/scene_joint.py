@@ -231,16 +231,23 @@ class EffortScene(JointScene):
         return self._along(robot.inverse_dynamics(self.q, *self.rates)) - self.simulated
 
     @once
-    def tip(self) -> tuple[Array, Array] | None:
-        """Pose (N, 4, 4) of the last link in the base, and efforts (N, C, 6) per unit of a wrench on it there, base axes.
+    def link(self, joint: str = "") -> tuple[Array, Array] | None:
+        """Pose (N, 4, 4) of the link that a joint moves in the base, and efforts (N, C, 6) per wrench on it there, base axes.
 
-        Virtual work: the motors hold against it, tau = -J^T F.
+        Of the last link for "". Virtual work: the motors hold against it, tau = -J^T F. None without a URDF.
         """
         robot = self._urdf()
         if robot is None:
             return None
-        pose = self._coarse(lambda rows: robot.sensor_pose(self.q[rows]))
-        jacobian = self._coarse(lambda rows: np.swapaxes(robot.sensor_jacobian(self.q[rows]), 1, 2))
+
+        def pose_of(rows: Array) -> Array:
+            return robot.link_pose(self.q[rows], joint) if joint else robot.sensor_pose(self.q[rows])
+
+        def turned(rows: Array) -> Array:
+            q = self.q[rows]
+            return np.swapaxes(robot.link_jacobian(q, joint) if joint else robot.sensor_jacobian(q), 1, 2)
+
+        pose, jacobian = self._coarse(pose_of), self._coarse(turned)
         order = [self.joint_index(_joint(name)) for name in self.channels]
         return pose, -jacobian[:, order]
 

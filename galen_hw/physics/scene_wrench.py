@@ -34,6 +34,18 @@ class WrenchScene(Scene):
             return robot.sensor_pose(self.q)
         return transform(rotation_from_quaternion(self.observations.matrix(*ORIENTATION)), np.zeros(3))
 
+    @once
+    def sensor_in(self, joint: str) -> Array:
+        """(N, 4, 4) pose of the sensor as seen from the link that a joint moves; from the base for ""."""
+        robot = self.belief.robot
+        if not joint or robot is None:
+            return self.T
+        link = robot.link_pose(self.q, joint)
+        Rt, out = np.swapaxes(link[:, :3, :3], 1, 2), self.T.copy()
+        out[:, :3, :3] = Rt @ self.T[:, :3, :3]
+        out[:, :3, 3] = np.einsum("nij,nj->ni", Rt, self.T[:, :3, 3] - link[:, :3, 3])
+        return out
+
     @property
     def R(self) -> Array:
         """(N, 3, 3) sensor to base."""
