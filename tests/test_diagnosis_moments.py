@@ -91,6 +91,9 @@ def test_readings_that_clip_at_both_ends_are_limits_and_no_touch() -> None:
     assert [f.effect for f in work.diagnosis.findings] == ["saturation"]
     told = sorted(h.effect.limit for h in work.model.effects if isinstance(h.effect, Saturation))
     np.testing.assert_allclose(told, [-limit, limit], atol=1e-6)
+    said = work.diagnosis.findings[0].parameters
+    assert said[f"{WRENCH[1]} low: limit"].value == pytest.approx(-limit, abs=1e-6)
+    assert said[f"{WRENCH[1]} high: limit"].value == pytest.approx(limit, abs=1e-6)
 
 
 def test_a_touch_below_what_physics_leaves_is_a_part_of_that() -> None:

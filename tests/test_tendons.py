@@ -110,6 +110,7 @@ def test_a_cable_that_is_tied_to_the_platform_is_told_from_there() -> None:
     (effect,) = [h.effect for h in work.model.effects]
     assert isinstance(effect, CableDrag)
     assert effect.anchored == "carriage3"
+    assert "tied to the link that carriage3 moves" in work.diagnosis.findings[0].says
     told = found_cable(work)
     for name, value in {"stiffness": 4.0, **{f"anchor_{a}": x for a, x in zip("xyz", platform, strict=True)}}.items():
         assert told[name][0] == pytest.approx(value, abs=4.0 * told[name][1]), name

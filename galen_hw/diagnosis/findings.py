@@ -21,6 +21,7 @@ from galen_hw.diagnosis.wander import mean_frequency
 from galen_hw.diagnosis.words import BELIEVED, SAYS
 from galen_hw.physics.event_effects import Glitches, Vibration
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.sensor_effects import Saturation
 from galen_hw.spatial import Array
 
 
@@ -61,7 +62,8 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
     chance = float(min(1.0, CHANCE * np.exp(np.clip(selection.needed - surprise, -650.0, 6.0))))
     evidence = {"heldout_gain": gain, "score": score, "false_alarm_probability": chance}
     finding = Finding(key, channels, joints, "", parameters, evidence)
-    finding.says = says(finding)
+    remarks = dict.fromkeys(h.effect.remark for h in parts if h.effect is not None and h.effect.remark)
+    finding.says = " ".join([says(finding), *remarks])
     return finding
 
 
@@ -96,6 +98,8 @@ def _rms_variance(h: Hypothesis, theta: Array, covariance: Array, free: Array) -
 
 def _prefix(h: Hypothesis) -> str:
     place = getattr(h.effect, "channel", "") or getattr(h.effect, "joint", "")
+    if isinstance(h.effect, Saturation):
+        place += " high" if h.effect.upper else " low"
     return f"{place}: " if place else ""
 
 

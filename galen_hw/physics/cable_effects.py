@@ -67,7 +67,7 @@ class CableDrag(Effect):
             yield cls("spring")
             yield cls("pull")
             yield from (cls("spring", anchored=joint) for joint in _carriers(scene)[-NEAR:])
-        if isinstance(scene, EffortScene) and scene.link() is not None:
+        if isinstance(scene, EffortScene) and scene.link("") is not None:
             yield cls("spring")
             yield from (cls("spring", clipped=joint) for joint in _carriers(scene))
         if group not in ("wrench", "effort"):
@@ -85,6 +85,17 @@ class CableDrag(Effect):
     def freedom(self) -> int | None:
         """Stiffness, a point of the base and a point of the body; or a pull and its point."""
         return {"spring": 7, "pull": 6}.get(self.form)
+
+    @property
+    def remark(self) -> str:
+        """What it is tied or clipped to, in whose frame anchor and clip are told."""
+        ends = []
+        if self.anchored:
+            ends.append(f"its far end is tied to the link that {self.anchored} moves, and told in that link's frame")
+        if self.clipped:
+            ends.append(f"it is clipped to the link that {self.clipped} moves, and told in that link's frame")
+        text = "; ".join(ends)
+        return f"{text[:1].upper()}{text[1:]}." if text else ""
 
     @property
     def loose(self) -> bool:

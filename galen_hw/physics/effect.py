@@ -211,6 +211,11 @@ class Effect(ABC):
         return True
 
     @property
+    def remark(self) -> str:
+        """A sentence on where it sits that the answer adds; empty where there is nothing to add."""
+        return ""
+
+    @property
     def relaxed(self) -> Self:
         """The same with more parameters than its physics has, so that it is linear in them."""
         return self

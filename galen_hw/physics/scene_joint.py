@@ -231,7 +231,7 @@ class EffortScene(JointScene):
         return self._along(robot.inverse_dynamics(self.q, *self.rates)) - self.simulated
 
     @once
-    def link(self, joint: str = "") -> tuple[Array, Array] | None:
+    def link(self, joint: str) -> tuple[Array, Array] | None:
         """Pose (N, 4, 4) of the link that a joint moves in the base, and efforts (N, C, 6) per wrench on it there, base axes.
 
         Of the last link for "". Virtual work: the motors hold against it, tau = -J^T F. None without a URDF.
