@@ -10,7 +10,7 @@ from galen_hw.diagnosis.final import MERIT, Model, merit
 from galen_hw.diagnosis.inner_products import Functions
 from galen_hw.diagnosis.judge import Judged, earned, judge_remainder
 from galen_hw.diagnosis.remainder import Remainder, learn
-from galen_hw.diagnosis.select import FLEXIBLE
+from galen_hw.diagnosis.split import FLEXIBLE
 from galen_hw.diagnosis.touches import foretold, touches_of
 from galen_hw.diagnosis.verdict import strong
 from galen_hw.physics.scene import Scene
