@@ -17,6 +17,7 @@ from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.linear import left_out
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.touches import slight
+from galen_hw.diagnosis.verdict import beyond
 from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.sensor_effects import Drift, Saturation
 from galen_hw.physics.table import scene_of
@@ -105,6 +106,8 @@ def test_a_touch_below_what_physics_leaves_is_a_part_of_that() -> None:
     y = bench.whole + 3.0 * SIGMA[0] * touch.raw.values[:, 0, :1] * (np.arange(6) == 0)
     bench.whole, bench.y = y, y
     model = Model(bench, work.model.nuisances, [touch], bench.whitened(y))
-    judged = work.judged
-    assert slight(model, judged) == []
-    assert slight(model, replace(judged, after=judged.floor + 4.0 * SIGMA**2)) == [touch]
+    more = replace(work.judged, after=work.judged.floor + 4.0 * SIGMA**2)
+    assert slight(model, more, []) == []
+    rest = beyond(more, bench)
+    assert slight(model, work.judged, rest) == []
+    assert slight(model, more, rest) == [touch]

@@ -102,10 +102,11 @@ def diagnose(
     selection, chosen, model, judged = _held_up(bench, searches, holdout)
     if model is not chosen:
         left = left_by([model], generic)[0]
-    if small := slight(model, judged):
-        model, judged = earned(model.without(small), holdout, judged)
-    glitch = [] if premise.wrong else glitches.confirmed(glitch, model)
     left = strong(left, judged, bench)
+    if small := slight(model, judged, left or beyond(judged, bench)):
+        model, judged = earned(model.without(small), holdout, judged)
+        left = strong(left_by([model], generic)[0], judged, bench)
+    glitch = [] if premise.wrong else glitches.confirmed(glitch, model)
     if (left or might_yield(model)) and not premise.wrong:
         model, judged, left = predict_unnamed(generic, model, holdout, judged, left)
     if not left and holdout is not None and might_yield(model):

@@ -28,18 +28,20 @@ def touches_of(model: Model) -> list[Hypothesis]:
     return [h for h in model.effects if isinstance(h.effect, Contact)]
 
 
-def slight(model: Model, judged: Judged) -> list[Hypothesis]:
+def slight(model: Model, judged: Judged, rest: Sequence[Left]) -> list[Hypothesis]:
     """Touches that take less of a recording than physics leaves of it, in the channel where they are largest: part of that.
 
-    What bends otherwise than any name leaves most where the arm goes furthest, in episodes as if it were touched.
+    What bends otherwise than any name leaves most where the arm goes furthest, in episodes as if it were touched. Asked in the
+    channels of which more than noise is left (`rest`).
     """
-    left, out = np.maximum(judged.after - judged.floor, 0.0), []
+    more, out = {one.channel for one in rest}, list[Hypothesis]()
+    left = np.maximum(judged.after - judged.floor, 0.0)
     for h, at in zip(model.parts, model.slices(), strict=True):
         if isinstance(h.effect, Contact):
             channels = list(h.raw.channels)
             taken = np.mean((h.raw.values @ model.final[at]) ** 2, axis=0)
             most = int(np.argmax(taken / judged.floor[channels]))
-            if taken[most] < OUT * left[channels[most]]:
+            if channels[most] in more and taken[most] < OUT * left[channels[most]]:
                 out.append(h)
     return out
 
