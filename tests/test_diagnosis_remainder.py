@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import SIGMA, WRENCH, Bench, creep
+from diagnosis_cases import SIGMA, WRENCH, Bench, creep, lagged
 
 from galen_hw.diagnosis import adequacy
 from galen_hw.diagnosis.engine import Work, diagnose
@@ -93,6 +93,21 @@ def test_what_a_flexible_name_leaves_of_another_recording_is_said_of_it(size: fl
     assert d.verdict == verdict
     assert named(work) == ["creep", "unknown"][: 1 + (size > 0.0)]
     assert all("wrench.force.x of another recording" in f.says for f in d.findings if f.effect == "unknown")
+
+
+@pytest.mark.parametrize(("channel", "share", "constant"), [(0, 0.15, 6.0), (4, 0.1, 3.0)])
+def test_creep_under_a_load_that_came_on_at_the_start(channel: int, share: float, constant: float) -> None:
+    """Nothing has settled when the recording begins: all that creeps is still to come."""
+    runs = [Bench(seed, rows=6000) for seed in (5, 6)]
+    for run in runs:
+        load = run.wrench[:, channel]
+        run.wrench[:, channel] = load + share * lagged(run.t, np.concatenate([[0.0], load[1:]]), constant)
+    work = judged(*runs)
+    assert (work.diagnosis.verdict, named(work)) == ("explained", ["creep"])
+    (finding,) = work.diagnosis.findings
+    assert finding.parameters["share"].value == pytest.approx(share, rel=0.05)
+    assert finding.parameters["constant"].value == pytest.approx(constant, rel=0.1)
+    assert "nothing had settled" in finding.says
 
 
 def test_flexible_names_yield_to_what_explains_better_without_one() -> None:

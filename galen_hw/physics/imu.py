@@ -16,7 +16,7 @@ ANGULAR_VELOCITY = tuple(f"imu.angular_velocity.{axis}" for axis in "xyz")
 def imu_motion(observations: Observations, T: Array) -> Motion | None:
     """Of the sensor at poses T (N, 4, 4), from the columns `imu.*`; None unless every row has an acceleration and a pose.
 
-    The IMU sits at the sensor's origin. White noise is taken off by regression splines where there is a clock. From what feels
+    The IMU sits at the sensor's origin. White noise is taken off by penalised splines where there is a clock. From what feels
     gravity, gravity is taken off as it is felt itself: what stays the same in the base, since an arm that swings to and fro has
     no acceleration on average. (With the believed gravity, a base that is tilted would look like an acceleration.) The angular
     velocity is the gyroscope's, else that of the orientation; its derivative, never over the border of a segment, is zero

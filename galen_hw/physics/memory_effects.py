@@ -22,6 +22,9 @@ from galen_hw.physics.scene import Scene
 from galen_hw.physics.time_effects import joint_of
 from galen_hw.spatial import Array
 
+SLOWER = 1.05
+"""Times its shortest constant from which creep is creep."""
+
 
 @dataclass(frozen=True)
 class Creep(Effect):
@@ -30,9 +33,10 @@ class Creep(Effect):
     T dz/dt = x - z; r = a z ("more" to come after the load, a Kelvin element in series with what the model has) or
     r = a (z - x) ("less" at first, as relaxation is seen by a calibrated sensor).
 
-    x is a channel's simulated load (sensor), or the load of a joint (pose: the joint gives by a z). Settled at the start.
-    What settles within a third of a second does not creep: that is a filter. Visible in rests of a few T after a change of load.
-    Confused with lag (short T), compliance or gain (T below the rests) and drift.
+    x is a channel's simulated load (sensor), or the load of a joint (pose: the joint gives by a z). Settled at the start, or
+    `rested`: the load comes on with the first row. What settles within a third of a second does not creep: that is a filter.
+    Visible in rests of a few T after a change of load. Confused with lag (short T), compliance or gain (T below the rests) and
+    drift.
     """
 
     KEY = "creep"
@@ -43,10 +47,11 @@ class Creep(Effect):
     joint: str = ""
     form: str = "more"
     longest: float = np.inf
+    rested: bool = False
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Time constants from half a second to a third of the recording."""
+        """Time constants from half a second to a third of the recording; rested too where there is a load at the start."""
         longest = duration(scene) / 3.0
         if not scene.clock or longest <= 0.6:
             return
@@ -54,6 +59,17 @@ class Creep(Effect):
             for form in ("more", "less"):
                 for channel, joint in _bearing(scene):
                     yield cls(constant, channel, joint, form, longest)
+                    if scene.observations.predict != "position" and _begun(scene, channel, joint):
+                        yield cls(constant, channel, joint, form, longest, rested=True)
+
+    @property
+    def remark(self) -> str:
+        """Where it began."""
+        return "Its load came on as the recording began: nothing had settled." if self.rested else ""
+
+    def at_work(self, scene: Scene) -> bool:
+        """Whether it is slower than a filter: at the shortest constant it stands for something quicker."""
+        return self.constant > SLOWER * self.SEARCHED["constant"].low
 
     def with_searched(self, values: Mapping[str, float]) -> Self:
         """Another constant, not above the longest of which this recording sees enough to tell it from a give."""
@@ -83,7 +99,7 @@ class Creep(Effect):
             place = scene.channels.index(self.channel)
             return in_channel(place, [self._slow(scene, scene.simulated[:, place])])
         if not self.joint:
-            slow = scene.lag("creep", scene.simulated, self.constant)
+            slow = scene.lag("creep", scene.simulated, self.constant, empty=self.rested)
             return in_all([slow if self.form == "more" else slow - scene.simulated], len(scene.channels))
         load = scene.load(self.joint)
         if load is None or scene.observations.predict == "position":
@@ -91,8 +107,18 @@ class Creep(Effect):
         return through(scene, self.joint, [self._slow(scene, load)])
 
     def _slow(self, scene: Scene, x: Array) -> Array:
-        slow = scene.lag("creep", x[:, None], self.constant)[:, 0]
+        slow = scene.lag("creep", x[:, None], self.constant, empty=self.rested)[:, 0]
         return slow if self.form == "more" else slow - x
+
+
+BEGUN = 0.1
+"""Times its spread that a load is at the start, from which it matters whether it has settled."""
+
+
+def _begun(scene: Scene, channel: str, joint: str) -> bool:
+    """Whether what bears has a load at the start."""
+    load = scene.load(joint) if joint else scene.simulated[:, scene.channels.index(channel) if channel else slice(None)]
+    return load is not None and bool(np.any(np.abs(load[0]) > BEGUN * np.nanstd(load, axis=0)))
 
 
 def _bearing(scene: Scene) -> Iterator[tuple[str, str]]:

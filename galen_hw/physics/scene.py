@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.operators import ServoState, delay, lag, play, servo
+from galen_hw.physics.operators import LagState, ServoState, delay, lag, play, servo
 from galen_hw.physics.ports import Carried, Port
 from galen_hw.physics.smoothing import derivatives, ends
 from galen_hw.spatial import Array
@@ -364,10 +364,18 @@ class Scene:
         """(segments, 1) where the far side of a play in a channel stands at the start of every segment; None: at its input."""
         return None
 
-    def lag(self, name: Any, x: Array, constant: Any) -> Array:
-        """First-order lag of (N, m) inputs over the clock, see `operators.lag`."""
+    def lag(self, name: Any, x: Array, constant: Any, *, empty: bool = False) -> Array:
+        """First-order lag of (N, m) inputs over the clock, see `operators.lag`; `empty`: its output begins at zero."""
         c = np.broadcast_to(np.asarray(constant, dtype=float), x.shape[1:])
-        return self._carried(name, x, lambda part, state: lag(self.time[part], x[part], c, state))
+
+        def run(part: slice, state: Any) -> tuple[Array, LagState]:
+            if state is not None and not isinstance(state, LagState):
+                state = LagState(float(self.time[part][0]), state)
+            return lag(self.time[part], x[part], c, state)
+
+        # Behind a gap nobody knows; it had time to settle.
+        start = [np.zeros(x.shape[1:]), *(None for _ in self.segments[1:])] if empty else None
+        return self._carried(name, x, run, start)
 
     def servo(
         self, name: Any, command: Array, band: Any, constant: Any, settling: Any, start: Array | None = None

@@ -65,9 +65,10 @@ class GivingScene(PoseScene):
                 out[part, i] = _played(x[part, i].tolist(), r)
         return out
 
-    def lag(self, name: Any, x: Array, constant: Any) -> Array:
+    def lag(self, name: Any, x: Array, constant: Any, *, empty: bool = False) -> Array:
         """As `operators.lag`, a column at a time in plain floats."""
-        del name
+        if empty:
+            return super().lag(name, x, constant, empty=True)
         out, constants = np.empty_like(x), np.broadcast_to(np.asarray(constant, dtype=float), x.shape[1:])
         for part in self.segments:
             steps = np.diff(self.time[part], prepend=self.time[part][:1])

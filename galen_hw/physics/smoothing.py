@@ -1,13 +1,16 @@
-"""Derivatives of recorded positions by regression splines, or by local polynomials behind a low-pass; low-passes for forces."""
+"""Derivatives of recorded positions by penalised splines, or by local polynomials behind a low-pass; low-passes for forces."""
 
 import math
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, CubicSpline, make_lsq_spline
+from scipy.interpolate import BSpline, CubicSpline
+from scipy.linalg import solveh_banded
 from scipy.ndimage import percentile_filter
+from scipy.optimize import minimize_scalar
 from scipy.signal import butter, savgol_filter, sosfiltfilt
+from scipy.sparse import diags_array, sparray
 
 from galen_hw.spatial import Array
 
@@ -61,10 +64,16 @@ WHITE = 0.75
 """Mean squared step over twice the variance from which a signal is noise: 1 for white noise, nothing for motion."""
 DEGREE = 5
 """Of the splines: their second derivative is still a cubic."""
-KNOTS = (2, 3, 4, 6, 8, 12)
-"""Per period of the highest frequency of the motion, of which cross-validation takes one."""
+KNOTS = (2.0, 3.0, 4.0, 6.0, 12.0)
+"""Per period of the highest frequency of the motion, of which cross-validation takes one; few suit motion of a sharp band."""
 MOST_KNOTS = 0.7
 """Of the rows; more would smooth nothing."""
+DIFFERENCES = 4
+"""Order of the penalised differences: two above the second derivative, which is wanted."""
+PENALTIES = np.arange(-6.0, 7.0, 2.0)
+"""Decades of the penalty over the weight of the rows on one coefficient."""
+DECADE = 0.1
+"""To which share of a decade the penalty is sought."""
 CLOSE = 1e-12
 """Share of a signal's variance that a spline may leave, whatever it looks like."""
 ROUGH = 0.4
@@ -72,36 +81,78 @@ ROUGH = 0.4
 
 
 def _spline(t: Array, x: Array) -> BSpline | None:
-    """Regression spline through a signal (N,) under white noise at rising times (N,) in s; None: no noise can be told.
+    """Penalised spline through a signal (N,) under white noise at rising times (N,) in s; None: no noise can be told.
 
-    How many knots, evenly over the rows, generalised cross-validation says (Craven and Wahba 1979). Unlike a filter it needs
-    no continuation beyond the ends, and is as good there, its derivatives too. None for a signal without noise or too quick
-    for its rows.
+    Knots evenly over the rows and a penalty on differences of their coefficients; how many and how much generalised
+    cross-validation says (Eilers and Marx 1996; Craven and Wahba 1979). With a penalty it falls off as the motion does. By knots
+    alone all noise passes up to their band: differentiated twice, that is what a lag would seem to take away. Unlike a filter it
+    needs no continuation beyond the ends. None for a signal without noise or too quick for its rows.
     """
     n = len(x)
     if n < SHORTEST:
         return None
     even = np.interp(np.linspace(t[0], t[-1], n), t, x)
     band = motion_band(even, 1.0)
-    best, least = None, np.inf
-    for knots in KNOTS:
-        pieces = max(round(knots * band * n), 4)
-        if band >= 0.5 or pieces > MOST_KNOTS * n:
-            break
-        inner = np.interp(np.linspace(0.0, n - 1.0, pieces + 1), np.arange(n), t)
-        places = np.concatenate([[t[0]] * DEGREE, inner, [t[-1]] * DEGREE])
-        found = make_lsq_spline(t, x, places, DEGREE, method="norm-eq")
-        left = x - found(t)
-        score = float(left @ left) / (1.0 - (pieces + DEGREE) / n) ** 2
-        if score >= least:
-            break
-        close = float(left @ left) < CLOSE * n * float(np.var(x))
-        best, least = (found if close or abs(float(left[1:] @ left[:-1])) < ROUGH * float(left @ left) else None), score
-    return best
+    if band >= 0.5 or KNOTS[0] * band > MOST_KNOTS:
+        return None
+    counts = sorted({max(round(min(knots * band, MOST_KNOTS) * n), 4) for knots in KNOTS})
+    _, found = min((_penalised(t, x, pieces) for pieces in counts), key=lambda one: one[0])
+    left = x - found(t)
+    close = float(left @ left) < CLOSE * n * float(np.var(x))
+    return found if close or abs(float(left[1:] @ left[:-1])) < ROUGH * float(left @ left) else None
+
+
+def _penalised(t: Array, x: Array, pieces: int) -> tuple[float, BSpline]:
+    """What cross-validation says of the best penalty for a spline of so many pieces, and that spline."""
+    n = len(x)
+    inner = np.interp(np.linspace(0.0, n - 1.0, pieces + 1), np.arange(n), t)
+    # Beyond the ends as at the ends: knots that coincide there would make a straight line rough.
+    beyond = np.arange(1, DEGREE + 1)
+    before, after = inner[0] - beyond[::-1] * (inner[1] - inner[0]), inner[-1] + beyond * (inner[-1] - inner[-2])
+    places = np.concatenate([before, inner, after])
+    basis = BSpline.design_matrix(t, places, DEGREE)
+    count, onto = basis.shape[1], basis.T @ x
+    rough = np.diff(np.eye(DIFFERENCES + 1), DIFFERENCES, axis=0)[0] if count > DIFFERENCES else np.zeros(1)
+    differ = diags_array(list(rough), offsets=range(len(rough)), shape=(count - len(rough) + 1, count))
+    gram, penalty = (_upper(matrix) for matrix in (basis.T @ basis, (n / pieces) * (differ.T @ differ)))
+    told, charged = _spectra(count)
+
+    def solved(decade: float) -> tuple[float, BSpline]:
+        weight = 10.0**decade
+        spline = BSpline(places, solveh_banded(gram + weight * penalty, onto), DEGREE)
+        free = float(np.sum(told / (told + weight * charged)))
+        return float(np.sum((x - spline(t)) ** 2)) / (1.0 - free / n) ** 2, spline
+
+    first = float(min(PENALTIES, key=lambda decade: solved(float(decade))[0]))
+    step = float(PENALTIES[1] - PENALTIES[0])
+    options = {"xatol": DECADE}
+    best = minimize_scalar(
+        lambda at: solved(at)[0], bounds=(first - step, first + step), method="bounded", options=options
+    )
+    return solved(float(best.x))
+
+
+def _upper(matrix: sparray) -> Array:
+    """(DEGREE + 1, K) upper bands of a symmetric banded matrix, as LAPACK keeps them."""
+    out = np.zeros((DEGREE + 1, matrix.shape[0]))
+    for k in range(min(DEGREE + 1, matrix.shape[0])):
+        out[DEGREE - k, k:] = matrix.diagonal(k)
+    return out
+
+
+def _spectra(count: int) -> tuple[Array, Array]:
+    """(K,) eigenvalues of a spline's rows and of its penalty, per row on one coefficient, away from the ends.
+
+    There both matrices say the same of every coefficient (Toeplitz), and what they do to a wave over these is a number.
+    """
+    wave = np.pi * np.arange(count) / count
+    product = BSpline.basis_element(np.arange(2 * DEGREE + 3) - (DEGREE + 1.0))(np.arange(DEGREE + 1.0))
+    told = product[0] + 2.0 * np.cos(np.outer(wave, np.arange(1, DEGREE + 1))) @ product[1:]
+    return told, (2.0 - 2.0 * np.cos(wave)) ** DIFFERENCES
 
 
 def denoised(time: Array, x: Array, segments: list[slice]) -> Array:
-    """Signals (N, n) over time (N,) in s without their white noise, each segment by itself: regression splines through them.
+    """Signals (N, n) over time (N,) in s without their white noise, each segment by itself: penalised splines through them.
 
     A signal in which no noise can be told stays as it is.
     """
@@ -215,7 +266,7 @@ def derivatives(
 ) -> tuple[Array, Array]:
     """First and second derivative (N, n) of signals (N, n) over time (N,) in s, each segment by itself.
 
-    A measured velocity is believed and differentiated once. Noise is smoothed away, by a regression spline (if `fine`; commands
+    A measured velocity is believed and differentiated once. Noise is smoothed away, by a penalised spline (if `fine`; commands
     have no noise to speak of) or by the low-pass of a given or found band (Hz), over an even grid where samples are uneven.
     Segments of fewer than five samples get zeros.
     """
