@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from galen_hw.physics.operators import delay, lag, play, servo
+from galen_hw.physics.operators import delay, lag, play, second_order, servo
 
 
 def play_by_definition(x: np.ndarray, half_width: np.ndarray, state: np.ndarray | None) -> np.ndarray:
@@ -60,18 +60,58 @@ def test_play_walks_corners_where_there_are_few_and_doubles_where_there_are_many
     assert np.max(np.abs(slow - quick)) < 0.02
 
 
-@pytest.mark.parametrize("uneven", [False, True])
+CLOCKS = pytest.mark.parametrize("uneven", [False, True])
+
+
+def clock(uneven: bool) -> np.ndarray:
+    steps = np.random.default_rng(0).uniform(0.005, 0.015, 500)
+    return np.cumsum(steps) if uneven else np.arange(500) * 0.01
+
+
+@CLOCKS
 def test_a_lag_settles_as_its_equation_says(uneven):
-    """A unit step has come to 1 - exp(-t / T), on an even clock and on an uneven one."""
-    rng = np.random.default_rng(0)
-    t = np.cumsum(rng.uniform(0.005, 0.015, 500)) if uneven else np.arange(500) * 0.01
-    x = np.ones((500, 1))
-    out, state = lag(t, x, np.array([0.7]), None)
-    assert np.allclose(out, 1.0)
-    x[0] = 0.0
-    out, state = lag(t, x, np.array([0.7]), None)
-    assert np.allclose(out[1:, 0], 1.0 - np.exp(-(t[1:] - t[0]) / 0.7), atol=1e-12)
-    assert state.output == pytest.approx(out[-1])
+    """A straight line is followed by T behind, all but exp(-t / T) of that at once; even where T is shorter than a row."""
+    t = clock(uneven)
+    for constant in (0.7, 0.003):
+        out, state = lag(t, 3.0 * t[:, None] + 1.0, np.array([constant]), None)
+        since = t - t[0]
+        exact = 3.0 * t + 1.0 - 3.0 * constant * -np.expm1(-since / constant)
+        assert np.allclose(out[:, 0], exact, atol=1e-12)
+        assert state.output == pytest.approx(out[-1])
+        assert lag(t, np.ones((500, 1)), np.array([constant]), None)[0] == pytest.approx(np.ones((500, 1)))
+
+
+@CLOCKS
+def test_a_second_order_response_is_that_of_its_equation(uneven):
+    """Of a ramp from rest: the equation solved by hand (Ogata, Modern Control Engineering, 5-3), on either clock."""
+    t, constant, damping = clock(uneven), 0.08, 0.35
+    out, _ = second_order(t, 2.0 * (t - t[0])[:, None] + 1.0, constant, damping, None)
+    since = (t - t[0]) / constant
+    swing = np.sqrt(1.0 - damping**2)
+    free = 2.0 * damping * np.cos(swing * since) + (2.0 * damping**2 - 1.0) / swing * np.sin(swing * since)
+    exact = 1.0 + 2.0 * constant * (since - 2.0 * damping + np.exp(-damping * since) * free)
+    assert np.allclose(out[:, 0], exact, atol=1e-12)
+
+
+@settings(deadline=None)
+@given(signals(), st.floats(0.002, 2.0), st.floats(0.1, 0.98), st.booleans(), st.floats(0.0, 1.0))
+def test_responses_go_on_from_any_row(x, constant, damping, even, where):
+    """A batch cut anywhere gives the same numbers, of a lag and of a second-order response."""
+    steps = np.ones(len(x)) if even else np.random.default_rng(len(x)).uniform(0.5, 1.5, len(x))
+    t = np.cumsum(steps) * 0.01
+    size = 1.0 + np.max(np.abs(x))
+    cut = int(where * len(x))
+    for run in (
+        lambda t, x, state: lag(t, x, np.full(x.shape[1], constant), state),
+        lambda t, x, state: second_order(t, x, constant, damping, state),
+    ):
+        whole, last = run(t, x, None)
+        assert np.array_equal(last.output, whole[-1])
+        if 0 < cut < len(x):
+            first, between = run(t[:cut], x[:cut], None)
+            then, end = run(t[cut:], x[cut:], between)
+            assert np.allclose(np.concatenate([first, then]), whole, atol=1e-9 * size)
+            assert np.allclose(end.output, last.output, atol=1e-9 * size)
 
 
 def test_a_delay_is_the_past():
@@ -106,7 +146,8 @@ def test_a_servo_is_play_when_quick_and_a_lag_without_friction():
     quick = servo(t, x, np.array([0.2]), np.array([1e-6]), none, None)[0]
     assert np.max(np.abs(quick - play(x, np.array([0.2]), None)[0])) < 1e-12
     smooth = servo(t, x, np.zeros(1), np.array([0.3]), none, None)[0]
-    assert np.max(np.abs(smooth - lag(t, x, np.array([0.3]), None)[0])) < 1e-12
+    share = -np.expm1(-0.01 / 0.3)  # of a command that is held, where a lag takes its input for straight
+    assert np.max(np.abs(smooth[1:] - smooth[:-1] - share * (x[1:] - smooth[:-1]))) < 1e-12
     step = np.where(t < 1.0, 0.0, 1.0)[:, None]
     holds, creeps = (servo(t, step, np.array([0.2]), np.array([0.05]), np.array([s]), None)[0] for s in (np.inf, 1.0))
     assert holds[-1] == pytest.approx(0.8)

@@ -12,12 +12,14 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from physics_scenes import JOINTS, belief, proposals
+from physics_scenes import JOINTS, URDF, WRENCH, belief, motion, proposals
 
+from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.body_effects import INERTIA, BaseTilt, Payload
 from galen_hw.physics.compound import READERS, STANDS, compound, meet
-from galen_hw.physics.geometry_effects import JointOffset, JointScale, SensorMounting
+from galen_hw.physics.geometry_effects import JointOffset, JointScale, LinkGeometry, SensorMounting
 from galen_hw.physics.memory_effects import Creep
+from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.rigid import Body
 from galen_hw.physics.scene_wrench import ORIENTATION
 from galen_hw.physics.sensor_effects import CrossTalk, Gain
@@ -243,3 +245,25 @@ def test_a_wrong_arm_accelerates_otherwise_too(effect):
     theta = np.full(len(effect.parameters(scene)), 0.02)
     assert scene.belief.dynamic
     assert np.max(np.abs(effect.change(scene, theta) - effect.change(static, theta))) > 1e-6
+
+
+@pytest.mark.parametrize(("error", "axis"), [("axis_tilt.z", (-1.0, 0.0)), ("axis_tilt.x", (0.0, 1.0))])
+def test_a_turned_axis_is_that_of_the_other_arm_in_motion_too(error, axis):
+    """Weight and inertia of a tool on an arm whose elbow turns about another axis, simulated by pinocchio."""
+    angle, (t, q) = 0.03, motion(np.random.default_rng(4), 400, 20.0, 2)
+    other = f"{axis[0] * np.sin(angle):.15f} {np.cos(angle):.15f} {axis[1] * np.sin(angle):.15f}"
+    head, _, tail = URDF.rpartition('<axis xyz="0 1 0"/>')
+    columns = {"time": t} | {f"joint.{n}.position": q[:, i] for i, n in enumerate(("shoulder", "elbow"))}
+    columns |= {name: np.zeros(len(t)) for name in WRENCH}
+    believed, real = (
+        scene_of(
+            Observations("wrench", columns, None, Belief(robot=UrdfRobot(urdf), tool=belief().tool, dynamic=True)),
+        )
+        for urdf in (URDF, f'{head}<axis xyz="{other}"/>{tail}')
+    )
+    effect, theta = LinkGeometry("elbow", (error,)), np.array([angle])
+    wanted = real.simulated - believed.simulated
+    np.testing.assert_allclose(effect.change(believed, theta), wanted, atol=0.05 * np.max(np.abs(wanted)))
+    slope = effect.columns(believed).values[:, :, 0]
+    assert np.max(np.abs(slope * angle - wanted)) < 0.05 * np.max(np.abs(wanted))
+    assert not effect.change(believed, np.zeros(1)).any()

@@ -11,6 +11,7 @@ from galen_hw.diagnosis.limits import clipped
 from galen_hw.diagnosis.linear import crossed, rests
 from galen_hw.diagnosis.nonlinear import bent, in_place, polished
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
+from galen_hw.diagnosis.regroup import regrouped
 from galen_hw.diagnosis.retiming import load, retime, settle_together
 from galen_hw.diagnosis.score import Score, Scorer, threshold
 from galen_hw.diagnosis.selection import Selection, place_of
@@ -79,6 +80,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
             clipped(bench, scorer, out)
             or split(bench, scorer, out)
             or tightened(bench, scorer, out)
+            or regrouped(bench, scorer, out)
             or one_clock(bench, scorer, out)
             or reclocked(bench, scorer, out)
             or (moved and _exchanged(bench, scorer, out, refused))

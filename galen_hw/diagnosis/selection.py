@@ -23,6 +23,7 @@ class Selection:
         refused: effects that looked significant but did not pass the guard.
         clocked: how often a model, by the families of its effects, was asked for all of its clocks at once.
         tightened: models whose spring was already asked for the tendon that it may be.
+        regrouped: models in which two of the effects were already asked whether others stand for both.
         begun: (n, C) squared errors of the training rows, each left out, before anything was chosen.
     """
 
@@ -34,6 +35,7 @@ class Selection:
     refused: list[tuple[Effect, float]] = field(default_factory=list)
     clocked: Counter[frozenset[object]] = field(default_factory=Counter)
     tightened: set[frozenset[object]] = field(default_factory=set)
+    regrouped: set[frozenset[object]] = field(default_factory=set)
     begun: Array = field(default_factory=lambda: np.empty((0, 0)))
 
     @property

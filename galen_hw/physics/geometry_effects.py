@@ -10,7 +10,7 @@ from galen_hw.physics.effect import Columns, Effect, Parameter, in_all
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.scene_pose import ArmScene
 from galen_hw.physics.scene_wrench import WrenchScene
-from galen_hw.physics.screws import axis_screws, joint_screws
+from galen_hw.physics.screws import axis_moves, joint_screws
 from galen_hw.spatial import Array, rotation_exp
 
 FURTHEST = {"m": 0.05, "rad": 0.5}
@@ -140,24 +140,23 @@ class LinkGeometry(Effect):
         return tuple(Parameter(name, u, furthest=FURTHEST[u]) for name, u in unit.items())
 
     def columns(self, scene: Scene) -> Columns:
-        """The geometry's ports."""
+        """The geometry's ports, and what the arm's motion adds."""
         ports = {port.name: port.values for port in scene.geometry_ports() if port.joint == self.joint}
         if scene.zeroing is not None:
             zero = {port.name: port.values for port in scene.zeroing.geometry_ports() if port.joint == self.joint}
             ports = {name: values - zero[name] for name, values in ports.items()}
-        return in_all([ports[name] for name in self.errors], len(scene.channels))
+        moving = [scene.swept_port(self.joint, name) for name in self.errors]
+        found = [ports[name] + (0.0 if more is None else more) for name, more in zip(self.errors, moving, strict=True)]
+        return in_all(found, len(scene.channels))
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """The product of the exponentials."""
-        return _less_zero(scene, lambda at: self._moved(at, theta))
-
-    def _moved(self, scene: Scene, theta: Array) -> Array | None:
-        found = {name: screws for name, joint, screws in axis_screws(scene) if joint == self.joint}
-        parts = [found[name] for name in self.errors]
-        moves = [sum(t * p[0] for t, p in zip(theta, parts, strict=True))]
-        if len(parts[0]) > 1:
-            moves.append(sum(t * p[1] for t, p in zip(theta, parts, strict=True)))
-        return scene.screw_port(moves)
+        """The product of the exponentials; what the arm's motion adds to the first order."""
+        amounts = dict(zip(self.errors, theta.tolist(), strict=True))
+        out = _less_zero(scene, lambda at: at.screw_port(axis_moves(at, self.joint, amounts)))
+        for name, amount in amounts.items():
+            moving = scene.swept_port(self.joint, name)
+            out = out if out is None or moving is None else out + amount * moving
+        return out
 
 
 @dataclass(frozen=True)

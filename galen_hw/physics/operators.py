@@ -69,14 +69,17 @@ def _along(low: Array, high: Array, start: float, corners: Index) -> Array:
 
 @dataclass(frozen=True)
 class LagState:
-    """Last time (s) and last output of a first-order lag."""
+    """Last time (s), last output and last input of a first-order lag."""
 
     time: float
     output: Array
+    input: Array
 
 
 def lag(time: Array, x: Array, constant: Array, state: LagState | None) -> tuple[Array, LagState]:
-    """First-order lag, exact for inputs held over each step: y += (1 - exp(-dt / T)) (x - y).
+    """First-order lag T dy/dt = x - y, exact for inputs that are straight between the rows, however short T is.
+
+    y_k = p y_(k-1) + (s - p) x_(k-1) + (1 - s) x_k with p = exp(-dt / T), s = (1 - p) T / dt.
 
     Args:
         time: (N,) s.
@@ -85,31 +88,111 @@ def lag(time: Array, x: Array, constant: Array, state: LagState | None) -> tuple
         state: what the last row left; None: the output starts at the first input.
     """
     before = time[0] if state is None else state.time
-    steps = np.diff(np.concatenate([[before], time]))
-    start = x[0] if state is None else state.output
+    steps = np.maximum(np.diff(np.concatenate([[before], time])), 0.0)
+    start, last = (x[0], x[0]) if state is None else (state.output, state.input)
     if len(x) > 2 and np.ptp(steps[1:]) <= EVEN * steps[1]:
-        out = _lag_evenly(steps[:2], x, constant, start)
-        return out, LagState(float(time[-1]), out[-1].copy())
-    share = -np.expm1(-np.maximum(steps, 0.0)[:, None] / constant)
+        out = _lag_evenly(steps[:2], x, constant, start, last)
+        return out, LagState(float(time[-1]), out[-1].copy(), x[-1].copy())
+    kept, earlier, now = _lagging(steps[:, None], constant)
     # y_k = kept y_(k-1) + new, and such steps after one another are such a step: all of them by doubling.
-    kept, new = 1.0 - share, share * x
+    new = earlier * np.concatenate([last[None], x[:-1]]) + now * x
     reach = 1
     while reach < len(x) and np.any(kept[reach:] > FORGOTTEN):
         new[reach:] = kept[reach:] * new[:-reach] + new[reach:]
         kept[reach:] = kept[reach:] * kept[:-reach]
         reach *= 2
     out = kept * start + new
-    return out, LagState(float(time[-1]), out[-1].copy())
+    return out, LagState(float(time[-1]), out[-1].copy(), x[-1].copy())
 
 
-def _lag_evenly(steps: Array, x: Array, constant: Array, start: Array) -> Array:
+def _lagging(steps: Array, constant: Array | float) -> tuple[Array, Array, Array]:
+    """Shares of the last output, of the last input and of this one in the output of a lag after steps (s); they add to one."""
+    ratio = steps / constant
+    gone = -np.expm1(-ratio)
+    straight = np.where(ratio > 0.0, gone / np.where(ratio > 0.0, ratio, 1.0), 1.0)
+    return 1.0 - gone, straight - 1.0 + gone, 1.0 - straight
+
+
+def _lag_evenly(steps: Array, x: Array, constant: Array, start: Array, last: Array) -> Array:
     """The same on an even clock, where it is a digital filter; steps: to the first row and between all others, s."""
-    first, share = -np.expm1(-np.maximum(steps, 0.0)[:, None] / constant)
+    kept, earlier, now = (np.broadcast_to(part, (2, x.shape[1])) for part in _lagging(steps[:, None], constant))
     out = np.empty_like(x, dtype=float)
-    out[0] = start + first * (x[0] - start)
-    for j, b in enumerate(np.broadcast_to(share, x.shape[1:]).tolist()):
-        out[1:, j] = lfilter([b], [1.0, b - 1.0], x[1:, j], zi=[(1.0 - b) * out[0, j]])[0]
+    out[0] = kept[0] * start + earlier[0] * last + now[0] * x[0]
+    for j, (p, a, b) in enumerate(zip(kept[1].tolist(), earlier[1].tolist(), now[1].tolist(), strict=True)):
+        out[1:, j] = lfilter([b, a], [1.0, -p], x[1:, j], zi=[a * x[0, j] + p * out[0, j]])[0]
     return out
+
+
+@dataclass(frozen=True)
+class SecondOrderState:
+    """Last time (s), last output, its rate times the constant, and last input of a second-order response."""
+
+    time: float
+    output: Array
+    rate: Array
+    input: Array
+
+
+def second_order(
+    time: Array, x: Array, constant: float, damping: float, state: SecondOrderState | None
+) -> tuple[Array, SecondOrderState]:
+    """T^2 y'' + 2 z T y' + y = x, exact for inputs that are straight between the rows: a servo, or a filter of two poles.
+
+    Args:
+        time: (N,) s.
+        x: (N, m) inputs.
+        constant: T, s: one over the natural frequency in rad/s.
+        damping: z, below 1.
+        state: what the last row left; None: the output starts at rest at the first input.
+    """
+    before = time[0] if state is None else state.time
+    steps = np.maximum(np.diff(np.concatenate([[before], time])), 0.0) / constant
+    if state is None and len(x) > 2 and np.ptp(steps[1:]) <= EVEN * steps[1]:
+        return _second_order_evenly(time, x, float(steps[1]), damping)
+    output, rate, last = (
+        (x[0], np.zeros(x.shape[1]), x[0]) if state is None else (state.output, state.rate, state.input)
+    )
+    turned = [part.tolist() for part in _turned(steps, damping)]
+    out, quick = np.empty_like(x, dtype=float), np.empty(x.shape[1])
+    for j, (y, r, old) in enumerate(zip(output.tolist(), rate.tolist(), last.tolist(), strict=True)):
+        out[:, j], quick[j] = _swung(turned, steps.tolist(), [old, *x[:, j].tolist()], damping, (y, r))
+    return out, SecondOrderState(float(time[-1]), out[-1].copy(), quick, x[-1].copy())
+
+
+def _swung(
+    turned: list[list[float]], steps: list[float], x: list[float], damping: float, state: tuple[float, float]
+) -> tuple[list[float], float]:
+    """Outputs, and the last rate, row by row; x: the input before the first row, and all others."""
+    (y, r), at = state, []
+    for a, b, c, d, step, old, new in zip(*turned, steps, x[:-1], x[1:], strict=True):
+        if step > 0.0:
+            # What follows a straight line does so by as much behind it as the damping takes.
+            slope = (new - old) / step
+            behind, ahead = y - (old - 2.0 * damping * slope), r - slope
+            y = new - 2.0 * damping * slope + a * behind + b * ahead
+            r = slope + c * behind + d * ahead
+        at.append(y)
+    return at, r
+
+
+def _second_order_evenly(time: Array, x: Array, step: float, damping: float) -> tuple[Array, SecondOrderState]:
+    """The same from rest on an even clock, where it is a digital filter; step: in units of the constant."""
+    a, b, c, d = (float(part[0]) for part in _turned(np.array([step]), damping))
+    # Of this input and the last one: (I - turn) (2 z, -1) over the step is what a straight line's slope leaves.
+    w = ((1.0 - a) * 2.0 * damping + b) / step, (-c * 2.0 * damping - (1.0 - d)) / step
+    (y_new, r_new), (y_old, r_old) = (1.0 - w[0], -w[1]), (w[0] - a, w[1] - c)
+    poles = [1.0, -(a + d), a * d - b * c]
+    moved = x - x[0]
+    out = x[0] + lfilter([y_new, y_old - d * y_new + b * r_new, b * r_old - d * y_old], poles, moved, axis=0)
+    quick = lfilter([r_new, r_old - a * r_new + c * y_new, c * y_old - a * r_old], poles, moved, axis=0)
+    return out, SecondOrderState(float(time[-1]), out[-1].copy(), quick[-1], x[-1].copy())
+
+
+def _turned(steps: Array, damping: float) -> tuple[Array, Array, Array, Array]:
+    """The four elements (N,) of what (y, T y') becomes over steps (N,) in units of the constant, without input."""
+    swing = np.sqrt(1.0 - damping**2)
+    fade, cosine, sine = np.exp(-damping * steps), np.cos(swing * steps), np.sin(swing * steps) / swing
+    return fade * (cosine + damping * sine), fade * sine, -fade * sine, fade * (cosine - damping * sine)
 
 
 @dataclass(frozen=True)

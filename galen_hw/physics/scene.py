@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.operators import LagState, ServoState, delay, lag, play, servo
+from galen_hw.physics.operators import LagState, ServoState, delay, lag, play, second_order, servo
 from galen_hw.physics.ports import Carried, Port
 from galen_hw.physics.smoothing import derivatives, ends
 from galen_hw.spatial import Array
@@ -317,6 +317,10 @@ class Scene:
         """(N, C) answer to the sensor's frame moved by exp(s_1) exp(s_2) ..., screws [v, w] (N, 6) in the base, exactly."""
         return None
 
+    def swept_port(self, joint: str, error: str) -> Array | None:
+        """(N, C) what the arm's motion adds to a geometry port, per rad or m; None where it adds nothing."""
+        return None
+
     def tip_force_port(self) -> Array | None:
         """(N, C, 3) answer to an outside force on the tip, base frame, per N."""
         return None
@@ -370,12 +374,18 @@ class Scene:
 
         def run(part: slice, state: Any) -> tuple[Array, LagState]:
             if state is not None and not isinstance(state, LagState):
-                state = LagState(float(self.time[part][0]), state)
+                state = LagState(float(self.time[part][0]), state, x[part][0])
             return lag(self.time[part], x[part], c, state)
 
         # Behind a gap nobody knows; it had time to settle.
         start = [np.zeros(x.shape[1:]), *(None for _ in self.segments[1:])] if empty else None
         return self._carried(name, x, run, start)
+
+    def second_order(self, name: Any, x: Array, constant: float, damping: float) -> Array:
+        """Second-order response of (N, m) inputs over the clock, see `operators.second_order`."""
+        return self._carried(
+            name, x, lambda part, state: second_order(self.time[part], x[part], constant, damping, state)
+        )
 
     def servo(
         self, name: Any, command: Array, band: Any, constant: Any, settling: Any, start: Array | None = None

@@ -66,7 +66,7 @@ class GivingScene(PoseScene):
         return out
 
     def lag(self, name: Any, x: Array, constant: Any, *, empty: bool = False) -> Array:
-        """As `operators.lag`, a column at a time in plain floats."""
+        """As `operators.lag` of inputs held over each step, as in the live service; a column at a time in plain floats."""
         if empty:
             return super().lag(name, x, constant, empty=True)
         out, constants = np.empty_like(x), np.broadcast_to(np.asarray(constant, dtype=float), x.shape[1:])

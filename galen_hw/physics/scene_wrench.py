@@ -13,11 +13,15 @@ from galen_hw.physics.observations import Observations
 from galen_hw.physics.ports import Port
 from galen_hw.physics.rigid import Body, gravity_in_sensor, inertial_wrench, predicted_wrench, weight_map
 from galen_hw.physics.scene import Memory, Scene, once
-from galen_hw.physics.screws import axis_screws, joint_screws
+from galen_hw.physics.screws import axis_moves, axis_screws, exponential, forget, joint_screws
 from galen_hw.spatial import Array, rotation_exp, rotation_from_quaternion, skew, transform
 
 WRENCH = tuple(f"wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz")
 ORIENTATION = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
+MOMENT = 1e-3
+"""s; what an arm does in it is second order to 1e-6, and rounding of its second difference is 1e-10 of its reach."""
+SMALL = 1e-4
+"""rad or m."""
 
 
 class WrenchScene(Scene):
@@ -221,6 +225,40 @@ class WrenchScene(Scene):
             turned = np.einsum("nji,nj->ni", rotation_exp(screw[:, 3:]), turned)
         return np.asarray(np.einsum("nji,nj->ni", self.R, turned - g) @ self.weight.T)
 
+    @cached_property
+    def along(self) -> "tuple[Self, Self] | None":
+        """The arm `MOMENT` earlier and later on its way, for what its motion adds; None where the baseline has weight alone."""
+        if not self._uses_rates():
+            return None
+        dq, ddq = self.rates
+        earlier, later = (
+            self._otherwise(q=self.q + sign * MOMENT * dq + 0.5 * MOMENT**2 * ddq) for sign in (-1.0, 1.0)
+        )
+        for one in (earlier, later):
+            forget(one)
+        return earlier, later
+
+    @once
+    def swept_port(self, joint: str, error: str) -> Array | None:
+        """Central difference of the tool's inertia on an arm whose axes are elsewhere."""
+        if self.along is None:
+            return None
+        earlier, later = self.along
+        ends = []
+        for amount in (SMALL, -SMALL):
+            moves = [axis_moves(at, joint, {error: amount}) for at in (earlier, self, later)]
+            ends.append(inertial_wrench(self._passing(*moves), *self._bodies))
+        return np.asarray((ends[0] - ends[1]) / (2.0 * SMALL))
+
+    def _passing(self, *screws: list[Array]) -> Motion:
+        """How the moved sensor moves: by where it is and was and will be (central differences of its path)."""
+        assert self.along is not None, "asked only where there is a way"
+        ends = (self.along[0], self, self.along[1])
+        was, now, then = (_displaced(moves, at.T) for moves, at in zip(screws, ends, strict=True))
+        back, on = (_between(now, other) / MOMENT for other in (was, then))
+        acceleration = (was[:, :3, 3] - 2.0 * now[:, :3, 3] + then[:, :3, 3]) / MOMENT**2
+        return Motion(now, acceleration, 0.5 * (on - back), (on + back) / MOMENT)
+
     @once
     def geometry_ports(self) -> list[Port]:
         """Axes that do not point where the model says."""
@@ -246,6 +284,21 @@ class WrenchScene(Scene):
         """R^T on the force, tip x R^T on the torque."""
         Rt = np.swapaxes(self.R, 1, 2)
         return np.concatenate([Rt, skew(self.belief.tip) @ Rt], axis=1)
+
+
+def _displaced(screws: list[Array], T: Array) -> Array:
+    """Poses (N, 4, 4) moved by screws (N, 6) applied one after the other, the last one first."""
+    for screw in reversed(screws):
+        T = exponential(screw) @ T
+    return T
+
+
+def _between(T: Array, other: Array) -> Array:
+    """(N, 3) rotation vector, in base axes, of a small turn from one pose to the other."""
+    turn = other[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)
+    return 0.5 * np.stack(
+        [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], 1
+    )
 
 
 def _inertia_map(w: Array) -> Array:

@@ -43,6 +43,12 @@ def joint_screws(scene: Any, joint: str) -> Array | None:
     return np.asarray(cache["all"][:, :, robot.joint_names.index(joint)])
 
 
+def forget(scene: Any) -> None:
+    """The screws of a scene whose arm stands otherwise than that of which it is a copy."""
+    for name in ("_joint_screws", "_axis_screws"):
+        scene.__dict__.pop(name, None)
+
+
 def frames(scene: Any) -> list[tuple[str, Array, Array]]:
     """Revolute joints: name, frame (N, 4, 4) just before the joint turns, axis (3,) in that frame."""
     robot = scene.belief.robot
@@ -86,6 +92,13 @@ def axis_screws(scene: Any) -> list[tuple[str, str, list[Array]]]:
     if "all" not in known:
         known["all"] = _delta_screws(scene) + _axes(scene)
     return list(known["all"])
+
+
+def axis_moves(scene: Any, joint: str, amounts: dict[str, float]) -> list[Array]:
+    """Screws (N, 6), one after the other, of errors of one joint's links and axes by so much each, rad or m."""
+    found = {name: screws for name, at, screws in axis_screws(scene) if at == joint}
+    parts = [[amount * screw for screw in found[name]] for name, amount in amounts.items()]
+    return [np.sum(together, axis=0) for together in zip(*parts, strict=True)]
 
 
 def _axes(scene: Any) -> list[tuple[str, str, list[Array]]]:

@@ -79,9 +79,15 @@ class TimeDelay(Timing):
         return scene.delay("delay", x, float(theta[0]))
 
 
+DAMPINGS = (0.35, 0.7)
+"""Of a servo that rings, and of the usual filter."""
+
+
 @dataclass(frozen=True)
 class Lag(Timing):
     """A first-order response: T dy/dt = w - y; y - w is `share` times that (1 for a plain first order).
+
+    With `damping` z one of second order: T^2 y'' + 2 z T y' + y = w, of a servo or a filter of two poles (0.71: Butterworth).
 
     `joint` restricts it to one joint; `whole`: the share is 1, for beside a delay it is hardly told from a shorter constant and
     runs away. Visible where the channels move quickly; nested with time_delay, to which it is the same for slow motion: a
@@ -91,26 +97,29 @@ class Lag(Timing):
     KEY = "lag"
     BEHIND = ("time_delay",)
     """s + D (L s - s) + (D s - s) = D L s: a late clock delivers what the filter gives."""
-    SEARCHED: ClassVar = {"constant": Searched(1e-4, 1e3, "s")}
+    SEARCHED: ClassVar = {"constant": Searched(1e-4, 1e3, "s"), "damping": Searched(0.1, 0.98, "1")}
     constant: float
     joint: str = ""
     shortest: float = 0.0
     whole: bool = False
+    damping: float | None = None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """From half a sample to seconds."""
+        """From half a sample to seconds; of second order for the whole stream alone."""
         if not scene.clock or not np.any(scene.simulated_rate):
             return
         shortest = 0.5 * spacing(scene)
         for constant in log_grid(shortest, max(1.0, 4.0 * shortest), 9):
             yield cls(constant, "", shortest)
+            yield from (cls(constant, "", shortest, damping=damping) for damping in DAMPINGS)
             if scene.observations.predict == "position" and len(scene.channels) > 1:
                 yield from (cls(constant, joint_of(name), shortest) for name in scene.channels)
 
     def with_searched(self, values: Mapping[str, float]) -> Self:
-        """Another constant, not below the shortest that can be told from a delay."""
-        return replace(self, constant=max(values["constant"], self.shortest))
+        """Another constant, not below the shortest that can be told from a delay, or damping."""
+        constant = max(values.get("constant", self.constant), self.shortest)
+        return replace(self, constant=constant, damping=values.get("damping", self.damping))
 
     def unlimited(self) -> Self:
         """Any constant: a filter quicker than half a sample is a delay to this recording, but it may be there."""
@@ -141,6 +150,8 @@ class Lag(Timing):
         return x + float(theta[0]) * (self._lagged(scene, x) - x)
 
     def _lagged(self, scene: Scene, x: Array) -> Array:
+        if self.damping is not None:
+            return scene.second_order("lag", x, self.constant, self.damping)
         return scene.lag("lag", x, self.constant)
 
 

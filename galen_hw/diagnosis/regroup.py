@@ -1,0 +1,113 @@
+"""Two errors of geometry or load exchanged at once for one or two others: single exchanges pass through nothing in between."""
+
+from itertools import combinations
+
+import numpy as np
+
+from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.linear import crossed
+from galen_hw.diagnosis.nonlinear import settle
+from galen_hw.diagnosis.plainness import ALIKE, slack
+from galen_hw.diagnosis.score import Score, Scorer
+from galen_hw.diagnosis.selection import Selection, place_of
+from galen_hw.diagnosis.worth import plausible
+
+RIGID = ("base_tilt", "joint_offset", "joint_scale", "link_geometry", "payload", "sensor_mounting")
+"""Constants of the arm and its load, which stand for each other in twos and threes: an axis that is turned is the joint
+before it with another zero, and the sensor turned back."""
+FIRSTS = 4
+"""Kinds that are tried as the first of the others."""
+LEAST_PART = 0.1
+"""Share of the gain of the two that the first of the others must have by itself."""
+CERTAIN = 6.0
+"""Log likelihood ratio, beyond the prices, by which others that are no fewer must be better."""
+
+
+def regrouped(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Whether two rigid errors gave way to others that do as much with fewer numbers, or more.
+
+    Forward search takes what is best alone. Of an axis turned about one direction beside a joint's zero that is a turned sensor
+    with three numbers, and then the zero of the wrong joint: no single exchange is better, and each is the other's reason.
+    """
+    rigid = [i for i in out.chosen if (effect := scorer.library[i].effect) is not None and effect.KEY in RIGID]
+    for pair in combinations(rigid, 2):
+        tried = frozenset((scorer.library[i].family, i in pair) for i in out.chosen)
+        if tried in out.regrouped:
+            continue
+        out.regrouped.add(tried)
+        others = [i for i in out.chosen if i not in pair]
+        bends = sum((b for i in pair if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
+        with scorer.against(bench.y + bends):
+            scores = scorer.scores(others)[0]
+            price = {i: scores[i].gain - scores[i].rank for i in scores}
+            if not all(i in scores for i in pair):
+                continue
+            whole = scorer.solve(others)[2] - scorer.solve([*others, *pair])[2]
+            chains = [
+                _chain(scorer, others, first, scores, out.needed)
+                for first in _firsts(scorer, others, pair, scores, whole)
+            ]
+        own = sum(price[i] for i in pair)
+        ranked = sorted(((gain - sum(price[i] for i in chain), chain) for gain, chain in chains if chain), reverse=True)
+        if ranked and ranked[0][0] > whole - own and _taken(bench, scorer, out, pair, ranked[0][1], price):
+            return True
+    return False
+
+
+def _firsts(
+    scorer: Scorer, others: list[int], pair: tuple[int, ...], scores: dict[int, Score], whole: float
+) -> list[int]:
+    """The best of each kind of rigid error and place that could be the first of the others."""
+    away = {place_of(scorer.library[i].effect) for i in others}
+    best: dict[object, int] = {}
+    for i in sorted(scores, key=lambda i: -scores[i].rank):
+        effect = scorer.library[i].effect
+        if effect is None or effect.KEY not in RIGID or scores[i].gain < LEAST_PART * whole:
+            continue
+        if scorer.library[i].theta is None and i not in pair and place_of(effect) not in away:
+            best.setdefault(effect.family, i)
+    return list(best.values())[:FIRSTS]
+
+
+def _chain(
+    scorer: Scorer, others: list[int], first: int, able: dict[int, Score], needed: float
+) -> tuple[float, list[int]]:
+    """The first and, where it adds anything, the best rigid error beside it; what both take."""
+    model, none = [*others, first], scorer.solve(others)[2]
+    away = {place_of(scorer.library[i].effect) for i in model}
+    scores = scorer.scores(model, [i for i in able if _rigid(scorer, i) and scorer.library[i].theta is None])[0]
+    follow = [i for i in scores if place_of(scorer.library[i].effect) not in away]
+    second = max(follow, key=lambda i: scores[i].rank, default=None)
+    chain = (
+        [first]
+        if second is None or scores[second].rank <= 0.0 or scores[second].surprise <= needed
+        else [first, second]
+    )
+    return none - scorer.solve([*others, *chain])[2], chain
+
+
+def _rigid(scorer: Scorer, i: int) -> bool:
+    effect = scorer.library[i].effect
+    return effect is not None and effect.KEY in RIGID
+
+
+def _taken(
+    bench: Bench, scorer: Scorer, out: Selection, pair: tuple[int, ...], chain: list[int], price: dict[int, float]
+) -> bool:
+    """Whether the others, at their optimum, were better and were taken."""
+    before, y = scorer.solve(out.chosen)[2], bench.y
+    errors, misfit = crossed(bench, scorer, out.chosen), scorer.misfit(out.chosen)
+    trial = [*(i for i in out.chosen if i not in pair), *chain]
+    kept = len(trial) - len(chain)
+    settle(bench, scorer, trial)
+    saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
+    fall = before - scorer.solve(trial)[2]
+    fewer = saved > 0.0 and len(chain) <= len(pair)
+    margin = (0.0 if fewer else CERTAIN) + slack(misfit) * abs(fall)
+    real = all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in trial[kept:])
+    if real and fall + saved > margin and float(np.mean(crossed(bench, scorer, trial) / errors)) <= 1.0 + ALIKE:
+        out.chosen = trial
+        return True
+    bench.y = y
+    scorer.retarget(y)
+    return False
