@@ -1,13 +1,14 @@
 """Two errors of geometry or load exchanged at once for one or two others: single exchanges pass through nothing in between."""
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.linear import crossed
-from galen_hw.diagnosis.nonlinear import settle
 from galen_hw.diagnosis.plainness import ALIKE, slack
+from galen_hw.diagnosis.retiming import settle_together
 from galen_hw.diagnosis.score import Score, Scorer
 from galen_hw.diagnosis.selection import Selection, place_of
 from galen_hw.diagnosis.worth import plausible
@@ -19,6 +20,9 @@ FIRSTS = 4
 """Kinds that are tried as the first of the others."""
 LEAST_PART = 0.1
 """Share of the gain of the two that the first of the others must have by itself."""
+NEARLY = 0.01
+"""Share of what the two take within which others are tried: by their slopes alone, they do not yet do what they do."""
+TRIALS = 2
 CERTAIN = 6.0
 """Log likelihood ratio, beyond the prices, by which others that are no fewer must be better."""
 
@@ -47,11 +51,51 @@ def regrouped(bench: Bench, scorer: Scorer, out: Selection) -> bool:
                 _chain(scorer, others, first, scores, out.needed)
                 for first in _firsts(scorer, others, pair, scores, whole)
             ]
-        own = sum(price[i] for i in pair)
-        ranked = sorted(((gain - sum(price[i] for i in chain), chain) for gain, chain in chains if chain), reverse=True)
-        if ranked and ranked[0][0] > whole - own and _taken(bench, scorer, out, pair, ranked[0][1], price):
-            return True
+        least = whole * (1.0 - NEARLY) - sum(price[i] for i in pair)
+        for chain in _best(scorer, pair, chains, price, least):
+            if _taken(bench, scorer, out, pair, chain, price):
+                return True
+    return _counted_otherwise(bench, scorer, out)
+
+
+def _counted_otherwise(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Whether an effect counted from another zero did without one that only made up for the difference.
+
+    What settles after a load is less at first than in the end: told as what is missing at first, it wants a heavier load.
+    """
+    for i in list(out.chosen):
+        h = scorer.library[i]
+        other = None if h.effect is None else h.effect.otherwise()
+        lasting = [j for j in out.chosen if j != i and (e := scorer.library[j].effect) is not None and not e.EPISODIC]
+        tried = frozenset((scorer.library[j].family, j == i) for j in out.chosen)
+        if other is None or not lasting or tried in out.regrouped:
+            continue
+        out.regrouped.add(tried)
+        scorer.append([bench.add(other, h.looked)])
+        instead = len(scorer.library) - 1
+        for j in lasting:
+            scores = scorer.scores([k for k in out.chosen if k not in (i, j)], [i, j, instead])[0]
+            price = {k: score.gain - score.rank for k, score in scores.items()}
+            if len(price) == 3 and _taken(bench, scorer, out, (i, j), [instead], price):
+                return True
     return False
+
+
+def _best(
+    scorer: Scorer, pair: tuple[int, ...], chains: list[tuple[float, list[int]]], price: dict[int, float], least: float
+) -> list[list[int]]:
+    """Chains of which the gain less the price comes near to that of the pair, the best of other kinds than the pair's."""
+    ranked = sorted(((gain - sum(price[i] for i in chain), chain) for gain, chain in chains), reverse=True)
+    found: dict[frozenset[object], list[int]] = {_kinds(scorer, pair): []}
+    for rank, chain in ranked:
+        if rank > least:
+            found.setdefault(_kinds(scorer, chain), chain)
+    return [chain for chain in found.values() if chain][:TRIALS]
+
+
+def _kinds(scorer: Scorer, which: Sequence[int]) -> frozenset[object]:
+    """What they are, and where; a small body at another point is the same."""
+    return frozenset(place_of(scorer.library[i].effect) for i in which)
 
 
 def _firsts(
@@ -65,7 +109,7 @@ def _firsts(
         if effect is None or effect.KEY not in RIGID or scores[i].gain < LEAST_PART * whole:
             continue
         if scorer.library[i].theta is None and i not in pair and place_of(effect) not in away:
-            best.setdefault(effect.family, i)
+            best.setdefault(place_of(effect), i)
     return list(best.values())[:FIRSTS]
 
 
@@ -95,11 +139,11 @@ def _taken(
     bench: Bench, scorer: Scorer, out: Selection, pair: tuple[int, ...], chain: list[int], price: dict[int, float]
 ) -> bool:
     """Whether the others, at their optimum, were better and were taken."""
-    before, y = scorer.solve(out.chosen)[2], bench.y
+    before, y, company = scorer.solve(out.chosen)[2], bench.y, bench.company
     errors, misfit = crossed(bench, scorer, out.chosen), scorer.misfit(out.chosen)
     trial = [*(i for i in out.chosen if i not in pair), *chain]
     kept = len(trial) - len(chain)
-    settle(bench, scorer, trial)
+    settle_together(bench, scorer, trial)
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
     fall = before - scorer.solve(trial)[2]
     fewer = saved > 0.0 and len(chain) <= len(pair)
@@ -108,6 +152,6 @@ def _taken(
     if real and fall + saved > margin and float(np.mean(crossed(bench, scorer, trial) / errors)) <= 1.0 + ALIKE:
         out.chosen = trial
         return True
-    bench.y = y
+    bench.y, bench.company = y, company
     scorer.retarget(y)
     return False

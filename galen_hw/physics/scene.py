@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.operators import LagState, ServoState, delay, lag, play, second_order, servo
 from galen_hw.physics.ports import Carried, Port
+from galen_hw.physics.screws import forget
 from galen_hw.physics.smoothing import derivatives, ends
 from galen_hw.spatial import Array
 
@@ -137,6 +138,8 @@ class Scene:
             del vars(one)[name]
         vars(one).pop("_once", None)
         vars(one).update(kept | values)
+        if "q" in values:
+            forget(one)
         return one
 
     def row(self, k: int, memory: Memory) -> Self:

@@ -13,7 +13,7 @@ from galen_hw.physics.observations import Observations
 from galen_hw.physics.ports import Port
 from galen_hw.physics.rigid import Body, gravity_in_sensor, inertial_wrench, predicted_wrench, weight_map
 from galen_hw.physics.scene import Memory, Scene, once
-from galen_hw.physics.screws import axis_moves, axis_screws, exponential, forget, joint_screws
+from galen_hw.physics.screws import axis_moves, axis_screws, exponential, joint_screws
 from galen_hw.spatial import Array, rotation_exp, rotation_from_quaternion, skew, transform
 
 WRENCH = tuple(f"wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz")
@@ -234,8 +234,6 @@ class WrenchScene(Scene):
         earlier, later = (
             self._otherwise(q=self.q + sign * MOMENT * dq + 0.5 * MOMENT**2 * ddq) for sign in (-1.0, 1.0)
         )
-        for one in (earlier, later):
-            forget(one)
         return earlier, later
 
     @once
