@@ -5,7 +5,7 @@ servo on a bus, it takes one that is as late as both; beside that the other is w
 about the shape goes to whatever bends. Where joints answer one by one, each with clocks of its own, no single exchange helps.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -23,7 +23,7 @@ from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.worth import taken
 from galen_hw.physics.effect import Columns, Effect, log_grid, spacing
 from galen_hw.physics.joint_effects import Friction
-from galen_hw.physics.time_effects import Lag, TimeDelay, Timing
+from galen_hw.physics.time_effects import DAMPINGS, Lag, TimeDelay, Timing
 from galen_hw.spatial import Array
 
 MARGIN = 6.0
@@ -34,6 +34,8 @@ CONSTANTS = 6
 """Lags between half a sample and all of what is late that are tried with the delay that suits each."""
 FINE = 0.02
 """Share of what is late to which a clock is sought."""
+FINEST = 2e-4
+"""The same of a constant and a damping, which then stand as they were found."""
 STRIDE = 0.2
 """The same, of the first steps from there to the optimum."""
 LN2 = float(np.log(2.0))
@@ -57,12 +59,13 @@ def reclocked(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     # Friction of a servo has the servo's lag in it: it goes where that goes.
     within = [e for i in out.chosen if (e := scorer.library[i].effect) is not None and "lag" in e.contains]
     others = [i for i in out.chosen if i not in old and scorer.library[i].effect not in within]
+    swings = any("damping" in e.searched() for i in old if (e := scorer.library[i].effect) is not None)
     none = bench.y + sum((b for i in old if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
     with scorer.against(none):
         beside = Beside(bench, scorer, others)
     for ends in ([e for e in proposed if not e.joint], [e for e in proposed if e.joint]):
         mine = [tuple(one for one in within if e.joint in ("", *one.joints)) for e in ends]
-        searches = [_Search(bench, beside, e, some) for e, some in zip(ends, mine, strict=True)]
+        searches = [_Search(bench, beside, e, some, swings) for e, some in zip(ends, mine, strict=True)]
         clocks = [clock for search in searches for clock in search.best()]
         instead = {one: other for search in searches for one, other in search.instead.items()}
         if clocks and _exchanged(bench, scorer, out, old, clocks, instead):
@@ -108,13 +111,14 @@ class _Search:
     """For the best of nothing, a delay, a lag, and a delay of what lags, where `delay` acts, beside other effects.
 
     With friction `within` the lag: of servos that have the lag's constant, and are as late; beside the best of clocks these
-    stand `instead` of them.
+    stand `instead` of them. `swings`: a lag of second order is in the model already.
     """
 
     bench: Bench
     beside: Beside
     delay: TimeDelay
     within: tuple[Effect, ...]
+    swings: bool
 
     def __post_init__(self) -> None:
         self.places = self.delay.places(self.bench.stream)
@@ -138,7 +142,19 @@ class _Search:
             ways.append((self._gain(0.0, constant) - self.price, [(lag, constant)]))
             most, late = self._latest(constant, (0.0, all_late))
             ways.append((most - 2.0 * self.price - MARGIN, [(self.delay, late), (lag, constant)]))
-        return self._refined(max(ways, key=lambda way: way[0])[1], all_late)
+        clocks = self._refined(max(ways, key=lambda way: way[0])[1], all_late)
+        # What is late as one of second order is looks like both together; friction within has a lag of the first.
+        if self.within or not (self.swings or (clocks and isinstance(clocks[-1][0], Lag))):
+            return clocks
+        swinging = self._swinging(shortest, all_late)
+        return max((clocks, swinging), key=self._worth)
+
+    def _worth(self, clocks: Clocks) -> float:
+        """Gain less the price of delay, lag or swing alone."""
+        late = sum(size for end, size in clocks if isinstance(end, TimeDelay))
+        lag = next((end for end, _ in clocks if isinstance(end, Lag)), None)
+        gain = self._gain(late, 0.0 if lag is None else lag.constant, damping=None if lag is None else lag.damping)
+        return gain - self.price * _numbers([end for end, _ in clocks])
 
     def _refined(self, clocks: Clocks, all_late: float) -> Clocks:
         """The same with a lag, the delay with it, and the bands of friction within it at their common optimum."""
@@ -166,6 +182,24 @@ class _Search:
         late, constant, _ = best
         return [*((end, late) for end, _ in delays), (replace(lag, constant=constant), constant)]
 
+    def _swinging(self, shortest: float, all_late: float) -> Clocks:
+        """The best lag of second order: damping and constant make up for each other, and are sought together."""
+        bound = Lag.SEARCHED["damping"]
+        starts = [np.log([0.5 * all_late / damping, damping]) for damping in DAMPINGS]
+
+        def cost(at: Array) -> float:
+            constant, damping = np.exp(at).tolist()
+            return -self._gain(0.0, constant, damping=damping)
+
+        begun = min(starts, key=cost)
+        limits = [
+            (np.log(shortest), np.log(max(8.0 * all_late, 2.0 * shortest))),
+            (np.log(bound.low), np.log(bound.high)),
+        ]
+        begun = np.clip(begun, *np.transpose(limits))
+        constant, damping = np.exp(_lowest(cost, begun, limits, FINEST)[0]).tolist()
+        return [(Lag(constant, self.delay.joint, shortest, whole=True, damping=damping), constant)]
+
     def _latest(self, constant: float, bounds: tuple[float, float]) -> tuple[float, float]:
         """The most that a delay of what lags with this constant (s) takes, and the delay, s."""
         options = {"xatol": FINE * (bounds[1] - bounds[0])}
@@ -174,17 +208,26 @@ class _Search:
         )
         return -float(found.fun), float(found.x)
 
-    def _gain(self, late: float, constant: float, wide: float = 1.0, within: tuple[Effect, ...] | None = None) -> float:
+    def _gain(
+        self,
+        late: float,
+        constant: float,
+        wide: float = 1.0,
+        within: tuple[Effect, ...] | None = None,
+        damping: float | None = None,
+    ) -> float:
         """Fall of the whitened sum of squares with a delay and a lag, s, and bands of friction so many times as wide."""
-        lagged = self._lagged(constant, wide, self.within if within is None else within)
+        lagged = self._lagged(constant, wide, self.within if within is None else within, damping)
         y = self.bench.stream.delay("delay", lagged, late) - self.simulated
         return self.beside.whole(self.bench.made(None, self.bench.averaged(Columns(self.places, y[:, :, None]))))
 
-    def _lagged(self, constant: float, wide: float, within: tuple[Effect, ...]) -> Array:
+    def _lagged(self, constant: float, wide: float, within: tuple[Effect, ...], damping: float | None) -> Array:
         """(N, m) what servos with this constant (s) make of the simulated; kept, for it comes again with other delays."""
+        x, stream = self.simulated, self.bench.stream
+        if damping is not None:
+            return stream.second_order("lag", x, constant, damping)
         key = (constant, wide, within)
         if key not in self.behind:
-            x, stream = self.simulated, self.bench.stream
             y = stream.lag("lag", x, constant) if constant > 0.0 else x
             for one in within:
                 stands = _with_lag(one, constant, wide).columns(self.bench.scene)
@@ -199,10 +242,12 @@ class _Search:
         return float(r[0] / A[0, 0]) if A[0, 0] > 0.0 else 0.0
 
 
-def _lowest(cost: Callable[[Array], float], begun: Array, limits: list[tuple[float, float]]) -> tuple[Array, float]:
+def _lowest(
+    cost: Callable[[Array], float], begun: Array, limits: list[tuple[float, float]], fine: float = FINE
+) -> tuple[Array, float]:
     """Where a cost of a few values is lowest, and how low; by simplices, for a servo that sticks has corners."""
     simplex = begun + np.vstack([np.zeros_like(begun), STRIDE * np.eye(len(begun))])
-    options = {"xatol": FINE, "fatol": 1.0, "initial_simplex": simplex}
+    options = {"xatol": fine, "fatol": 1.0, "initial_simplex": simplex}
     found = minimize(cost, begun, method="Nelder-Mead", bounds=limits, options=options)
     return found.x, float(found.fun)
 
@@ -233,7 +278,8 @@ def _exchanged(
         settle(bench, scorer, trial, anew=True)
     finally:
         bench.timing = timing  # the search brings all columns to the clocks that it finds chosen
-    price = (len(clocks) - len(old)) * float(np.log(bench.noise.effective))
+    gone = [one for i in old if (one := scorer.library[i].effect) is not None]
+    price = (_numbers([one for one, _ in clocks]) - _numbers(gone)) * float(np.log(bench.noise.effective))
     fall = before - scorer.solve(trial)[2] - price
     if fall > MARGIN and _richer(bench, errors, crossed(bench, scorer, trial)):
         out.chosen = trial
@@ -241,6 +287,11 @@ def _exchanged(
     bench.y = y
     scorer.retarget(y)
     return False
+
+
+def _numbers(effects: Sequence[Effect]) -> int:
+    """Delays, constants and dampings."""
+    return sum(max(len(effect.searched()), 1) for effect in effects)
 
 
 def _in_place_of(bench: Bench, h: Hypothesis, instead: dict[Effect, Effect]) -> Hypothesis:

@@ -22,6 +22,8 @@ LEAST_PART = 0.1
 """Share of the gain of the two that the first of the others must have by itself."""
 NEARLY = 0.01
 """Share of what the two take within which others are tried: by their slopes alone, they do not yet do what they do."""
+CHEAPER = 1.0
+"""In rank, from which one is: rounding is none."""
 TRIALS = 2
 CERTAIN = 6.0
 """Log likelihood ratio, beyond the prices, by which others that are no fewer must be better."""
@@ -51,8 +53,7 @@ def regrouped(bench: Bench, scorer: Scorer, out: Selection) -> bool:
                 _chain(scorer, others, first, scores, out.needed)
                 for first in _firsts(scorer, others, pair, scores, whole)
             ]
-        least = whole * (1.0 - NEARLY) - sum(price[i] for i in pair)
-        for chain in _best(scorer, pair, chains, price, least):
+        for chain in _best(scorer, pair, chains, price, whole):
             if _taken(bench, scorer, out, pair, chain, price):
                 return True
     return _counted_otherwise(bench, scorer, out)
@@ -82,13 +83,15 @@ def _counted_otherwise(bench: Bench, scorer: Scorer, out: Selection) -> bool:
 
 
 def _best(
-    scorer: Scorer, pair: tuple[int, ...], chains: list[tuple[float, list[int]]], price: dict[int, float], least: float
+    scorer: Scorer, pair: tuple[int, ...], chains: list[tuple[float, list[int]]], price: dict[int, float], whole: float
 ) -> list[list[int]]:
-    """Chains of which the gain less the price comes near to that of the pair, the best of other kinds than the pair's."""
+    """The best chains of other kinds than the pair: better than that, or cheaper and nearly as good."""
+    own = sum(price[i] for i in pair)
     ranked = sorted(((gain - sum(price[i] for i in chain), chain) for gain, chain in chains), reverse=True)
     found: dict[frozenset[object], list[int]] = {_kinds(scorer, pair): []}
     for rank, chain in ranked:
-        if rank > least:
+        cheaper = sum(price[i] for i in chain) < own - CHEAPER
+        if rank > whole - own - cheaper * NEARLY * whole:
             found.setdefault(_kinds(scorer, chain), chain)
     return [chain for chain in found.values() if chain][:TRIALS]
 
@@ -146,7 +149,7 @@ def _taken(
     settle_together(bench, scorer, trial)
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
     fall = before - scorer.solve(trial)[2]
-    fewer = saved > 0.0 and len(chain) <= len(pair)
+    fewer = saved > CHEAPER and len(chain) <= len(pair)
     margin = (0.0 if fewer else CERTAIN) + slack(misfit) * abs(fall)
     real = all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in trial[kept:])
     if real and fall + saved > margin and float(np.mean(crossed(bench, scorer, trial) / errors)) <= 1.0 + ALIKE:

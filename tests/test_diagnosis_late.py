@@ -1,0 +1,44 @@
+"""Streams that answer late: filters of one pole and of two are told from delays, with the constants of continuous time."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from diagnosis_cases import Bench, lagged
+
+from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.physics.table import scene_of
+
+
+def late(constant: float, damping: float | None) -> Work:
+    """Two runs whose whole wrench answers so, 20 rows a second."""
+    runs = [Bench(seed, rows=4000) for seed in (5, 6)]
+    for run in runs:
+        run.wrench = np.stack([_answered(run.t, x, constant, damping) for x in run.wrench.T], axis=1)
+    learnt, other = (scene_of(run.observations()) for run in runs)
+    return diagnose(learnt, holdout=other)
+
+
+def _answered(t: np.ndarray, x: np.ndarray, constant: float, damping: float | None) -> np.ndarray:
+    if damping is None:
+        return lagged(t, x, constant)
+    system = [1.0], [constant**2, 2.0 * damping * constant, 1.0]
+    return x[0] + lsim(system, x - x[0], t - t[0])[1]
+
+
+@pytest.mark.parametrize(("constant", "damping"), [(0.06, None), (0.35, 0.4), (0.2, 0.71)])
+def test_a_filter_is_a_lag_of_its_order(constant: float, damping: float | None) -> None:
+    """Hardly more than a row long, a servo that rings, and Butterworth's: one name, its constants, and nothing beside it."""
+    work = late(constant, damping)
+    assert [f.effect for f in work.diagnosis.findings] == ["lag"]
+    assert work.diagnosis.verdict == "explained"
+    told = work.diagnosis.findings[0].parameters
+    assert told["constant"].value == pytest.approx(constant, rel=0.02)
+    assert ("damping" in told) == (damping is not None)
+    if damping is not None:
+        assert told["damping"].value == pytest.approx(damping, rel=0.03)
