@@ -355,7 +355,7 @@ def test_friction_that_never_breaks_loose_is_none():
     assert small.at_work(scene)
     assert not wide.at_work(scene)
     assert Friction("axis", "servo", coulomb=0.2, response=0.02).at_work(scene), "play as wide as that is a play"
-    slow = scene.lag("slow", scene.q, 0.1) - scene.lag("quick", scene.q, 0.02)
+    slow = scene.lag("slow", scene.q, 0.1, held=True) - scene.lag("quick", scene.q, 0.02, held=True)
     settled = scene.time > 2.0
     assert np.allclose(wide.columns(scene).values[settled, 0], slow[settled], atol=1e-6)
 

@@ -228,7 +228,7 @@ class _Search:
             return stream.second_order("lag", x, constant, damping)
         key = (constant, wide, within)
         if key not in self.behind:
-            y = stream.lag("lag", x, constant) if constant > 0.0 else x
+            y = stream.lag("lag", x, constant, held=stream.commanded) if constant > 0.0 else x
             for one in within:
                 stands = _with_lag(one, constant, wide).columns(self.bench.scene)
                 y = y + Columns(stands.channels, stands.values[:, :, :1]).full(self.bench.width)[:, self.places, 0]

@@ -166,7 +166,7 @@ class Friction(Effect):
         response, settling = self._constants()
         command = self._command(scene, response)
         stands = self._stand_off(scene, response, settling)
-        stands = stands + scene.lag("follows", command, response)[:, 0]
+        stands = stands + scene.lag("follows", command, response, held=True)[:, 0]
         moves = np.diff(command[:, 0]) != 0.0
         loose = np.abs(command[1:, 0] - stands[:-1]) > self.coulomb * settling / (settling - response)
         return bool(np.sum(loose & moves) >= LEAST_LOOSE * np.sum(moves))
@@ -182,7 +182,7 @@ class Friction(Effect):
         response, settling = self._constants()
         out = [self._stand_off(scene, response, settling)]
         if self.freedom:
-            out.append(-scene.lag("viscous", v[:, None], response)[:, 0])
+            out.append(-scene.lag("viscous", v[:, None], response, held=True)[:, 0])
         return out
 
     def _command(self, scene: Scene, response: float) -> Array:
@@ -201,7 +201,7 @@ class Friction(Effect):
         command = self._command(scene, response)
         start = scene.resting(f"joint.{self.joint}.position")
         sticks = scene.servo("servo", command, self.coulomb, response, settling, start)
-        out = np.asarray((sticks - scene.lag("follows", command, response))[:, 0])
+        out = np.asarray((sticks - scene.lag("follows", command, response, held=True))[:, 0])
         if scene.memory is None:
             kept[key] = out
             if len(kept) * len(out) > MOST_KEPT:

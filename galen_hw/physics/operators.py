@@ -76,7 +76,9 @@ class LagState:
     input: Array
 
 
-def lag(time: Array, x: Array, constant: Array, state: LagState | None) -> tuple[Array, LagState]:
+def lag(
+    time: Array, x: Array, constant: Array, state: LagState | None, *, held: bool = False
+) -> tuple[Array, LagState]:
     """First-order lag T dy/dt = x - y, exact for inputs that are straight between the rows, however short T is.
 
     y_k = p y_(k-1) + (s - p) x_(k-1) + (1 - s) x_k with p = exp(-dt / T), s = (1 - p) T / dt.
@@ -86,14 +88,15 @@ def lag(time: Array, x: Array, constant: Array, state: LagState | None) -> tuple
         x: (N, m) inputs.
         constant: (m,) time constants T, s.
         state: what the last row left; None: the output starts at the first input.
+        held: for inputs that are held over each step instead, as `servo` has them: s = p.
     """
     before = time[0] if state is None else state.time
     steps = np.maximum(np.diff(np.concatenate([[before], time])), 0.0)
     start, last = (x[0], x[0]) if state is None else (state.output, state.input)
     if len(x) > 2 and np.ptp(steps[1:]) <= EVEN * steps[1]:
-        out = _lag_evenly(steps[:2], x, constant, start, last)
+        out = _lag_evenly(steps[:2], x, constant, start, last, held=held)
         return out, LagState(float(time[-1]), out[-1].copy(), x[-1].copy())
-    kept, earlier, now = _lagging(steps[:, None], constant)
+    kept, earlier, now = _lagging(steps[:, None], constant, held=held)
     # y_k = kept y_(k-1) + new, and such steps after one another are such a step: all of them by doubling.
     new = earlier * np.concatenate([last[None], x[:-1]]) + now * x
     reach = 1
@@ -105,17 +108,21 @@ def lag(time: Array, x: Array, constant: Array, state: LagState | None) -> tuple
     return out, LagState(float(time[-1]), out[-1].copy(), x[-1].copy())
 
 
-def _lagging(steps: Array, constant: Array | float) -> tuple[Array, Array, Array]:
+def _lagging(steps: Array, constant: Array, *, held: bool) -> tuple[Array, Array, Array]:
     """Shares of the last output, of the last input and of this one in the output of a lag after steps (s); they add to one."""
     ratio = steps / constant
     gone = -np.expm1(-ratio)
+    if held:
+        return 1.0 - gone, np.zeros_like(gone), gone
     straight = np.where(ratio > 0.0, gone / np.where(ratio > 0.0, ratio, 1.0), 1.0)
     return 1.0 - gone, straight - 1.0 + gone, 1.0 - straight
 
 
-def _lag_evenly(steps: Array, x: Array, constant: Array, start: Array, last: Array) -> Array:
+def _lag_evenly(steps: Array, x: Array, constant: Array, start: Array, last: Array, *, held: bool) -> Array:
     """The same on an even clock, where it is a digital filter; steps: to the first row and between all others, s."""
-    kept, earlier, now = (np.broadcast_to(part, (2, x.shape[1])) for part in _lagging(steps[:, None], constant))
+    kept, earlier, now = (
+        np.broadcast_to(part, (2, x.shape[1])) for part in _lagging(steps[:, None], constant, held=held)
+    )
     out = np.empty_like(x, dtype=float)
     out[0] = kept[0] * start + earlier[0] * last + now[0] * x[0]
     for j, (p, a, b) in enumerate(zip(kept[1].tolist(), earlier[1].tolist(), now[1].tolist(), strict=True)):

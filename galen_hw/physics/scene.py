@@ -320,6 +320,11 @@ class Scene:
         """(N, C) answer to the sensor's frame moved by exp(s_1) exp(s_2) ..., screws [v, w] (N, 6) in the base, exactly."""
         return None
 
+    @property
+    def commanded(self) -> bool:
+        """Whether what is compared answers to a command, which stands from one row to the next."""
+        return self.observations.predict == "position"
+
     def swept_port(self, joint: str, error: str) -> Array | None:
         """(N, C) what the arm's motion adds to a geometry port, per rad or m; None where it adds nothing."""
         return None
@@ -371,14 +376,14 @@ class Scene:
         """(segments, 1) where the far side of a play in a channel stands at the start of every segment; None: at its input."""
         return None
 
-    def lag(self, name: Any, x: Array, constant: Any, *, empty: bool = False) -> Array:
+    def lag(self, name: Any, x: Array, constant: Any, *, empty: bool = False, held: bool = False) -> Array:
         """First-order lag of (N, m) inputs over the clock, see `operators.lag`; `empty`: its output begins at zero."""
         c = np.broadcast_to(np.asarray(constant, dtype=float), x.shape[1:])
 
         def run(part: slice, state: Any) -> tuple[Array, LagState]:
             if state is not None and not isinstance(state, LagState):
                 state = LagState(float(self.time[part][0]), state, x[part][0])
-            return lag(self.time[part], x[part], c, state)
+            return lag(self.time[part], x[part], c, state, held=held)
 
         # Behind a gap nobody knows; it had time to settle.
         start = [np.zeros(x.shape[1:]), *(None for _ in self.segments[1:])] if empty else None

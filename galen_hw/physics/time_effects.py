@@ -152,7 +152,7 @@ class Lag(Timing):
     def _lagged(self, scene: Scene, x: Array) -> Array:
         if self.damping is not None:
             return scene.second_order("lag", x, self.constant, self.damping)
-        return scene.lag("lag", x, self.constant)
+        return scene.lag("lag", x, self.constant, held=scene.commanded)
 
 
 def joint_of(channel: str) -> str:
