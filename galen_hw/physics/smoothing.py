@@ -119,7 +119,10 @@ def _penalised(t: Array, x: Array, pieces: int) -> tuple[float, BSpline]:
 
     def solved(decade: float) -> tuple[float, BSpline]:
         weight = 10.0**decade
-        spline = BSpline(places, solveh_banded(gram + weight * penalty, onto), DEGREE)
+        try:
+            spline = BSpline(places, solveh_banded(gram + weight * penalty, onto), DEGREE)
+        except np.linalg.LinAlgError:  # knots without rows between them, and hardly a penalty
+            return np.inf, BSpline(places, np.zeros(count), DEGREE)
         free = float(np.sum(told / (told + weight * charged)))
         return float(np.sum((x - spline(t)) ** 2)) / (1.0 - free / n) ** 2, spline
 
