@@ -38,6 +38,8 @@ FINEST = 2e-4
 """The same of a constant and a damping, which then stand as they were found."""
 STRIDE = 0.2
 """The same, of the first steps from there to the optimum."""
+SHORTEST = 1.05
+"""Times the shortest constant that can be told from a delay, up to which a lag beside a delay is none."""
 LN2 = float(np.log(2.0))
 """Constants and bands are sought up to twice and down to half of where they stood."""
 OFTEN = 2
@@ -143,8 +145,10 @@ class _Search:
             most, late = self._latest(constant, (0.0, all_late))
             ways.append((most - 2.0 * self.price - MARGIN, [(self.delay, late), (lag, constant)]))
         clocks = self._refined(max(ways, key=lambda way: way[0])[1], all_late)
-        # What is late as one of second order is looks like both together; friction within has a lag of the first.
-        if self.within or not (self.swings or (clocks and isinstance(clocks[-1][0], Lag))):
+        # What is late as one of second order is looks like both together; friction within has a lag of the first. In one
+        # joint by itself two more numbers would take what the others show to be something else.
+        late_so = self.swings or (clocks and isinstance(clocks[-1][0], Lag))
+        if self.within or self.delay.joint or not late_so:
             return clocks
         swinging = self._swinging(shortest, all_late)
         return max((clocks, swinging), key=self._worth)
@@ -180,6 +184,9 @@ class _Search:
                 best, least = read(at), cost
                 self.instead = dict(zip(self.within, (_with_lag(one, *best[1:]) for one in within), strict=True))
         late, constant, _ = best
+        if delays and not self.within and constant <= SHORTEST * lag.shortest:
+            # At its shortest it is none, but a part of the delay.
+            return [(self.delay, self._latest(0.0, (0.0, 2.0 * all_late))[1])] if all_late > 0.0 else clocks[:-1]
         return [*((end, late) for end, _ in delays), (replace(lag, constant=constant), constant)]
 
     def _swinging(self, shortest: float, all_late: float) -> Clocks:

@@ -24,6 +24,9 @@ from galen_hw.physics.scene import Scene
 from galen_hw.physics.sensor_effects import Saturation
 from galen_hw.spatial import Array
 
+AS_CERTAIN = 0.95
+"""Share of a score within which the recording does not say which of two is more certain."""
+
 
 def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list[Glitches]) -> list[Finding]:
     """All findings, most certain and largest first."""
@@ -33,6 +36,11 @@ def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list
         by_key.setdefault(h.effect.KEY, []).append(h)
     out = [_finding(model, selection, judged, key, parts) for key, parts in by_key.items()]
     out.sort(key=lambda f: -f.evidence["score"])
+    for k in range(len(out) - 1, 0, -1):
+        before, own = out[k - 1].evidence, out[k].evidence
+        # As certain as the one before, and larger: it moves up.
+        if own["score"] > AS_CERTAIN * before["score"] and own["heldout_gain"] > before["heldout_gain"]:
+            out[k - 1], out[k] = out[k], out[k - 1]
     isolated = [_glitch(model.bench, judged, g) for g in glitch]
     return out + [one for one in isolated if one.evidence["false_alarm_probability"] < CHANCE]
 

@@ -22,6 +22,7 @@ from galen_hw.diagnosis.worth import WORTH, asked, plausible, taken, worth
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Vibration
 from galen_hw.physics.table import EFFECTS, effect_class
+from galen_hw.physics.time_effects import Lag, Timing
 
 CHANCE = 0.002
 
@@ -234,10 +235,16 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
 
 
 def _loosens(other: Effect | None, effect: Effect | None) -> bool:
-    """Whether the other is of the kind that the effect was found from, linear in more parameters than its physics has."""
-    if other is None or effect is None or not effect.curved or other.curved:
+    """Whether the other is of the kind that the effect was found from, linear in more parameters than its physics has.
+
+    Or a response of second order for a delay or a lag: quicker than the rows it follows noise between them, and the clocks
+    are asked all at once whether there is one.
+    """
+    if other is None or effect is None:
         return False
-    return place_of(other) == place_of(effect)
+    if isinstance(other, Lag) and isinstance(effect, Timing):
+        return other.damping is not None and not (isinstance(effect, Lag) and effect.damping is not None)
+    return effect.curved and not other.curved and place_of(other) == place_of(effect)
 
 
 def _exchanged(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bool:
