@@ -74,12 +74,12 @@ class Bench:
         return Observations("wrench", columns, None, Belief(**known | self.belief))
 
 
-def lagged(t: Array, x: Array, constant: float) -> Array:
-    """T dy/dt = x - y by a hundred small steps a row along straight lines, settled at the start."""
-    y, out, fine = x[0], np.empty_like(x), 100
+def lagged(t: Array, x: Array, constant: float, *, straight: bool = False) -> Array:
+    """T dy/dt = x - y, settled at the start, of commands held over each step, or of values that run in straight lines."""
+    y, out, fine = x[0], np.empty_like(x), 100 if straight else 1
     share = 1.0 - np.exp(-(t[1] - t[0]) / constant / fine)
     for k, value in enumerate(x):
-        before = x[max(k - 1, 0)]
+        before = x[max(k - 1, 0)] if straight else value
         for part in np.arange(1, fine + 1) - 0.5:
             y = y + share * (before + (value - before) * part / fine - y)
         out[k] = y
@@ -133,11 +133,11 @@ def time_delay(b: Bench) -> None:
 
 
 def lag(b: Bench) -> None:
-    b.wrench = np.stack([lagged(b.t, c, 0.6) for c in b.wrench.T], axis=1)
+    b.wrench = np.stack([lagged(b.t, c, 0.6, straight=True) for c in b.wrench.T], axis=1)
 
 
 def creep(b: Bench) -> None:
-    b.wrench[:, 0] += 0.15 * lagged(b.t, b.wrench[:, 0], 6.0)
+    b.wrench[:, 0] += 0.15 * lagged(b.t, b.wrench[:, 0], 6.0, straight=True)
 
 
 def hysteresis(b: Bench) -> None:

@@ -26,7 +26,7 @@ def late(constant: float, damping: float | None) -> Work:
 
 def _answered(t: np.ndarray, x: np.ndarray, constant: float, damping: float | None) -> np.ndarray:
     if damping is None:
-        return lagged(t, x, constant)
+        return lagged(t, x, constant, straight=True)
     system = [1.0], [constant**2, 2.0 * damping * constant, 1.0]
     return x[0] + lsim(system, x - x[0], t - t[0])[1]
 
