@@ -97,6 +97,11 @@ def test_a_point_of_mass_has_the_inertia_of_its_place(group):
     assert told is not None
     np.testing.assert_allclose(told.at, c)
     np.testing.assert_allclose(told.change(made, body), Payload("full").change(made, whole), atol=1e-13)
+    for near in body * (1.0 + 1e-4 * (np.eye(4) - np.eye(4)[::-1])):
+        moved = near[1:] / near[0]
+        inertia = near[0] * (moved @ moved * np.eye(3) - np.outer(moved, moved))
+        change = told.body(made, near)[4:] - told.body(made, body)[4:]
+        np.testing.assert_allclose(change, inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]] - whole[4:], atol=1e-11)
     assert Payload("body").told_by(np.array([0.001, 0.0, 0.0, 0.001])) is None, "a metre away is on no tool"
     assert Payload("moment").told_by(body[1:]) is None
 

@@ -23,9 +23,9 @@ class Payload(Effect):
     """The carried body differs: mass dm, first moment d(m c) and inertia enter Newton and Euler linearly.
 
     Source: Atkeson, An, Hollerbach 1986. `part`: "mass" (at the believed centre of mass), "body" (mass and moment), "full"
-    (with inertia about the sensor's origin), "point" (mass and moment, with the inertia of mass at one point, `at`:
-    I = m (c.c 1 - c c^T), linear in m c once c is told; what is small has hardly more, and a motion that turns about one
-    axis alone would give it any). Visible when gravity turns in the sensor. Confused with gain and
+    (with inertia about the sensor's origin), "point" (mass and moment, with the inertia of mass at one point:
+    I = m (c.c 1 - c c^T), by its slopes in m and m c where c is `at`; what is small has hardly more, and a motion that
+    turns about one axis alone would give it any). Visible when gravity turns in the sensor. Confused with gain and
     cross_talk, and with bias where it does not turn.
     """
 
@@ -84,7 +84,10 @@ class Payload(Effect):
         out = np.eye(10)[:, : 10 if self.part == "full" else 4]
         if self.part == "point":
             assert self.at is not None, "told by a body"
-            out[4:, 1:4] = _inertia_of_moment(np.array(self.at))
+            # I is of degree one in m and m c together: its slopes where they stand are the whole of it there (Euler).
+            at = np.array(self.at)
+            of_moment = _inertia_of_moment(at)
+            out[4:, 0], out[4:, 1:4] = -of_moment @ at, 2.0 * of_moment
         return out
 
 
