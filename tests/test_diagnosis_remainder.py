@@ -101,7 +101,9 @@ def test_creep_under_a_load_that_came_on_at_the_start(channel: int, share: float
     runs = [Bench(seed, rows=6000) for seed in (5, 6)]
     for run in runs:
         load = run.wrench[:, channel]
-        run.wrench[:, channel] = load + share * lagged(run.t, np.concatenate([[0.0], load[1:]]), constant)
+        run.wrench[:, channel] = load + share * lagged(
+            run.t, np.concatenate([[0.0], load[1:]]), constant, straight=True
+        )
     work = judged(*runs)
     assert (work.diagnosis.verdict, named(work)) == ("explained", ["creep"])
     (finding,) = work.diagnosis.findings

@@ -183,11 +183,12 @@ def test_play_that_motion_turns_over_is_backlash() -> None:
     observations = Observations("position", columns, None, Belief(robot=UrdfRobot(cases.ARM), bias_free=True))
     scene = scene_of(observations)
     load = scene.inertia_load("shoulder")
-    assert load == pytest.approx(torque, abs=0.02 * np.max(np.abs(torque)))
+    assert load == pytest.approx(-torque, abs=0.02 * np.max(np.abs(torque))), "the link hangs back"
     work = diagnose(scene)
     assert named(work) == ["backlash"]
     assert isinstance(work.model.effects[0].effect, Backlash)
     assert work.model.effects[0].effect.balanced
+    assert work.diagnosis.findings[0].parameters["half_play"].value == pytest.approx(1e-3, rel=0.1)
 
 
 def test_an_effect_that_acts_seldom_is_as_sure_as_its_noise_allows() -> None:

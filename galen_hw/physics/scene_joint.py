@@ -312,12 +312,12 @@ class PositionScene(JointScene):
 
     @once
     def load(self, joint: str) -> Array | None:
-        """Effort with a sign, as measured; else what the URDF needs for weight and motion; else None."""
+        """What the motor bears: the opposite of the effort, measured with a sign or else as the URDF needs it; None without."""
         effort = (self.whole or self).observations.columns.get(f"joint.{joint}.effort")
         if effort is not None and np.isfinite(effort).all() and np.min(effort) < 0.0 < np.max(effort):
-            return np.asarray(self.observations.columns[f"joint.{joint}.effort"])
+            return -np.asarray(self.observations.columns[f"joint.{joint}.effort"])
         torque = self.motion_torque()
-        return None if torque is None else torque[:, self.joint_index(joint)]
+        return None if torque is None else -torque[:, self.joint_index(joint)]
 
     @once
     def response(self, joint: str) -> float | None:
@@ -343,12 +343,12 @@ class PositionScene(JointScene):
 
     @once
     def inertia_load(self, joint: str) -> Array | None:
-        """(N,) what motion alone needs, weight left out, as where it is balanced; None without a URDF."""
+        """(N,) load of motion alone, weight left out, as where it is balanced; None without a URDF."""
         robot, torque = self._urdf(), self.motion_torque()
         if robot is None or torque is None:
             return None
         at_rest = np.asarray(robot.inverse_dynamics(self.q, *(np.zeros_like(self.q) for _ in range(2))))
-        return np.asarray((torque - at_rest)[:, self.joint_index(joint)])
+        return np.asarray((at_rest - torque)[:, self.joint_index(joint)])
 
 
 def _joint(channel: str) -> str:
