@@ -91,19 +91,23 @@ def test_a_second_order_response_is_that_of_its_equation(uneven):
     free = 2.0 * damping * np.cos(swing * since) + (2.0 * damping**2 - 1.0) / swing * np.sin(swing * since)
     exact = 1.0 + 2.0 * constant * (since - 2.0 * damping + np.exp(-damping * since) * free)
     assert np.allclose(out[:, 0], exact, atol=1e-12)
+    commands = np.where(since > 0.0, 1.0, 0.0)[:, None]
+    held, _ = second_order(t, commands, constant, damping, None, held=True)
+    free = np.cos(swing * since) + damping / swing * np.sin(swing * since)
+    assert np.allclose(held[:, 0], 1.0 - np.exp(-damping * since) * free, atol=1e-12), "a step, from the first row on"
 
 
 @settings(deadline=None)
-@given(signals(), st.floats(0.002, 2.0), st.floats(0.1, 0.98), st.booleans(), st.floats(0.0, 1.0))
-def test_responses_go_on_from_any_row(x, constant, damping, even, where):
+@given(signals(), st.floats(0.002, 2.0), st.floats(0.1, 0.98), st.booleans(), st.booleans(), st.floats(0.0, 1.0))
+def test_responses_go_on_from_any_row(x, constant, damping, even, held, where):
     """A batch cut anywhere gives the same numbers, of a lag and of a second-order response."""
     steps = np.ones(len(x)) if even else np.random.default_rng(len(x)).uniform(0.5, 1.5, len(x))
     t = np.cumsum(steps) * 0.01
     size = 1.0 + np.max(np.abs(x))
     cut = int(where * len(x))
     for run in (
-        lambda t, x, state: lag(t, x, np.full(x.shape[1], constant), state),
-        lambda t, x, state: second_order(t, x, constant, damping, state),
+        lambda t, x, state: lag(t, x, np.full(x.shape[1], constant), state, held=held),
+        lambda t, x, state: second_order(t, x, constant, damping, state, held=held),
     ):
         whole, last = run(t, x, None)
         assert np.array_equal(last.output, whole[-1])

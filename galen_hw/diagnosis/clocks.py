@@ -145,13 +145,13 @@ class _Search:
             most, late = self._latest(constant, (0.0, all_late))
             ways.append((most - 2.0 * self.price - MARGIN, [(self.delay, late), (lag, constant)]))
         clocks = self._refined(max(ways, key=lambda way: way[0])[1], all_late)
-        # What is late as one of second order is looks like both together; friction within has a lag of the first. In one
-        # joint by itself two more numbers would take what the others show to be something else.
-        late_so = self.swings or (clocks and isinstance(clocks[-1][0], Lag))
-        if self.within or self.delay.joint or not late_so:
+        # What is late as one of second order is looks like a delay, or a delay and a lag; friction within has a lag of the
+        # first. In one joint by itself two more numbers would take what the others show to be something else.
+        if self.within or self.delay.joint or not (self.swings or clocks):
             return clocks
         swinging = self._swinging(shortest, all_late)
-        return max((clocks, swinging), key=self._worth)
+        ahead = self._worth(swinging) - self._worth(clocks)
+        return swinging if ahead > (0.0 if self.swings else MARGIN) else clocks
 
     def _worth(self, clocks: Clocks) -> float:
         """Gain less the price of delay, lag or swing alone."""
@@ -232,7 +232,7 @@ class _Search:
         """(N, m) what servos with this constant (s) make of the simulated; kept, for it comes again with other delays."""
         x, stream = self.simulated, self.bench.stream
         if damping is not None:
-            return stream.second_order("lag", x, constant, damping)
+            return stream.second_order("lag", x, constant, damping, held=stream.commanded)
         key = (constant, wide, within)
         if key not in self.behind:
             y = stream.lag("lag", x, constant, held=stream.commanded) if constant > 0.0 else x

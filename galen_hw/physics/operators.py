@@ -141,7 +141,7 @@ class SecondOrderState:
 
 
 def second_order(
-    time: Array, x: Array, constant: float, damping: float, state: SecondOrderState | None
+    time: Array, x: Array, constant: float, damping: float, state: SecondOrderState | None, *, held: bool = False
 ) -> tuple[Array, SecondOrderState]:
     """T^2 y'' + 2 z T y' + y = x, exact for inputs that are straight between the rows: a servo, or a filter of two poles.
 
@@ -151,43 +151,54 @@ def second_order(
         constant: T, s: one over the natural frequency in rad/s.
         damping: z, below 1.
         state: what the last row left; None: the output starts at rest at the first input.
+        held: for inputs that are held over each step instead, as `servo` has them.
     """
     before = time[0] if state is None else state.time
     steps = np.maximum(np.diff(np.concatenate([[before], time])), 0.0) / constant
     if state is None and len(x) > 2 and np.ptp(steps[1:]) <= EVEN * steps[1]:
-        return _second_order_evenly(time, x, float(steps[1]), damping)
+        return _second_order_evenly(time, x, float(steps[1]), damping, held=held)
     output, rate, last = (
         (x[0], np.zeros(x.shape[1]), x[0]) if state is None else (state.output, state.rate, state.input)
     )
     turned = [part.tolist() for part in _turned(steps, damping)]
     out, quick = np.empty_like(x, dtype=float), np.empty(x.shape[1])
     for j, (y, r, old) in enumerate(zip(output.tolist(), rate.tolist(), last.tolist(), strict=True)):
-        out[:, j], quick[j] = _swung(turned, steps.tolist(), [old, *x[:, j].tolist()], damping, (y, r))
+        out[:, j], quick[j] = _swung(turned, steps.tolist(), [old, *x[:, j].tolist()], damping, (y, r), held=held)
     return out, SecondOrderState(float(time[-1]), out[-1].copy(), quick, x[-1].copy())
 
 
 def _swung(
-    turned: list[list[float]], steps: list[float], x: list[float], damping: float, state: tuple[float, float]
+    turned: list[list[float]],
+    steps: list[float],
+    x: list[float],
+    damping: float,
+    state: tuple[float, float],
+    *,
+    held: bool,
 ) -> tuple[list[float], float]:
     """Outputs, and the last rate, row by row; x: the input before the first row, and all others."""
     (y, r), at = state, []
     for a, b, c, d, step, old, new in zip(*turned, steps, x[:-1], x[1:], strict=True):
         if step > 0.0:
             # What follows a straight line does so by as much behind it as the damping takes.
-            slope = (new - old) / step
-            behind, ahead = y - (old - 2.0 * damping * slope), r - slope
+            slope = 0.0 if held else (new - old) / step
+            behind, ahead = y - (new - (step + 2.0 * damping) * slope), r - slope
             y = new - 2.0 * damping * slope + a * behind + b * ahead
             r = slope + c * behind + d * ahead
         at.append(y)
     return at, r
 
 
-def _second_order_evenly(time: Array, x: Array, step: float, damping: float) -> tuple[Array, SecondOrderState]:
+def _second_order_evenly(
+    time: Array, x: Array, step: float, damping: float, *, held: bool
+) -> tuple[Array, SecondOrderState]:
     """The same from rest on an even clock, where it is a digital filter; step: in units of the constant."""
     a, b, c, d = (float(part[0]) for part in _turned(np.array([step]), damping))
     # Of this input and the last one: (I - turn) (2 z, -1) over the step is what a straight line's slope leaves.
     w = ((1.0 - a) * 2.0 * damping + b) / step, (-c * 2.0 * damping - (1.0 - d)) / step
     (y_new, r_new), (y_old, r_old) = (1.0 - w[0], -w[1]), (w[0] - a, w[1] - c)
+    if held:
+        y_new, r_new, y_old, r_old = 1.0 - a, -c, 0.0, 0.0
     poles = [1.0, -(a + d), a * d - b * c]
     moved = x - x[0]
     out = x[0] + lfilter([y_new, y_old - d * y_new + b * r_new, b * r_old - d * y_old], poles, moved, axis=0)

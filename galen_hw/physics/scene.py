@@ -389,10 +389,10 @@ class Scene:
         start = [np.zeros(x.shape[1:]), *(None for _ in self.segments[1:])] if empty else None
         return self._carried(name, x, run, start)
 
-    def second_order(self, name: Any, x: Array, constant: float, damping: float) -> Array:
+    def second_order(self, name: Any, x: Array, constant: float, damping: float, *, held: bool = False) -> Array:
         """Second-order response of (N, m) inputs over the clock, see `operators.second_order`."""
         return self._carried(
-            name, x, lambda part, state: second_order(self.time[part], x[part], constant, damping, state)
+            name, x, lambda part, state: second_order(self.time[part], x[part], constant, damping, state, held=held)
         )
 
     def servo(

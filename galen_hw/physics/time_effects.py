@@ -151,7 +151,7 @@ class Lag(Timing):
 
     def _lagged(self, scene: Scene, x: Array) -> Array:
         if self.damping is not None:
-            return scene.second_order("lag", x, self.constant, self.damping)
+            return scene.second_order("lag", x, self.constant, self.damping, held=scene.commanded)
         return scene.lag("lag", x, self.constant, held=scene.commanded)
 
 
