@@ -147,7 +147,7 @@ class _Search:
         clocks = self._refined(max(ways, key=lambda way: way[0])[1], all_late)
         # What is late as one of second order is looks like a delay, or a delay and a lag; friction within has a lag of the
         # first. In one joint by itself two more numbers would take what the others show to be something else.
-        if self.within or self.delay.joint or not (self.swings or clocks):
+        if self.within or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
             return clocks
         swinging = self._swinging(shortest, all_late)
         ahead = self._worth(swinging) - self._worth(clocks)
