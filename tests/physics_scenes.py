@@ -14,6 +14,7 @@ from galen_hw.physics.rigid import Body
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.sensor_effects import Drift
 from galen_hw.physics.table import EFFECTS, effect_class, scene_of
+from galen_hw.physics.time_effects import Lag
 
 JOINTS = GalenRobot().joint_names
 WRENCH = tuple(f"wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz")
@@ -99,5 +100,6 @@ def proposals(group, static=False):
         found += [CableDrag("tendon"), CableDrag("tendon_dry"), Payload("point", (0.02, -0.01, -0.1))]
         tied = [e for e in CableDrag.propose(made) if e.anchored or e.clipped]
         found += [replace(e, form=form) for e in tied for form in ("tendon", "tendon_dry")]
+    found += [Lag(0.2, damping=0.4)] if made.clock else []
     found += [Glitches((first,), (3, 9))] + ([TorqueRipple("elbow", 9.0)] if group == "effort" else [])
-    return made, list({e.family: e for e in found}.values())
+    return made, list({(e.family, *e.searched()): e for e in found}.values())

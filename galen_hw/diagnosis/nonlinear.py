@@ -12,7 +12,9 @@ from galen_hw.diagnosis.bends import rebase, tangent, unbent
 from galen_hw.diagnosis.descent import AGAIN, Beside, descended
 from galen_hw.diagnosis.linear import fit, rests
 from galen_hw.diagnosis.score import Score, Scorer
+from galen_hw.diagnosis.selection import place_of
 from galen_hw.physics.effect import DOUBT, Effect
+from galen_hw.physics.time_effects import Lag, Timing
 from galen_hw.spatial import Array
 
 
@@ -130,11 +132,26 @@ def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:
         short = scores[i].rank - scores[j].rank - scores[j].beyond
         if effect is None or short > SLOPED * scores[i].gain:
             break
+        if loosens(effect, scorer.library[i].effect):
+            continue
         if short > NEARLY * scores[i].gain and not _is_bent(scorer.bench, scorer.library[j]):
             continue
         leaders.setdefault((effect.family, *effect.searched()), j)
     rivals = [j for j in leaders.values() if j != i][:MOST_NEAR]
     return [i, *rivals]
+
+
+def loosens(other: Effect | None, effect: Effect | None) -> bool:
+    """Whether the other is of the kind that the effect was found from, linear in more parameters than its physics has.
+
+    Or a response of second order for a delay or a lag: quicker than the rows it follows noise between them, and the clocks
+    are asked all at once whether there is one.
+    """
+    if other is None or effect is None:
+        return False
+    if isinstance(other, Lag) and isinstance(effect, Timing):
+        return other.damping is not None and not (isinstance(effect, Lag) and effect.damping is not None)
+    return effect.curved and not other.curved and place_of(other) == place_of(effect)
 
 
 def _on_a_grid(h: Hypothesis) -> bool:

@@ -9,7 +9,7 @@ from galen_hw.diagnosis.clocks import one_clock, reclocked
 from galen_hw.diagnosis.courses import finest, followed
 from galen_hw.diagnosis.limits import clipped
 from galen_hw.diagnosis.linear import crossed, rests
-from galen_hw.diagnosis.nonlinear import bent, in_place, polished
+from galen_hw.diagnosis.nonlinear import bent, in_place, loosens, polished
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
 from galen_hw.diagnosis.regroup import regrouped
 from galen_hw.diagnosis.retiming import load, retime, settle_together
@@ -22,7 +22,6 @@ from galen_hw.diagnosis.worth import WORTH, asked, plausible, taken, worth
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Vibration
 from galen_hw.physics.table import EFFECTS, effect_class
-from galen_hw.physics.time_effects import Lag, Timing
 
 CHANCE = 0.002
 
@@ -210,7 +209,7 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
             j: scorer.in_full(j, s) for j, s in in_place(bench, scorer, out.chosen, i).items() if j not in refused
         }
         rivals = {j: s for j, s in rivals.items() if place_of(scorer.library[j].effect) not in taken}
-        rivals = {j: s for j, s in rivals.items() if not _loosens(scorer.library[j].effect, scorer.library[i].effect)}
+        rivals = {j: s for j, s in rivals.items() if not loosens(scorer.library[j].effect, scorer.library[i].effect)}
         if i not in rivals:
             continue
         # A plainer one need not be better, only as good: what came first in an earlier turn must not decide.
@@ -232,19 +231,6 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
             out.chosen = trial
             rebase(scorer, trial)
     return out.chosen != start
-
-
-def _loosens(other: Effect | None, effect: Effect | None) -> bool:
-    """Whether the other is of the kind that the effect was found from, linear in more parameters than its physics has.
-
-    Or a response of second order for a delay or a lag: quicker than the rows it follows noise between them, and the clocks
-    are asked all at once whether there is one.
-    """
-    if other is None or effect is None:
-        return False
-    if isinstance(other, Lag) and isinstance(effect, Timing):
-        return other.damping is not None and not (isinstance(effect, Lag) and effect.damping is not None)
-    return effect.curved and not other.curved and place_of(other) == place_of(effect)
 
 
 def _exchanged(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bool:

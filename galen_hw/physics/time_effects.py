@@ -106,13 +106,12 @@ class Lag(Timing):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """From half a sample to seconds; of second order for the whole stream alone."""
+        """From half a sample to seconds, of the first order; of the second the clocks are asked where one of these is found."""
         if not scene.clock or not np.any(scene.simulated_rate):
             return
         shortest = 0.5 * spacing(scene)
         for constant in log_grid(shortest, max(1.0, 4.0 * shortest), 9):
             yield cls(constant, "", shortest)
-            yield from (cls(constant, "", shortest, damping=damping) for damping in DAMPINGS)
             if scene.observations.predict == "position" and len(scene.channels) > 1:
                 yield from (cls(constant, joint_of(name), shortest) for name in scene.channels)
 
