@@ -9,7 +9,7 @@ from scipy.signal import lsim
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import Bench, lagged
+from diagnosis_cases import Bench, Servo, lagged
 
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.physics.table import scene_of
@@ -42,3 +42,22 @@ def test_a_filter_is_a_lag_of_its_order(constant: float, damping: float | None) 
     assert ("damping" in told) == (damping is not None)
     if damping is not None:
         assert told["damping"].value == pytest.approx(damping, rel=0.03)
+
+
+def test_a_servo_that_rings_is_no_delay() -> None:
+    """Slow motion shows it as late alone; its commands stand from row to row, as one who integrates by hand has them."""
+    servo, frequency, damping, parts = Servo(), 2.0 * np.pi * 3.0, 0.35, 200
+    dt = float(servo.t[1]) / parts
+    x, v = servo.command[0].copy(), np.zeros(2)
+    for k, command in enumerate(servo.command):
+        for _ in range(parts):
+            v += dt * (frequency**2 * (command - x) - 2.0 * damping * frequency * v)
+            x += dt * v
+        servo.position[k] = x
+    servo.sigma = 1e-4
+    work = diagnose(scene_of(servo.observations()))
+    assert [f.effect for f in work.diagnosis.findings] == ["lag"]
+    assert work.diagnosis.verdict == "explained"
+    told = work.diagnosis.findings[0].parameters
+    assert told["constant"].value == pytest.approx(1.0 / frequency, rel=0.02)
+    assert told["damping"].value == pytest.approx(damping, rel=0.03)
