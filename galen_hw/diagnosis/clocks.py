@@ -23,7 +23,7 @@ from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.worth import taken
 from galen_hw.physics.effect import Columns, Effect, log_grid, spacing
 from galen_hw.physics.joint_effects import Friction
-from galen_hw.physics.time_effects import DAMPINGS, Lag, TimeDelay, Timing
+from galen_hw.physics.time_effects import Lag, TimeDelay, Timing
 from galen_hw.spatial import Array
 
 MARGIN = 6.0
@@ -32,6 +32,8 @@ RICHER = 0.05
 """Share of the excess that is left in some channel, on blocks left out, that the clocks must take."""
 CONSTANTS = 6
 """Lags between half a sample and all of what is late that are tried with the delay that suits each."""
+DAMPINGS = (0.35, 0.7)
+"""From which a second order is sought: of a servo that rings, and of the usual filter."""
 FINE = 0.02
 """Share of what is late to which a clock is sought."""
 FINEST = 2e-4
@@ -145,8 +147,8 @@ class _Search:
             most, late = self._latest(constant, (0.0, all_late))
             ways.append((most - 2.0 * self.price - MARGIN, [(self.delay, late), (lag, constant)]))
         clocks = self._refined(max(ways, key=lambda way: way[0])[1], all_late)
-        # What is late as one of second order is looks like a delay, or a delay and a lag; friction within has a lag of the
-        # first. In one joint by itself two more numbers would take what the others show to be something else.
+        # A response of second order looks like a delay, or a delay and a lag; friction within has a lag of the first. In one
+        # joint by itself two more numbers would take what the others show to be something else.
         if self.within or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
             return clocks
         swinging = self._swinging(shortest, all_late)

@@ -194,11 +194,11 @@ def _second_order_evenly(
 ) -> tuple[Array, SecondOrderState]:
     """The same from rest on an even clock, where it is a digital filter; step: in units of the constant."""
     a, b, c, d = (float(part[0]) for part in _turned(np.array([step]), damping))
-    # Of this input and the last one: (I - turn) (2 z, -1) over the step is what a straight line's slope leaves.
-    w = ((1.0 - a) * 2.0 * damping + b) / step, (-c * 2.0 * damping - (1.0 - d)) / step
+    # Of this input and the last one: (I - turn) (2 z, -1) over the step is what a straight line's slope leaves; held, the
+    # last one is gone.
+    straight = ((1.0 - a) * 2.0 * damping + b) / step, (-c * 2.0 * damping - (1.0 - d)) / step
+    w = (a, c) if held else straight
     (y_new, r_new), (y_old, r_old) = (1.0 - w[0], -w[1]), (w[0] - a, w[1] - c)
-    if held:
-        y_new, r_new, y_old, r_old = 1.0 - a, -c, 0.0, 0.0
     poles = [1.0, -(a + d), a * d - b * c]
     moved = x - x[0]
     out = x[0] + lfilter([y_new, y_old - d * y_new + b * r_new, b * r_old - d * y_old], poles, moved, axis=0)

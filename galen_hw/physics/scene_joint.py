@@ -312,7 +312,10 @@ class PositionScene(JointScene):
 
     @once
     def load(self, joint: str) -> Array | None:
-        """What the motor bears: the opposite of the effort, measured with a sign or else as the URDF needs it; None without."""
+        """(N,) what the motor bears, N or N m: the opposite of the effort, measured with a sign or else as the URDF needs it.
+
+        None where neither is there.
+        """
         effort = (self.whole or self).observations.columns.get(f"joint.{joint}.effort")
         if effort is not None and np.isfinite(effort).all() and np.min(effort) < 0.0 < np.max(effort):
             return -np.asarray(self.observations.columns[f"joint.{joint}.effort"])
@@ -343,7 +346,7 @@ class PositionScene(JointScene):
 
     @once
     def inertia_load(self, joint: str) -> Array | None:
-        """(N,) load of motion alone, weight left out, as where it is balanced; None without a URDF."""
+        """(N,) load of motion alone, N or N m, weight left out, as where it is balanced; None without a URDF."""
         robot, torque = self._urdf(), self.motion_torque()
         if robot is None or torque is None:
             return None

@@ -79,10 +79,6 @@ class TimeDelay(Timing):
         return scene.delay("delay", x, float(theta[0]))
 
 
-DAMPINGS = (0.35, 0.7)
-"""Of a servo that rings, and of the usual filter."""
-
-
 @dataclass(frozen=True)
 class Lag(Timing):
     """A first-order response: T dy/dt = w - y; y - w is `share` times that (1 for a plain first order).
