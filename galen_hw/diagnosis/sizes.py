@@ -17,7 +17,7 @@ HEAD: Final[dict[str, tuple[str, ...]]] = {
     "cross_talk": ("leak",),
     "saturation": ("limit",),
     "time_delay": ("delay",),
-    "lag": ("constant",),
+    "lag": ("constant", "damping"),
     "creep": ("share", "compliance", "constant"),
     "backlash": ("half_width", "half_play"),
     "vibration": ("frequency",),

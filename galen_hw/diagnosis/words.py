@@ -14,7 +14,7 @@ SAYS: Final[dict[str, str]] = {
     "cross_talk": "another channel leaks into this one",
     "saturation": "the readings clip at a limit",
     "time_delay": "the recording is late against the simulation",
-    "lag": "the recording follows the simulation like a first-order filter",
+    "lag": "the recording follows the simulation like a filter of the first order, or of the second where a damping is given",
     "creep": "it settles slowly after a change of load",
     "hysteresis": "it remembers past load or motion, whatever the speed",
     "backlash": "a dead band at every reversal: play, or the stand-off of a servo against friction",
