@@ -359,12 +359,18 @@ def sweep(tilt_axis: Array, seed: int = 1, samples: int = 400) -> Observations:
 
 
 def tracked(
-    compliance: float = 0.0, cubic: float = 0.0, seed: int = 1, rows: int = 400, *, clock: bool = True
+    compliance: float = 0.0,
+    cubic: float = 0.0,
+    seed: int = 1,
+    rows: int = 400,
+    *,
+    clock: bool = True,
+    law: Callable[[Array, Array], Array] | None = None,
 ) -> Observations:
     """The tip under a known force, seen by a tracker; the tilt joint gives by the moment about it.
 
     Args:
-        compliance: rad/(N m); cubic: rad/(N m)^3 of a spring that softens.
+        compliance: rad/(N m); cubic: rad/(N m)^3 of a spring that softens; law: of time and moment (N,) instead, rad.
     """
     rng = np.random.default_rng(seed)
     t = np.arange(rows) / 20.0
@@ -376,7 +382,7 @@ def tracked(
     axis = turned(np.array([1.0, 0.0, 0.0]), q[:, 3])[:, :, 1]
     pivot = T[:, :3, 3] - T[:, :3, :3] @ np.array([0.055, 0.0, 0.0])  # spec of the nominal Galen: tilt to sensor
     moment = np.einsum("ni,ni->n", axis, np.cross(at - pivot, force))
-    give = compliance * moment + cubic * moment**3
+    give = compliance * moment + cubic * moment**3 if law is None else law(t, moment)
     moved = at + np.cross(axis * give[:, None], at - pivot) + 7e-5 * rng.normal(size=(rows, 3))
     columns = ({"time": t} if clock else {}) | {f"joint.{n}.position": q[:, i] for i, n in enumerate(JOINTS)}
     columns |= {f"applied.force.{a}": force[:, i] for i, a in enumerate("xyz")}

@@ -9,6 +9,7 @@ from galen_hw.physics.body_effects import Payload
 from galen_hw.physics.cable_effects import CableDrag
 from galen_hw.physics.event_effects import Contact, Glitches, Step, Vibration
 from galen_hw.physics.joint_effects import TorqueRipple
+from galen_hw.physics.memory_effects import Creep
 from galen_hw.physics.observations import Belief, Group, Observations
 from galen_hw.physics.rigid import Body
 from galen_hw.physics.scene import Scene
@@ -101,5 +102,7 @@ def proposals(group, static=False):
         tied = [e for e in CableDrag.propose(made) if e.anchored or e.clipped]
         found += [replace(e, form=form) for e in tied for form in ("tendon", "tendon_dry")]
     found += [Lag(0.2, damping=0.4)] if made.clock else []
+    if group in ("pose", "targets"):
+        found += [e.behind(0.05) for e in found if isinstance(e, Creep) and e.joint]
     found += [Glitches((first,), (3, 9))] + ([TorqueRipple("elbow", 9.0)] if group == "effort" else [])
     return made, list({(e.family, *e.searched()): e for e in found}.values())

@@ -251,7 +251,7 @@ def _said(
     findings = findings_of(model, selection, judged, glitch)
     for finding in findings:
         finding.confounded_with = confusions(model, selection, finding)
-    rest = left or beyond(judged, bench)
+    rest = left or beyond(judged, bench, untouched=True)
     if premise.wrong or rest:
         findings.append(unknown_finding(bench, judged, rest, premise))
     verdict = verdict_of(findings, rest, premise)

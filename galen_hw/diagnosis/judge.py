@@ -34,6 +34,8 @@ class Judged:
             acts, that it takes.
         sure: per effect's key, by how many standard errors held-out rows want it, see `wanted.sure`.
         refused: keys of which held-out rows, that it would show in, hold the contrary.
+        untouched: `after` on the rows of no contact that the model believes in, None: there is none or no such row; how a touch
+            swells and lets go is no law of the arm, and fitted no better than its few shapes allow.
         unnamed: with what generic functions predict besides, without a name, where that earns its place; None: it does not.
         places: where a key stands more than once, per number in the model's effects: the same of that one alone.
         episodes: times (s) of contacts in another recording; good: (M,) its rows that are judged on, all others left out of
@@ -51,6 +53,7 @@ class Judged:
     places: dict[int, tuple[float, float]] = field(default_factory=dict)
     episodes: tuple[tuple[float, float], ...] = ()
     good: Mask | None = None
+    untouched: Array | None = None
     unnamed: Array | None = None
 
     @property
@@ -112,6 +115,9 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
         name = "contiguous blocks set aside" if bench.judged.any() else "the recording itself"
         before = np.asarray(np.mean((bench.whole - predict(baseline))[rows] ** 2, axis=0))
         judged = Judged(name, before, np.mean(model.rest()[rows] ** 2, axis=0), {}, floor)
+        free = rows & ~touched(model)
+        if 0 < free.sum() < rows.sum():
+            judged.untouched = np.asarray(np.mean(model.rest()[free] ** 2, axis=0))
         guard = Guard(floor, lambda part: part.rest()[rows], lambda part: part.rest(white=True)[rows], model)
     else:
         rest = apply(model, holdout)
@@ -206,6 +212,15 @@ def _undisturbed(model: Model, scene: Scene, rest: Array) -> tuple[Mask, tuple[t
         for start, end in episodes:
             good &= (time < start) | (time > end)
     return good, episodes
+
+
+def touched(model: Model) -> Mask:
+    """(M,) rows of its own bench during the contacts that a model believes in."""
+    out = np.zeros(len(model.bench.rows), dtype=bool)
+    for h in model.effects:
+        if isinstance(h.effect, Contact):
+            out |= h.raw.values.any(axis=(1, 2))
+    return out
 
 
 def predict(model: Model) -> Array:

@@ -12,7 +12,7 @@ from galen_hw.diagnosis.bends import rebase, tangent, unbent
 from galen_hw.diagnosis.descent import AGAIN, Beside, descended
 from galen_hw.diagnosis.linear import fit, rests
 from galen_hw.diagnosis.score import Score, Scorer
-from galen_hw.diagnosis.selection import place_of
+from galen_hw.diagnosis.selection import place_of, told
 from galen_hw.physics.effect import DOUBT, Effect
 from galen_hw.physics.time_effects import Lag, Timing
 from galen_hw.spatial import Array
@@ -136,7 +136,7 @@ def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:
             continue
         if short > NEARLY * scores[i].gain and not _is_bent(scorer.bench, scorer.library[j]):
             continue
-        leaders.setdefault((effect.family, *effect.searched()), j)
+        leaders.setdefault(told(effect), j)
     rivals = [j for j in leaders.values() if j != i][:MOST_NEAR]
     return [i, *rivals]
 

@@ -10,12 +10,14 @@ from galen_hw.diagnosis.linear import crossed
 from galen_hw.diagnosis.plainness import ALIKE, slack
 from galen_hw.diagnosis.retiming import settle_together
 from galen_hw.diagnosis.score import Score, Scorer
-from galen_hw.diagnosis.selection import Selection, place_of
+from galen_hw.diagnosis.selection import Selection, place_of, told
 from galen_hw.diagnosis.worth import plausible
 
 RIGID = ("base_tilt", "joint_offset", "joint_scale", "link_geometry", "payload", "sensor_mounting")
 """Constants of the arm and its load, which stand for each other in twos and threes: an axis that is turned is the joint
 before it with another zero, and the sensor turned back."""
+EXCHANGED = (*RIGID, "cable_drag")
+"""What may give way to them: a steady pull is the weight of a payload that hangs from a tilted arm."""
 FIRSTS = 4
 """Kinds that are tried as the first of the others."""
 LEAST_PART = 0.1
@@ -26,7 +28,8 @@ CHEAPER = 1.0
 """In rank, from which one is: rounding is none."""
 TRIALS = 2
 CERTAIN = 6.0
-"""Log likelihood ratio, beyond the prices, by which others that are no fewer must be better."""
+"""Log likelihood ratio, beyond the prices, by which others that are no plainer must be better, and two than one effect with as
+many numbers."""
 
 
 def regrouped(bench: Bench, scorer: Scorer, out: Selection) -> bool:
@@ -35,8 +38,8 @@ def regrouped(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     Forward search takes what is best alone. Of an axis turned about one direction beside a joint's zero that is a turned sensor
     with three numbers, and then the zero of the wrong joint: no single exchange is better, and each is the other's reason.
     """
-    rigid = [i for i in out.chosen if (effect := scorer.library[i].effect) is not None and effect.KEY in RIGID]
-    for pair in combinations(rigid, 2):
+    able = [i for i in out.chosen if (effect := scorer.library[i].effect) is not None and effect.KEY in EXCHANGED]
+    for pair in combinations(able, 2):
         tried = frozenset((scorer.library[i].family, i in pair) for i in out.chosen)
         if tried in out.regrouped:
             continue
@@ -68,7 +71,7 @@ def _counted_otherwise(bench: Bench, scorer: Scorer, out: Selection) -> bool:
         h = scorer.library[i]
         other = None if h.effect is None else h.effect.otherwise()
         lasting = [j for j in out.chosen if j != i and (e := scorer.library[j].effect) is not None and not e.EPISODIC]
-        tried = frozenset((scorer.library[j].family, j == i) for j in out.chosen)
+        tried = frozenset((told(scorer.library[j].effect), j == i) for j in out.chosen)
         if other is None or not lasting or tried in out.regrouped:
             continue
         out.regrouped.add(tried)
@@ -86,14 +89,19 @@ def _best(
     scorer: Scorer, pair: tuple[int, ...], chains: list[tuple[float, list[int]]], price: dict[int, float], whole: float
 ) -> list[list[int]]:
     """The best chains of other kinds than the pair: better than that, or cheaper and nearly as good."""
-    own = sum(price[i] for i in pair)
     ranked = sorted(((gain - sum(price[i] for i in chain), chain) for gain, chain in chains), reverse=True)
     found: dict[frozenset[object], list[int]] = {_kinds(scorer, pair): []}
     for rank, chain in ranked:
-        cheaper = sum(price[i] for i in chain) < own - CHEAPER
-        if rank > whole - own - cheaper * NEARLY * whole:
+        own = sum(price[i] for i in pair)
+        if rank > whole - own - _plainer(pair, chain, price) * NEARLY * whole:
             found.setdefault(_kinds(scorer, chain), chain)
     return [chain for chain in found.values() if chain][:TRIALS]
+
+
+def _plainer(pair: Sequence[int], chain: Sequence[int], price: dict[int, float]) -> bool:
+    """Whether a chain owes less than the pair without being more, or no more and is less: one body, not its half and a shift."""
+    saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
+    return (saved > CHEAPER and len(chain) <= len(pair)) or (saved > -CHEAPER and len(chain) < len(pair))
 
 
 def _kinds(scorer: Scorer, which: Sequence[int]) -> frozenset[object]:
@@ -149,8 +157,9 @@ def _taken(
     settle_together(bench, scorer, trial)
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
     fall = before - scorer.solve(trial)[2]
-    fewer = saved > CHEAPER and len(chain) <= len(pair)
-    margin = (0.0 if fewer else CERTAIN) + slack(misfit) * abs(fall)
+    margin = (0.0 if _plainer(pair, chain, price) else CERTAIN) + slack(misfit) * abs(fall)
+    if saved > -CHEAPER and len(chain) < len(pair):
+        margin -= CERTAIN
     real = all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in trial[kept:])
     if real and fall + saved > margin and float(np.mean(crossed(bench, scorer, trial) / errors)) <= 1.0 + ALIKE:
         out.chosen = trial

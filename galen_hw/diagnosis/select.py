@@ -3,6 +3,7 @@
 import numpy as np
 
 from galen_hw.diagnosis import seek
+from galen_hw.diagnosis.bearings import behind_friction
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.bends import as_if, rebase, unbent
 from galen_hw.diagnosis.clocks import one_clock, reclocked
@@ -54,6 +55,20 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[seek.Sought]
     return found + seek.lines(bench.scene, rest, bench.rows.runs, known) + seek.ripples(bench.scene, rest)
 
 
+SAME_LINE = 0.1
+"""Of what two lines of the spectrum are apart: sines so near stay in step over the whole recording."""
+
+
+def _known(bench: Bench, scorer: Scorer, effect: Effect) -> bool:
+    """Whether a hypothesis is in the library: turn after turn the rest shows the same, as long as nothing takes it."""
+    family = effect.family
+    alike = [h.effect for h in scorer.library if h.family == family]
+    if not isinstance(effect, Vibration):
+        return effect in alike
+    near = SAME_LINE / max(float(np.ptp(bench.scene.time)), 1e-9)
+    return any(isinstance(one, Vibration) and abs(one.frequency - effect.frequency) < near for one in alike)
+
+
 def at_first_sight(bench: Bench) -> list[seek.Sought]:
     """What belongs to moments and shows in the residual itself: it must not pass for noise, whatever it is to be called."""
     rest = bench.whole - np.median(bench.whole, axis=0)
@@ -67,7 +82,8 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
     refused: set[int] = set()
     moved = False
     for turn in range(MOST):
-        scorer.append([bench.add(s.effect, s.looked) for s in sought(bench, scorer, out.chosen)])
+        fresh = [s for s in sought(bench, scorer, out.chosen) if not _known(bench, scorer, s.effect)]
+        scorer.append([bench.add(s.effect, s.looked) for s in fresh])
         scores, highest = scorer.scores(out.chosen)
         out.needed = max(out.needed, threshold(highest, CHANCE))
         if turn == 0:
@@ -80,6 +96,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
             clipped(bench, scorer, out)
             or split(bench, scorer, out)
             or tightened(bench, scorer, out)
+            or behind_friction(bench, scorer, out)
             or regrouped(bench, scorer, out)
             or one_clock(bench, scorer, out)
             or reclocked(bench, scorer, out)

@@ -58,3 +58,8 @@ def place_of(effect: Effect | None) -> tuple[str, ...]:
     errors = getattr(effect, "errors", ())
     form = getattr(effect, "form", "") if effect.KEY == "compliance" else ""
     return (effect.KEY, *place, *map(str, errors), form)
+
+
+def told(effect: Effect | None) -> tuple[object, ...]:
+    """What an effect is, and which of its numbers are searched: a bearing with friction is not one without."""
+    return () if effect is None else (effect.family, *effect.searched())

@@ -11,7 +11,7 @@ from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.generic import POSITION, Inputs
-from galen_hw.diagnosis.judge import Judged
+from galen_hw.diagnosis.judge import Judged, touched
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.physics.event_effects import Contact
 
@@ -59,7 +59,7 @@ def foretold(whole: Model, less: Model) -> list[Left]:
     channels = sorted({c for h in touches for c in h.raw.channels})
     # What belongs to moments is fitted on all rows, those set aside too.
     good = ~bench.dropped
-    during = good & np.any([h.raw.values.any(axis=(1, 2)) for h in touches], axis=0)
+    during = good & touched(whole)
     each = [rows for rows in _each(bench, touches) if np.any(during & rows)]
     if len(each) < 2:
         return []

@@ -14,10 +14,14 @@ SURE = 6.0
 """And standard errors of that mean square, slow noise having few independent values."""
 
 
-def beyond(judged: Judged, bench: Bench) -> list[Left]:
-    """Channels in which the model does not hold on data that it did not learn from; z is the ratio of mean squares here."""
+def beyond(judged: Judged, bench: Bench, *, untouched: bool = False) -> list[Left]:
+    """Channels in which the model does not hold on data that it did not learn from; z is the ratio of mean squares here.
+
+    `untouched`: contacts are believed in, and what they leave during themselves is nobody's law.
+    """
+    after = judged.untouched if untouched and judged.untouched is not None else judged.after
     # Of noise that grows ever slower a recording holds more than a single sample's variance shows.
-    ratio = judged.after / judged.floor / bench.noise.slower
+    ratio = after / judged.floor / bench.noise.slower
     rows = int(bench.judged.sum() or bench.train.sum())
     enough = 1.0 + np.maximum(BEYOND - 1.0, SURE * np.sqrt(2.0 / bench.noise.independent(rows)))
     none = np.zeros((len(bench.rows), 0))
@@ -27,7 +31,7 @@ def beyond(judged: Judged, bench: Bench) -> list[Left]:
             "nothing that was recorded",
             float(ratio[c]),
             float(1.0 - 1.0 / ratio[c]),
-            float(np.sqrt(judged.after[c] - judged.floor[c])),
+            float(np.sqrt(after[c] - judged.floor[c])),
             none,
         )
         for c in np.argsort(-ratio)

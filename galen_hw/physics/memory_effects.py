@@ -33,14 +33,15 @@ class Creep(Effect):
     T dz/dt = x - z; r = a z ("more" to come after the load, a Kelvin element in series with what the model has) or
     r = a (z - x) ("less" at first, as relaxation is seen by a calibrated sensor).
 
-    x is a channel's simulated load (sensor), or the load of a joint (pose: the joint gives by a z). Settled at the start, or
-    `rested`: the load comes on with the first row. What settles within a third of a second does not creep: that is a filter.
+    x is a channel's simulated load (sensor), or the load of a joint (pose: the joint gives by a z), with `friction` F what the
+    bearing lets through of it, P_F[x]. Settled at the start, or `rested`: the load comes on with the first row. What settles
+    within a third of a second does not creep: that is a filter.
     Visible in rests of a few T after a change of load. Confused with lag (short T), compliance or gain (T below the rests) and
     drift.
     """
 
     KEY = "creep"
-    SEARCHED: ClassVar = {"constant": Searched(0.3, 1e4, "s")}
+    SEARCHED: ClassVar = {"constant": Searched(0.3, 1e4, "s"), "friction": Searched(1e-9, 1e6, "N m or N")}
     NEEDS_CLOCK = True
     constant: float
     channel: str = ""
@@ -48,6 +49,7 @@ class Creep(Effect):
     form: str = "more"
     longest: float = np.inf
     rested: bool = False
+    friction: float | None = None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -73,7 +75,12 @@ class Creep(Effect):
 
     def with_searched(self, values: Mapping[str, float]) -> Self:
         """Another constant, not above the longest of which this recording sees enough to tell it from a give."""
-        return replace(self, constant=min(values["constant"], self.longest))
+        constant = min(values.get("constant", self.constant), self.longest)
+        return replace(self, constant=constant, friction=values.get("friction", self.friction))
+
+    def behind(self, friction: float) -> Self:
+        """The same of what a bearing with friction (N or N m) lets through of the joint's load."""
+        return replace(self, friction=friction)
 
     def otherwise(self) -> Self:
         """What comes later or what is missing at first: a load that was read wrong all along makes one of the other."""
@@ -104,11 +111,18 @@ class Creep(Effect):
         load = scene.load(self.joint)
         if load is None or scene.observations.predict == "position":
             load = scene.q[:, scene.joint_index(self.joint)]
+        if self.friction is not None:
+            load = let_through(scene, load, self.friction)
         return through(scene, self.joint, [self._slow(scene, load)])
 
     def _slow(self, scene: Scene, x: Array) -> Array:
         slow = scene.lag("creep", x[:, None], self.constant, empty=self.rested)[:, 0]
         return slow if self.form == "more" else slow - x
+
+
+def let_through(scene: Scene, load: Array, friction: float) -> Array:
+    """(N,) what a bearing with dry friction lets through of a load (N,): a play of it as wide as that is strong."""
+    return scene.play("bearing", load[:, None], friction)[:, 0]
 
 
 BEGUN = 0.1
@@ -203,6 +217,12 @@ class Hysteresis(Effect):
         for reach in log_grid(0.03 * scale, 0.6 * scale, 5):
             yield from (cls(name, driver, scale, (), linear=True, reach=reach, gap=gap) for gap in (None, 0.3, 0.6))
 
+    def stuck_by(self, joint: str, friction: float) -> Self | None:
+        """One sharp element of so much friction (N or N m), where this is a joint's friction beside its spring; else None."""
+        if self.channel or self.driver != f"load:{joint}":
+            return None
+        return replace(self, widths=(), reach=friction, gap=None, linear=False)
+
     @property
     def joints(self) -> tuple[str, ...]:
         """The joint that drives it."""
@@ -265,13 +285,28 @@ def _signal(scene: Scene, driver: str) -> Array:
     return np.asarray(scene.simulated[:, scene.channels.index(driver)])
 
 
+NOISY = 2.0
+"""Standard deviations of a joint's readings below which a dead band of them is no play."""
+APART = 0.2
+"""Share of a joint's own spread from which what changes from row to row is no noise: rows are poses, not samples of a motion."""
+
+
+def _reading_noise(scene: Scene, joint: str) -> float:
+    """Standard deviation of a joint's readings from row to row, by fourth differences, in which no motion is left (of 70)."""
+    q = scene.q[:, scene.joint_index(joint)]
+    every = np.concatenate([np.empty(0), *(np.diff(q[run], n=4) for run in scene.segments)])
+    noise = float(1.4826 * np.median(np.abs(every)) / np.sqrt(70.0)) if len(every) else 0.0
+    return noise if noise < APART * float(np.std(q)) else 0.0
+
+
 @dataclass(frozen=True)
 class Backlash(Effect):
     """Play in a joint. Where friction holds the far side ("motion") it rests until the near side has crossed the dead band.
 
     Then q' = P_r[q] with half width r, and the parameter is the share of it that is seen (1 for plain play). Where weight or a
     push holds it ("load") it lies on the side that the load says, q' = q + r tanh(load / l), and the parameter is r itself;
-    `balanced`: weight is borne by something else, and the load is what motion alone needs.
+    `balanced`: weight is borne by something else, and the load is what motion alone needs; `friction`: it changes sides only
+    where the load has overcome the bearing's own friction F, and the load is P_F[load] (a relay with hysteresis).
     Visible at reversals, of the motion or of the load, as a shift of fixed width that does not depend on amplitude. Confused
     with hysteresis (of which it is one element), with Coulomb friction of a servo, with joint_offset where a joint turns only
     once or its load keeps its sign, and with hardening.
@@ -281,15 +316,20 @@ class Backlash(Effect):
     SEARCHED: ClassVar = {
         "half_width": Searched(1e-7, 10.0, "rad or m"),
         "transition": Searched(1e-9, 1e6, "N m or N"),
+        "friction": Searched(1e-9, 1e6, "N m or N"),
     }
     joint: str
     half_width: float | None = None
     transition: float | None = None
     balanced: bool = False
+    friction: float | None = None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Half widths from far below the joint's range to most of it; sharp and soft crossings for each joint with a load."""
+        """Half widths from far below the joint's range to most of it; sharp and soft crossings for each joint with a load.
+
+        In poses bearings with friction too, from little to most of what the load reaches.
+        """
         for joint in scene.joint_names:
             if scene.joint_port(joint) is None:
                 continue
@@ -303,6 +343,17 @@ class Backlash(Effect):
                 if load is not None and np.min(load) < 0.0 < np.max(load):
                     size = float(np.sqrt(np.mean(load**2)))
                     yield from (cls(joint, None, share * size, balanced) for share in (0.01, 0.05))
+                    if scene.observations.predict != "position" and not balanced:
+                        most = min(float(np.max(load)), -float(np.min(load)))
+                        yield from (
+                            cls(joint, None, 0.05 * size, friction=f) for f in log_grid(0.05 * most, 0.9 * most, 4)
+                        )
+
+    def at_work(self, scene: Scene) -> bool:
+        """Whether it is wider than the noise of the joint's own readings: a dead band as narrow makes these quieter, no more."""
+        if self.half_width is None or self.joint not in scene.moved:
+            return True
+        return self.half_width > NOISY * _reading_noise(scene, self.joint)
 
     @property
     def freedom(self) -> int | None:
@@ -321,6 +372,8 @@ class Backlash(Effect):
             load = scene.inertia_load(self.joint) if self.balanced else scene.load(self.joint)
             assert load is not None, "proposed only where there is a load"
             assert self.transition is not None, "proposed with one"
+            if self.friction is not None:
+                load = let_through(scene, load, self.friction)
             return through(scene, self.joint, [np.tanh(load / self.transition)])
         x = scene.q[:, [scene.joint_index(self.joint)]]
         start = scene.resting(f"joint.{self.joint}.position")

@@ -1,0 +1,69 @@
+"""A bearing that rubs: what its joint does besides, it does behind the friction."""
+
+import sys
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from diagnosis_cases import Array, lagged, played, tracked
+
+from galen_hw.diagnosis.engine import diagnose
+from galen_hw.physics.memory_effects import Backlash
+from galen_hw.physics.table import scene_of
+
+ROWS: Final = 2400
+FRICTION: Final = 0.1
+"""N m, of a load that reaches about ten times as much."""
+
+
+def rubbing_and_loose(_t: Array, moment: Array) -> Array:
+    """The joint has play, and lies on the side that the load says once it has overcome the friction."""
+    felt = played(moment, FRICTION)
+    return 2e-3 * (felt - moment) + 8e-4 * np.tanh(felt / 0.02)
+
+
+def rubbing_and_creeping(t: Array, moment: Array) -> Array:
+    """The spring that the friction spares goes on giving."""
+    felt = played(moment, FRICTION)
+    return 1.5e-3 * (felt - moment) + 4e-3 * lagged(t, felt, 3.0)
+
+
+def test_play_behind_friction_is_play_and_friction() -> None:
+    learnt, other = (scene_of(tracked(seed=seed, rows=ROWS, law=rubbing_and_loose)) for seed in (3, 4))
+    work = diagnose(learnt, holdout=other)
+    found = {f.effect: f for f in work.diagnosis.findings}
+    assert work.diagnosis.verdict == "explained"
+    assert set(found) == {"backlash", "hysteresis"}
+    assert found["backlash"].parameters["half_play"].value == pytest.approx(8e-4, rel=0.05)
+    (play,) = [h.effect for h in work.model.effects if isinstance(h.effect, Backlash)]
+    assert play.friction == pytest.approx(FRICTION, rel=0.1)
+
+
+def test_creep_behind_friction_is_creep_and_friction() -> None:
+    learnt, other = (scene_of(tracked(seed=seed, rows=ROWS, law=rubbing_and_creeping)) for seed in (3, 4))
+    work = diagnose(learnt, holdout=other)
+    found = {f.effect: f for f in work.diagnosis.findings}
+    assert work.diagnosis.verdict == "explained"
+    assert set(found) == {"creep", "hysteresis"}
+    assert found["creep"].parameters["constant"].value == pytest.approx(3.0, rel=0.1)
+    assert found["creep"].parameters["compliance"].value == pytest.approx(4e-3, rel=0.05)
+
+
+def test_a_play_narrower_than_the_noise_of_its_joint_is_none() -> None:
+    """A dead band in noisy readings makes them quieter, which the recording likes whatever its joint does."""
+    scene = scene_of(tracked(seed=3, rows=ROWS))
+    noisy = np.random.default_rng(1).normal(scale=1e-3, size=ROWS)
+    scene.q[:, scene.joint_index("tilt")] += noisy
+    assert not Backlash("tilt", 1e-3).at_work(scene)
+    assert Backlash("tilt", 1e-2).at_work(scene)
+    assert Backlash("roll", 1e-3).at_work(scene)
+
+
+def test_poses_one_after_the_other_are_not_taken_for_noise() -> None:
+    scene = scene_of(tracked(seed=3, rows=ROWS))
+    scene.q[:] = np.random.default_rng(1).permutation(scene.q)
+    assert Backlash("tilt", 1e-3).at_work(scene)
