@@ -15,15 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.operators import LagState, ServoState, delay, lag, play, second_order, servo
+from galen_hw.physics.operated import Memory, Operated
 from galen_hw.physics.ports import Carried, Port
 from galen_hw.physics.screws import forget
 from galen_hw.physics.smoothing import derivatives, ends
 from galen_hw.spatial import Array
-
-Memory = dict[Any, Any]
-"""What operators remember from row to row, by the name of their place in the effect."""
-
 
 BANDS = (40.0, 20.0, 10.0, 5.0, 2.5)
 """Low-passes in Hz that are tried on noisy motion."""
@@ -51,7 +47,7 @@ def once(method: F) -> F:
     return held  # type: ignore[return-value]
 
 
-class Scene:
+class Scene(Operated):
     """What is common to all groups; the channels and ports come from its subclasses.
 
     Args:
@@ -341,24 +337,6 @@ class Scene:
         """Columns (N, C) that the baseline fits before it is compared (a tracker's frame), constants apart."""
         return []
 
-    # -- operators ----------------------------------------------------------------------------------------------------
-
-    def _carried(self, name: Any, x: Array, run: Callable[[slice, Any], tuple[Array, Any]], start: Any = None) -> Array:
-        if self.memory is not None:
-            out, self.memory[name] = run(slice(None), self.memory.get(name, None if start is None else start[0]))
-            return out
-        if len(self.segments) == 1:
-            return run(self.segments[0], None if start is None else start[0])[0]
-        out = np.empty_like(x)
-        for number, part in enumerate(self.segments):
-            out[part] = run(part, None if start is None else start[number])[0]
-        return out
-
-    def play(self, name: Any, x: Array, half_width: Any, start: Array | None = None) -> Array:
-        """Play of (N, m) inputs, carried along the rows, see `operators.play`; `start` (segments, m): its first outputs."""
-        r = np.broadcast_to(np.asarray(half_width, dtype=float), x.shape[1:])
-        return self._carried(name, x, lambda part, state: play(x[part], r, state), start)
-
     @property
     def zeroing(self) -> "Scene | None":
         """One row: what was zeroed away, where it was; None where nothing was, or where the joints stood is not known."""
@@ -375,44 +353,6 @@ class Scene:
     def resting(self, channel: str) -> Array | None:
         """(segments, 1) where the far side of a play in a channel stands at the start of every segment; None: at its input."""
         return None
-
-    def lag(self, name: Any, x: Array, constant: Any, *, empty: bool = False, held: bool = False) -> Array:
-        """First-order lag of (N, m) inputs over the clock, see `operators.lag`; `empty`: its output begins at zero."""
-        c = np.broadcast_to(np.asarray(constant, dtype=float), x.shape[1:])
-
-        def run(part: slice, state: Any) -> tuple[Array, LagState]:
-            if state is not None and not isinstance(state, LagState):
-                state = LagState(float(self.time[part][0]), state, x[part][0])
-            return lag(self.time[part], x[part], c, state, held=held)
-
-        # Behind a gap nobody knows; it had time to settle.
-        start = [np.zeros(x.shape[1:]), *(None for _ in self.segments[1:])] if empty else None
-        return self._carried(name, x, run, start)
-
-    def second_order(self, name: Any, x: Array, constant: float, damping: float, *, held: bool = False) -> Array:
-        """Second-order response of (N, m) inputs over the clock, see `operators.second_order`."""
-        return self._carried(
-            name, x, lambda part, state: second_order(self.time[part], x[part], constant, damping, state, held=held)
-        )
-
-    def servo(
-        self, name: Any, command: Array, band: Any, constant: Any, settling: Any, start: Array | None = None
-    ) -> Array:
-        """Servos that stick, (N, m) commands over the clock, see `operators.servo`; `start` as of `play`, inside the band."""
-        wide = command.shape[1:]
-        r, quick, slow = (np.broadcast_to(np.asarray(x, dtype=float), wide) for x in (band, constant, settling))
-
-        def run(part: slice, state: Any) -> tuple[Array, ServoState]:
-            if state is not None and not isinstance(state, ServoState):
-                first = command[part][0]
-                state = ServoState(float(self.time[part][0]), np.clip(state, first - r, first + r))
-            return servo(self.time[part], command[part], r, quick, slow, state)
-
-        return self._carried(name, command, run, start)
-
-    def delay(self, name: Any, x: Array, seconds: float) -> Array:
-        """(N, m) inputs delayed by seconds, see `operators.delay`."""
-        return self._carried(name, x, lambda part, state: delay(self.time[part], x[part], seconds, state))
 
 
 def _spread(x: Array) -> Array:

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from galen_hw.kinematics import Motion
 from galen_hw.physics.imu import imu_ends, imu_motion
 from galen_hw.physics.observations import Observations
+from galen_hw.physics.operated import Memory
 from galen_hw.physics.ports import Port
 from galen_hw.physics.rigid import Body, gravity_in_sensor, inertial_wrench, predicted_wrench, weight_map
-from galen_hw.physics.scene import Memory, Scene, once
+from galen_hw.physics.scene import Scene, once
 from galen_hw.physics.screws import axis_moves, axis_screws, exponential, joint_screws
 from galen_hw.spatial import Array, rotation_exp, rotation_from_quaternion, skew, transform
 

@@ -16,7 +16,7 @@ from galen_hw.physics.terms import DATED, why_not_live
 from galen_hw.spatial import Array
 
 if TYPE_CHECKING:
-    from galen_hw.physics.scene import Memory
+    from galen_hw.physics.operated import Memory
 
 RATE_CONSTANT: Final = 0.02
 """Time constant in s over which joint rates are smoothed for the effects that need them."""
