@@ -39,6 +39,7 @@ def test_play_behind_friction_is_play_and_friction() -> None:
     assert work.diagnosis.verdict == "explained"
     assert set(found) == {"backlash", "hysteresis"}
     assert found["backlash"].parameters["half_play"].value == pytest.approx(8e-4, rel=0.05)
+    assert found["hysteresis"].parameters["reach"].unit == "N m"
     (play,) = [h.effect for h in work.model.effects if isinstance(h.effect, Backlash)]
     assert play.friction == pytest.approx(FRICTION, rel=0.1)
 

@@ -124,7 +124,7 @@ def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int)
     mark = prefix or (f"{number + 1}: " if number else "")
     out = {f"{mark}{p.name}": Value(float(v), float(d), _unit(bench.scene, effect.joints, p.unit)) for p, v, d in named}
     for name, value in values.items():
-        unit = _unit(bench.scene, effect.joints, effect.SEARCHED[name].unit)
+        unit = _unit(bench.scene, effect.joints, effect.searched_unit(name))
         out[f"{mark}{name}"] = Value(value, searched[name], unit)
     if hasattr(effect, "moment"):
         out[f"{mark}moment"] = Value(float(effect.moment), 0.0, "s")

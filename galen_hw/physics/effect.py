@@ -181,6 +181,10 @@ class Effect(ABC):
         """Values of the searched parameters that are in use."""
         return {name: getattr(self, name) for name in self.SEARCHED if getattr(self, name) is not None}
 
+    def searched_unit(self, name: str) -> str:
+        """Unit of a searched parameter, "rad or m" and its like where the joint says which."""
+        return self.SEARCHED[name].unit
+
     def with_searched(self, values: Mapping[str, float]) -> Self:
         """Another point of the search."""
         return replace(self, **values)  # type: ignore[type-var]

@@ -217,6 +217,10 @@ class Hysteresis(Effect):
         for reach in log_grid(0.03 * scale, 0.6 * scale, 5):
             yield from (cls(name, driver, scale, (), linear=True, reach=reach, gap=gap) for gap in (None, 0.3, 0.6))
 
+    def searched_unit(self, name: str) -> str:
+        """What drives it is a motion or a load."""
+        return "N m or N" if name == "reach" and self.driver.startswith("load:") else super().searched_unit(name)
+
     def stuck_by(self, joint: str, friction: float) -> Self | None:
         """One sharp element of so much friction (N or N m), where this is a joint's friction beside its spring; else None."""
         if self.channel or self.driver != f"load:{joint}":
