@@ -103,6 +103,6 @@ def proposals(group, static=False):
         found += [replace(e, form=form) for e in tied for form in ("tendon", "tendon_dry")]
     found += [Lag(0.2, damping=0.4)] if made.clock else []
     if group in ("pose", "targets"):
-        found += [e.behind(0.05) for e in found if isinstance(e, Creep) and e.joint]
+        found += [e.with_searched({"friction": 0.05}) for e in found if isinstance(e, Creep) and e.joint]
     found += [Glitches((first,), (3, 9))] + ([TorqueRipple("elbow", 9.0)] if group == "effort" else [])
     return made, list({(e.family, *e.searched()): e for e in found}.values())

@@ -1,6 +1,7 @@
 """A bearing that rubs: what its joint does besides, it does behind the friction."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -11,7 +12,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import Array, lagged, played, tracked
 
-from galen_hw.diagnosis.engine import diagnose
+from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.result import Finding
 from galen_hw.physics.memory_effects import Backlash
 from galen_hw.physics.table import scene_of
 
@@ -32,11 +34,16 @@ def rubbing_and_creeping(t: Array, moment: Array) -> Array:
     return 1.5e-3 * (felt - moment) + 4e-3 * lagged(t, felt, 3.0)
 
 
-def test_play_behind_friction_is_play_and_friction() -> None:
-    learnt, other = (scene_of(tracked(seed=seed, rows=ROWS, law=rubbing_and_loose)) for seed in (3, 4))
+def explained(law: Callable[[Array, Array], Array]) -> tuple[Work, dict[str, Finding]]:
+    """The diagnosis of one motion, judged on another, and its findings by name; it must leave nothing."""
+    learnt, other = (scene_of(tracked(seed=seed, rows=ROWS, law=law)) for seed in (3, 4))
     work = diagnose(learnt, holdout=other)
-    found = {f.effect: f for f in work.diagnosis.findings}
     assert work.diagnosis.verdict == "explained"
+    return work, {f.effect: f for f in work.diagnosis.findings}
+
+
+def test_play_behind_friction_is_play_and_friction() -> None:
+    work, found = explained(rubbing_and_loose)
     assert set(found) == {"backlash", "hysteresis"}
     assert found["backlash"].parameters["half_play"].value == pytest.approx(8e-4, rel=0.05)
     assert found["hysteresis"].parameters["reach"].unit == "N m"
@@ -45,10 +52,7 @@ def test_play_behind_friction_is_play_and_friction() -> None:
 
 
 def test_creep_behind_friction_is_creep_and_friction() -> None:
-    learnt, other = (scene_of(tracked(seed=seed, rows=ROWS, law=rubbing_and_creeping)) for seed in (3, 4))
-    work = diagnose(learnt, holdout=other)
-    found = {f.effect: f for f in work.diagnosis.findings}
-    assert work.diagnosis.verdict == "explained"
+    _, found = explained(rubbing_and_creeping)
     assert set(found) == {"creep", "hysteresis"}
     assert found["creep"].parameters["constant"].value == pytest.approx(3.0, rel=0.1)
     assert found["creep"].parameters["compliance"].value == pytest.approx(4e-3, rel=0.05)

@@ -20,8 +20,8 @@ FRICTIONS: Final = np.geomspace(0.02, 0.95, 7)
 QUICKER: Final = (1.0, 0.6)
 """Shares of the constant that are tried with each: what waits for the friction seems to take longer."""
 TOLERANCE: Final = 3e-3
+"""To which share friction and constant are sought from there, in so many points, by steps that begin with these logarithms."""
 MOST: Final = 60
-"""Points of the search from the best of them."""
 SIMPLEX: Final = np.array([[0.0, 0.0], [0.2, 0.0], [0.0, -0.2]])
 MARGIN: Final = 6.0
 """Beyond the price of the parameters, in units of the log likelihood ratio."""
@@ -38,8 +38,10 @@ def behind_friction(bench: Bench, scorer: Scorer, out: Selection) -> bool:
             continue
         for j in out.chosen:
             loop = scorer.library[j].effect
+            if not isinstance(loop, Hysteresis) or not loop.rubs_in(creep.joint):
+                continue
             tried = frozenset((told(scorer.library[k].effect), k in (i, j)) for k in out.chosen)
-            if not isinstance(loop, Hysteresis) or loop.stuck_by(creep.joint, 1.0) is None or tried in out.regrouped:
+            if tried in out.regrouped:
                 continue
             out.regrouped.add(tried)
             if _taken(bench, scorer, out, (i, j), (creep, loop)):
@@ -63,10 +65,8 @@ def _taken(
     def made(at: Array) -> list[Hypothesis]:
         """Creep from either end, and the friction, at the logarithms of friction and constant."""
         friction, constant = np.exp(at).tolist()
-        stuck = loop.stuck_by(creep.joint, friction)
-        assert stuck is not None, "asked before"
-        creeps = [one.behind(friction).with_searched({"constant": constant}) for one in plain]
-        return [bench.add(effect) for effect in (*creeps, stuck)]
+        creeps = [one.with_searched({"friction": friction, "constant": constant}) for one in plain]
+        return [bench.add(effect) for effect in (*creeps, loop.stuck_by(friction))]
 
     def ways(stuck: int) -> list[list[int]]:
         """What comes late or what is missing at first, beside the gives or without them."""

@@ -89,19 +89,22 @@ def _best(
     scorer: Scorer, pair: tuple[int, ...], chains: list[tuple[float, list[int]]], price: dict[int, float], whole: float
 ) -> list[list[int]]:
     """The best chains of other kinds than the pair: better than that, or cheaper and nearly as good."""
+    own = sum(price[i] for i in pair)
     ranked = sorted(((gain - sum(price[i] for i in chain), chain) for gain, chain in chains), reverse=True)
     found: dict[frozenset[object], list[int]] = {_kinds(scorer, pair): []}
     for rank, chain in ranked:
-        own = sum(price[i] for i in pair)
-        if rank > whole - own - _plainer(pair, chain, price) * NEARLY * whole:
+        plainer = _needed(pair, chain, price) < CERTAIN
+        if rank > whole - own - plainer * NEARLY * whole:
             found.setdefault(_kinds(scorer, chain), chain)
     return [chain for chain in found.values() if chain][:TRIALS]
 
 
-def _plainer(pair: Sequence[int], chain: Sequence[int], price: dict[int, float]) -> bool:
-    """Whether a chain owes less than the pair without being more, or no more and is less: one body, not its half and a shift."""
+def _needed(pair: Sequence[int], chain: Sequence[int], price: dict[int, float]) -> float:
+    """By how much a chain must be better than the pair, prices paid: one body need not be, beside its half and a shift."""
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
-    return (saved > CHEAPER and len(chain) <= len(pair)) or (saved > -CHEAPER and len(chain) < len(pair))
+    if len(chain) < len(pair) and saved > -CHEAPER:
+        return -CERTAIN
+    return 0.0 if len(chain) <= len(pair) and saved > CHEAPER else CERTAIN
 
 
 def _kinds(scorer: Scorer, which: Sequence[int]) -> frozenset[object]:
@@ -157,9 +160,7 @@ def _taken(
     settle_together(bench, scorer, trial)
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
     fall = before - scorer.solve(trial)[2]
-    margin = (0.0 if _plainer(pair, chain, price) else CERTAIN) + slack(misfit) * abs(fall)
-    if saved > -CHEAPER and len(chain) < len(pair):
-        margin -= CERTAIN
+    margin = _needed(pair, chain, price) + slack(misfit) * abs(fall)
     real = all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in trial[kept:])
     if real and fall + saved > margin and float(np.mean(crossed(bench, scorer, trial) / errors)) <= 1.0 + ALIKE:
         out.chosen = trial

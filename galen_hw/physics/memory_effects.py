@@ -19,6 +19,7 @@ from galen_hw.physics.effect import (
     through,
 )
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.smoothing import row_noise
 from galen_hw.physics.time_effects import joint_of
 from galen_hw.spatial import Array
 
@@ -78,10 +79,6 @@ class Creep(Effect):
         constant = min(values.get("constant", self.constant), self.longest)
         return replace(self, constant=constant, friction=values.get("friction", self.friction))
 
-    def behind(self, friction: float) -> Self:
-        """The same of what a bearing with friction (N or N m) lets through of the joint's load."""
-        return replace(self, friction=friction)
-
     def otherwise(self) -> Self:
         """What comes later or what is missing at first: a load that was read wrong all along makes one of the other."""
         return replace(self, form="less" if self.form == "more" else "more")
@@ -121,7 +118,7 @@ class Creep(Effect):
 
 
 def let_through(scene: Scene, load: Array, friction: float) -> Array:
-    """(N,) what a bearing with dry friction lets through of a load (N,): a play of it as wide as that is strong."""
+    """(N,) what a bearing with dry friction lets through of a load (N,), all in N or N m: a play of it as wide as that."""
     return scene.play("bearing", load[:, None], friction)[:, 0]
 
 
@@ -221,10 +218,12 @@ class Hysteresis(Effect):
         """What drives it is a motion or a load."""
         return "N m or N" if name == "reach" and self.driver.startswith("load:") else super().searched_unit(name)
 
-    def stuck_by(self, joint: str, friction: float) -> Self | None:
-        """One sharp element of so much friction (N or N m), where this is a joint's friction beside its spring; else None."""
-        if self.channel or self.driver != f"load:{joint}":
-            return None
+    def rubs_in(self, joint: str) -> bool:
+        """Whether it is a joint's friction beside its spring."""
+        return not self.channel and self.driver == f"load:{joint}"
+
+    def stuck_by(self, friction: float) -> Self:
+        """One sharp element of so much friction (N or N m) in its place."""
         return replace(self, widths=(), reach=friction, gap=None, linear=False)
 
     @property
@@ -296,10 +295,9 @@ APART = 0.2
 
 
 def _reading_noise(scene: Scene, joint: str) -> float:
-    """Standard deviation of a joint's readings from row to row, by fourth differences, in which no motion is left (of 70)."""
+    """Standard deviation of a joint's readings from row to row, rad or m; 0 where none can be told."""
     q = scene.q[:, scene.joint_index(joint)]
-    every = np.concatenate([np.empty(0), *(np.diff(q[run], n=4) for run in scene.segments)])
-    noise = float(1.4826 * np.median(np.abs(every)) / np.sqrt(70.0)) if len(every) else 0.0
+    noise = row_noise(q, scene.segments)
     return noise if noise < APART * float(np.std(q)) else 0.0
 
 

@@ -329,14 +329,22 @@ def at_rest(time: Array, x: Array, segments: list[slice]) -> Array:
     return out
 
 
+def row_noise(x: Array, segments: list[slice]) -> float:
+    """Standard deviation of the white noise of a signal (N,), in its unit; nan where no segment has five rows.
+
+    By the median of fourth differences, in which noise has 70 times its variance and what moves at the pace of an arm is gone.
+    """
+    every = np.concatenate([np.diff(x[part], 4) for part in segments])
+    return float(np.nanmedian(np.abs(every))) / (MEDIAN_OF_NORMAL * math.sqrt(70.0)) if len(every) else math.nan
+
+
 def _rests(x: Array, shortest: int) -> Iterator[slice]:
     """Runs of rows of a noisy signal (N,) that stays where it is, of at least `shortest` times `STILL_ROWS` rows.
 
-    Means of a few rows each stay within what the noise of a row makes of them, each and as a whole. The noise is told by fourth
-    differences, in which it has 70 times its variance and what moves at the pace of an arm is gone; by their median.
+    Means of a few rows each stay within what the noise of a row makes of them, each and as a whole.
     """
     count = len(x) // STILL_ROWS
-    sigma = float(np.nanmedian(np.abs(np.diff(x, 4)))) / (MEDIAN_OF_NORMAL * math.sqrt(70.0))
+    sigma = row_noise(x, [slice(None)])
     if count < shortest or not sigma > 0.0:
         return
     means = np.mean(x[: count * STILL_ROWS].reshape(count, STILL_ROWS), axis=1) * math.sqrt(STILL_ROWS) / sigma
