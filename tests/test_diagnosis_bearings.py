@@ -12,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import Array, lagged, played, tracked
 
+from galen_hw.diagnosis.curves import axis_of
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.result import Finding
 from galen_hw.physics.memory_effects import Backlash
@@ -49,6 +50,8 @@ def test_play_behind_friction_is_play_and_friction() -> None:
     assert found["hysteresis"].parameters["reach"].unit == "N m"
     (play,) = [h.effect for h in work.model.effects if isinstance(h.effect, Backlash)]
     assert play.friction == pytest.approx(FRICTION, rel=0.1)
+    curve = axis_of(work, play, 0, np.zeros(ROWS), [])
+    assert (curve.label, curve.unit, curve.loop) == ("tilt load", "N m", True), "its page shows it over what throws it"
 
 
 def test_creep_behind_friction_is_creep_and_friction() -> None:

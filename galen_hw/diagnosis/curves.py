@@ -11,6 +11,7 @@ from galen_hw.diagnosis.variables import Variable, joint_units, variables
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Vibration
 from galen_hw.physics.joint_effects import TorqueRipple
+from galen_hw.physics.memory_effects import Backlash
 from galen_hw.physics.sensor_effects import CrossTalk, Temperature
 from galen_hw.spatial import Array
 
@@ -145,7 +146,10 @@ def _driver(work: Work, effect: Effect, channel: int) -> Axis:
     """What a memory remembers: a joint's position or load, or the simulated channel."""
     scene, average = work.bench.scene, work.bench.rows.average
     kind, _, joint = getattr(effect, "driver", f"joint:{getattr(effect, 'joint', '')}").partition(":")
-    if kind == "load" and (load := scene.load(joint)) is not None:
+    load = scene.load(joint) if kind == "load" else None
+    if isinstance(effect, Backlash) and effect.half_width is None:
+        load = scene.inertia_load(joint) if effect.balanced else scene.load(joint)
+    if load is not None:
         return Axis(f"{joint} load", joint_units(scene, joint)[1], average(load), loop=True)
     if joint in scene.joint_names:
         x = average(scene.q[:, scene.joint_index(joint)])
