@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from galen_hw.physics.operators import delay, lag, play, second_order, servo
+from galen_hw.physics.operators import delay, impulse, lag, play, second_order, servo
 
 
 def play_by_definition(x: np.ndarray, half_width: np.ndarray, state: np.ndarray | None) -> np.ndarray:
@@ -58,6 +58,21 @@ def test_play_walks_corners_where_there_are_few_and_doubles_where_there_are_many
     quick = play(jittery, np.array([0.2]), None)[0]
     assert not walked
     assert np.max(np.abs(slow - quick)) < 0.02
+
+
+@given(signals(), st.booleans(), st.floats(0.0, 1.0))
+def test_an_impulse_is_the_area_below_wherever_it_is_cut(x, uneven, where):
+    """Trapezia from zero, and a stream that was cut anywhere goes on."""
+    t = np.cumsum(np.random.default_rng(len(x)).uniform(0.005, 0.015, len(x))) if uneven else np.arange(len(x)) * 0.01
+    whole, last = impulse(t, x, None)
+    np.testing.assert_allclose(whole[-1], np.trapezoid(x, t, axis=0), atol=1e-12)
+    assert not whole[0].any()
+    cut = int(where * len(x))
+    if 0 < cut < len(x):
+        first, between = impulse(t[:cut], x[:cut], None)
+        rest, end = impulse(t[cut:], x[cut:], between)
+        np.testing.assert_allclose(np.concatenate([first, rest]), whole, atol=1e-12)
+        np.testing.assert_allclose(end.sum, last.sum, atol=1e-12)
 
 
 CLOCKS = pytest.mark.parametrize("uneven", [False, True])

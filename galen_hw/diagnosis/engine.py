@@ -24,7 +24,7 @@ from galen_hw.diagnosis.select import at_first_sight, library, select
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.touches import slight
 from galen_hw.diagnosis.unnamed import left_by, might_yield, predict_unnamed
-from galen_hw.diagnosis.verdict import beyond, strong, verdict_of
+from galen_hw.diagnosis.verdict import beyond, strong, trifles, verdict_of
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.event_effects import Contact, Glitches
 from galen_hw.physics.scene import Scene
@@ -103,7 +103,7 @@ def diagnose(
     if model is not chosen:
         left = left_by([model], generic)[0]
     left = strong(left, judged, bench)
-    if small := slight(model, judged, left or beyond(judged, bench)):
+    if small := [*trifles(model), *slight(model, judged, left or beyond(judged, model))]:
         model, judged = earned(model.without(small), holdout, judged)
         left = strong(left_by([model], generic)[0], judged, bench)
     glitch = [] if premise.wrong else glitches.confirmed(glitch, model)
@@ -251,7 +251,7 @@ def _said(
     findings = findings_of(model, selection, judged, glitch)
     for finding in findings:
         finding.confounded_with = confusions(model, selection, finding)
-    rest = left or beyond(judged, bench, untouched=True)
+    rest = left or beyond(judged, model, untouched=True)
     if premise.wrong or rest:
         findings.append(unknown_finding(bench, judged, rest, premise))
     verdict = verdict_of(findings, rest, premise)

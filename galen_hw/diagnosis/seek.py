@@ -161,6 +161,10 @@ def drifts(scene: Scene, rest: Array, time: Array) -> list[Sought]:
 
 WANDERS = (0, 5, 15)
 """Half cosines over the recording that the phase of a hum may follow."""
+WIDEST = 45
+"""And where the line stands out beyond the reach of these."""
+STANDS_OUT = 3.0
+"""Mean of its power there over that of what lies further away."""
 NARROW = 0.1
 """Share of its frequency that a line may reach to either side: what is broader is no narrow band (a quality of five)."""
 
@@ -200,7 +204,12 @@ def lines(
         *((ratio[:, c], (scene.channels[c],)) for c in range(ratio.shape[1])),
     ]:
         f = _peak(score) / (pad * dt)
-        hums = [Vibration(tuple(names), float(f), wander) for wander in WANDERS]
+        hums = [Vibration(tuple(names), float(f), wander) for wander in (*WANDERS, WIDEST)]
+        reach, widest, away = hums[-2].breadth(scene), hums[-1].breadth(scene), np.abs(frequency - f)
+        skirt, around = (away >= reach) & (away < widest), (away >= widest) & (away < 3.0 * widest)
+        mine = power[:, [scene.channels.index(name) for name in names]]
+        if not around.any() or np.all(mine[skirt].mean(axis=0) < STANDS_OUT * mine[around].mean(axis=0)):
+            hums.pop()
         out += [Sought(hum, n // 2) for hum in hums if hum.breadth(scene) <= narrow * hum.frequency]
     return out
 

@@ -3,10 +3,12 @@
 import numpy as np
 
 from galen_hw.diagnosis.adequacy import Left
-from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.guards import Premise
 from galen_hw.diagnosis.judge import Judged
 from galen_hw.diagnosis.result import Finding, Verdict
+from galen_hw.spatial import Array
 
 BEYOND = 1.5
 """Held-out mean square over the noise's above which something is left, whether or not any function tried has caught it."""
@@ -14,14 +16,47 @@ SURE = 6.0
 """And standard errors of that mean square, slow noise having few independent values."""
 
 
-def beyond(judged: Judged, bench: Bench, *, untouched: bool = False) -> list[Left]:
+FORM = 0.01
+"""Share of its own mean square that a law of matter may miss of what happens (a tenth of its size), and is right for all that."""
+
+
+def tolerated(model: Model) -> Array:
+    """(C,) mean squares that the laws of a model, rough as they are, may miss of what they are the laws of."""
+    return np.asarray(FORM * np.sum([np.zeros(model.bench.width), *_rough(model).values()], axis=0))
+
+
+def _rough(model: Model) -> dict[str, Array]:
+    """(C,) mean square of what each kind of rough law does."""
+    does: dict[str, Array] = {}
+    for h, s in zip(model.parts, model.slices(), strict=True):
+        if h.effect is not None and h.effect.ROUGH:
+            total = does.setdefault(h.effect.KEY, np.zeros((len(model.bench.rows), model.bench.width)))
+            total[:, list(h.raw.channels)] += h.does(model.final[s])
+    constant = model.bench.scene.belief.bias_free
+    return {key: np.mean((x - constant * x.mean(axis=0)) ** 2, axis=0) for key, x in does.items()}
+
+
+def trifles(model: Model) -> list[Hypothesis]:
+    """Effects of rough laws that do less, in every channel, than another such law may miss there: part of that one."""
+    does = _rough(model)
+    kinds = {
+        key
+        for key, own in does.items()
+        if np.all(own <= FORM * np.max([np.zeros_like(own), *(x for k, x in does.items() if k != key)], axis=0))
+    }
+    return [h for h in model.effects if h.effect is not None and h.effect.KEY in kinds]
+
+
+def beyond(judged: Judged, model: Model, *, untouched: bool = False) -> list[Left]:
     """Channels in which the model does not hold on data that it did not learn from; z is the ratio of mean squares here.
 
     `untouched`: contacts are believed in, and what they leave during themselves is nobody's law.
     """
+    bench = model.bench
     after = judged.untouched if untouched and judged.untouched is not None else judged.after
     # Of noise that grows ever slower a recording holds more than a single sample's variance shows.
     ratio = after / judged.floor / bench.noise.slower
+    believed = np.maximum(after - tolerated(model), judged.floor) / judged.floor / bench.noise.slower
     rows = int(bench.judged.sum() or bench.train.sum())
     enough = 1.0 + np.maximum(BEYOND - 1.0, SURE * np.sqrt(2.0 / bench.noise.independent(rows)))
     none = np.zeros((len(bench.rows), 0))
@@ -35,7 +70,7 @@ def beyond(judged: Judged, bench: Bench, *, untouched: bool = False) -> list[Lef
             none,
         )
         for c in np.argsort(-ratio)
-        if ratio[c] > enough[c]
+        if believed[c] > enough[c]
     ]
 
 

@@ -94,16 +94,33 @@ class Guard:
     def __init__(
         self, floor: Array, raw: Callable[[Model], Array], white: Callable[[Model], Array], model: Model
     ) -> None:
-        self.raw = raw
+        self._raw, self._asked = raw, (model, raw(model))
         whitened = white(model)
         noise_alone = model.bench.scene.clock and float(np.mean(whitened**2)) < PROVED
-        self._rest_of = white if noise_alone else lambda part: raw(part) / np.sqrt(floor)
-        self._rest = whitened if noise_alone else self._rest_of(model)
+        self._floor = floor
+        self._raw_rest = self._raw_of(model)
+        self._rest_of = white if noise_alone else self._raw_of
+        self._rest = whitened if noise_alone else self._raw_rest
+
+    def raw(self, part: Model) -> Array:
+        """What a model leaves on the judged rows; of the one asked last it is kept."""
+        if part is not self._asked[0]:
+            self._asked = part, self._raw(part)
+        return self._asked[1]
+
+    def _raw_of(self, part: Model) -> Array:
+        return self.raw(part) / np.sqrt(self._floor)
 
     def of(self, part: Model, own: list[int]) -> tuple[float, float]:
-        """Support, in its own channels, and `sure` of what a smaller model has left out."""
+        """Support, in its own channels, and `sure` of what a smaller model has left out.
+
+        Nothing supports what makes the raw errors there larger, whatever weight the noise gives these: physics that is missing
+        passes for slow noise where it is left long enough.
+        """
         without = self._rest_of(part)
-        return support(without[:, own], self._rest[:, own]), sure(self._rest, without)
+        wanted, certain = support(without[:, own], self._rest[:, own]), sure(self._rest, without)
+        raw, plainly = (float(np.sum(np.mean(x[:, own] ** 2, axis=0))) for x in (self._raw_of(part), self._raw_rest))
+        return (wanted if plainly <= raw * (1.0 + ROUGHLY) else min(wanted, raw / plainly - 1.0)), certain
 
     def could_tell(self, part: Model) -> bool:
         """Whether held-out rows would surely want what a smaller model has left out if it is there as it was learnt.

@@ -52,6 +52,7 @@ class CableDrag(Effect):
     """
 
     KEY = "cable_drag"
+    ROUGH = True
     form: str
     channel: str = ""
     joint: str = ""

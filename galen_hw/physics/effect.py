@@ -107,6 +107,8 @@ class Effect(ABC):
     """Its parameters belong to moments of one recording and do not carry over to another."""
     BRIEF: ClassVar[bool] = False
     """It acts in few rows only, which may all lie in one block."""
+    ROUGH: ClassVar[bool] = False
+    """A law of matter, or a shape: an idea of what happens, never the whole of it. Geometry and weight are no ideas."""
     NULL: ClassVar[Mapping[str, float]] = {}
 
     @classmethod

@@ -114,6 +114,7 @@ class Hardening(Effect):
     """
 
     KEY = "hardening"
+    ROUGH = True
     SEARCHED: ClassVar = {"knee": Searched(1e-9, 1e6, "N m or N")}
     joint: str
     power: int = 3

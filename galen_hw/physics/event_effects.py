@@ -88,6 +88,7 @@ class Contact(_Shaped):
     """
 
     KEY = "contact"
+    ROUGH = True
     channels: tuple[str, ...]
     episodes: tuple[tuple[float, float], ...]
     waves: int = 1
@@ -126,6 +127,7 @@ class Vibration(_Shaped):
     """
 
     KEY = "vibration"
+    ROUGH = True
     SEARCHED: ClassVar = {"frequency": Searched(1e-2, 1e5, "Hz")}
     NEEDS_CLOCK = True
     channels: tuple[str, ...]

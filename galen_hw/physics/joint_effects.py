@@ -41,6 +41,7 @@ class Friction(Effect):
     """
 
     KEY = "friction"
+    ROUGH = True
     SEARCHED: ClassVar = {
         "transition": Searched(1e-6, 10.0, "rad/s or m/s"),
         "stribeck": Searched(1e-5, 10.0, "rad/s or m/s"),

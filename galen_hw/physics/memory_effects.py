@@ -42,6 +42,7 @@ class Creep(Effect):
     """
 
     KEY = "creep"
+    ROUGH = True
     SEARCHED: ClassVar = {"constant": Searched(0.3, 1e4, "s"), "friction": Searched(1e-9, 1e6, "N m or N")}
     NEEDS_CLOCK = True
     constant: float
@@ -117,11 +118,18 @@ class Creep(Effect):
         return slow if self.form == "more" else slow - x
 
 
+def _driven(scene: Scene, load: Array) -> Array:
+    """(N,) impulse of a load (N,) since the recording began, N m s or N s."""
+    return scene.impulse("impulse", load[:, None])[:, 0]
+
+
 def let_through(scene: Scene, load: Array, friction: float) -> Array:
     """(N,) what a bearing with dry friction lets through of a load (N,), all in N or N m: a play of it as wide as that."""
     return scene.play("bearing", load[:, None], friction)[:, 0]
 
 
+SLOW_CROSSINGS = 8
+"""Impulses that are tried for a gap with grease in it, from one that throws the link at once to one that hardly does."""
 BEGUN = 0.1
 """Times its spread that a load is at the start, from which it matters whether it has settled."""
 
@@ -161,6 +169,7 @@ class Hysteresis(Effect):
     """
 
     KEY = "hysteresis"
+    ROUGH = True
     SEARCHED: ClassVar = {"reach": Searched(1e-7, 10.0, "rad or m"), "gap": Searched(0.02, 0.95, "1")}
     channel: str = ""
     driver: str = ""
@@ -308,23 +317,29 @@ class Backlash(Effect):
     Then q' = P_r[q] with half width r, and the parameter is the share of it that is seen (1 for plain play). Where weight or a
     push holds it ("load") it lies on the side that the load says, q' = q + r tanh(load / l), and the parameter is r itself;
     `balanced`: weight is borne by something else, and the load is what motion alone needs; `friction`: it changes sides only
-    where the load has overcome the bearing's own friction F, and the load is P_F[load] (a relay with hysteresis).
+    where the load has overcome the bearing's own friction F, and the load is P_F[load] (a relay with hysteresis); `impulse`: a
+    gap with grease in it is crossed at a speed in proportion to the load, c dq'/dt = load between the stops, so that q' - q is
+    r / J times the stop operator of half width J of the load's impulse, J = r c (a link with more momentum than the grease
+    takes off it before it has crossed seems to have more of it).
     Visible at reversals, of the motion or of the load, as a shift of fixed width that does not depend on amplitude. Confused
     with hysteresis (of which it is one element), with Coulomb friction of a servo, with joint_offset where a joint turns only
     once or its load keeps its sign, and with hardening.
     """
 
     KEY = "backlash"
+    ROUGH = True
     SEARCHED: ClassVar = {
         "half_width": Searched(1e-7, 10.0, "rad or m"),
         "transition": Searched(1e-9, 1e6, "N m or N"),
         "friction": Searched(1e-9, 1e6, "N m or N"),
+        "impulse": Searched(1e-9, 1e6, "N m s or N s"),
     }
     joint: str
     half_width: float | None = None
     transition: float | None = None
     balanced: bool = False
     friction: float | None = None
+    impulse: float | None = None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -345,6 +360,12 @@ class Backlash(Effect):
                 if load is not None and np.min(load) < 0.0 < np.max(load):
                     size = float(np.sqrt(np.mean(load**2)))
                     yield from (cls(joint, None, share * size, balanced) for share in (0.01, 0.05))
+                    if scene.observations.predict == "position" and scene.clock:
+                        reach = 0.5 * float(np.ptp(_driven(scene, load)))
+                        yield from (
+                            cls(joint, None, None, balanced, impulse=one)
+                            for one in log_grid(0.002 * reach, 0.9 * reach, SLOW_CROSSINGS)
+                        )
                     if scene.observations.predict != "position" and not balanced:
                         most = min(float(np.max(load)), -float(np.min(load)))
                         yield from (
@@ -373,6 +394,9 @@ class Backlash(Effect):
         if self.half_width is None:
             load = scene.inertia_load(self.joint) if self.balanced else scene.load(self.joint)
             assert load is not None, "proposed only where there is a load"
+            if self.impulse is not None:
+                given = _driven(scene, load)[:, None] / self.impulse
+                return through(scene, self.joint, [(given - scene.play("play", given, 1.0))[:, 0]])
             assert self.transition is not None, "proposed with one"
             if self.friction is not None:
                 load = let_through(scene, load, self.friction)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from galen_hw.physics.operators import LagState, ServoState, delay, lag, play, second_order, servo
+from galen_hw.physics.operators import LagState, ServoState, delay, impulse, lag, play, second_order, servo
 from galen_hw.spatial import Array
 
 Memory = dict[Any, Any]
@@ -73,6 +73,10 @@ class Operated:
             return servo(self.time[part], command[part], r, quick, slow, state)
 
         return self._carried(name, command, run, start)
+
+    def impulse(self, name: Any, x: Array) -> Array:
+        """(N, m) inputs summed over the clock, straight between the rows, from zero, see `operators.impulse`."""
+        return self._carried(name, x, lambda part, state: impulse(self.time[part], x[part], state))
 
     def delay(self, name: Any, x: Array, seconds: float) -> Array:
         """(N, m) inputs delayed by seconds, see `operators.delay`."""

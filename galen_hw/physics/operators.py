@@ -131,6 +131,30 @@ def _lag_evenly(steps: Array, x: Array, constant: Array, start: Array, last: Arr
 
 
 @dataclass(frozen=True)
+class ImpulseState:
+    """Last time (s), last sum and last input of an integral over the clock."""
+
+    time: float
+    sum: Array
+    input: Array
+
+
+def impulse(time: Array, x: Array, state: ImpulseState | None) -> tuple[Array, ImpulseState]:
+    """Integral of x over the clock, exact for inputs that are straight between the rows; zero at the start.
+
+    Args:
+        time: (N,) s.
+        x: (N, m) inputs.
+        state: what the last row left.
+    """
+    before = ImpulseState(float(time[0]), np.zeros_like(x[0]), x[0]) if state is None else state
+    steps = np.maximum(np.diff(np.concatenate([[before.time], time])), 0.0)
+    middle = 0.5 * (x + np.concatenate([before.input[None], x[:-1]]))
+    out = before.sum + np.cumsum(middle * steps[:, None], axis=0)
+    return out, ImpulseState(float(time[-1]), out[-1].copy(), x[-1].copy())
+
+
+@dataclass(frozen=True)
 class SecondOrderState:
     """Last time (s), last output, its rate times the constant, and last input of a second-order response."""
 

@@ -318,8 +318,8 @@ class Scene(Operated):
 
     @property
     def commanded(self) -> bool:
-        """Whether what is compared answers to a command, which stands from one row to the next."""
-        return self.observations.predict == "position"
+        """Whether what is compared answers to a command, which stands from one row to the next; a simulated answer does not."""
+        return self.observations.predict == "position" and self.observations.simulation is None
 
     def swept_port(self, joint: str, error: str) -> Array | None:
         """(N, C) what the arm's motion adds to a geometry port, per rad or m; None where it adds nothing."""

@@ -1,0 +1,159 @@
+"""Effects far above the noise, where what a law misses of what it is the law of shows as well."""
+
+import sys
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from diagnosis_cases import Array, Bench, Servo, sines
+
+from galen_hw.diagnosis.engine import diagnose
+from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.verdict import FORM, tolerated, trifles
+from galen_hw.diagnosis.wanted import Guard
+from galen_hw.kinematics import UrdfRobot
+from galen_hw.physics.event_effects import Contact, Vibration
+from galen_hw.physics.memory_effects import Backlash
+from galen_hw.physics.observations import Belief, Observations
+from galen_hw.physics.sensor_effects import Gain
+from galen_hw.physics.table import scene_of
+
+SLIDE: Final = """<robot name="slide"><link name="base"/><link name="carriage"><inertial><mass value="4"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="axis" type="prismatic"><parent link="base"/><child link="carriage"/><axis xyz="1 0 0"/>
+<limit lower="-1" upper="1" velocity="1" effort="500"/></joint></robot>"""
+MASS: Final = 4.0
+HALF_GAP: Final = 1e-3
+DRAG: Final = 250.0
+"""N s/m: the carriage is dragged along within 16 ms, and takes longer to cross the gap."""
+
+
+def in_grease(folder: Path, seed: int) -> Observations:
+    """A carriage between two stops of a nut that follows its command; grease in the gap drags it along. Integrated at 5 kHz."""
+    robot = folder / "slide.urdf"
+    robot.write_text(SLIDE)
+    rng, fine, rows = np.random.default_rng(seed), 50, 3000
+    t = np.arange(rows * fine) * 0.01 / fine
+    nut = sines(rng, t, 0.05, 0.05, 0.5)
+    place, speed, dt, read = float(nut[0]), 0.0, 0.01 / fine, []
+    for k, at in enumerate(nut.tolist()):
+        if k % fine == 0:
+            read.append(place)
+        following = (at - nut[max(k - 1, 0)]) / dt
+        speed += -DRAG * (speed - following) / MASS * dt
+        place += speed * dt
+        if abs(place - at) > HALF_GAP:
+            place, speed = at + float(np.clip(place - at, -HALF_GAP, HALF_GAP)), following
+    columns = {
+        "time": t[::fine],
+        "joint.axis.command": nut[::fine],
+        "joint.axis.position": np.array(read) + 1e-4 * rng.normal(size=rows),
+    }
+    return Observations("position", columns, None, Belief(robot=UrdfRobot(robot)))
+
+
+def test_a_link_that_grease_drags_through_its_gap_has_play(tmp_path: Path) -> None:
+    """It neither rests until the nut has crossed the gap nor is thrown at once: ten times the noise, and its size is told."""
+    learnt, other = (scene_of(in_grease(tmp_path, seed)) for seed in (1, 2))
+    work = diagnose(learnt, holdout=other)
+    assert [f.effect for f in work.diagnosis.findings] == ["backlash"]
+    told = work.diagnosis.findings[0].parameters
+    assert told["half_play"].value == pytest.approx(HALF_GAP, rel=0.05)
+    assert told["impulse"].value == pytest.approx(HALF_GAP * DRAG, rel=0.15)
+    assert told["impulse"].unit == "N s"
+
+
+def wandering(rng: np.random.Generator, t: Array, frequency: float) -> Array:
+    """A hum whose phase walks at random, a quarter of a radian rms over the recording."""
+    walk = np.cumsum(rng.normal(size=len(t)))
+    return np.sin(2.0 * np.pi * frequency * t + 0.25 * (walk - walk.mean()) / walk.std())
+
+
+def test_a_loud_hum_is_one_vibration_and_leaves_nothing() -> None:
+    run = Bench(rows=6000, rate=50.0)
+    run.wrench[:, 1] += 30.0 * 0.01 * np.sqrt(2.0) * wandering(run.rng, run.t, 11.3)
+    work = diagnose(scene_of(run.observations()))
+    assert [f.effect for f in work.diagnosis.findings] == ["vibration"]
+    assert work.diagnosis.verdict == "explained"
+    told = work.diagnosis.findings[0].parameters
+    assert told["frequency"].value == pytest.approx(11.3, abs=0.02)
+    assert told["rms_signal"].std is not None
+    assert told["rms_signal"].std < 0.02 * told["rms_signal"].value
+
+
+def test_what_answers_a_simulated_servo_does_not_answer_steps() -> None:
+    """A filter of the readings behind a servo that somebody simulated: one lag, with its constant, and no delay beside it."""
+    servo = Servo(rate=100.0)
+    fine = 20
+    slow = np.empty_like(servo.command)
+    share, y = 1.0 - np.exp(-0.01 / fine / 0.013), servo.command[0].copy()
+    for k, now in enumerate(servo.command):
+        before = servo.command[max(k - 1, 0)]
+        for part in range(fine):
+            y = y + share * (before + (now - before) * (part + 0.5) / fine - y)
+        slow[k] = y
+    servo.position, servo.sigma = slow, 1e-4
+    given = servo.observations()
+    simulated = {f"joint.{n}.position": servo.command[:, i] for i, n in enumerate(("pan", "lift"))}
+    work = diagnose(scene_of(Observations("position", given.columns, simulated, given.belief)))
+    assert [f.effect for f in work.diagnosis.findings] == ["lag"]
+    assert work.diagnosis.findings[0].parameters["constant"].value == pytest.approx(0.013, rel=0.02)
+
+
+def modelled(*placed: tuple[object, float]) -> Model:
+    """Effects of given rms in one channel, in newtons, of a run without anything else: as they would be found."""
+    run = Bench()
+    bench = diagnose(scene_of(run.observations())).bench
+    hypotheses = [bench.add(effect) for effect, _ in placed]  # type: ignore[arg-type]
+    model = Model(bench, [], hypotheses, bench.whitened(bench.whole))
+    for h, s, (_, rms) in zip(hypotheses, model.slices(), placed, strict=True):
+        one = np.ones(h.count)
+        model.final[s] = one * rms / np.sqrt(np.mean(h.does(one) ** 2))
+    return model
+
+
+HUM = Vibration(("wrench.force.x",), 3.1)
+TOUCH = Contact(("wrench.force.x",), ((20.0, 40.0),), 1)
+
+
+def test_what_is_within_the_error_of_a_rough_law_is_a_part_of_it() -> None:
+    """A touch of a thirtieth of a hum goes; of a third it stays; and no rough law hides what is exact."""
+    assert [h.effect for h in trifles(modelled((HUM, 0.3), (TOUCH, 0.01)))] == [TOUCH]
+    assert trifles(modelled((HUM, 0.3), (TOUCH, 0.1))) == []
+    assert trifles(modelled((HUM, 0.3), (Gain("wrench.force.x"), 0.001))) == []
+    assert trifles(modelled((Gain("wrench.force.x"), 0.3), (TOUCH, 0.001))) == []
+    np.testing.assert_allclose(tolerated(modelled((HUM, 0.3)))[0], FORM * 0.3**2, rtol=0.02)
+    assert not tolerated(modelled((Gain("wrench.force.x"), 0.3))).any()
+
+
+def test_nothing_supports_what_makes_raw_errors_larger() -> None:
+    """Weights of the noise may want what raw errors refuse: then it has no support, however sure it seems."""
+    model = modelled((Gain("wrench.force.x"), 0.02))
+    rng = np.random.default_rng(0)
+    quiet, slow = rng.normal(size=(4000, 6)), np.zeros((4000, 6))
+    slow[:, 0] = 2.0 * np.sin(np.arange(4000) / 300.0)
+    other = model.without(list(model.effects))
+    white = {id(model): quiet, id(other): quiet + 0.5 * np.roll(quiet, 1, axis=0)}
+    for raw, supported in ((quiet, True), (quiet + slow, False)):
+        rests = {id(model): raw, id(other): quiet + 0.5 * np.roll(quiet, 1, axis=0)}
+        guard = Guard(np.ones(6), lambda m, r=rests: r[id(m)], lambda m: white[id(m)], model)
+        support, certain = guard.of(other, [0])
+        assert (support > 0.0) == supported
+        assert certain > 5.0
+
+
+def test_an_impulse_throws_a_link_that_nothing_drags(tmp_path: Path) -> None:
+    """The less grease, the nearer to a play that the load throws from stop to stop; all of it is one stop operator."""
+    scene = scene_of(in_grease(tmp_path, 1))
+    thrown = Backlash("axis", None, 1e-3, balanced=True).columns(scene).values[:, 0, 0]
+    quick = Backlash("axis", None, None, balanced=True, impulse=1e-5).columns(scene).values[:, 0, 0]
+    assert np.mean(np.abs(thrown - quick) < 1e-6) > 0.98
+    slow = Backlash("axis", None, None, balanced=True, impulse=1e3).columns(scene).values[:, 0, 0]
+    load = scene.inertia_load("axis")
+    assert load is not None
+    summed = np.concatenate([[0.0], np.cumsum(0.5 * (load[1:] + load[:-1]) * np.diff(scene.time))])
+    np.testing.assert_allclose(slow, summed / 1e3, atol=1e-9)
