@@ -108,6 +108,6 @@ def test_a_touch_below_what_physics_leaves_is_a_part_of_that() -> None:
     model = Model(bench, work.model.nuisances, [touch], bench.whitened(y))
     more = replace(work.judged, after=work.judged.floor + 4.0 * SIGMA**2)
     assert slight(model, more, []) == []
-    rest = beyond(more, bench)
+    rest = beyond(more, model)
     assert slight(model, work.judged, rest) == []
     assert slight(model, more, rest) == [touch]

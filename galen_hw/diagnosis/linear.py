@@ -49,6 +49,15 @@ def rests(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, Array
     return rest, white
 
 
+def missed(bench: Bench, scorer: Scorer, chosen: list[int]) -> float:
+    """Mean square of what a model leaves over the noise's, 1 where noise alone is left: whitened, or raw where that is more.
+
+    Physics that is missing passes for slow noise in the weights of a short recording; a single sample knows better.
+    """
+    rest = rests(bench, scorer, chosen)[0][bench.train]
+    return max(scorer.misfit(chosen), float(np.mean(rest**2 / (bench.noise.sigma**2 * bench.noise.slower))))
+
+
 PIECES = 400
 """Of so many pieces of a recording every fifth is left out to judge what belongs to moments."""
 

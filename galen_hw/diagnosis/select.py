@@ -9,7 +9,7 @@ from galen_hw.diagnosis.bends import as_if, rebase, unbent
 from galen_hw.diagnosis.clocks import one_clock, reclocked
 from galen_hw.diagnosis.courses import finest, followed
 from galen_hw.diagnosis.limits import clipped
-from galen_hw.diagnosis.linear import crossed, rests
+from galen_hw.diagnosis.linear import crossed, missed, rests
 from galen_hw.diagnosis.nonlinear import bent, in_place, loosens, polished
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
 from galen_hw.diagnosis.regroup import regrouped
@@ -134,7 +134,8 @@ def _best(bench: Bench, scorer: Scorer, out: Selection, scores: dict[int, Score]
         return None
     able = sharpened(bench, scorer, out.chosen, scores, able)
     misfit = scorer.misfit([*out.chosen, able[0]])
-    able.insert(0, plainest(bench, scorer, out.chosen, scores, able, misfit))
+    misses = missed(bench, scorer, [*out.chosen, able[0]])
+    able.insert(0, plainest(bench, scorer, out.chosen, scores, able, misses))
     tries = 0
     for i in dict.fromkeys(able):
         if i in refused:
@@ -234,8 +235,7 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
             able = {j: s.rank + handicap(bench, scorer, others, i, j, rivals) for j, s in rivals.items() if j != i}
         better = sorted((j for j in able if able[j] > rivals[i].rank), key=lambda j: -able[j])
         best = next((j for j in better[:TRIES] if plausible(bench, scorer, others, j)), i)
-        misfit = scorer.misfit([*others, best])
-        margin = 6.0 + slack(misfit) * rivals[i].gain
+        margin = 6.0 + slack(missed(bench, scorer, [*others, best])) * rivals[i].gain
         if best in _kin(scorer, i) or (best != i and favour(scorer, i, best) > 0):
             margin = 1.0  # the same thing at a better value, or a plainer one that does as well
         if best == i or able[best] <= rivals[i].rank + margin:

@@ -8,6 +8,7 @@ from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.guards import Premise
 from galen_hw.diagnosis.judge import Judged
 from galen_hw.diagnosis.result import Finding, Verdict
+from galen_hw.physics.table import effect_class
 from galen_hw.spatial import Array
 
 BEYOND = 1.5
@@ -20,30 +21,45 @@ FORM = 0.01
 """Share of its own mean square that a law of matter may miss of what happens (a tenth of its size), and is right for all that."""
 
 
+EXACT = 1e-5
+"""The same of any effect (three thousandths of its size): better than that neither a machine nor its clock is known."""
+
+
 def tolerated(model: Model) -> Array:
     """(C,) mean squares that the laws of a model, rough as they are, may miss of what they are the laws of."""
-    return np.asarray(FORM * np.sum([np.zeros(model.bench.width), *_rough(model).values()], axis=0))
+    rough = [_swings(x) for key, x in _does(model).items() if effect_class(key).ROUGH]
+    return np.asarray(FORM * np.sum([np.zeros(model.bench.width), *rough], axis=0))
 
 
-def _rough(model: Model) -> dict[str, Array]:
-    """(C,) mean square of what each kind of rough law does."""
+def _does(model: Model) -> dict[str, Array]:
+    """(M, C) what each kind of effect does."""
     does: dict[str, Array] = {}
     for h, s in zip(model.parts, model.slices(), strict=True):
-        if h.effect is not None and h.effect.ROUGH:
+        if h.effect is not None:
             total = does.setdefault(h.effect.KEY, np.zeros((len(model.bench.rows), model.bench.width)))
             total[:, list(h.raw.channels)] += h.does(model.final[s])
-    constant = model.bench.scene.belief.bias_free
-    return {key: np.mean((x - constant * x.mean(axis=0)) ** 2, axis=0) for key, x in does.items()}
+    return does
+
+
+def _swings(x: Array) -> Array:
+    """(C,) mean square of x (M, C) about its mean: a constant hides nothing."""
+    return np.asarray(np.var(x, axis=0))
 
 
 def trifles(model: Model) -> list[Hypothesis]:
-    """Effects of rough laws that do less, in every channel, than another such law may miss there: part of that one."""
-    does = _rough(model)
-    kinds = {
-        key
-        for key, own in does.items()
-        if np.all(own <= FORM * np.max([np.zeros_like(own), *(x for k, x in does.items() if k != key)], axis=0))
-    }
+    """Effects that do less, in every channel, than another's law may miss there: part of that one.
+
+    Of rough laws, what another rough law may; of any, what no law is known better than.
+    """
+    does, kinds = _does(model), set()
+    for key, x in does.items():
+        own = _swings(x) if model.bench.scene.belief.bias_free else np.mean(x**2, axis=0)
+        missing = np.zeros(model.bench.width)
+        for other, its in does.items():
+            rough = effect_class(key).ROUGH and effect_class(other).ROUGH
+            missing = np.maximum(missing, 0.0 if other == key else (FORM if rough else EXACT) * _swings(its))
+        if np.all(own <= missing):
+            kinds.add(key)
     return [h for h in model.effects if h.effect is not None and h.effect.KEY in kinds]
 
 
