@@ -124,6 +124,8 @@ def test_what_is_within_the_error_of_a_rough_law_is_a_part_of_it() -> None:
     """A touch of a thirtieth of a hum goes; of a third it stays; no rough law hides what is exact, and no law is perfect."""
     assert [h.effect for h in trifles(modelled((HUM, 0.3), (TOUCH, 0.01)))] == [TOUCH]
     assert trifles(modelled((HUM, 0.3), (TOUCH, 0.1))) == []
+    brief = Contact(("wrench.force.x",), ((20.0, 20.5),), 1)
+    assert trifles(modelled((HUM, 0.3), (brief, 0.02))) == [], "as large as the hum while it lasts"
     assert trifles(modelled((HUM, 0.3), (Gain("wrench.force.x"), 0.001))) == []
     assert trifles(modelled((Gain("wrench.force.x"), 0.3), (TOUCH, 0.003))) == []
     assert [h.effect for h in trifles(modelled((Gain("wrench.force.x"), 0.3), (TOUCH, 0.0003)))] == [TOUCH]

@@ -53,7 +53,10 @@ def trifles(model: Model) -> list[Hypothesis]:
     """
     does, kinds = _does(model), set()
     for key, x in does.items():
+        # What belongs to moments is as large as it is then: a touch in a hundredth of the rows is no trifle.
         own = _swings(x) if model.bench.scene.belief.bias_free else np.mean(x**2, axis=0)
+        if effect_class(key).EPISODIC:
+            own = np.mean(x[x.any(axis=1)] ** 2, axis=0) if x.any() else np.zeros_like(own)
         missing = np.zeros(model.bench.width)
         for other, its in does.items():
             rough = effect_class(key).ROUGH and effect_class(other).ROUGH
