@@ -9,7 +9,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import Array, Bench, Servo, sines
+from diagnosis_cases import Array, Bench, Servo, lagged, sines
 
 from galen_hw.diagnosis.engine import diagnose
 from galen_hw.diagnosis.final import Model
@@ -88,15 +88,8 @@ def test_a_loud_hum_is_one_vibration_and_leaves_nothing() -> None:
 def test_what_answers_a_simulated_servo_does_not_answer_steps() -> None:
     """A filter of the readings behind a servo that somebody simulated: one lag, with its constant, and no delay beside it."""
     servo = Servo(rate=100.0)
-    fine = 20
-    slow = np.empty_like(servo.command)
-    share, y = 1.0 - np.exp(-0.01 / fine / 0.013), servo.command[0].copy()
-    for k, now in enumerate(servo.command):
-        before = servo.command[max(k - 1, 0)]
-        for part in range(fine):
-            y = y + share * (before + (now - before) * (part + 0.5) / fine - y)
-        slow[k] = y
-    servo.position, servo.sigma = slow, 1e-4
+    servo.position = np.stack([lagged(servo.t, c, 0.013, straight=True) for c in servo.command.T], axis=1)
+    servo.sigma = 1e-4
     given = servo.observations()
     simulated = {f"joint.{n}.position": servo.command[:, i] for i, n in enumerate(("pan", "lift"))}
     work = diagnose(scene_of(Observations("position", given.columns, simulated, given.belief)))

@@ -19,8 +19,6 @@ SURE = 6.0
 
 FORM = 0.01
 """Share of its own mean square that a law of matter may miss of what happens (a tenth of its size), and is right for all that."""
-
-
 EXACT = 1e-5
 """The same of any effect (three thousandths of its size): better than that neither a machine nor its clock is known."""
 
@@ -51,12 +49,11 @@ def trifles(model: Model) -> list[Hypothesis]:
 
     Of rough laws, what another rough law may; of any, what no law is known better than.
     """
-    does, kinds = _does(model), set()
+    does, kinds, free = _does(model), set(), model.bench.scene.belief.bias_free
     for key, x in does.items():
         # What belongs to moments is as large as it is then: a touch in a hundredth of the rows is no trifle.
-        own = _swings(x) if model.bench.scene.belief.bias_free else np.mean(x**2, axis=0)
-        if effect_class(key).EPISODIC:
-            own = np.mean(x[x.any(axis=1)] ** 2, axis=0) if x.any() else np.zeros_like(own)
+        when = x.any(axis=1) if effect_class(key).EPISODIC else np.ones(len(x), dtype=bool)
+        own = _swings(x) if free and when.all() else np.sum(x[when] ** 2, axis=0) / max(int(when.sum()), 1)
         missing = np.zeros(model.bench.width)
         for other, its in does.items():
             rough = effect_class(key).ROUGH and effect_class(other).ROUGH

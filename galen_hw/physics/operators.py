@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.signal import lfilter
 
 from galen_hw.spatial import Array
@@ -148,9 +149,8 @@ def impulse(time: Array, x: Array, state: ImpulseState | None) -> tuple[Array, I
         state: what the last row left.
     """
     before = ImpulseState(float(time[0]), np.zeros_like(x[0]), x[0]) if state is None else state
-    steps = np.maximum(np.diff(np.concatenate([[before.time], time])), 0.0)
-    middle = 0.5 * (x + np.concatenate([before.input[None], x[:-1]]))
-    out = before.sum + np.cumsum(middle * steps[:, None], axis=0)
+    rows, clock = np.concatenate([before.input[None], x]), np.concatenate([[before.time], time])
+    out = before.sum + cumulative_trapezoid(rows, clock, axis=0)
     return out, ImpulseState(float(time[-1]), out[-1].copy(), x[-1].copy())
 
 
