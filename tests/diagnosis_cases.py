@@ -279,6 +279,14 @@ IN_EFFORT: dict[str, tuple[str, Callable[[Beam], None]]] = {
 # -- positions of a servo ----------------------------------------------------------------------------------------------
 
 
+def carriage(mass: float) -> str:
+    """URDF of a carriage of so many kg on a level axis."""
+    return f"""<robot name="slide"><link name="base"/><link name="carriage"><inertial><mass value="{mass}"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="axis" type="prismatic"><parent link="base"/><child link="carriage"/><axis xyz="1 0 0"/>
+<limit lower="-1" upper="1" velocity="1" effort="500"/></joint></robot>"""
+
+
 class Servo:
     """Two joints that follow their command, with what is concealed between the two."""
 

@@ -15,7 +15,7 @@ from diagnosis_cases import Array, lagged, played, tracked
 from galen_hw.diagnosis.curves import axis_of
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.result import Finding
-from galen_hw.physics.memory_effects import Backlash
+from galen_hw.physics.play_effects import Backlash
 from galen_hw.physics.table import scene_of
 
 ROWS: Final = 2400

@@ -44,6 +44,17 @@ def test_a_filter_is_a_lag_of_its_order(constant: float, damping: float | None) 
         assert told["damping"].value == pytest.approx(damping, rel=0.03)
 
 
+def test_a_lag_far_shorter_than_a_row_is_named_beside_the_delay() -> None:
+    """A twentieth of a row: no data tell the two apart, and the answer says so, whichever stands first."""
+    constant, bench = 0.0025, Bench(seed=5, rows=4000)
+    bench.wrench = np.stack([_answered(bench.t, x, constant, None) for x in bench.wrench.T], axis=1)
+    bench.noise *= 0.05
+    (finding,) = diagnose(scene_of(bench.observations())).diagnosis.findings
+    assert {finding.effect, *(c.effect for c in finding.confounded_with)} >= {"lag", "time_delay"}
+    told = finding.parameters["delay" if finding.effect == "time_delay" else "constant"]
+    assert told.value == pytest.approx(constant, rel=0.05)
+
+
 def test_a_servo_that_rings_is_no_delay() -> None:
     """Slow motion shows it as late alone; its commands stand from row to row, as one who integrates by hand has them."""
     servo, frequency, damping, parts = Servo(), 2.0 * np.pi * 3.0, 0.35, 200

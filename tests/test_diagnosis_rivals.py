@@ -11,20 +11,22 @@ from scipy.signal import lfilter
 sys.path.insert(0, str(Path(__file__).parent))
 
 import diagnosis_cases as cases
-from diagnosis_cases import Beam, Bench, Servo
+from diagnosis_cases import WRENCH, Beam, Bench, Servo
 
 from galen_hw.diagnosis import confusion
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.judge import judge
 from galen_hw.diagnosis.nonlinear import ahead, in_place
 from galen_hw.diagnosis.score import Scorer
+from galen_hw.diagnosis.select import sought
 from galen_hw.diagnosis.wanted import shows_in_noise, sure
 from galen_hw.diagnosis.worth import WORTH, worth
 from galen_hw.kinematics import GalenRobot, UrdfRobot
 from galen_hw.physics.elastic_effects import Hardening
 from galen_hw.physics.geometry_effects import JointOffset
-from galen_hw.physics.memory_effects import Backlash, Hysteresis
+from galen_hw.physics.memory_effects import Hysteresis
 from galen_hw.physics.observations import Belief, Observations
+from galen_hw.physics.play_effects import Backlash
 from galen_hw.physics.rigid import Body
 from galen_hw.physics.table import scene_of
 from galen_hw.physics.time_effects import Lag, TimeDelay
@@ -172,6 +174,23 @@ def test_a_limit_that_was_reached_once_is_a_limit_and_no_contact() -> None:
     effect, share = work.model.effects[0].effect, work.model.final[-1]
     beyond = np.maximum(x - effect.limit, 0.0) * share
     assert beyond.max() == pytest.approx(0.12, abs=0.03)
+
+
+def test_the_ends_of_a_recording_hide_no_limit() -> None:
+    """No fit sees the first rows, in which it is reached most: there nothing is known, not that nothing was clipped."""
+    bench = Bench(seed=5, rows=4000)
+    work = work_of(bench)
+    ends = work.bench.scene.ends
+    assert ends.any()
+    x = work.bench.scene.simulated.copy()
+    x[ends, 1] = x[:, 1].max() + 2.0
+    limit = float(np.sort(x[~ends, 1])[-30])
+    rest = np.minimum(x, np.where(np.arange(6) == 1, limit, np.inf)) - x
+    work.bench.whole = np.where(ends[:, None], 0.0, rest)
+    work.bench.scene.simulated[:] = x
+    found = [s.effect for s in sought(work.bench, work.selection.scorer, []) if s.effect.KEY == "saturation"]
+    (mine,) = (effect for effect in found if effect.channel == WRENCH[1] and effect.upper)
+    assert mine.limit == pytest.approx(limit, abs=0.01)
 
 
 def test_play_that_motion_turns_over_is_backlash() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import Array, Bench, Servo, lagged, sines
+from diagnosis_cases import Array, Bench, Servo, carriage, lagged, sines
 
 from galen_hw.diagnosis.engine import diagnose
 from galen_hw.diagnosis.final import Model
@@ -17,15 +17,11 @@ from galen_hw.diagnosis.verdict import FORM, tolerated, trifles
 from galen_hw.diagnosis.wanted import Guard
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.event_effects import Contact, Vibration
-from galen_hw.physics.memory_effects import Backlash
 from galen_hw.physics.observations import Belief, Observations
+from galen_hw.physics.play_effects import Backlash
 from galen_hw.physics.sensor_effects import Gain
 from galen_hw.physics.table import scene_of
 
-SLIDE: Final = """<robot name="slide"><link name="base"/><link name="carriage"><inertial><mass value="4"/>
-<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="axis" type="prismatic"><parent link="base"/><child link="carriage"/><axis xyz="1 0 0"/>
-<limit lower="-1" upper="1" velocity="1" effort="500"/></joint></robot>"""
 MASS: Final = 4.0
 HALF_GAP: Final = 1e-3
 DRAG: Final = 250.0
@@ -35,7 +31,7 @@ DRAG: Final = 250.0
 def in_grease(folder: Path, seed: int) -> Observations:
     """A carriage between two stops of a nut that follows its command; grease in the gap drags it along. Integrated at 5 kHz."""
     robot = folder / "slide.urdf"
-    robot.write_text(SLIDE)
+    robot.write_text(carriage(MASS))
     rng, fine, rows = np.random.default_rng(seed), 50, 3000
     t = np.arange(rows * fine) * 0.01 / fine
     nut = sines(rng, t, 0.05, 0.05, 0.5)

@@ -1,11 +1,16 @@
 """Recordings of joints as real machines give them: several runs as one, noisy encoders, sticking joints, loose dampers."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from diagnosis_cases import carriage
 
 from galen_hw.cli import main
 from galen_hw.diagnosis.engine import diagnose
@@ -13,18 +18,14 @@ from galen_hw.errors import UsageError
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.elastic_effects import Compliance
 from galen_hw.physics.joint_effects import Friction
-from galen_hw.physics.memory_effects import Backlash, Hysteresis
+from galen_hw.physics.memory_effects import Hysteresis
 from galen_hw.physics.observations import Belief, Observations
+from galen_hw.physics.play_effects import Backlash
 from galen_hw.physics.sensor_effects import Drift
 from galen_hw.physics.smoothing import at_rest, denoised, derivatives, ends, has_line, isolated, motion_band
 from galen_hw.physics.table import scene_of
 from galen_hw.physics.time_effects import Lag, TimeDelay
 from galen_hw.physics.together import PAUSE, joined
-
-SLIDE = """<robot name="slide"><link name="base"/><link name="carriage"><inertial><mass value="95"/>
-<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="axis" type="prismatic"><parent link="base"/><child link="carriage"/><axis xyz="1 0 0"/>
-<limit lower="-1" upper="1" velocity="1" effort="500"/></joint></robot>"""
 
 
 def run(rows: int, start: float = 0.0, **columns: np.ndarray) -> Observations:
@@ -119,7 +120,7 @@ def slide(rng: np.random.Generator) -> Observations:
         v += (f + friction) / 95.0 * dt
         x += v * dt
     columns = {"time": t, "joint.axis.position": place + 2e-6 * rng.normal(size=rows), "joint.axis.effort": force}
-    return Observations("effort", columns, None, Belief(robot=UrdfRobot(SLIDE)))
+    return Observations("effort", columns, None, Belief(robot=UrdfRobot(carriage(95.0))))
 
 
 def test_jumps_of_force_are_not_smeared_on_one_side_alone():

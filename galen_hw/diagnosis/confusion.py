@@ -192,13 +192,17 @@ class Sharpener:
         """The rival with its searched values, one after the other, where it makes most of the found signal."""
         effect = rival.effect.unlimited()
         pinned = self._pinned(effect)
+        # Where the size is not free, the searched value is the size: without its limit it may lie far below the grid.
+        down = 1.0 / REACH if pinned is None or effect == rival.effect else 0.0
         for name, value in rival.effect.searched().items():
-            effect = self._along(effect, name, value, finely=pinned is not None)
+            effect = self._along(effect, name, (down * value, REACH * value), finely=pinned is not None)
         rest, X = self._rest(effect)
         share = max(1.0 - rest / float(self.signal @ self.signal), 0.0)
         if pinned is None and _angle(np.sqrt(share)) >= rival.angle:
             return rival
         A, r, library = X.T @ X, X.T @ self.white, self.scorer.library
+        if not A.any():  # Where it comes nearest it does nothing.
+            return rival
         theta = solve_sym(A, r[:, None])[:, 0] if pinned is None else pinned_at(pinned, A, r)
         worth = float(2.0 * theta @ r - theta @ A @ theta)
         paid = price(library[rival.place]) - price(library[self.i])
@@ -206,9 +210,9 @@ class Sharpener:
         angle = _angle(np.sqrt(share))
         return replace(rival, lead=self.gain - worth + paid, angle=angle, nearest=nearest, theta=theta, effect=effect)
 
-    def _along(self, effect: Effect, name: str, value: float, *, finely: bool) -> Effect:
+    def _along(self, effect: Effect, name: str, within: tuple[float, float], *, finely: bool) -> Effect:
         bound = effect.SEARCHED[name]
-        low, high = max(np.log(value / REACH), np.log(bound.low)), min(np.log(value * REACH), np.log(bound.high))
+        low, high = np.log(max(within[0], bound.low)), np.log(min(within[1], bound.high))
 
         def missed(at: float) -> float:
             return self._rest(effect.with_searched({name: float(np.exp(at))}))[0]

@@ -11,7 +11,7 @@ from galen_hw.diagnosis.variables import Variable, joint_units, variables
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Vibration
 from galen_hw.physics.joint_effects import TorqueRipple
-from galen_hw.physics.memory_effects import Backlash
+from galen_hw.physics.play_effects import Backlash
 from galen_hw.physics.sensor_effects import CrossTalk, Temperature
 from galen_hw.spatial import Array
 

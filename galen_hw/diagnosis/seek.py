@@ -284,7 +284,7 @@ def saturations(scene: Scene, rest: Array, simulated: Array) -> list[Sought]:
             k = np.arange(1, len(w))
             limit, s, q = w[1:], np.cumsum(w)[:-1], np.cumsum(w * w)[:-1]
             gain = -2.0 * (np.cumsum(r * w)[:-1] - limit * np.cumsum(r)[:-1]) - (q - 2.0 * limit * s + k * limit**2)
-            gain[: max(len(w) // 200, FEW_CLIPPED)] = 0.0
+            gain[: max(len(w) // 1000, FEW_CLIPPED)] = 0.0
             gain[len(w) // 2 :] = 0.0
             if len(gain) and gain.max() > 0.0:
                 out.append(Sought(Saturation(name, float(sign * limit[int(np.argmax(gain))]), sign > 0.0), len(w) // 4))

@@ -49,8 +49,8 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[seek.Sought]
     found += seek.drifts(bench.scene, rest, bench.rows.average(bench.scene.time))
     # A limit that was found before something else was is sought again as if it had not been.
     added = bench.rows.average(np.asarray(bench.stream.standing + bench.stream.carried))
-    stream = bench.rows.average(bench.scene.simulated) + added
-    found += seek.saturations(bench.scene, bench.whole - added, stream)
+    stream, seen = bench.rows.average(bench.scene.simulated) + added, ~bench.dropped
+    found += seek.saturations(bench.scene, np.asarray(bench.whole - added)[seen], stream[seen])
     known = [effect for i in chosen if isinstance(effect := scorer.library[i].effect, Vibration)]
     return found + seek.lines(bench.scene, rest, bench.rows.runs, known) + seek.ripples(bench.scene, rest)
 

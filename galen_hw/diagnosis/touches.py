@@ -17,8 +17,8 @@ from galen_hw.physics.event_effects import Contact
 
 FORETOLD: Final = 0.4
 """Share of what touches take, in the moments of each, that must follow from the positions of the others."""
-OUT: Final = 2.0
-"""Mean square of touches over that of what physics leaves, on rows that it did not learn from, from which they are events."""
+OUT: Final = 3.0
+"""Rms of a touch while it lasts over that of what physics leaves on other data, from which it is an event."""
 AROUND: Final = 0.5
 """Of a touch's length: how long before and after it nothing is learnt about it either."""
 
@@ -29,7 +29,7 @@ def touches_of(model: Model) -> list[Hypothesis]:
 
 
 def slight(model: Model, judged: Judged, rest: Sequence[Left]) -> list[Hypothesis]:
-    """Touches that take less of a recording than physics leaves of it, in the channel where they are largest: part of that.
+    """Touches that take hardly more, while they last, than physics leaves in the channel where they are largest: part of that.
 
     What bends otherwise than any name leaves most where the arm goes furthest, in episodes as if it were touched. Asked in the
     channels of which more than noise is left (`rest`).
@@ -38,10 +38,10 @@ def slight(model: Model, judged: Judged, rest: Sequence[Left]) -> list[Hypothesi
     left = np.maximum(judged.after - judged.floor, 0.0)
     for h, at in zip(model.parts, model.slices(), strict=True):
         if isinstance(h.effect, Contact):
-            channels = list(h.raw.channels)
-            taken = np.mean((h.raw.values @ model.final[at]) ** 2, axis=0)
+            channels, does = list(h.raw.channels), h.raw.values @ model.final[at]
+            taken = np.mean(does[does.any(axis=1)] ** 2, axis=0)
             most = int(np.argmax(taken / judged.floor[channels]))
-            if channels[most] in more and taken[most] < OUT * left[channels[most]]:
+            if channels[most] in more and taken[most] < OUT**2 * left[channels[most]]:
                 out.append(h)
     return out
 

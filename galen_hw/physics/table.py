@@ -21,7 +21,7 @@ EFFECTS: Final[dict[str, str]] = {
     "lag": "galen_hw.physics.time_effects:Lag",
     "creep": "galen_hw.physics.memory_effects:Creep",
     "hysteresis": "galen_hw.physics.memory_effects:Hysteresis",
-    "backlash": "galen_hw.physics.memory_effects:Backlash",
+    "backlash": "galen_hw.physics.play_effects:Backlash",
     "vibration": "galen_hw.physics.event_effects:Vibration",
     "glitches": "galen_hw.physics.event_effects:Glitches",
     "payload": "galen_hw.physics.body_effects:Payload",

@@ -11,7 +11,8 @@ from galen_hw.identification.deflection.bent import BentScene, GiveScene
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.elastic_effects import Compliance, Hardening
-from galen_hw.physics.memory_effects import Backlash, Creep, Hysteresis
+from galen_hw.physics.memory_effects import Creep, Hysteresis
+from galen_hw.physics.play_effects import Backlash
 from galen_hw.physics.scene_giving import GivingScene, Slip
 from galen_hw.spatial import Array
 
