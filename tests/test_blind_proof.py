@@ -79,6 +79,23 @@ def test_a_sensor_clips_at_the_same_limit_in_every_run(seed: int) -> None:
         assert set(read[cut, channel]) <= {hidden.machine["limit"]}
 
 
+@pytest.mark.parametrize("kind", ["quadratic_gauge", "eddy_pick_up"])
+def test_physics_without_a_name_is_one_law_in_every_run(kind: str) -> None:
+    """What the first run teaches holds in the second: another motion does not change the machine."""
+    case = Case("x", 3, "wrench", "outside", duration_s=20.0, effects=[Injected("unknown", kind)])
+    (hidden,) = case.effects
+    laws = []
+    for run in (0, 1):
+        scene, hidden.kind = build._scene(case, run), kind
+        build._hide(case, scene, hidden, 0, 1.0)
+        read, free = wrench.simulate(scene), wrench.simulate(build._scene(case, run))
+        (channel,) = np.flatnonzero((read != free).any(axis=0))
+        x = free[:, channel] if kind == "quadratic_gauge" else np.prod(scene.path.dq[:, 3:], axis=1)
+        laws.append(np.polyfit(x, (read - free)[:, channel], 2))
+        assert_allclose(np.polyval(laws[-1], x), (read - free)[:, channel], atol=1e-9)
+    assert_allclose(laws[1], laws[0], rtol=1e-6, atol=1e-9)
+
+
 def test_a_plan_keeps_its_promised_shares_and_depends_on_its_seed_alone() -> None:
     """400 cases: 25 % null, 40 % single, 20 % several, 10 % outside, 5 % premise; every single effect occurs."""
     cases = plan(11, 400)

@@ -49,7 +49,7 @@ def write(
         _power(cases, pictures),
         _confusion(cases, pictures),
         _where_and_how_much(cases, pictures),
-        _rival_table(rivals, pictures),
+        _rival_table(rivals, {c.truth["name"]: c for c in cases}, pictures),
         "\n".join(recordings),
     ]
     path.write_text("\n".join(p for p in parts if p))
@@ -168,7 +168,7 @@ def _draw_parameters(rows: list[tables.ParameterRow], path: Path) -> None:
     plt.close(figure)
 
 
-def _rival_table(rivals: list[dict[str, Any]], pictures: Path) -> str:
+def _rival_table(rivals: list[dict[str, Any]], cases: dict[str, Scored], pictures: Path) -> str:
     if not rivals:
         return ""
     names = [n for n in rivals[0] if n not in tables.OWN]
@@ -188,6 +188,11 @@ def _rival_table(rivals: list[dict[str, Any]], pictures: Path) -> str:
     for n in names:
         v = np.array([r[n] for r in rivals])
         lines.append(f"| {n} | {np.median(v):.3f} | {np.quantile(v, 0.9):.3f} | {np.mean(tool < v):.2f} of {len(v)} |")
+    lost = [(r, best) for r in rivals if r["tool"] >= r[best := min(names, key=r.__getitem__)]]
+    lines += ["", "Not beaten:", ""] if lost else []
+    lines += [
+        f"- {r['name']}: {best} {r[best]:.4f}, galen-hw {r['tool']:.4f}; {cases[r['name']].why}" for r, best in lost
+    ]
     figure, ax = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
     for n in ["tool", *names]:
         v = np.sort([r[n] for r in rivals])

@@ -17,8 +17,9 @@ def quadratic_gauge(scene: Scene, hidden: Injected, rng: np.random.Generator, a:
 
     def change(x: Array) -> Array:
         x = x.copy()
-        centred = x[:, c] - x[:, c].mean()
-        x[:, c] += a * SIGMA[c] * (centred / centred.std()) ** 2
+        null = scene.of_machine(hidden, "null", float(x[:, c].mean()))
+        span = scene.of_machine(hidden, "span", float(x[:, c].std()))
+        x[:, c] += a * SIGMA[c] * ((x[:, c] - null) / span) ** 2
         return x
 
     scene.after.append(change)
@@ -28,7 +29,7 @@ def eddy_pick_up(scene: Scene, hidden: Injected, rng: np.random.Generator, a: fl
     """Two motors' stray fields beat in the sensor's wires: a reading that goes with the product of two speeds."""
     c = int(rng.integers(6))
     product = scene.path.dq[:, 3] * scene.path.dq[:, 4]
-    product = product / product.std()
+    product = product / scene.of_machine(hidden, "fast", float(product.std()))
     hidden.kind = "product of two speeds"
     scene.after.append(lambda x: x + a * SIGMA[c] * product[:, None] * np.eye(6)[c])
 
