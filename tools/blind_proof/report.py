@@ -188,11 +188,9 @@ def _rival_table(rivals: list[dict[str, Any]], cases: dict[str, Scored], picture
     for n in names:
         v = np.array([r[n] for r in rivals])
         lines.append(f"| {n} | {np.median(v):.3f} | {np.quantile(v, 0.9):.3f} | {np.mean(tool < v):.2f} of {len(v)} |")
-    lost = [(r, best) for r in rivals if r["tool"] >= r[best := min(names, key=r.__getitem__)]]
+    lost = [(r, n) for r in rivals for n in [tables.best_rival(r)] if r["tool"] >= r[n]]
     lines += ["", "Not beaten:", ""] if lost else []
-    lines += [
-        f"- {r['name']}: {best} {r[best]:.4f}, galen-hw {r['tool']:.4f}; {cases[r['name']].why}" for r, best in lost
-    ]
+    lines += [f"- {r['name']}: {n} {r[n]:.4f}, galen-hw {r['tool']:.4f}; {cases[r['name']].why}" for r, n in lost]
     figure, ax = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
     for n in ["tool", *names]:
         v = np.sort([r[n] for r in rivals])

@@ -81,7 +81,7 @@ def figures(cases: list[Scored], rivals: list[dict[str, Any]]) -> list[Figure]:
 
 def _rival_figures(rivals: list[dict[str, Any]], named: set[str]) -> list[Figure]:
     """How often the best rival was beaten: of all, and where the physics is of the vocabulary."""
-    best = {row["name"]: min(v for k, v in row.items() if k not in OWN) for row in rivals}
+    best = {row["name"]: row[best_rival(row)] for row in rivals}
     beaten = {row["name"]: row["tool"] < best[row["name"]] for row in rivals}
     # Better than the formula that made the data is luck, and nothing can be better than it but by luck.
     lucky = {name for name, error in best.items() if error < 1.0}
@@ -92,6 +92,11 @@ def _rival_figures(rivals: list[dict[str, Any]], named: set[str]) -> list[Figure
     if lucky:
         some[f"the same without {len(lucky)} where a rival was nearer than the true formula"] = set(beaten) - lucky
     return [_won(what, [beaten[name] for name in sorted(names)]) for what, names in some.items() if names]
+
+
+def best_rival(row: dict[str, Any]) -> str:
+    """The name of the rival with the smallest error in one case."""
+    return min((name for name in row if name not in OWN), key=row.__getitem__)
 
 
 def _won(what: str, won: list[bool]) -> Figure:
