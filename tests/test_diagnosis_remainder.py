@@ -17,6 +17,7 @@ from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.findings import dependence
 from galen_hw.diagnosis.generic import Inputs, dictionaries
 from galen_hw.diagnosis.inner_products import Functions
+from galen_hw.diagnosis.judge import judge_remainder
 from galen_hw.diagnosis.pursuit import Pursuit
 from galen_hw.diagnosis.regression import Blend
 from galen_hw.diagnosis.remainder import RIDGES, Ridge, learn
@@ -24,6 +25,7 @@ from galen_hw.diagnosis.rows import Rows
 from galen_hw.diagnosis.seek import spikes
 from galen_hw.diagnosis.touches import foretold
 from galen_hw.diagnosis.trees import beside
+from galen_hw.diagnosis.unnamed import _finished
 from galen_hw.diagnosis.wanted import support
 from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.table import scene_of
@@ -71,6 +73,25 @@ def test_what_has_no_name_is_predicted_without_one_on_another_recording() -> Non
     assert d.findings[0].evidence["heldout_gain"] > 0.8
     assert "without a name" in d.findings[0].says
     assert d.terms == []
+
+
+def test_what_is_found_in_one_channel_is_asked_of_the_others_too() -> None:
+    """The same product of speeds in two: in the second it is too small to be found by itself, and foretold all the same."""
+    runs = [stray(Bench(seed, rows=4000)) for seed in (1, 2)]
+    for run in runs:
+        roll, tilt = (np.gradient(run.q[:, k], run.t) for k in (3, 4))
+        run.wrench[:, 4] += 0.5 * SIGMA[4] * roll * tilt / 0.2
+    work = judged(*runs)
+    found = [one for one in work.left if one.channel == 0]
+    assert found
+    scene = scene_of(runs[1].observations())
+    functions, remainder = Functions(work.bench), learn(work.model, {0: {"products of speeds"}})
+    assert remainder is not None
+    alone = judge_remainder(work.model, scene, work.judged, beside(remainder, work.model, functions)).reached
+    wider = _finished(work.model, scene, work.judged, remainder, found, functions).reached
+    assert wider[4] < 0.9 * alone[4]
+    np.testing.assert_array_equal(wider[[1, 2, 3, 5]], alone[[1, 2, 3, 5]])
+    assert _finished(work.model, scene, work.judged, None, found, functions) is work.judged
 
 
 def test_what_does_not_hold_elsewhere_is_not_counted() -> None:

@@ -15,12 +15,15 @@ from galen_hw.diagnosis.noise import Noise, estimate, quantisation
 from galen_hw.diagnosis.rows import Index, Mask, Rows, blocks, set_aside
 from galen_hw.diagnosis.stream import through
 from galen_hw.physics.effect import Columns, Downstream, Effect
+from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
 MOST_ROWS = 12500
 SURROGATES = 48
 MOST_OF_MOTION = 0.995
+LEAST_TOLD = float(np.exp(2.0))
+"""Independent values at which a number costs what it takes of noise alone on average and as much again (Akaike 1974)."""
 IN_ORDER = 1000
 """Rows without a clock from which their order shows what the noise is like; poses that were averaged are fewer, and apart."""
 
@@ -33,11 +36,11 @@ class Hypothesis:
         effect: the piece of physics; None: a nuisance or a generic term.
         raw: averaged columns, unfiltered.
         white: the same, whitened channel by channel.
-        looked: at how many places it was looked for.
+        looked: at how many places it was looked for; each of several touches at as many.
         theta: parameters at which `raw` is the slope (nonlinear effects); None: at zero.
         bend: (M, C) what it predicts at theta beyond slope times theta; None where it is linear.
         beside: (M, C) what it adds in a settled model because the others are there too; None: nothing.
-        unseen: see `aside`; None: not asked yet.
+        unseen: see `aside`; telling: see `lasts`; None: not asked yet.
     """
 
     effect: Effect | None
@@ -49,6 +52,7 @@ class Hypothesis:
     bend: Array | None = None
     beside: Array | None = None
     unseen: int | None = None
+    telling: float | None = None
 
     @property
     def count(self) -> int:
@@ -101,6 +105,27 @@ class Hypothesis:
             return shown
         relaxed = self.effect.freedom is not None and not (whole and self.effect.loose)
         return (min(shown, self.effect.freedom or 0) if relaxed else shown) + len(self.effect.searched())
+
+    def lasts(self, train: Mask) -> float:
+        """Share of the rows that are learnt from which tell of its parameters: of touches those while they last, else all.
+
+        Told once, as `aside` is.
+        """
+        if self.telling is None:
+            touching = isinstance(self.effect, Contact)
+            self.telling = float(np.mean(self.raw.values[train].any(axis=(1, 2)))) if touching else 1.0
+        return self.telling
+
+    def price(self, bench: "Bench") -> float:
+        """Of one of its numbers: the log of how many independent values tell of it (Schwarz 1978)."""
+        return float(np.log(max(bench.noise.effective * self.lasts(bench.train), LEAST_TOLD)))
+
+    def ways(self, train: Mask) -> float:
+        """Log of how many ways it could have been found in: each of several touches, of which rows are learnt from, anywhere."""
+        times = 1.0
+        if isinstance(self.effect, Contact) and self.count:
+            times = len(self.effect.episodes) * (1.0 - self.aside(train) / self.count)
+        return times * float(np.log(self.looked))
 
     def does(self, theta: Array) -> Array:
         """(M, len(channels)) its change with parameters theta (k,), what it is bent by included."""

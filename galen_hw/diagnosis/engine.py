@@ -22,7 +22,7 @@ from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import at_first_sight, library, select
 from galen_hw.diagnosis.selection import Selection
-from galen_hw.diagnosis.touches import slight
+from galen_hw.diagnosis.touches import outstanding
 from galen_hw.diagnosis.unnamed import left_by, might_yield, predict_unnamed
 from galen_hw.diagnosis.verdict import beyond, strong, trifles, verdict_of
 from galen_hw.physics.effect import Columns, Effect
@@ -103,8 +103,9 @@ def diagnose(
     if model is not chosen:
         left = left_by([model], generic)[0]
     left = strong(left, judged, bench)
-    if small := [*trifles(model), *slight(model, judged, left or beyond(judged, model))]:
-        model, judged = earned(model.without(small), holdout, judged)
+    small, plain = trifles(model), outstanding(model, judged, left or beyond(judged, model))
+    if small or plain is not model:
+        model, judged = earned(plain.without(small), holdout, judged)
         left = strong(left_by([model], generic)[0], judged, bench)
     glitch = [] if premise.wrong else glitches.confirmed(glitch, model)
     if (left or might_yield(model)) and not premise.wrong:

@@ -11,7 +11,7 @@ from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.linear import predicted
 from galen_hw.diagnosis.remainder import Remainder
 from galen_hw.diagnosis.rows import Mask, Rows
-from galen_hw.diagnosis.wanted import Guard, poor, support, sure
+from galen_hw.diagnosis.wanted import LEAST_SUPPORT, Guard, poor, support, sure
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Contact, Step, Vibration
 from galen_hw.physics.scene import Scene
@@ -302,7 +302,8 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
     """The model without what held-out data do not support, the least supported first.
 
     What belongs to moments shows nowhere else, and need not be wanted there; it only must not make worse what it touches.
-    Where a kind stands in several places (friction in five joints), each place has to earn its own.
+    What drifts or hums is there all through its own recording, and takes its share of what is set aside of that. Where a
+    kind stands in several places (friction in five joints), each place has to earn its own.
 
     Args:
         judged: of a larger model, whose rows are judged on again.
@@ -310,11 +311,15 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
     while True:
         judged = judge(model, holdout, judged)
         lasting = [k for k in judged.without if not effect_class(k).EPISODIC and not effect_class(k).BRIEF]
+        # A hum is fitted on these rows too: how surely they want it says nothing, but what it takes of them does.
+        fitted = [k for k in judged.without if effect_class(k).THROUGHOUT and holdout is None]
         sole = len(judged.without) == 1
         weak = [
             (judged.support[key], key)
             for key in judged.without
-            if key in judged.refused or (key in lasting and poor(judged.support[key], judged.sure[key], alone=sole))
+            if key in judged.refused
+            or (key in lasting and poor(judged.support[key], judged.sure[key], alone=sole))
+            or (key in fitted and judged.support[key] < LEAST_SUPPORT)
         ]
         places = [(support, k) for k, (support, sure) in judged.places.items() if poor(support, sure, alone=False)]
         if places:

@@ -46,4 +46,4 @@ def _with_limits(scorer: Scorer, out: Selection, kept: list[int], piles: list[in
 
 
 def _price(bench: Bench, scorer: Scorer, model: list[int]) -> float:
-    return sum(scorer.library[i].count for i in model) * float(np.log(bench.noise.effective))
+    return sum(h.count * h.price(bench) for h in (scorer.library[i] for i in model))

@@ -4,7 +4,7 @@ It shows how far any function of the known inputs and their past would go (the c
 live services: a function that nobody can explain does not act on a robot.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -50,6 +50,16 @@ class Remainder:
     gain: float
     crossed: Array
     trees: dict[int, HistGradientBoostingRegressor] = field(default_factory=dict)
+
+    def joined(self, other: "Remainder") -> "Remainder":
+        """With the other's channels, none of which are its own, as yet without trees."""
+        return replace(
+            self,
+            parts=self.parts | other.parts,
+            offsets=self.offsets | other.offsets,
+            gain=self.gain + other.gain,
+            crossed=self.crossed + other.crossed,
+        )
 
     def predict(self, scene: Scene, rows: Rows, width: int) -> Array | None:
         """(M, C) for another recording; None where it cannot speak of it."""

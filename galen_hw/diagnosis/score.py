@@ -231,7 +231,7 @@ class Scorer:
             for m, i in enumerate(group):
                 pinned = self.library[i].pinned_gain(self.bench.scene, A[m], rest_b[rows[m]])
                 gains[m] = gains[m] if pinned is None else pinned
-            looked = np.log([self.library[i].looked * families[i] for i in group])
+            looked = np.array([self.library[i].ways(self._train) + np.log(families[i]) for i in group])
             surprise = self._surprise(gains, counts) - looked
             # What was sought in the residual has no counterpart in the surrogates: `looked` pays for it instead.
             mirrored = (counts > 0) & (np.array([self.library[i].looked for i in group]) == 1)
@@ -246,19 +246,17 @@ class Scorer:
         return {i: out[i] for i in asked if i in out}, highest
 
     def _score(self, i: int, gain: float, count: int, surprise: float) -> Score:
-        price = self.library[i].owed(max(count - self.library[i].aside(self._train), 0)) * np.log(
-            self.bench.noise.effective
-        )
-        looked = self.library[i].looked
+        h = self.library[i]
+        price = h.owed(max(count - h.aside(self._train), 0)) * h.price(self.bench)
         # What was sought in the residual pays for the places it was sought at.
-        places = 2.0 * np.log(looked) if looked > 1 else self._occam.get(self._key(i), 0.0)
+        places = 2.0 * h.ways(self._train) if h.looked > 1 else self._occam.get(self._key(i), 0.0)
         return Score(gain, count, surprise, float(gain - price - places))
 
     def in_full(self, i: int, score: Score) -> Score:
         """A score with the price of all numbers that a loose hypothesis has; of another the same."""
         h = self.library[i]
         owed = h.owed(score.count, whole=True) - h.owed(score.count)
-        return replace(score, rank=score.rank - owed * float(np.log(self.bench.noise.effective)))
+        return replace(score, rank=score.rank - owed * h.price(self.bench))
 
     def covariance(self, at: "Index") -> Array:
         """Of the parameters of the columns `at`, for noise of unit variance."""

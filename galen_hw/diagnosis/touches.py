@@ -1,6 +1,7 @@
 """Whether what passes for touches is an event or a place: nobody pushes by the arm's position."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -28,22 +29,31 @@ def touches_of(model: Model) -> list[Hypothesis]:
     return [h for h in model.effects if isinstance(h.effect, Contact)]
 
 
-def slight(model: Model, judged: Judged, rest: Sequence[Left]) -> list[Hypothesis]:
-    """Touches that take hardly more, while they last, than physics leaves in the channel where they are largest: part of that.
+def outstanding(model: Model, judged: Judged, rest: Sequence[Left]) -> Model:
+    """The model without those moments of its touches that take hardly more, where they are largest, than physics leaves there.
 
     What bends otherwise than any name leaves most where the arm goes furthest, in episodes as if it were touched. Asked in the
-    channels of which more than noise is left (`rest`).
+    channels of which more than noise is left (`rest`); the same model where all moments stand out.
     """
-    more, out = {one.channel for one in rest}, list[Hypothesis]()
+    more, kept = {one.channel for one in rest}, list[Hypothesis]()
     left = np.maximum(judged.after - judged.floor, 0.0)
+    time = model.bench.rows.average(model.bench.scene.time)
     for h, at in zip(model.parts, model.slices(), strict=True):
-        if isinstance(h.effect, Contact):
-            channels, does = list(h.raw.channels), h.raw.values @ model.final[at]
-            taken = np.mean(does[does.any(axis=1)] ** 2, axis=0)
+        if not isinstance(h.effect, Contact):
+            kept += [h] if h.effect is not None else []
+            continue
+        channels, does = list(h.raw.channels), h.raw.values @ model.final[at]
+        episodes = []
+        for start, end in h.effect.episodes:
+            taken = np.mean(does[(time >= start) & (time <= end)] ** 2, axis=0)
             most = int(np.argmax(taken / judged.floor[channels]))
-            if channels[most] in more and taken[most] < OUT**2 * left[channels[most]]:
-                out.append(h)
-    return out
+            if channels[most] not in more or taken[most] >= OUT**2 * left[channels[most]]:
+                episodes.append((start, end))
+        if len(episodes) == len(h.effect.episodes):
+            kept.append(h)
+        elif episodes:
+            kept.append(model.bench.add(replace(h.effect, episodes=tuple(episodes)), h.looked))
+    return model if kept == model.effects else replace(model, effects=kept)
 
 
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]

@@ -59,17 +59,25 @@ def predict_unnamed(
             other = judge_remainder(less, holdout, plainly, its_own)
             # A contact is fitted to the moments that it is judged on: nothing else can do as well there.
             if place or float(np.sum(other.reached / judged.floor)) < float(np.sum(judged.reached / judged.floor)):
-                return less, _finished(less, holdout, other, its_own, functions), its_rest
-    return model, _finished(model, holdout, judged, remainder, functions), rest
+                return less, _finished(less, holdout, other, its_own, its_rest, functions), its_rest
+    return model, _finished(model, holdout, judged, remainder, rest, functions), rest
 
 
 def _finished(
-    model: Model, holdout: Scene | None, judged: Judged, remainder: Remainder | None, functions: Functions
+    model: Model,
+    holdout: Scene | None,
+    judged: Judged,
+    remainder: Remainder | None,
+    rest: list[adequacy.Left],
+    functions: Functions,
 ) -> Judged:
-    """With trees beside what is predicted without a name: they take their time, and no name was ever weighed against them."""
+    """With what no name is weighed against: the other channels, in which slow noise hides the same physics, and trees."""
     if remainder is None:
         return judged
-    return judge_remainder(model, holdout, judged, trees.beside(remainder, model, functions))
+    found = {one.kind for one in rest}
+    others = learn(model, {c: found for c in range(model.bench.width) if c not in remainder.parts}, functions)
+    wider = remainder if others is None else remainder.joined(others)
+    return judge_remainder(model, holdout, judged, trees.beside(wider, model, functions))
 
 
 def _explained(model: Model, rest: list[adequacy.Left], functions: Functions) -> tuple[float, Remainder | None]:

@@ -105,6 +105,8 @@ class Effect(ABC):
     """Of downstream effects: keys of others through which its own change arrives; all others stand beside it."""
     EPISODIC: ClassVar[bool] = False
     """Its parameters belong to moments of one recording and do not carry over to another."""
+    THROUGHOUT: ClassVar[bool] = False
+    """Of episodic effects: it is there all through its recording."""
     BRIEF: ClassVar[bool] = False
     """It acts in few rows only, which may all lie in one block."""
     ROUGH: ClassVar[bool] = False

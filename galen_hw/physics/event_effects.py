@@ -127,6 +127,7 @@ class Vibration(_Shaped):
     """
 
     KEY = "vibration"
+    THROUGHOUT = True
     ROUGH = True
     SEARCHED: ClassVar = {"frequency": Searched(1e-2, 1e5, "Hz")}
     NEEDS_CLOCK = True

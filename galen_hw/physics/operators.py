@@ -5,6 +5,7 @@ a batch cut anywhere gives the same numbers.
 """
 
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -267,11 +268,14 @@ def servo(
     steps = np.maximum(np.diff(np.concatenate([[before], time])), 0.0)
     start = command[0] if state is None else state.output
     out = np.empty_like(command, dtype=float)
+    # Where it starts nothing moves it: on an even clock every row has the shares of every other.
+    even = state is None and len(steps) > 2 and np.ptp(steps[1:]) <= EVEN * steps[1]
     for j, (r, lag_j, slow, first) in enumerate(
         zip(band.tolist(), constant.tolist(), settling.tolist(), start.tolist(), strict=True)
     ):
         q, at, breaks = first, [], r if np.isinf(slow) else r * slow / (slow - lag_j)
-        quick, creeping = ((-np.expm1(-steps / one)).tolist() for one in (lag_j, slow))
+        shares = (-np.expm1(-steps / one) for one in (lag_j, slow))
+        quick, creeping = (repeat(float(x[-1]), len(x)) if even else x.tolist() for x in shares)
         for share, little, c in zip(quick, creeping, command[:, j].tolist(), strict=True):
             error = c - q
             if error > breaks:

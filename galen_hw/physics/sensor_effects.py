@@ -68,6 +68,7 @@ class Drift(Effect):
     KEY = "drift"
     SEARCHED: ClassVar = {"constant": Searched(1e-2, 1e6, "s")}
     EPISODIC = True
+    THROUGHOUT = True
     channel: str = ""
     form: str = "linear"
     constant: float | None = None
