@@ -1,19 +1,26 @@
-"""Limits in the place of a touch: readings that clip at both ends, or in several channels, clip in the same episodes.
+"""Limits: where they stand beside a model, and in the place of a touch.
 
-The search takes one hypothesis after the other. A touch with a level and a bow an episode does about what all the limits do
-together, and more than any of them by itself; beside it none of them is worth anything.
+Readings that clip at both ends, or in several channels, clip in the same episodes. The search takes one hypothesis after the
+other. A touch with a level and a bow an episode does about what all the limits do together, and more than any of them by
+itself; beside it none of them is worth anything.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
 from galen_hw.diagnosis.bench import Bench
-from galen_hw.diagnosis.bends import as_if
+from galen_hw.diagnosis.bends import as_if, rebase
 from galen_hw.diagnosis.linear import crossed
 from galen_hw.diagnosis.plainness import ALIKE
+from galen_hw.diagnosis.retiming import retime, settle_together
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection, place_of
 from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.sensor_effects import Saturation
+
+SURE = 3.0
+"""Standard errors of their mean by which readings that clip must lie off the limit."""
 
 
 def clipped(bench: Bench, scorer: Scorer, out: Selection) -> bool:
@@ -31,6 +38,38 @@ def clipped(bench: Bench, scorer: Scorer, out: Selection) -> bool:
             out.chosen = trial
             return True
     return False
+
+
+def levelled(bench: Bench, scorer: Scorer, out: Selection) -> None:
+    """Limits that were sought beside another model stand where the readings that clip beside the present one have their mean.
+
+    With all columns told anew: what the other effects do is cut where the readings clip, and beside columns that one limit has
+    cut no other is right; a limit too low stays, and leaves a share of what the others do, or a touch, to make up for it.
+    """
+    measured = bench.whole + bench.rows.average(bench.scene.simulated)
+    for i in list(out.chosen):
+        effect = scorer.library[i].effect
+        if not isinstance(effect, Saturation) or scorer.library[i].looked == 1:
+            continue
+        c = bench.scene.channels.index(effect.channel)
+        beyond = bench.train & (bench.rows.average(effect.clipped(bench.stream).astype(float)) > 0.5)
+        level = replace(effect, limit=float(measured[beyond, c].mean())) if beyond.any() else effect
+        off = abs(level.limit - effect.limit) * np.sqrt(beyond.sum()) / bench.noise.sigma[c]
+        if off < SURE or any(h.effect == level for h in scorer.library):
+            continue
+        before, cost = list(out.chosen), scorer.solve(out.chosen)[2]
+        scorer.append([bench.add(level, scorer.library[i].looked)])
+        out.chosen = [len(scorer.library) - 1 if k == i else k for k in before]
+        _told_anew(bench, scorer, out)
+        if scorer.solve(out.chosen)[2] > cost:
+            out.chosen = before
+            _told_anew(bench, scorer, out)
+
+
+def _told_anew(bench: Bench, scorer: Scorer, out: Selection) -> None:
+    rebase(scorer, out.chosen)
+    settle_together(bench, scorer, out.chosen)
+    retime(bench, scorer, out.chosen)
 
 
 def _with_limits(scorer: Scorer, out: Selection, kept: list[int], piles: list[int]) -> list[int]:

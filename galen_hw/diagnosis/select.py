@@ -8,7 +8,7 @@ from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.bends import as_if, rebase, unbent
 from galen_hw.diagnosis.clocks import one_clock, reclocked
 from galen_hw.diagnosis.courses import finest, followed
-from galen_hw.diagnosis.limits import clipped
+from galen_hw.diagnosis.limits import clipped, levelled
 from galen_hw.diagnosis.linear import crossed, missed, rests
 from galen_hw.diagnosis.nonlinear import bent, in_place, loosens, polished
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
@@ -84,6 +84,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
     for turn in range(MOST):
         fresh = [s for s in sought(bench, scorer, out.chosen) if not _known(bench, scorer, s.effect)]
         scorer.append([bench.add(s.effect, s.looked) for s in fresh])
+        levelled(bench, scorer, out)
         scores, highest = scorer.scores(out.chosen)
         out.needed = max(out.needed, threshold(highest, CHANCE))
         if turn == 0:
