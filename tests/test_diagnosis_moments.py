@@ -98,6 +98,17 @@ def test_a_touch_owes_for_the_rows_that_tell_of_it() -> None:
     assert touch.price(bench) == pytest.approx(np.log(bench.noise.effective * lasts))
 
 
+def test_each_of_several_touches_owes_its_place() -> None:
+    """It could have been anywhere; what lies where nothing is learnt was not looked for, and a jump has one place."""
+    bench = diagnose(scene_of(Bench(5, rows=4000).observations())).bench
+    seen, hidden = (touched(bench, aside=aside) for aside in (False, True))
+    other = (seen[0] - 0.3, seen[0] - 0.1)
+    for episodes, count in (((seen,), 1), ((other, seen), 2), (tuple(sorted((seen, hidden))), 1)):
+        assert bench.add(Contact(WRENCH[:2], episodes), 250).ways(bench.train) == pytest.approx(count * np.log(250.0))
+    assert bench.add(Step(WRENCH, seen[0]), 250).ways(bench.train) == pytest.approx(np.log(250.0))
+    assert bench.add(Contact(WRENCH[:2], (seen,))).ways(bench.train) == 0.0
+
+
 def test_a_short_touch_under_slow_noise_is_told() -> None:
     """Three touches, a level in every channel: for all rows of the recording their numbers would have cost too much."""
     case = Bench(8, rows=6000, rate=50.0)

@@ -117,14 +117,16 @@ def _penalised(t: Array, x: Array, pieces: int) -> tuple[float, BSpline]:
     gram, penalty = (_upper(matrix) for matrix in (basis.T @ basis, (n / pieces) * (differ.T @ differ)))
     told, charged = _spectra(count)
 
-    def solved(decade: float) -> tuple[float, BSpline]:
+    def solved(decade: float) -> tuple[float, Array]:
         weight = 10.0**decade
         try:
-            spline = BSpline(places, solveh_banded(gram + weight * penalty, onto), DEGREE)
+            factors = solveh_banded(gram + weight * penalty, onto)
         except np.linalg.LinAlgError:  # knots without rows between them, and hardly a penalty
-            return np.inf, BSpline(places, np.zeros(count), DEGREE)
+            return np.inf, np.zeros(count)
         free = float(np.sum(told / (told + weight * charged)))
-        return float(np.sum((x - spline(t)) ** 2)) / (1.0 - free / n) ** 2, spline
+        # By the rows' own products: the spline itself takes ten times as long to evaluate.
+        left = x - basis @ factors
+        return float(left @ left) / (1.0 - free / n) ** 2, factors
 
     first = float(min(PENALTIES, key=lambda decade: solved(float(decade))[0]))
     step = float(PENALTIES[1] - PENALTIES[0])
@@ -132,7 +134,8 @@ def _penalised(t: Array, x: Array, pieces: int) -> tuple[float, BSpline]:
     best = minimize_scalar(
         lambda at: solved(at)[0], bounds=(first - step, first + step), method="bounded", options=options
     )
-    return solved(float(best.x))
+    score, factors = solved(float(best.x))
+    return score, BSpline(places, factors, DEGREE)
 
 
 def _upper(matrix: sparray) -> Array:
