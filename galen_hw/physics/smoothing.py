@@ -130,10 +130,8 @@ def _penalised(t: Array, x: Array, pieces: int) -> tuple[float, BSpline]:
 
     first = float(min(PENALTIES, key=lambda decade: solved(float(decade))[0]))
     step = float(PENALTIES[1] - PENALTIES[0])
-    options = {"xatol": DECADE}
-    best = minimize_scalar(
-        lambda at: solved(at)[0], bounds=(first - step, first + step), method="bounded", options=options
-    )
+    near = first - step, first + step
+    best = minimize_scalar(lambda at: solved(at)[0], bounds=near, method="bounded", options={"xatol": DECADE})
     score, factors = solved(float(best.x))
     return score, BSpline(places, factors, DEGREE)
 
