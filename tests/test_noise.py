@@ -12,9 +12,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import diagnosis_parts as parts
 
+from galen_hw.diagnosis.episodes import contacts
 from galen_hw.diagnosis.noise import Noise, estimate
 from galen_hw.diagnosis.rows import Rows
-from galen_hw.diagnosis.seek import _jumps, contacts
+from galen_hw.diagnosis.seek import _jumps
 from galen_hw.diagnosis.slow_noise import shelves
 from galen_hw.physics.effect import Columns
 from galen_hw.physics.event_effects import Vibration

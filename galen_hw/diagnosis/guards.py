@@ -22,6 +22,8 @@ DISORDER: Final = 0.05
 """Share of rows out of order beyond which the clock is not one clock."""
 GAP_STEPS, GAP_S = 5.0, 0.5
 """A step this many times the median, and at least so long, is a gap: what happened in it nobody knows."""
+SEEN: Final = 1.1
+"""Times the variance of what the simulation misses that it may become without a joint's noise; more is motion taken for noise."""
 ORIENTATION: Final = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
 
 
@@ -211,14 +213,29 @@ def quiet(scene: Scene) -> Scene:
     """The scene with joints at rest where they stand and moving ones without noise, if that goes straight into what is compared.
 
     In a tracked pose it is in all channels at once: an arm that is wrong by a foot would explain what shakes it at rest, and
-    a dead band or a filter that does no more than quieten the encoders would be believed.
+    a dead band or a filter that does no more than quieten the encoders would be believed. What looks like noise may be poses one
+    after the other: a joint that the tracker saw go there stays as it was read.
     """
     seen = scene.observations
     if seen.predict not in ("pose", "targets") or not scene.clock or not np.isfinite(scene.q).all():
         return scene
     q = denoised(scene.time, at_rest(scene.time, scene.q, scene.segments), scene.segments)
     places = {f"joint.{name}.position": q[:, i] for i, name in enumerate(scene.joint_names)}
-    return scene_of(replace(seen, columns=dict(seen.columns) | places))
+    whole = scene_of(replace(seen, columns=dict(seen.columns) | places))
+    most = SEEN * _missed(scene)
+    if _missed(whole) <= most:
+        return whole
+    for name, values in places.items():
+        other = scene_of(replace(scene.observations, columns=dict(scene.observations.columns) | {name: values}))
+        if _missed(other) <= SEEN * _missed(scene):
+            scene = other
+    return scene
+
+
+def _missed(scene: Scene) -> float:
+    """Variance of what is recorded about what is simulated, all channels over their own spread."""
+    spread = np.maximum(np.nanvar(scene.measured, axis=0), 1e-30)
+    return float(np.sum(np.nanvar(scene.residual, axis=0) / spread))
 
 
 def enough(good: Mask) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from galen_hw.diagnosis import seek, stream
 from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.episodes import contacts
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.linear import predicted
 from galen_hw.diagnosis.remainder import Remainder
@@ -205,9 +206,8 @@ def _undisturbed(model: Model, scene: Scene, rest: Array) -> tuple[Mask, tuple[t
         good &= ~rows.spread(np.asarray(spoilt.any(axis=1)))
     episodes: tuple[tuple[float, float], ...] = ()
     if any(isinstance(h.effect, Contact) for h in model.effects):
-        for found in seek.contacts(scene, rest):
-            assert isinstance(found.effect, Contact), "contacts are sought"
-            episodes = found.effect.episodes
+        found = [one.effect.episodes for one in contacts(scene, rest) if isinstance(one.effect, Contact)]
+        episodes = max(found, key=lambda each: sum(end - start for start, end in each), default=())
         time = rows.average(scene.time)
         for start, end in episodes:
             good &= (time < start) | (time > end)

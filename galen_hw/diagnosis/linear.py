@@ -60,6 +60,8 @@ def missed(bench: Bench, scorer: Scorer, chosen: list[int]) -> float:
 
 PIECES = 400
 """Of so many pieces of a recording every fifth is left out to judge what belongs to moments."""
+LEAST_PIECE = 8
+"""Rows of one where noise has a memory."""
 
 
 def crossed(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False) -> Array:
@@ -84,7 +86,8 @@ def _errors(
     """(n, C) errors on the training rows, each block or piece predicted from the others."""
     train = np.flatnonzero(bench.train)
     if fine:
-        fold = train // max(len(bench.rows) // PIECES, 8) % folds
+        # Noise with a memory would tell one row from the next; poses of a sweep know nothing of each other.
+        fold = train // max(len(bench.rows) // PIECES, LEAST_PIECE if len(bench.noise.edges) else 1) % folds
     else:
         fold = np.unique(bench.block[train], return_inverse=True)[1] % folds
     out = np.zeros((len(train), bench.width))

@@ -1,20 +1,18 @@
-"""Looks into a residual for what belongs to one recording: glitches, steps, contacts, shared drifts, spectral lines, ripple."""
+"""Looks into a residual for what belongs to one recording: glitches, steps, shared drifts, spectral lines, ripple."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import dct, fft, idct
-from scipy.ndimage import uniform_filter1d
-from scipy.stats import chi2
 
 from galen_hw.diagnosis.noise import Noise
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.physics.effect import Effect
-from galen_hw.physics.event_effects import Contact, Step, Vibration
+from galen_hw.physics.event_effects import Step, Vibration
 from galen_hw.physics.joint_effects import TorqueRipple
 from galen_hw.physics.scene import Scene
-from galen_hw.physics.sensor_effects import Drift, Saturation
+from galen_hw.physics.sensor_effects import Drift, Saturation, Temperature
 from galen_hw.physics.smoothing import isolated
 from galen_hw.physics.time_effects import joint_of
 from galen_hw.spatial import Array
@@ -30,6 +28,8 @@ class Sought:
 
 FEW_ROWS = 40
 """Rows too few to look for a moment or a movement in."""
+HANDFUL = 4
+"""Isolated samples of one channel that may always be told."""
 SHARED = 0.1
 """Share of the strongest channel's gain from which another channel is in it too."""
 MOMENTS = 400
@@ -41,12 +41,15 @@ FEWEST = 1e-3
 
 
 def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
-    """(N, C) isolated samples, see `smoothing.isolated`; a channel with more than 3 % of them has another kind of noise."""
+    """(N, C) isolated samples, see `smoothing.isolated`; a channel with more than 3 % of them has another kind of noise.
+
+    Of a sweep of few poses a handful is more than that.
+    """
     out = np.zeros(residual.shape, dtype=bool)
     for part in segments:
         for c in range(residual.shape[1]):
             out[part, c] = isolated(residual[part, c])
-    out[:, out.mean(axis=0) > 0.03] = False
+    out[:, out.sum(axis=0) > max(0.03 * len(out), HANDFUL)] = False
     return out
 
 
@@ -63,13 +66,13 @@ def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]
     margin = max(N // 60, 3)
     gain[:margin], gain[-margin:] = 0.0, 0.0
     names = scene.channels
-    found = [Sought(Step((names[c],), _at(scene, int(np.argmax(gain[:, c])) + 1, N)), N // 4) for c in range(C)]
+    found = [Sought(Step((names[c],), moment(scene, int(np.argmax(gain[:, c])) + 1, N)), N // 4) for c in range(C)]
     if C > 1:
         row = int(np.argmax(gain.sum(axis=1)))
-        found.append(Sought(Step(tuple(names), _at(scene, row + 1, N)), N // 4))
+        found.append(Sought(Step(tuple(names), moment(scene, row + 1, N)), N // 4))
         some = tuple(n for n, g in zip(names, gain[row], strict=True) if g > SHARED * gain[row].max())
         if 1 < len(some) < C:
-            found.append(Sought(Step(some, _at(scene, row + 1, N)), N // 4))
+            found.append(Sought(Step(some, moment(scene, row + 1, N)), N // 4))
     return found
 
 
@@ -100,9 +103,9 @@ def slips(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[
         A, b = behind[0][moments], behind[1][moments]
         free = A - A @ np.linalg.pinv(behind[0][0], rcond=1e-9, hermitian=True) @ A
         gain = np.einsum("mk,mkl,ml->m", b, np.linalg.pinv(free, rcond=1e-6, hermitian=True), b)
-        moment = _at(scene, int(moments[int(np.argmax(gain))]), M)
+        when = moment(scene, int(moments[int(np.argmax(gain))]), M)
         names = tuple(scene.channels[c] for c in own)
-        out.append(Sought(Step(names, moment, one.name), M // 4))
+        out.append(Sought(Step(names, when, one.name), M // 4))
     return out
 
 
@@ -135,7 +138,7 @@ def _slow_spread(x: Array) -> Array:
     return np.asarray(np.std(np.diff(x, axis=0), axis=0) / np.sqrt(2.0) + 0.05 * np.std(x, axis=0))
 
 
-def _at(scene: Scene, row: int, rows: int) -> float:
+def moment(scene: Scene, row: int, rows: int) -> float:
     """Time of a row of the averaged rest."""
     place = min(round(row * len(scene) / rows), len(scene) - 1)
     return float(scene.time[place])
@@ -149,16 +152,36 @@ def drifts(scene: Scene, rest: Array, time: Array) -> list[Sought]:
     """
     if len(scene.channels) < 2 or len(rest) < FEW_ROWS:
         return []
-    z = (rest - rest.mean(axis=0)) / np.maximum(_slow_spread(rest), 1e-300)
     best: dict[str, tuple[float, Drift]] = {}
     proposed = {(d.form, d.constant): d for d in Drift.propose(scene)}
     for one in proposed.values():
-        shapes = one.shapes(time)
-        gain = np.sum((np.linalg.qr(shapes - shapes.mean(axis=0))[0].T @ z) ** 2, axis=0)
-        names = tuple(n for n, g in zip(scene.channels, gain, strict=True) if g > SHARED * gain.max())
-        if len(names) > 1 and gain.sum() > best.get(one.form, (0.0, one))[0]:
-            best[one.form] = float(gain.sum()), replace(one, channel="", channels=names)
+        names, gain = _shared(scene, rest, one.shapes(time))
+        if len(names) > 1 and gain > best.get(one.form, (0.0, one))[0]:
+            best[one.form] = gain, replace(one, channel="", channels=names)
     return [Sought(effect, len(scene.channels)) for _, effect in best.values()]
+
+
+def temperatures(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[Sought]:
+    """Every thermometer that several channels follow, in these: a drift in all of them at once would be before it in one.
+
+    Args:
+        rest: (M, C); average: rows (N, ...) to (M, ...).
+    """
+    if len(scene.channels) < 2 or len(rest) < FEW_ROWS:
+        return []
+    out = []
+    for one in {t.place: t for t in Temperature.propose(scene)}.values():
+        names, _ = _shared(scene, rest, average(one.warmth(scene)[:, None]))
+        if len(names) > 1:
+            out.append(Sought(replace(one, channel="", channels=names), len(scene.channels)))
+    return out
+
+
+def _shared(scene: Scene, rest: Array, shapes: Array) -> tuple[tuple[str, ...], float]:
+    """Channels of a rest (M, C) that shapes (M, k) are in, and what these take of all together."""
+    z = (rest - rest.mean(axis=0)) / np.maximum(_slow_spread(rest), 1e-300)
+    gain = np.sum((np.linalg.qr(shapes - shapes.mean(axis=0))[0].T @ z) ** 2, axis=0)
+    return tuple(n for n, g in zip(scene.channels, gain, strict=True) if g > SHARED * gain.max()), float(gain.sum())
 
 
 WANDERS = (0, 5, 15)
@@ -293,60 +316,3 @@ def saturations(scene: Scene, rest: Array, simulated: Array) -> list[Sought]:
             if len(gain) and gain.max() > 0.0:
                 out.append(Sought(Saturation(name, float(sign * limit[int(np.argmax(gain))]), sign > 0.0), len(w) // 4))
     return out
-
-
-def contacts(scene: Scene, rest: Array) -> list[Sought]:
-    """Episodes in which the rest stays far above its usual level: at most a third of the time, rest before and after each.
-
-    Running means over three lengths, all channels together, in units of their own robust spread (so slow noise counts as
-    noise). An episode that begins with the recording or ends with it is a step.
-    """
-    N, C = rest.shape
-    if not scene.clock or N < 200:
-        return []
-    away = rest - np.median(rest, axis=0)
-    level = np.maximum(1.4826 * np.median(np.abs(away), axis=0), 1e-300)
-    out: dict[Effect, Sought] = {}
-    for share in (0.004, 0.01, 0.02):
-        length = max(int(share * N), 5)
-        z = uniform_filter1d(away / level, length, axis=0)
-        spread = 1.4826 * np.median(np.abs(z), axis=0)
-        # A channel that hardly ever differs shows no touch by that.
-        z = np.where(spread > 0.0, z / np.where(spread > 0.0, spread, 1.0), 0.0)
-        loud = np.sum(z**2, axis=1) > chi2.isf(1e-3 * length / N, C)
-        for found in _contact(scene, loud, length, away, z):
-            out.setdefault(found.effect, found)
-    return list(out.values())
-
-
-FELT = 3.0
-"""Mean square of running means during the episodes, noise alone being one, from which a channel feels them."""
-
-
-def _contact(scene: Scene, loud: Mask, length: int, away: Array, z: Array) -> list[Sought]:
-    """In the channels whose sample shows it, and in those of which only the mean `z` (N, C) of many does."""
-    N = len(loud)
-    episodes = [(a, b) for a, b in _episodes(loud, length) if a > 0 and b < N]
-    covered = sum(b - a for a, b in episodes) / N
-    if not episodes or covered > 0.35 or len(episodes) > 12:
-        return []
-    inside = np.zeros(N, dtype=bool)
-    for a, b in episodes:
-        inside[a:b] = True
-    share = np.sum(away[inside] ** 2, axis=0) / np.sum(away**2, axis=0)
-    times = tuple((_at(scene, a, N), _at(scene, b - 1, N)) for a, b in episodes)
-    ways = (share > 1.2 * covered + 0.02, np.mean(z[inside] ** 2, axis=0) > FELT)
-    channels = [tuple(n for n, there in zip(scene.channels, way, strict=True) if there) for way in ways]
-    return [Sought(Contact(names, times), N // length) for names in channels if names]
-
-
-def _episodes(loud: Mask, length: int) -> list[tuple[int, int]]:
-    """Runs of loud rows, joined over short gaps, shorter ones left out, ends opened a little."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], loud, [False]]).astype(int)))
-    out: list[list[int]] = []
-    for a, b in edges.reshape(-1, 2):
-        if out and a - out[-1][1] < 3 * length:
-            out[-1][1] = int(b)
-        else:
-            out.append([int(a), int(b)])
-    return [(max(a - length // 2, 0), min(b + length // 2, len(loud))) for a, b in out if b - a >= length]

@@ -8,6 +8,7 @@ from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.bends import as_if, rebase, unbent
 from galen_hw.diagnosis.clocks import one_clock, reclocked
 from galen_hw.diagnosis.courses import finest, followed
+from galen_hw.diagnosis.episodes import contacts
 from galen_hw.diagnosis.limits import clipped, levelled
 from galen_hw.diagnosis.linear import crossed, missed, rests
 from galen_hw.diagnosis.nonlinear import bent, in_place, loosens, polished
@@ -44,9 +45,10 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[seek.Sought]
     """What the rest of the present model shows by itself."""
     load(bench, scorer, chosen)
     rest, _ = rests(bench, scorer, chosen)
-    found = seek.steps(bench.scene, rest, bench.noise) + seek.contacts(bench.scene, rest)
+    found = seek.steps(bench.scene, rest, bench.noise) + contacts(bench.scene, rest)
     found += seek.slips(bench.scene, rest, bench.rows.average)
     found += seek.drifts(bench.scene, rest, bench.rows.average(bench.scene.time))
+    found += seek.temperatures(bench.scene, rest, bench.rows.average)
     # A limit that was found before something else was is sought again as if it had not been.
     added = bench.rows.average(np.asarray(bench.stream.standing + bench.stream.carried))
     stream, seen = bench.rows.average(bench.scene.simulated) + added, ~bench.dropped
@@ -72,7 +74,7 @@ def _known(bench: Bench, scorer: Scorer, effect: Effect) -> bool:
 def at_first_sight(bench: Bench) -> list[seek.Sought]:
     """What belongs to moments and shows in the residual itself: it must not pass for noise, whatever it is to be called."""
     rest = bench.whole - np.median(bench.whole, axis=0)
-    found = seek.contacts(bench.scene, rest) + seek.lines(bench.scene, rest, bench.rows.runs, narrow=np.inf)
+    found = contacts(bench.scene, rest) + seek.lines(bench.scene, rest, bench.rows.runs, narrow=np.inf)
     return found + seek.steps(bench.scene, rest)[:-1]
 
 

@@ -119,13 +119,15 @@ class Drift(Effect):
 class Temperature(Effect):
     """The offset follows a measured temperature: r = k (T - T0), T0 the first one.
 
-    Visible where the temperature changes and not only with time. Confused with drift.
+    Visible where the temperature changes and not only with time. Confused with drift. With `channels` it is one thermometer
+    in several, each with a coefficient of its own: what warms moves more than one zero.
     """
 
     KEY = "temperature"
-    channel: str
-    place: str
+    channel: str = ""
+    place: str = ""
     reference: float = 0.0
+    channels: tuple[str, ...] = ()
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -136,12 +138,18 @@ class Temperature(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Offset per kelvin."""
-        return (Parameter("coefficient", f"{unit_of(scene, self.channel)}/K"),)
+        if not self.channels:
+            return (Parameter("coefficient", f"{unit_of(scene, self.channel)}/K"),)
+        return tuple(Parameter(f"coefficient_{name}", f"{unit_of(scene, name)}/K") for name in self.channels)
 
     def columns(self, scene: Scene) -> Columns:
         """Measured temperature less the reference."""
-        values = np.asarray(scene.observations.columns[self.place])
-        return in_channel(scene.channels.index(self.channel), [values - self.reference])
+        places = tuple(scene.channels.index(name) for name in self.channels or (self.channel,))
+        return in_each(places, self.warmth(scene)[:, None])
+
+    def warmth(self, scene: Scene) -> Array:
+        """(N,) kelvin over the reference."""
+        return np.asarray(scene.observations.columns[self.place]) - self.reference
 
 
 @dataclass(frozen=True)

@@ -250,7 +250,7 @@ def isolated(x: Array) -> NDArray[np.bool_]:
     out = np.where(before * after > 0.0, np.minimum(np.abs(before), np.abs(after)), 0.0)
     if not out.any():
         return none
-    around = percentile_filter(out, 90, size=101, mode="nearest")
+    around = percentile_filter(out, 90, size=101, mode="reflect")
     usual = np.maximum(around, max(float(np.quantile(out, 0.9)), float(out[out > 0.0].min())))
     needed = np.maximum(6.0 * usual, 2.0 * np.maximum(np.abs(third - sixth), np.abs(next_third - next_sixth)))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], out > needed, [False]]).astype(int)))
