@@ -153,7 +153,7 @@ def _found(
         return None
     U, ridge = (Xw - base @ B) @ V, LEAST_RIDGE + k / T
     each = _crossed(U, y[:, None], block, ridge=ridge)[:, 0]
-    sure = _sureness(each)
+    sure = sureness(each)
     if sure < T_NEEDED and not (sure >= T_SHUFFLED and _beyond_shuffled(U, y, block, ridge=ridge)):
         return None
     return z, float(each.sum()), V @ projected
@@ -177,7 +177,7 @@ def _crossed(U: Array, Y: Array, block: Index, *, ridge: float, folds: int = 5) 
     return np.stack([np.bincount(number, column) for column in gain.T], axis=-1)
 
 
-def _sureness(each: Array) -> float:
+def sureness(each: Array) -> float:
     """Mean gain of the blocks over its standard error."""
     spread = float(np.std(each, ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else np.inf
     return float(np.mean(each)) / max(spread, 1e-300)

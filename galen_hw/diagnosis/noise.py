@@ -12,7 +12,7 @@ import numpy as np
 from scipy.fft import dct, idct, next_fast_len
 
 from galen_hw.diagnosis.rows import Mask, Rows
-from galen_hw.diagnosis.slow_noise import shelves, smoothed
+from galen_hw.diagnosis.slow_noise import LEAST_BANDS, shelves, smoothed, whitest
 from galen_hw.spatial import Array
 
 BANDS_PER_DECADE = 6
@@ -219,6 +219,8 @@ def estimate(rest: Array, basis: list[Array], rows: Rows, *, ordered: bool, step
         return Noise(rows, np.empty(0), np.empty((0, C)), sigma, float(freedom.sum()), correlation, steps)
     edges = _bands(max(run.stop - run.start for run in long))
     levels = np.stack([_levels(rest[:, c], basis[c], long, edges, above) for c in range(C)], axis=-1)
+    if len(levels) < LEAST_BANDS:
+        levels = whitest(levels, sum(run.stop - run.start for run in long) * np.diff(edges))
     noise = Noise(rows, edges, levels, sigma, float(freedom.sum()), correlation, steps)
     # What the bands say the variance is, so that one sample's sigma holds the slow part too, as far as it was measured.
     f = np.maximum((np.arange(4096) + 0.5) / 8192, np.sqrt(edges[0] * edges[1]))
@@ -265,9 +267,10 @@ def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array, above: f
         inside = (band == b) & (left > 0.02)
         if np.sum(left[inside]) < LEAST_FREEDOM or edges[b] < above:
             continue
-        # A single line (mains, a periodic motion) must not pass for noise.
-        single = line[inside] / left[inside]
-        usual = np.median(single[left[inside] > 0.3]) / 0.69 if np.sum(left[inside] > 0.3) >= 12 else np.inf
+        # A single line (mains, a periodic motion) must not pass for noise; of few lines one may well be the largest.
+        single, told = line[inside] / left[inside], left[inside] > 0.3
+        many = told.sum() >= 12 and len(level) >= LEAST_BANDS
+        usual = np.median(single[told]) / 0.69 if many else np.inf
         good = single < 8.0 * usual
         level[b] = np.sum(line[inside][good]) / np.sum(left[inside][good])
     return _filled(level, edges)

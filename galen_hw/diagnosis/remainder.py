@@ -100,6 +100,8 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
     offsets, gain, crossed = {}, 0.0, np.zeros_like(rest)
     for c, kind in kinds.items():
         names = [name for name in functions.columns if name in kind]
+        if not names:  # trees alone follow it
+            continue
         plain, whitened = functions.plain(names, c), functions.white(names, c)
         targets = rest[functions.rows, c], white[functions.rows, c]
         tried: list[Regression] = [

@@ -7,6 +7,7 @@ fitted to the measured bands by their likelihood (Whittle 1953), and a corner is
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.stats import chi2
 
 from galen_hw.spatial import Array
 
@@ -49,6 +50,21 @@ def shelves(centres: Array, levels: Array, lines: Array) -> Array:
     # The shelf is known from the bands below the corner alone; in doubt slow noise is stronger.
     known = np.array([np.sum(weights[centres <= corners[k]]) for k in which])
     return np.where(flat, fitted[0] * (1.0 + 1.0 / np.sqrt(known)), np.nan)
+
+
+WHITE = 0.01
+"""Chance with which white noise may look more coloured than that."""
+
+
+def whitest(levels: Array, lines: Array) -> Array:
+    """(B, C) levels of few bands, all the same where white noise might well have them: whitening by scatter makes structure.
+
+    Arguments as of `shelves`. The deviance of one level for all bands is chi square of B - 1.
+    """
+    weights = np.maximum(lines, 1.0)[:, None] / WINDOWED
+    one = np.sum(weights * levels, axis=0) / np.sum(weights)
+    deviance = 2.0 * np.sum(weights * (levels / one - np.log(levels / one) - 1.0), axis=0)
+    return np.where(deviance < chi2.isf(WHITE, len(levels) - 1), one, levels)
 
 
 STIFFNESS = 10.0 ** np.linspace(-3.0, 5.0, 33)
