@@ -61,11 +61,7 @@ def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]
     N, C = rest.shape
     if N < FEW_ROWS:
         return []
-    plain = noise is None or not len(noise.edges) or len(noise.rows.runs) > 1
-    gain = _white_jumps(rest) if noise is None or plain else _jumps(rest, noise)
-    margin = max(N // 60, 3)
-    gain[:margin], gain[-margin:] = 0.0, 0.0
-    names = scene.channels
+    gain, names = _gains(rest, noise), scene.channels
     found = [Sought(Step((names[c],), moment(scene, int(np.argmax(gain[:, c])) + 1, N)), N // 4) for c in range(C)]
     if C > 1:
         row = int(np.argmax(gain.sum(axis=1)))
@@ -74,6 +70,25 @@ def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]
         if 1 < len(some) < C:
             found.append(Sought(Step(some, moment(scene, row + 1, N)), N // 4))
     return found
+
+
+def again(scene: Scene, rest: Array, step: Step, noise: Noise) -> Sought:
+    """A jump at the moment where it takes most out of a rest (M, C) that it is still in, in its own channels.
+
+    Found beside a model that had not all of the rest, it may be off by what a touch between the two moments then makes up for.
+    """
+    own = [scene.channels.index(name) for name in step.channels]
+    row = int(np.argmax(_gains(rest, noise)[:, own].sum(axis=1)))
+    return Sought(replace(step, moment=moment(scene, row + 1, len(rest))), len(rest) // 4)
+
+
+def _gains(rest: Array, noise: Noise | None) -> Array:
+    """(M - 1, C) how much a jump before each row but the first takes out of a rest, none near its ends."""
+    plain = noise is None or not len(noise.edges) or len(noise.rows.runs) > 1
+    gain = _white_jumps(rest) if noise is None or plain else _jumps(rest, noise)
+    margin = max(len(rest) // 60, 3)
+    gain[:margin], gain[-margin:] = 0.0, 0.0
+    return gain
 
 
 def slips(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[Sought]:

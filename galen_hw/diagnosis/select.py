@@ -9,6 +9,7 @@ from galen_hw.diagnosis.bends import as_if, rebase, unbent
 from galen_hw.diagnosis.clocks import one_clock, reclocked
 from galen_hw.diagnosis.courses import finest, followed
 from galen_hw.diagnosis.episodes import contacts
+from galen_hw.diagnosis.jumps import timed
 from galen_hw.diagnosis.limits import clipped, levelled
 from galen_hw.diagnosis.linear import crossed, missed, rests
 from galen_hw.diagnosis.nonlinear import bent, in_place, loosens, polished
@@ -87,6 +88,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         fresh = [s for s in sought(bench, scorer, out.chosen) if not _known(bench, scorer, s.effect)]
         scorer.append([bench.add(s.effect, s.looked) for s in fresh])
         levelled(bench, scorer, out)
+        timed(bench, scorer, out)
         scores, highest = scorer.scores(out.chosen)
         out.needed = max(out.needed, threshold(highest, CHANCE))
         if turn == 0:

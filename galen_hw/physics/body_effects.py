@@ -25,17 +25,19 @@ class Payload(Effect):
     Source: Atkeson, An, Hollerbach 1986. `part`: "mass" (at the believed centre of mass), "body" (mass and moment), "full"
     (with inertia about the sensor's origin), "point" (mass and moment, with the inertia of mass at one point:
     I = m (c.c 1 - c c^T), by its slopes in m and m c where c is `at`; what is small has hardly more, and a motion that
-    turns about one axis alone would give it any). Visible when gravity turns in the sensor. Confused with gain and
+    turns about one axis alone would give it any). `still`: its weight alone, of a recording whose baseline holds no more (a
+    filtered sensor, a simulation of poses). Visible when gravity turns in the sensor. Confused with gain and
     cross_talk, and with bias where it does not turn.
     """
 
     KEY = "payload"
     part: str = "body"
     at: tuple[float, float, float] | None = None
+    still: bool = False
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """The parts; inertia only where something accelerates."""
+        """The parts; inertia only where something accelerates, and without that too where the baseline has none."""
         port = scene.body_port() if scene.observations.predict in ("wrench", "effort") else None
         if port is None:
             return
@@ -44,6 +46,9 @@ class Payload(Effect):
         yield cls("body")
         if np.any(np.abs(port[:, :, 4:]) > 0.0) and scene.clock:
             yield cls("full")
+        weight = None if scene.belief.dynamic or not scene.clock else scene.weight_port()
+        if weight is not None and not np.array_equal(weight, port):
+            yield from (cls(part, still=True) for part in ("mass", "moment", "body"))
 
     @property
     def bound(self) -> bool:
@@ -52,7 +57,7 @@ class Payload(Effect):
 
     def told_by(self, theta: Array) -> Self | None:
         """A small body where mass and moment (4 and more,) say that it is; None if that is no place near a sensor."""
-        if self.part not in ("body", "full", "point") or theta[0] == 0.0:
+        if self.still or self.part not in ("body", "full", "point") or theta[0] == 0.0:
             return None
         x, y, z = (float(v) for v in theta[1:4] / theta[0])
         return replace(self, part="point", at=(x, y, z)) if x * x + y * y + z * z < FARTHEST**2 else None
@@ -67,7 +72,7 @@ class Payload(Effect):
 
     def columns(self, scene: Scene) -> Columns:
         """The body's port."""
-        port = scene.body_port()
+        port = scene.weight_port() if self.still else scene.body_port()
         assert port is not None, "proposed only where there is a port"
         return Columns(tuple(range(len(scene.channels))), port @ self._bodies(scene))
 

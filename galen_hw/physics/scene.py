@@ -300,6 +300,10 @@ class Scene(Operated):
         """(N, C, 10) answer to a body on the sensor or tip: m, m c (3), inertia xx xy yy xz yz zz about its origin."""
         return None
 
+    def weight_port(self) -> Array | None:
+        """(N, C, 10) the same to its weight alone, as if nothing accelerated it."""
+        return None
+
     def inertial_port(self) -> Array | None:
         """(N, C) what the known bodies' inertia adds, where the baseline holds weight alone."""
         return None

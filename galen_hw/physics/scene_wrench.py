@@ -141,6 +141,14 @@ class WrenchScene(Scene):
         out[:, 3:, 4:] = -_inertia_map(alpha) - skew(w) @ _inertia_map(w)
         return out
 
+    @once
+    def weight_port(self) -> Array | None:
+        """Newton and Euler at rest: R^T g and its moment."""
+        s = gravity_in_sensor(self.R, self.belief.gravity)
+        out = np.zeros((len(self), 6, 10))
+        out[:, :3, 0], out[:, 3:, 1:4] = s, -skew(s)
+        return out
+
     @cached_property
     def zeroing(self) -> "WrenchScene | None":
         """The bias body at the joints' reading at which the sensor was zeroed: an arm that is wrong was wrong there too."""

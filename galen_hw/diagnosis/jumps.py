@@ -1,0 +1,37 @@
+"""Jumps at the moment that the present model gives them: what was found beside a poorer one may be off."""
+
+from typing import Final
+
+from galen_hw.diagnosis import seek
+from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.linear import rests
+from galen_hw.diagnosis.retiming import load
+from galen_hw.diagnosis.score import Scorer
+from galen_hw.diagnosis.selection import Selection
+from galen_hw.physics.event_effects import Step
+
+BETTER: Final = 1.0
+"""Fall of the whitened sum of squares for which a jump moves: less is no other moment."""
+
+
+def timed(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Whether a jump was moved, before a touch that lasts from one moment to the other makes up for it."""
+    moved = False
+    for place, i in enumerate(out.chosen):
+        step = scorer.library[i].effect
+        if not isinstance(step, Step) or step.carried:
+            continue
+        load(bench, scorer, out.chosen)
+        others = [j for j in out.chosen if j != i]
+        theta, at, misfit = scorer.solve(out.chosen)
+        h, own = scorer.library[i], scorer.places[i]
+        rest, _ = rests(bench, scorer, out.chosen)
+        rest[:, list(h.raw.channels)] += h.raw.values @ theta[(at >= own.start) & (at < own.stop)]
+        best = seek.again(bench.scene, rest, step, bench.noise)
+        if best.effect == step:
+            continue
+        scorer.append([bench.add(best.effect, best.looked)])
+        j = len(scorer.library) - 1
+        if scorer.solve([*others, j])[2] < misfit - BETTER:
+            out.chosen[place], moved = j, True
+    return moved
