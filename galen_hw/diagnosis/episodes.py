@@ -16,8 +16,7 @@ COVERED = 0.35
 """Share of the rows that they may cover."""
 FELT = 3.0
 """Mean square of running means during the episodes, noise alone being one, from which a channel feels them."""
-PLACES = 100
-"""At which an episode may begin and end."""
+FEW_POSES = 200
 
 Episode = tuple[int, int]
 
@@ -26,8 +25,8 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
     """Episodes in which the rest (M, C) stays far above its usual level: at most a third of the time, rest before and after.
 
     Running means over three lengths, all channels together, in units of their own robust spread (so slow noise counts as
-    noise). Each as wide as they show it, for a touch that swells, and as narrow as its level says, for one that does not. An
-    episode that begins with the recording or ends with it is a step. Without a clock the row is the time.
+    noise). In a sweep of few poses, where a mean is wider than a touch, also as narrow as its level says. An episode that begins
+    with the recording or ends with it is a step. Without a clock the row is the time.
     """
     N, C = rest.shape
     if N < FEW_ROWS:
@@ -45,7 +44,7 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
         wide = [(a, b) for a, b in _loud(loud, length) if a > 0 and b < N]
         if not wide or sum(b - a for a, b in wide) > COVERED * N or len(wide) > MOST:
             continue
-        for own in (wide, [_level(away, *one) for one in wide]):
+        for own in (wide, *([[_level(away, *one) for one in wide]] if N < FEW_POSES else [])):
             for names in _felt(scene, own, away, z):
                 times = tuple((moment(scene, a, N), moment(scene, b - 1, N)) for a, b in own)
                 touch = Contact(names, times)
@@ -67,12 +66,10 @@ def _loud(loud: Mask, length: int) -> list[Episode]:
 
 def _level(away: Array, start: int, end: int) -> Episode:
     """The part of an episode whose mean, held over it, takes most of the rest (N, C) over its spread."""
-    places = np.unique(np.linspace(start, end, PLACES + 1).astype(int))
-    total = np.cumsum(np.concatenate([np.zeros((1, away.shape[1])), away[start:end]]), axis=0)[places - start]
-    first, last = np.triu_indices(len(places), 1)
-    gain = np.sum((total[last] - total[first]) ** 2, axis=1) / (places[last] - places[first])
-    best = int(np.argmax(gain))
-    return int(places[first[best]]), int(places[last[best]])
+    total = np.cumsum(np.concatenate([np.zeros((1, away.shape[1])), away[start:end]]), axis=0)
+    first, last = np.triu_indices(len(total), 1)
+    best = int(np.argmax(np.sum((total[last] - total[first]) ** 2, axis=1) / (last - first)))
+    return start + int(first[best]), start + int(last[best])
 
 
 def _felt(scene: Scene, episodes: list[Episode], away: Array, z: Array) -> list[tuple[str, ...]]:

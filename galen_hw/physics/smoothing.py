@@ -209,10 +209,8 @@ def smoothed(time: Array, x: Array, segments: list[slice], band: float, *, bridg
     return out
 
 
-LINE = 60.0
-"""Power of a line over the median of the spectrum that noise never has: exp(-40) in one place."""
-ALONE_BY = 4.0
-"""Times the next line, beyond its foot: harmonics of a periodic motion come in rows."""
+LINE, ALONE_BY = 60.0, 4.0
+"""Power of a line over the median of the spectrum that noise never has, exp(-40) in one place; and over the next line."""
 FOOT = 5
 """Lines on either side that a line's window spreads it over, and that its phase's wander does."""
 
@@ -229,8 +227,8 @@ def has_line(x: Array, dt: float, above: float) -> bool:
     return bool(power[peak] > max(LINE * float(np.median(others)), ALONE_BY * float(np.max(others))) > 0.0)
 
 
-ALONE = 3
-"""So many samples in a row may be isolated; more are an event."""
+ALONE, AROUND = 3, 101
+"""So many samples in a row may be isolated, more are an event; and of so many around nine of ten say what is usual."""
 
 
 def isolated(x: Array) -> NDArray[np.bool_]:
@@ -250,7 +248,8 @@ def isolated(x: Array) -> NDArray[np.bool_]:
     out = np.where(before * after > 0.0, np.minimum(np.abs(before), np.abs(after)), 0.0)
     if not out.any():
         return none
-    around = percentile_filter(out, 90, size=101, mode="reflect")
+    # At an end its own value counts as all that lies beyond, unless that would be most of what there is.
+    around = percentile_filter(out, 90, size=AROUND, mode="nearest" if n >= AROUND else "reflect")
     usual = np.maximum(around, max(float(np.quantile(out, 0.9)), float(out[out > 0.0].min())))
     needed = np.maximum(6.0 * usual, 2.0 * np.maximum(np.abs(third - sixth), np.abs(next_third - next_sixth)))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], out > needed, [False]]).astype(int)))
