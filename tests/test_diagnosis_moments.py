@@ -16,12 +16,14 @@ from galen_hw.diagnosis.bench import Bench as DiagnosisBench
 from galen_hw.diagnosis.engine import diagnose
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.judge import Judged, earned, judge
+from galen_hw.diagnosis.jumps import timed
 from galen_hw.diagnosis.linear import left_out
 from galen_hw.diagnosis.score import Scorer
+from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.touches import outstanding
 from galen_hw.diagnosis.verdict import beyond
 from galen_hw.physics.event_effects import Contact, Step, Vibration
-from galen_hw.physics.sensor_effects import Drift, Saturation
+from galen_hw.physics.sensor_effects import Drift, Gain, Saturation
 from galen_hw.physics.table import scene_of
 
 
@@ -198,3 +200,21 @@ def test_of_a_touch_the_moments_alone_are_told_that_stand_out() -> None:
     (kept,) = outstanding(model, judged, beyond(judged, model)).effects
     assert kept.effect == Contact(WRENCH[:1], (episodes[0], episodes[2]))
     assert kept.looked == 100
+
+
+def test_a_jump_goes_to_the_moment_that_the_present_model_gives_it() -> None:
+    """Told a second and a half too late it moves; where it is right it stays, and its place in the model is its own."""
+    case = Bench(6)
+    moment = float(case.t[700])
+    case.wrench[:, :2] += 3.0 * SIGMA[:2] * (case.t >= moment)[:, None]
+    bench = DiagnosisBench(scene_of(case.observations()), 0.3, 0)
+    bench.learn_noise([bench.raw(Step(WRENCH[:2], moment))])
+    late = bench.add(Step(WRENCH[:2], moment + 1.5), looked=500)
+    scorer = Scorer(bench, [bench.add(Gain(WRENCH[5])), late])
+    first = len(scorer.base)
+    out = Selection(scorer, [first, first + 1])
+    assert timed(bench, scorer, out)
+    assert out.chosen[0] == first
+    told = scorer.library[out.chosen[1]]
+    assert (told.effect, told.looked) == (Step(WRENCH[:2], moment), len(bench.rows) // 4)
+    assert not timed(bench, scorer, out)

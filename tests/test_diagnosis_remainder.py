@@ -1,6 +1,7 @@
 """What has no name: predicted by generic functions where that holds, never under a name, never saved."""
 
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,12 @@ def stray(bench: Bench, size: float = 2.0) -> Bench:
     roll, tilt = (np.gradient(bench.q[:, k], bench.t) for k in (3, 4))
     bench.wrench[:, 0] += size * SIGMA[0] * roll * tilt / 0.2
     return bench
+
+
+@cache
+def of_stray() -> Work:
+    """The diagnosis of one recording of that, which several tests ask and none changes."""
+    return judged(stray(Bench(1, rows=4000)))
 
 
 def rotor(bench: Bench) -> Bench:
@@ -144,7 +151,7 @@ def test_flexible_names_yield_to_what_explains_better_without_one() -> None:
 
 def test_a_remainder_speaks_only_of_recordings_like_its_own() -> None:
     """Another rate, or a joint that is not there, and it says nothing; the same recording again, the same values."""
-    work = judged(stray(Bench(1, rows=4000)))
+    work = of_stray()
     remainder = learn(work.model, {0: {"products of speeds"}})
     assert remainder is not None
     rows = work.bench.rows
@@ -161,7 +168,7 @@ def test_a_remainder_speaks_only_of_recordings_like_its_own() -> None:
 
 def test_inner_products_say_what_the_predictions_do() -> None:
     """Coefficients solve the ridge's normal equations, and the gain is that of predicting each fold from the others."""
-    work = judged(stray(Bench(1, rows=4000)))
+    work = of_stray()
     bench, names = work.bench, ["products of speeds", "speeds and accelerations"]
     functions = Functions(bench)
     sums, y = functions.plain(names, 0), work.model.rest()[functions.rows, 0] / bench.noise.sigma[0]
@@ -180,7 +187,7 @@ def test_inner_products_say_what_the_predictions_do() -> None:
 
 def test_models_asked_together_leave_what_each_leaves_alone() -> None:
     """The generic functions are whitened once for all; the answers are those of asking one by one."""
-    work = judged(rotor(Bench(3, rows=4000)))
+    work = of_stray()
     generic, white = adequacy.families(work.bench), [h.white for h in work.model.parts]
     some = [adequacy.Fitted(parts, work.model.rest(), work.model.rest(white=True)) for parts in (white, white[:1])]
     together = adequacy.leftovers(work.bench, generic, some)
@@ -340,7 +347,7 @@ def test_noise_that_grows_ever_slower_is_not_what_a_model_leaves() -> None:
 
 def test_one_function_of_many_is_taken_alone_and_holds_on_another_motion_better_than_its_family() -> None:
     """The rest is one product of two speeds: all forty of them, each a little, predict another motion less well."""
-    work = judged(stray(Bench(1, rows=4000)))
+    work = of_stray()
     bench, names = work.bench, ["products of speeds", "positions times speeds"]
     functions = Functions(bench)
     sums = functions.plain(names, 0), functions.white(names, 0)
@@ -368,7 +375,7 @@ def test_one_function_of_many_is_taken_alone_and_holds_on_another_motion_better_
 
 def test_what_predicts_a_row_was_not_fitted_on_it() -> None:
     """The prediction of each fold is that of least squares on the others; nothing is taken of a rest that is noise."""
-    work = judged(stray(Bench(1, rows=4000)))
+    work = of_stray()
     bench, names = work.bench, ["products of speeds"]
     functions = Functions(bench)
     sums, y = functions.plain(names, 0), work.model.rest()[functions.rows, 0] / bench.noise.sigma[0]
@@ -386,7 +393,7 @@ def test_what_predicts_a_row_was_not_fitted_on_it() -> None:
 
 def test_a_mean_of_two_regressions_is_judged_as_each_of_them_is() -> None:
     """Its predictions of blocks left out, its gain and its coefficients are the means that it says it is."""
-    work = judged(stray(Bench(1, rows=4000)))
+    work = of_stray()
     bench, names = work.bench, ["products of speeds", "positions times speeds"]
     functions = Functions(bench)
     sums = functions.plain(names, 0), functions.white(names, 0)
@@ -430,7 +437,7 @@ def test_trees_stand_beside_functions_where_they_say_more_of_blocks_left_out_and
         return float(np.std((rest - told)[:, 0]))
 
     assert error(both.predict(other, rows, 6)) < 0.95 * error(alone.predict(other, rows, 6))
-    smooth = judged(stray(Bench(1, rows=4000)))
+    smooth = of_stray()
     functions = Functions(smooth.bench)
     single = learn(smooth.model, {0: {"products of speeds"}}, functions)
     assert single is not None

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import ARM, COM, JOINTS, MASS, SIGMA, WRENCH, hanging, rotation, sines
+from diagnosis_cases import ARM, COM, JOINTS, MASS, SIGMA, WRENCH, Bench, hanging, rotation, sines
 
 from galen_hw.diagnosis import engine
 from galen_hw.diagnosis.result import Diagnosis
@@ -98,6 +99,28 @@ def test_random_poses_under_a_clock_are_no_noise_of_the_encoders() -> None:
     assert [f.effect for f in told.findings] == ["compliance"]
     assert max(told.fit["noise_floor"].values()) < 1.2e-4
     assert tracked(np.random.default_rng(9), 0.0).verdict == "agrees"
+
+
+def test_a_weight_that_nothing_accelerates_is_a_payload_and_no_cable() -> None:
+    """Poses that were simulated at rest: a body that accelerates fits less well than the pull of a cable hung far below."""
+    case = Bench(11, rows=6000, rate=50.0)
+    case.wrench += hanging(case.R, 0.02, np.array([0.03, 0.0, -0.05]))
+    told = engine.diagnose(scene_of(case.observations())).diagnosis
+    assert [f.effect for f in told.findings] == ["payload"]
+    mass = told.findings[0].parameters["mass"]
+    assert mass.value == pytest.approx(0.02, abs=4.0 * mass.std)
+
+
+def test_slow_noise_at_rest_is_noise() -> None:
+    """Where nothing moves there are no inputs that it could follow."""
+    rng = np.random.default_rng(3)
+    q = np.tile([0.0, 0.0, 0.0, 0.3, 0.2], (2000, 1))
+    slow = lfilter([1.0], [1.0, -0.97], rng.normal(size=(2000, 6)), axis=0)
+    y = hanging(rotation(q[:, 3], q[:, 4])) + SIGMA * (rng.normal(size=(2000, 6)) + 0.5 * slow)
+    columns = {"time": 0.5 * np.arange(2000.0)} | {f"joint.{name}.position": q[:, i] for i, name in enumerate(JOINTS)}
+    belief = Belief(robot=GalenRobot(), tool=Body(MASS, COM), dynamic=False, bias_free=True)
+    seen = Observations("wrench", columns | dict(zip(WRENCH, y.T, strict=True)), None, belief)
+    assert engine.diagnose(scene_of(seen)).diagnosis.verdict == "agrees"
 
 
 ELBOW = """<link name="fore"><inertial><origin xyz="0.15 0 0"/><mass value="1.5"/>

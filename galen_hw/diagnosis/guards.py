@@ -222,20 +222,18 @@ def quiet(scene: Scene) -> Scene:
     q = denoised(scene.time, at_rest(scene.time, scene.q, scene.segments), scene.segments)
     places = {f"joint.{name}.position": q[:, i] for i, name in enumerate(scene.joint_names)}
     whole = scene_of(replace(seen, columns=dict(seen.columns) | places))
-    most = SEEN * _missed(scene)
-    if _missed(whole) <= most:
+    if _as_near(whole, scene):
         return whole
     for name, values in places.items():
         other = scene_of(replace(scene.observations, columns=dict(scene.observations.columns) | {name: values}))
-        if _missed(other) <= SEEN * _missed(scene):
-            scene = other
+        scene = other if _as_near(other, scene) else scene
     return scene
 
 
-def _missed(scene: Scene) -> float:
-    """Variance of what is recorded about what is simulated, all channels over their own spread."""
-    spread = np.maximum(np.nanvar(scene.measured, axis=0), 1e-30)
-    return float(np.sum(np.nanvar(scene.residual, axis=0) / spread))
+def _as_near(other: Scene, scene: Scene) -> bool:
+    """Whether another simulation of a recording misses hardly more of it, all channels alike."""
+    less, more = (np.nanvar(one.residual, axis=0) for one in (scene, other))
+    return bool(np.mean(more / np.maximum(less, 1e-30)) <= SEEN)
 
 
 def enough(good: Mask) -> None:

@@ -74,8 +74,11 @@ def hidden(model: Model) -> list[Left]:
         return []
     inputs = Inputs.of(bench.scene, bench.rows)
     X = np.concatenate([inputs.position, inputs.rate, inputs.second], axis=1)
+    if not X.shape[1]:  # nothing moves
+        return []
     time = bench.rows.average(bench.scene.time)[:, None]
-    rest, fold = model.rest()[:, slow] / bench.noise.sigma[slow], np.unique(bench.block, return_inverse=True)[1] % FOLDS
+    rest = model.rest()[:, slow] / bench.noise.sigma[slow]
+    fold = np.unique(bench.block, return_inverse=True)[1] % FOLDS
     number = np.unique(bench.block[good], return_inverse=True)[1]
 
     def asked(of: Array) -> tuple[Array, Array]:
@@ -91,11 +94,8 @@ def hidden(model: Model) -> list[Left]:
         own, sure = float(gain[:, k].sum()), sureness(gain[:, k])
         if sure >= SURE and by_time[k] <= BY_TIME * own:
             basis = np.linalg.qr(np.stack([np.ones(len(rest)), foretold[:, k]], axis=-1))[0]
-            share, size = (
-                own / float(rest[good, k] @ rest[good, k]),
-                float(np.sqrt(own / len(good)) * bench.noise.sigma[c]),
-            )
-            out.append(Left(int(c), TOGETHER, sure, share, size, basis))
+            share, size = own / float(rest[good, k] @ rest[good, k]), np.sqrt(own / len(good)) * bench.noise.sigma[c]
+            out.append(Left(int(c), TOGETHER, sure, share, float(size), basis))
     return sorted(out, key=lambda left: -left.z)
 
 
@@ -105,12 +105,8 @@ def _foretold(X: Array, y: Array, fold: Index, good: Index) -> Array:
     for f in range(FOLDS):
         learn, aside = seen[fold[seen] != f], fold == f
         if len(learn) and aside.any():
-            out[aside] = (
-                _many()
-                .fit(X[learn], y[learn] if y.shape[1] > 1 else y[learn, 0])
-                .predict(X[aside])
-                .reshape(-1, y.shape[1])
-            )
+            learnt = _many().fit(X[learn], y[learn] if y.shape[1] > 1 else y[learn, 0])
+            out[aside] = learnt.predict(X[aside]).reshape(-1, y.shape[1])
     return out
 
 
