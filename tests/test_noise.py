@@ -2,6 +2,7 @@
 
 import itertools
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +12,20 @@ from scipy.fft import dct
 sys.path.insert(0, str(Path(__file__).parent))
 
 import diagnosis_parts as parts
+from diagnosis_cases import SIGMA, WRENCH
+from diagnosis_cases import Bench as Cases
 
+from galen_hw.diagnosis.bench import Bench as DiagnosisBench
 from galen_hw.diagnosis.episodes import contacts
+from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.judge import _noisier
 from galen_hw.diagnosis.noise import Noise, estimate
 from galen_hw.diagnosis.rows import Rows
 from galen_hw.diagnosis.seek import _jumps
-from galen_hw.diagnosis.slow_noise import shelves
+from galen_hw.diagnosis.slow_noise import shelves, whitest
 from galen_hw.physics.effect import Columns
 from galen_hw.physics.event_effects import Vibration
+from galen_hw.physics.table import scene_of
 
 
 def noise(*lengths: int) -> Noise:
@@ -151,3 +158,28 @@ def test_what_has_humps_is_no_noise_with_a_corner():
     shelf = shelves(centres, np.stack([corner, humps], axis=-1), lines)
     assert shelf[0] == pytest.approx(20.0, rel=0.3)
     assert np.isnan(shelf[1])
+
+
+def test_rounding_that_hides_the_noise_of_another_recording_is_not_less_noise() -> None:
+    """A sensor that rests between two steps reads the same all along; by its second differences it had no noise at all."""
+    case = Cases(4)
+    step = 2.0 * SIGMA[0]
+    read = np.round((case.wrench + case.noise)[:, 0] / step) * step
+    columns = dict(case.observations().columns) | {WRENCH[0]: read}
+    bench = DiagnosisBench(scene_of(replace(case.observations(), columns=columns)), 0.3, 0)
+    bench.learn_noise([])
+    model = Model(bench, [bench.made(None, c) for c in bench.constants()], [], bench.whitened(bench.whole))
+    quiet = 0.1 * model.rest()
+    quiet[:, 0] = step * (np.arange(len(quiet)) == 1000)
+    ratio = _noisier(model, quiet)
+    assert ratio[0] == 1.0
+    assert ratio[1:] == pytest.approx(0.01, rel=0.05)
+
+
+def test_few_bands_that_scatter_as_white_noise_does_are_white() -> None:
+    """A level twice too low in eighteen lines is luck; eight times too high it is colour."""
+    lines = np.array([18.0, 18.0, 20.0, 37.0])
+    levels = np.array([[0.5, 8.0], [1.3, 1.0], [1.1, 1.0], [1.0, 1.0]])
+    told = whitest(levels, lines)
+    assert told[:, 0] == pytest.approx(np.full(4, lines @ levels[:, 0] / lines.sum()))
+    assert told[:, 1] == pytest.approx(levels[:, 1])
