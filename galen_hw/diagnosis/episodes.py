@@ -17,6 +17,7 @@ COVERED = 0.35
 FELT = 3.0
 """Mean square of running means during the episodes, noise alone being one, from which a channel feels them."""
 FEW_POSES = 200
+"""Rows below which a running mean of five is wider than many a touch."""
 
 Episode = tuple[int, int]
 
@@ -44,7 +45,8 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
         wide = [(a, b) for a, b in _loud(loud, length) if a > 0 and b < N]
         if not wide or sum(b - a for a, b in wide) > COVERED * N or len(wide) > MOST:
             continue
-        for own in (wide, *([[_level(away, *one) for one in wide]] if N < FEW_POSES else [])):
+        narrow = [[_level(away, *one) for one in wide]] if N < FEW_POSES else []
+        for own in (wide, *narrow):
             for names in _felt(scene, own, away, z):
                 times = tuple((moment(scene, a, N), moment(scene, b - 1, N)) for a, b in own)
                 touch = Contact(names, times)

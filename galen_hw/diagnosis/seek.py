@@ -167,10 +167,10 @@ def drifts(scene: Scene, rest: Array, time: Array) -> list[Sought]:
     """
     if len(scene.channels) < 2 or len(rest) < FEW_ROWS:
         return []
-    best: dict[str, tuple[float, Drift]] = {}
+    z, best = _scaled(rest), dict[str, tuple[float, Drift]]()
     proposed = {(d.form, d.constant): d for d in Drift.propose(scene)}
     for one in proposed.values():
-        names, gain = _shared(scene, rest, one.shapes(time))
+        names, gain = _shared(scene, z, one.shapes(time))
         if len(names) > 1 and gain > best.get(one.form, (0.0, one))[0]:
             best[one.form] = gain, replace(one, channel="", channels=names)
     return [Sought(effect, len(scene.channels)) for _, effect in best.values()]
@@ -184,17 +184,20 @@ def temperatures(scene: Scene, rest: Array, average: Callable[[Array], Array]) -
     """
     if len(scene.channels) < 2 or len(rest) < FEW_ROWS:
         return []
-    out = []
+    z, out = _scaled(rest), []
     for one in {t.place: t for t in Temperature.propose(scene)}.values():
-        names, _ = _shared(scene, rest, average(one.warmth(scene)[:, None]))
+        names, _ = _shared(scene, z, average(one.warmth(scene)[:, None]))
         if len(names) > 1:
             out.append(Sought(replace(one, channel="", channels=names), len(scene.channels)))
     return out
 
 
-def _shared(scene: Scene, rest: Array, shapes: Array) -> tuple[tuple[str, ...], float]:
-    """Channels of a rest (M, C) that shapes (M, k) are in, and what these take of all together."""
-    z = (rest - rest.mean(axis=0)) / np.maximum(_slow_spread(rest), 1e-300)
+def _scaled(rest: Array) -> Array:
+    return np.asarray((rest - rest.mean(axis=0)) / np.maximum(_slow_spread(rest), 1e-300))
+
+
+def _shared(scene: Scene, z: Array, shapes: Array) -> tuple[tuple[str, ...], float]:
+    """Channels of a scaled rest (M, C) that shapes (M, k) are in, and what these take of all together."""
     gain = np.sum((np.linalg.qr(shapes - shapes.mean(axis=0))[0].T @ z) ** 2, axis=0)
     return tuple(n for n, g in zip(scene.channels, gain, strict=True) if g > SHARED * gain.max()), float(gain.sum())
 
