@@ -245,6 +245,34 @@ class UrdfRobot:
         other.model.inertias[len(self.model.inertias) - 1] = pin.Inertia.FromDynamicParameters(total)
         return other
 
+    def carrying(self, mass: float, com: ArrayLike, inertia: ArrayLike) -> "UrdfRobot":
+        """The same robot with one more body fixed to its sensor.
+
+        Args:
+            mass: kg; com: (3,) in the sensor frame, m; inertia: (3, 3) about the centre of mass, sensor axes, kg m^2.
+        """
+        other, frame = self._of(pin.Model(self.model)), self.model.frames[self._sensor]
+        body = pin.Inertia(float(mass), np.asarray(com, dtype=float), np.asarray(inertia, dtype=float))
+        other.model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
+        return other
+
+    def link_body(self, link: str) -> tuple[float, Array, Array]:
+        """Mass, kg, centre of mass (3,), m, and inertia about it (3, 3), kg m^2, of a link, in its own axes.
+
+        Raises:
+            UsageError: there is no such link.
+        """
+        frames = self.model.frames
+        place = frames[self._frame(link)]
+        own = frames[place.parentFrame].inertia
+        if frames[place.parentFrame].type != pin.FrameType.FIXED_JOINT:
+            # Pinocchio keeps it in the joint, with all links that are fixed to it.
+            fixed = [f for f in frames if f.type == pin.FrameType.FIXED_JOINT and f.parentJoint == place.parentJoint]
+            rest = self.model.inertias[place.parentJoint].toDynamicParameters()
+            rest = rest - sum((f.placement.act(f.inertia).toDynamicParameters() for f in fixed), np.zeros(10))
+            own = pin.Inertia.FromDynamicParameters(rest) if rest[0] > 1e-9 else pin.Inertia.Zero()
+        return float(own.mass), np.array(own.lever), np.array(own.inertia)
+
     def under(self, gravity: ArrayLike) -> "UrdfRobot":
         """The same robot under another gravity (3,), m/s^2, in the axes of its root."""
         other = self._of(pin.Model(self.model))

@@ -13,6 +13,13 @@ from galen_hw.recording import Recording
 from galen_hw.spatial import Array, rotation_from_quaternion
 from galen_hw.tools.diagnose_tool import terms_of
 
+IN_JOINTS = ("effort", "position")
+"""Groups in which the arm itself bears what hangs on its sensor; the URDF holds its links already."""
+FIXED = 1e-3
+"""Of a pose, in m and in parts of a turn's matrix: what moves less stands still."""
+ASKED = 200
+"""Rows on which that is asked."""
+
 
 def observations_of(recording: Recording) -> Observations:
     """What the effects read, from a recording and its own notes.
@@ -62,10 +69,12 @@ def _belief(recording: Recording) -> Belief:
     info = recording.info
     robot = _robot(recording)
     tool, bias = info.tool, info.bias_body
-    return Belief(
+    tip, tip_rotation = _tip(recording, robot)
+    belief = Belief(
         robot=robot,
         tool=Body() if tool is None else _body(tool.mass, tool.com, tool.inertia),
-        tip=np.zeros(3) if tool is None or tool.tip is None else np.array(tool.tip),
+        tip=tip,
+        tip_rotation=tip_rotation,
         bias_body=None if bias is None else _body(bias.mass, bias.com, bias.inertia),
         zeroed_rotation=_zeroed(recording, robot),
         zeroed_joints=_zeroed_joints(recording, robot),
@@ -73,11 +82,66 @@ def _belief(recording: Recording) -> Belief:
         bias_free=info.model.bias == "free",
         dynamic=info.model.dynamics == "rigid",
         compliance={} if info.model.compliance is None else dict(info.model.compliance.joint),
-        distal_bodies=info.distal_bodies or (),
+        distal=() if info.predict in IN_JOINTS else _distal(recording, robot),
         ranges=dict(info.ranges),
         terms=terms_of(recording),
         epoch=recording.epoch,
     )
+    if info.predict in IN_JOINTS and isinstance(robot, UrdfRobot):
+        for body in belief.hanging:
+            robot = robot.carrying(body.mass, body.com, body.inertia)
+    return replace(belief, robot=robot)
+
+
+def _distal(recording: Recording, robot: Robot | None) -> tuple[Body, ...]:
+    """Links of the URDF that hang on the sensor, as bodies in its frame.
+
+    Raises:
+        UsageError: there is no URDF or no such link, or a link moves against the sensor.
+    """
+    links, where = recording.info.distal_bodies or (), f"{recording.path}/recording.json: distal_bodies"
+    if links and not isinstance(robot, UrdfRobot):
+        raise UsageError("links are named, but no URDF that holds them", where=where, todo="name the URDF as robot")
+    return tuple(_link(recording, robot, link, where) for link in links if isinstance(robot, UrdfRobot))
+
+
+def _link(recording: Recording, robot: UrdfRobot, link: str, where: str) -> Body:
+    mass, com, inertia = robot.link_body(link)
+    T = _in_sensor(recording, robot, link)
+    if T is None:
+        what = f"link {link!r} moves against the sensor"
+        raise UsageError(what, where=where, todo="name links that are fixed to it, and the others' weight as tool")
+    return Body(mass, T[:3, :3] @ com + T[:3, 3], T[:3, :3] @ inertia @ T[:3, :3].T)
+
+
+def _in_sensor(recording: Recording, robot: UrdfRobot, link: str) -> Array | None:
+    """Pose (4, 4) of a link in the sensor frame; None where it moves against the sensor."""
+    positions = [recording.columns.get(f"joint.{name}.position") for name in robot.joint_names]
+    # A joint that was not recorded stood where the URDF has its zero.
+    q = np.stack([np.zeros(len(recording)) if x is None else x for x in positions], axis=-1)
+    q = q[np.isfinite(q).all(axis=1)]
+    q = q[:: max(len(q) // ASKED, 1)] if len(q) else np.zeros((1, len(positions)))
+    T = np.linalg.inv(robot.sensor_pose(q)) @ robot.frame_pose(q, link)
+    return None if np.max(np.ptp(T[:, :3], axis=0)) > FIXED else np.asarray(T[len(T) // 2])
+
+
+def _tip(recording: Recording, robot: Robot | None) -> tuple[Array, Array]:
+    """Tool tip (3,) in the sensor frame, and the (3, 3) axes that are tracked there: of the tip's link where one is named.
+
+    Raises:
+        UsageError: that link moves against the sensor.
+    """
+    info = recording.info
+    named = None if info.tool is None or info.tool.tip is None else np.array(info.tool.tip)
+    if info.tip_link is None or info.sensor_link is None or not isinstance(robot, UrdfRobot):
+        return np.zeros(3) if named is None else named, np.eye(3)
+    T = _in_sensor(recording, robot, info.tip_link)
+    if T is None and info.predict == "pose":
+        what, where = f"link {info.tip_link!r} moves against the sensor", f"{recording.path}/recording.json: tip_link"
+        raise UsageError(what, where=where, todo="name a link that is fixed to the sensor's")
+    if T is None:
+        return np.zeros(3) if named is None else named, np.eye(3)
+    return T[:3, 3] if named is None else named, T[:3, :3]
 
 
 def _body(mass: float | None, com: tuple[float, ...] | None, inertia: tuple[tuple[float, ...], ...] | None) -> Body:

@@ -42,13 +42,13 @@ class Compliance(Effect):
         for joint in scene.joint_names:
             if _bears(scene, joint) and scene.joint_port(joint) is not None:
                 yield cls("joint", joint)
-                if isinstance(scene, ArmScene) and scene.hanging and np.any(scene.force):
+                if isinstance(scene, ArmScene) and scene.belief.hanging and np.any(scene.force):
                     yield cls("joint", joint, "applied")
                     yield cls("joint", joint, "weight")
         if isinstance(scene, ArmScene) and np.any(scene.force) and scene.observations.predict == "pose":
             for form in ("structure", "tool"):
                 yield cls(form)
-                if scene.hanging:
+                if scene.belief.hanging:
                     yield cls(form, "", "applied")
         if isinstance(scene, PositionScene) and scene.belief.robot is None:
             yield from cls._sagging(scene)

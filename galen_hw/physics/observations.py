@@ -22,6 +22,7 @@ class Belief:
         robot: kinematics and dynamics; None where the recording names none.
         tool: the tool as a body; its mass may be 0 where nothing is known.
         tip: (3,) tool tip in the sensor frame, m.
+        tip_rotation: (3, 3) tip to sensor: the axes whose orientation is tracked.
         bias_body: what hung on the sensor when it was zeroed.
         zeroed_rotation: (3, 3) sensor orientation at which it was zeroed.
         zeroed_joints: (n,) joint positions read there; None where they are not known.
@@ -29,7 +30,7 @@ class Belief:
         bias_free: constant offsets are fitted before comparing.
         dynamic: inertia is in the baseline, not weight alone.
         compliance: joint name to rad/(N m) or m/N that the baseline holds.
-        distal_bodies: links of the robot that hang on the sensor.
+        distal: links of the robot that hang on the sensor beside the tool.
         ranges: column to rated (low, high).
         terms: of the tool's file, which the simulation adds (`physics/terms.py`).
         epoch: seconds since the epoch at time 0 of the recording; None where it is not known.
@@ -38,6 +39,7 @@ class Belief:
     robot: Robot | None = None
     tool: Body = field(default_factory=Body)
     tip: Array = field(default_factory=lambda: np.zeros(3))
+    tip_rotation: Array = field(default_factory=lambda: np.eye(3))
     bias_body: Body | None = None
     zeroed_rotation: Array | None = None
     zeroed_joints: Array | None = None
@@ -45,10 +47,16 @@ class Belief:
     bias_free: bool = False
     dynamic: bool = True
     compliance: Mapping[str, float] = field(default_factory=dict)
-    distal_bodies: tuple[str, ...] = ()
+    distal: tuple[Body, ...] = ()
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     terms: tuple[Mapping[str, Any], ...] = ()
     epoch: float | None = None
+
+    @property
+    def hanging(self) -> tuple[Body, ...]:
+        """What weighs on the sensor: the tool, links of the robot, and what hung there before the tool."""
+        bodies = (self.tool, *self.distal) if self.bias_body is None else (self.tool, *self.distal, self.bias_body)
+        return tuple(body for body in bodies if body.mass > 0.0)
 
 
 @dataclass(frozen=True)

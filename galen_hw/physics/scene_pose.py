@@ -1,7 +1,6 @@
 """The tracked pose of the tool tip, and tracked points whose registration nobody knows."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,9 +9,6 @@ from galen_hw.physics.ports import Carried, Port
 from galen_hw.physics.scene import Scene, once
 from galen_hw.physics.screws import axis_screws, exponential, joint_screws
 from galen_hw.spatial import Array, rotation_from_quaternion, rotation_log
-
-if TYPE_CHECKING:
-    from galen_hw.physics.rigid import Body
 
 POSITION = tuple(f"pose.position.{axis}" for axis in "xyz")
 ORIENTATION = tuple(f"pose.orientation.{axis}" for axis in "xyz")
@@ -56,20 +52,15 @@ class ArmScene(Scene):
         assert screws is not None, "arm scenes have a robot"
         return np.asarray(np.sum(screws[:, :3] * force + screws[:, 3:] * np.cross(point, force), axis=1))
 
-    @property
-    def hanging(self) -> "list[Body]":
-        """What hangs on the arm beyond its links: the tool, and what hung on the sensor before it."""
-        return [body for body in (self.belief.tool, self.belief.bias_body) if body is not None and body.mass > 0.0]
-
     @cached_property
     def weight(self) -> Array:
         """(3,) of what hangs on the arm, base frame, N."""
-        return np.asarray(sum(body.mass for body in self.hanging) * self.belief.gravity)
+        return np.asarray(sum(body.mass for body in self.belief.hanging) * self.belief.gravity)
 
     def weight_load(self, joint: str) -> Array:
         """(N,) load of the joint by the weight of what hangs on the arm."""
         out = np.zeros(len(self))
-        for body in self.hanging:
+        for body in self.belief.hanging:
             com = self.T_sensor[:, :3, 3] + self.T_sensor[:, :3, :3] @ body.com
             out += self.torque_from(joint, np.broadcast_to(body.mass * self.belief.gravity, com.shape), com)
         return out
@@ -147,7 +138,7 @@ class PoseScene(ArmScene):
             if all(name in given for name in QUATERNION):
                 T[:, :3, :3] = rotation_from_quaternion(np.stack([given[name] for name in QUATERNION], axis=-1))
             return T
-        T[:, :3, 3] = self.tip
+        T[:, :3, :3], T[:, :3, 3] = T[:, :3, :3] @ self.belief.tip_rotation, self.tip
         return np.asarray(exponential(self.bent) @ T)
 
     @cached_property

@@ -94,18 +94,15 @@ class WrenchScene(Scene):
         static = predicted_wrench(
             self.R, b.tool, bias_body=b.bias_body, zeroed_rotation=b.zeroed_rotation, gravity=b.gravity
         )
+        static = static + gravity_in_sensor(self.R, b.gravity) @ weight_map(*b.distal).T
         return static + self._inertia if b.dynamic else static
 
     def _uses_rates(self) -> bool:
-        return self.belief.dynamic and bool(self.belief.tool.mass) and self._jointed
-
-    @property
-    def _bodies(self) -> list:  # type: ignore[type-arg]
-        return [body for body in (self.belief.tool, self.belief.bias_body) if body is not None]
+        return self.belief.dynamic and bool(self.belief.tool.mass or self.belief.distal) and self._jointed
 
     @cached_property
     def _inertia(self) -> Array:
-        return inertial_wrench(self.motion, *self._bodies)
+        return inertial_wrench(self.motion, *self.belief.hanging)
 
     @once
     def inertial_port(self) -> Array | None:
@@ -115,7 +112,7 @@ class WrenchScene(Scene):
     @cached_property
     def weight(self) -> Array:
         """(6, 3): reading at rest per gravity in the sensor frame."""
-        return weight_map(*self._bodies)
+        return weight_map(*self.belief.hanging)
 
     @once
     def gravity_port(self) -> Array | None:
@@ -167,7 +164,7 @@ class WrenchScene(Scene):
             return None
         stood = zip(b.robot.joint_names, b.zeroed_joints, strict=True)
         columns = {f"joint.{name}.position": np.array([q]) for name, q in stood}
-        belief = replace(b, tool=Body(), zeroed_rotation=None, zeroed_joints=None, dynamic=False, terms=())
+        belief = replace(b, tool=Body(), distal=(), zeroed_rotation=None, zeroed_joints=None, dynamic=False, terms=())
         return WrenchScene(Observations("wrench", columns, None, belief))
 
     def with_body(self, body: Array) -> Self | None:
@@ -218,7 +215,7 @@ class WrenchScene(Scene):
         """(N, 6) change of the reading if the sensor moved otherwise."""
         gravity = self.belief.gravity
         turned = gravity_in_sensor(motion.T[:, :3, :3], gravity) - gravity_in_sensor(self.R, gravity)
-        more = inertial_wrench(motion, *self._bodies) - self._inertia if self.belief.dynamic else 0.0
+        more = inertial_wrench(motion, *self.belief.hanging) - self._inertia if self.belief.dynamic else 0.0
         return np.asarray(turned @ self.weight.T + more)
 
     def _turned(self, phi: Array) -> Array:
@@ -254,7 +251,7 @@ class WrenchScene(Scene):
         ends = []
         for amount in (SMALL, -SMALL):
             moves = [axis_moves(at, joint, {error: amount}) for at in (earlier, self, later)]
-            ends.append(inertial_wrench(self._passing(*moves), *self._bodies))
+            ends.append(inertial_wrench(self._passing(*moves), *self.belief.hanging))
         return np.asarray((ends[0] - ends[1]) / (2.0 * SMALL))
 
     def _passing(self, *screws: list[Array]) -> Motion:

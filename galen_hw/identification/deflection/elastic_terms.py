@@ -40,9 +40,8 @@ class Weight:
 
     @classmethod
     def of(cls, data: DeflectionSet) -> "Weight":
-        """Tool and bias body as the recording knows them."""
-        belief = data.observations.belief
-        bodies = [belief.tool] + ([belief.bias_body] if belief.bias_body is not None else [])
+        """All that hangs on the sensor, as the recording knows it."""
+        bodies = data.observations.belief.hanging
         moment = sum((b.mass * np.asarray(b.com) for b in bodies), np.zeros(3))
         return cls(float(sum(b.mass for b in bodies)), tuple(np.asarray(moment).tolist()))
 
