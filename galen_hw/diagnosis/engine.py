@@ -100,6 +100,10 @@ def diagnose(
     bench.learn_noise((), known.columns(bench, generic))
     tell("choosing effects", 0.5)
     searches, left = _searched(bench, effects, columns, generic, blind=bool(premise.wrong))
+    if not left and not premise.wrong and (faint := glitches.faint(searches[0][1])) is not None:
+        glitch = glitches.marked(bench, faint)
+        bench.learn_noise((), known.columns(bench, generic))
+        searches, left = _searched(bench, effects, columns, generic, blind=False)
     if not left and not premise.wrong and (passed := trees.hidden(searches[0][1])):
         # What passed for slow noise hides others too: all is asked again beside it.
         generic += [adequacy.Family(one.kind, one.basis, local=False) for one in passed]

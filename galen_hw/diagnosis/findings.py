@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import erfc
 
+from galen_hw.diagnosis import glitches
 from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.final import Model
@@ -41,7 +42,7 @@ def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list
         # As certain as the one before, and larger: it moves up.
         if own["score"] > AS_CERTAIN * before["score"] and own["heldout_gain"] > before["heldout_gain"]:
             out[k - 1], out[k] = out[k], out[k - 1]
-    isolated = [_glitch(model.bench, judged, g) for g in glitch]
+    isolated = [_glitch(model, judged, g) for g in glitch]
     return out + [one for one in isolated if one.evidence["false_alarm_probability"] < CHANCE]
 
 
@@ -161,13 +162,12 @@ def _evidence(model: Model, selection: Selection, parts: list[Hypothesis]) -> tu
     return float(score), float(surprise)
 
 
-def _glitch(bench: Bench, judged: Judged, glitch: Glitches) -> Finding:
-    """Rows that stand alone; their share is of the whole excess of the recording, theirs included."""
-    rows: Array = np.asarray(glitch.rows)
+def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
+    """Rows that stand off what the model says; their share is of the whole excess of the recording, theirs included."""
+    bench, rows = model.bench, np.asarray(glitch.rows)
     places = [bench.scene.channels.index(name) for name in glitch.channels]
-    rest = bench.scene.raw_residual
-    away = np.abs(rest[rows] - np.median(rest, axis=0))[:, places]
-    z = away / bench.noise.sigma[places]
+    away = np.abs(glitches.off(model))[rows][:, places]
+    z = away / (np.sqrt(bench.rows.stride) * bench.noise.sigma[places])
     # In the channel that stands out most often: newtons and newton metres have no common size.
     strongest = np.argmax(z, axis=1)
     first = int(np.bincount(strongest).argmax())

@@ -10,6 +10,7 @@ from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.physics.event_effects import Glitches
+from galen_hw.physics.smoothing import ALONE
 from galen_hw.spatial import Array
 
 FEWEST: Final = 2
@@ -17,13 +18,16 @@ FEWEST: Final = 2
 FAR: Final = 6.0
 """Standard deviations by which a glitch must stand off what the model says, not only off its neighbours."""
 NEAR: Final = 3.5
+MOST_SHARE: Final = 0.03
+"""Of the samples: more of them are another kind of noise."""
 TAIL: Final = 3.0
 """Noise with heavy tails: so many times more samples between so many standard deviations and `FAR` than beyond it."""
 
 
-def marked(bench: Bench) -> list[Glitches]:
-    """Marks isolated samples and leaves them out of everything."""
+def marked(bench: Bench, faint: Mask | None = None) -> list[Glitches]:
+    """Marks isolated samples, and those (N, C) that a model has shown, and leaves them out of everything."""
     spiky = seek.spikes(bench.scene.raw_residual, tuple(bench.scene.segments))
+    spiky = spiky if faint is None else spiky | faint
     spoilt = np.asarray(spiky.any(axis=1))
     rows = np.flatnonzero(spoilt)
     if len(rows) < FEWEST:
@@ -33,23 +37,44 @@ def marked(bench: Bench) -> list[Glitches]:
     return [Glitches(names, tuple(int(r) for r in rows))]
 
 
-def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
-    """Isolated samples that the model does not explain either: a cusp of physics looks isolated until it is modelled."""
+def off(model: Model) -> Array:
+    """(N, C) how far every single sample is off what the model says."""
     bench = model.bench
     place = np.searchsorted(bench.rows.starts, np.arange(len(bench.scene)), side="right") - 1
-    explained = bench.whole - model.rest()
-    out = []
+    return np.asarray(bench.scene.raw_residual - (bench.whole - model.rest())[place])
+
+
+def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
+    """Isolated samples that the model does not explain either: a cusp of physics looks isolated until it is modelled."""
+    bench, rest, out = model.bench, off(model), []
     for one in glitch:
         rows = np.array(one.rows)
         channels = [bench.scene.channels.index(name) for name in one.channels]
-        rest = bench.scene.raw_residual[rows] - explained[place[rows]]
-        far = np.abs(rest) > FAR * np.sqrt(bench.rows.stride) * bench.noise.sigma
-        far &= ~_heavy_tailed(bench.scene.raw_residual - explained[place], bench, far.sum(axis=0))
-        kept = far[:, channels].any(axis=1)
-        names = tuple(bench.scene.channels[c] for c in channels if far[kept, c].any())
+        alone = np.abs(rest[rows]) > FAR * np.sqrt(bench.rows.stride) * bench.noise.sigma
+        alone &= ~_heavy_tailed(rest, bench, alone.sum(axis=0))
+        kept = alone[:, channels].any(axis=1)
+        names = tuple(bench.scene.channels[c] for c in channels if alone[kept, c].any())
         if kept.sum() >= FEWEST:
             out.append(Glitches(names, tuple(int(r) for r in rows[kept])))
     return out
+
+
+def faint(model: Model) -> Mask | None:
+    """(N, C) isolated samples that stand off what the model says, but too little off their neighbours; None where there are none.
+
+    What noise does to the neighbours, and steps of a coarse converter, hide what is six to nine standard deviations large.
+    """
+    bench, rest = model.bench, off(model)
+    z = np.nan_to_num(np.abs(rest) / (np.sqrt(bench.rows.stride) * bench.noise.sigma))
+    far, out = z > FAR, np.zeros(z.shape, dtype=bool)
+    for c in np.flatnonzero(far.any(axis=0)):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], far[:, c], [False]]).astype(int)))
+        for a, b in edges.reshape(-1, 2):
+            beside = z[[*range(max(a - ALONE, 0), a), *range(b, min(b + ALONE, len(z)))], c]
+            out[a:b, c] = b - a <= ALONE and np.max(beside, initial=0.0) < NEAR
+    out &= ~_heavy_tailed(rest, bench, out.sum(axis=0)) & (out.sum(axis=0) <= MOST_SHARE * len(out))
+    out &= ~(bench.spoilt | bench.scene.ends)[:, None]
+    return out if out.any(axis=1).sum() >= FEWEST else None
 
 
 def _heavy_tailed(rest: Array, bench: Bench, far: Array) -> Mask:

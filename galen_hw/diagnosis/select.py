@@ -13,6 +13,7 @@ from galen_hw.diagnosis.jumps import timed
 from galen_hw.diagnosis.limits import clipped, levelled
 from galen_hw.diagnosis.linear import crossed, missed, rests
 from galen_hw.diagnosis.nonlinear import bent, in_place, loosens, polished
+from galen_hw.diagnosis.partners import hidden
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
 from galen_hw.diagnosis.regroup import regrouped
 from galen_hw.diagnosis.retiming import load, retime, settle_together
@@ -21,7 +22,7 @@ from galen_hw.diagnosis.selection import Selection, place_of
 from galen_hw.diagnosis.split import split
 from galen_hw.diagnosis.tendons import tightened
 from galen_hw.diagnosis.wanted import shows_in_noise
-from galen_hw.diagnosis.worth import WORTH, asked, plausible, taken, worth
+from galen_hw.diagnosis.worth import WORTH, asked, completes, plausible, taken, worth
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Vibration
 from galen_hw.physics.table import EFFECTS, effect_class
@@ -93,7 +94,8 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         out.needed = max(out.needed, threshold(highest, CHANCE))
         if turn == 0:
             out.first = scores
-        best = _best(bench, scorer, out, scores, refused)
+        able: list[int] = []
+        best = _best(bench, scorer, out, scores, refused, able)
         if best is not None:
             out.chosen.append(best)
             tightened(bench, scorer, out, best)
@@ -107,9 +109,13 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
             or reclocked(bench, scorer, out)
             or (moved and _exchanged(bench, scorer, out, refused))
         ):
-            break
+            pair = hidden(bench, scorer, out, able)
+            if pair is None:
+                break
+            out.chosen.append(pair)
         settle_together(bench, scorer, out.chosen)
-        _drop(scorer, out)
+        if _drop(scorer, out):
+            settle_together(bench, scorer, out.chosen)
         moved = _swap(bench, scorer, out, refused)
         if moved:
             settle_together(bench, scorer, out.chosen)
@@ -118,7 +124,8 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         retime(bench, scorer, out.chosen)
         refused.clear()
     # The last turn moved what is searched: what stood before need not stand now.
-    _drop(scorer, out)
+    if _drop(scorer, out):
+        settle_together(bench, scorer, out.chosen)
     for i in out.chosen:
         # What the others can do as well has no score of its own.
         score = _alone(scorer, out.chosen, i)
@@ -129,15 +136,20 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
     return out
 
 
-def _best(bench: Bench, scorer: Scorer, out: Selection, scores: dict[int, Score], refused: set[int]) -> int | None:
-    """The best hypothesis that chance does not explain and that pays on blocks left out; None when there is none."""
+def _best(
+    bench: Bench, scorer: Scorer, out: Selection, scores: dict[int, Score], refused: set[int], able: list[int]
+) -> int | None:
+    """The best hypothesis that chance does not explain and that pays on blocks left out; None when there is none.
+
+    `able` is filled with those that chance does not explain, best first.
+    """
     taken = {place_of(scorer.library[i].effect) for i in out.chosen}
-    able = [i for i, s in scores.items() if s.surprise > out.needed and s.rank > 0.0 and i not in refused]
-    able = [i for i in able if place_of(scorer.library[i].effect) not in taken]
-    able.sort(key=lambda i: -scores[i].rank)
-    if not able:
+    fit = [i for i, s in scores.items() if s.surprise > out.needed and s.rank > 0.0 and i not in refused]
+    fit = [i for i in fit if place_of(scorer.library[i].effect) not in taken]
+    fit.sort(key=lambda i: -scores[i].rank)
+    if not fit:
         return None
-    able = sharpened(bench, scorer, out.chosen, scores, able)
+    able += sharpened(bench, scorer, out.chosen, scores, fit)
     misfit = scorer.misfit([*out.chosen, able[0]])
     misses = missed(bench, scorer, [*out.chosen, able[0]])
     able.insert(0, plainest(bench, scorer, out.chosen, scores, able, misses))
@@ -155,7 +167,10 @@ def _best(bench: Bench, scorer: Scorer, out: Selection, scores: dict[int, Score]
         share, of_all = asked(bench, out, scorer.library[i].effect, misfit)
         if paid < share and (finer := finest(bench, scorer, out.chosen, i)) != i:
             better, (paid, whole) = finer, worth(bench, scorer, out, finer)
-        if (paid >= share and whole >= of_all) or shows_in_noise(bench, scorer, out, better):
+        # Whoever takes nearly all that is left completes the model, however loud the recording was.
+        if (paid >= share and (whole >= of_all or completes(scorer.library[i].effect, paid))) or shows_in_noise(
+            bench, scorer, out, better
+        ):
             if plausible(bench, scorer, out.chosen, better):
                 return better
             # At the optimum it is not what it is called; beside it, where other physics is still missing, it may be.
@@ -203,16 +218,18 @@ def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int,
     return sorted([*able, *(i for i in fresh if i in scores)], key=lambda i: -scores[i].rank)
 
 
-def _drop(scorer: Scorer, out: Selection) -> None:
-    """Backward: what no longer stands beside the others goes."""
+def _drop(scorer: Scorer, out: Selection) -> bool:
+    """Backward: what no longer stands beside the others goes; whether anything did."""
+    before = len(out.chosen)
     while len(out.chosen) > 1:
         alone = {i: _alone(scorer, out.chosen, i) for i in out.chosen}
         worst = min(out.chosen, key=lambda i: -np.inf if alone[i] is None else alone[i].rank)  # type: ignore[union-attr]
         score = alone[worst]
         if score is not None and score.rank > 0.0 and score.surprise > 0.7 * out.needed:
-            return
+            break
         out.chosen.remove(worst)
         rebase(scorer, out.chosen)
+    return len(out.chosen) < before
 
 
 def _alone(scorer: Scorer, chosen: list[int], i: int) -> Score | None:
@@ -233,6 +250,7 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
         }
         rivals = {j: s for j, s in rivals.items() if place_of(scorer.library[j].effect) not in taken}
         rivals = {j: s for j, s in rivals.items() if not loosens(scorer.library[j].effect, scorer.library[i].effect)}
+        rivals = {j: s for j, s in rivals.items() if j == i or not _left_behind(scorer, i, j)}
         if i not in rivals:
             continue
         # A plainer one need not be better, only as good: what came first in an earlier turn must not decide.
@@ -260,8 +278,18 @@ def _exchanged(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) 
 
     What was exchanged last may have made room for better: a wander beside a tool stood for a warm-up beside a cable.
     """
-    before = _families(scorer, out.chosen)
-    return _swap(bench, scorer, out, refused) and _families(scorer, out.chosen) != before
+    before, families = list(out.chosen), _families(scorer, out.chosen)
+    if _swap(bench, scorer, out, refused) and _families(scorer, out.chosen) != families:
+        return True
+    out.chosen = before
+    rebase(scorer, before)
+    return False
+
+
+def _left_behind(scorer: Scorer, i: int, j: int) -> bool:
+    """Whether j is the chosen i where it stood before it was settled: a tangent says of itself that it reaches anywhere."""
+    own, other = scorer.library[i], scorer.library[j]
+    return other.theta is not None and own.effect == other.effect and own.effect is not None and own.effect.curved
 
 
 def _families(scorer: Scorer, chosen: list[int]) -> set[object]:

@@ -23,6 +23,10 @@ LOUD = 400.0
 """Mean square over noise from which a recording is so loud that a hundredth of it is no matter."""
 
 
+NEARLY_ALL = 0.95
+"""Share of the excess that is left from which it does not matter how small a part of the whole that is."""
+
+
 PROVED = 1.25
 """Whitened mean square below which a model leaves hardly more than noise."""
 
@@ -43,6 +47,11 @@ def asked(bench: Bench, out: Selection, effect: Effect | None, misfit: float) ->
     return WORTH * (1.0 + beyond * episodic), MATTERS * max(beyond, 0.3 * loud)
 
 
+def completes(effect: Effect | None, paid: float) -> bool:
+    """Whether what lasts takes so much of the excess that is left that hardly any physics is missing beside it."""
+    return effect is not None and not effect.EPISODIC and paid >= NEARLY_ALL
+
+
 def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, float]:
     """What the hypothesis takes on blocks it did not learn from: share of the excess left, and of that at the start.
 
@@ -57,7 +66,7 @@ def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, 
     floor = bench.noise.sigma**2
     if not len(out.begun):
         out.begun = errors(bench, scorer, out.chosen) ** 2
-    weight, begun = _where_it_acts(scorer, out.chosen, i, bench), out.begun
+    weight, begun = where_it_acts(scorer, out.chosen, i, bench), out.begun
     if isinstance(effect, Contact):
         during = np.asarray(scorer.library[i].raw.values[bench.train].any(axis=(1, 2)))
         if _stands_out(before, during, weight):
@@ -81,7 +90,7 @@ def _stands_out(square: Array, during: Mask, weight: Array) -> bool:
     return bool(weight @ ratio >= OUTSTANDING)
 
 
-def _where_it_acts(scorer: Scorer, chosen: list[int], i: int, bench: Bench) -> Array:
+def where_it_acts(scorer: Scorer, chosen: list[int], i: int, bench: Bench) -> Array:
     """(C,) shares of the energy, in units of the noise, that the hypothesis predicts in each channel."""
     h = scorer.library[i]
     theta = scorer.solve([*chosen, i])[0][-h.count :]

@@ -1,0 +1,101 @@
+"""What the search would miss: effects that hide each other, what faintly stands off its neighbours, and tangents left behind."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import sawtooth
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from diagnosis_cases import SIGMA, WRENCH, Bench, hanging, rotation
+from test_tendons import pulled
+
+from galen_hw.diagnosis import glitches
+from galen_hw.diagnosis import select as search
+from galen_hw.diagnosis.bends import tangent
+from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.partners import hidden
+from galen_hw.physics.body_effects import BaseTilt
+from galen_hw.physics.cable_effects import CableDrag
+from galen_hw.physics.effect import Effect
+from galen_hw.physics.geometry_effects import JointOffset
+from galen_hw.physics.table import scene_of
+
+
+def diagnosed(bench: Bench) -> Work:
+    return diagnose(scene_of(bench.observations()))
+
+
+def place(work: Work, effect: Effect) -> int:
+    return next(i for i, h in enumerate(work.selection.scorer.library) if h.effect == effect)
+
+
+def test_two_that_hide_each_other_are_found_together() -> None:
+    """A joint that rises slowly and falls back quickly: late, it is behind by nearly a constant."""
+    bench, late = Bench(6, rows=4000, rate=50.0), 0.3
+    bench.q[:, 3] = gaussian_filter1d(0.5 * sawtooth(2.0 * np.pi * bench.t / 9.0, 0.92), 6)
+    roll, tilt = (np.interp(bench.t - late, bench.t, bench.q[:, i]) for i in (3, 4))
+    bench.wrench = hanging(rotation(roll + 0.036, tilt))
+    found = {f.effect: f for f in diagnosed(bench).diagnosis.findings}
+    assert set(found) == {"time_delay", "joint_offset"}
+    assert found["time_delay"].parameters["delay"].value == pytest.approx(late, rel=0.02)
+
+
+def test_of_nothing_no_two_are_made() -> None:
+    work = diagnosed(Bench(6, rows=2000))
+    work.selection.chosen = []
+    able = [place(work, JointOffset("tilt")), place(work, BaseTilt("y"))]
+    assert hidden(work.bench, work.selection.scorer, work.selection, able) is None
+
+
+def test_where_a_cable_stood_before_it_was_settled_is_no_rival_of_it() -> None:
+    """Its tangent there foretells anything, beside what it was found with and is gone; the cable itself does not."""
+    bench = Bench(rows=3000)
+    pulled(bench, 4.0, 0.2)
+    work = diagnosed(bench)
+    selection, scorer = work.selection, work.selection.scorer
+    (i,) = [i for i in selection.chosen if isinstance(scorer.library[i].effect, CableDrag)]
+    h = scorer.library[i]
+    assert h.theta is not None
+    rng = np.random.default_rng(1)
+    off = [h.theta * (1.0 + 0.1 * rng.normal(size=8)) for _ in range(30)]
+    scorer.append([tangent(work.bench, h, theta) for theta in off])
+    assert not search._swap(work.bench, scorer, selection, set())
+    assert selection.chosen == [i]
+
+
+def coarse(size: float) -> Bench:
+    """Rounded to steps of nearly two and a half standard deviations, thirty samples thrown by `size` of these."""
+    bench = Bench(12, rows=6000, rate=50.0)
+    if size:
+        rows = np.random.default_rng(4).choice(np.arange(20, 5980, 40), 30, replace=False)
+        bench.noise[rows, 1] += np.random.default_rng(5).choice([-size, size], 30) * SIGMA[1]
+    step = 2.4 * SIGMA
+    bench.noise = np.round((bench.wrench + bench.noise) / step) * step - bench.wrench
+    return bench
+
+
+@pytest.mark.parametrize(("size", "told"), [(10.0, ["glitches"]), (0.0, [])])
+def test_spoilt_samples_stand_off_the_model_where_their_neighbours_hide_them(size: float, told: list[str]) -> None:
+    bench = coarse(size)
+    work = diagnosed(bench)
+    assert [f.effect for f in work.diagnosis.findings] == told
+    if told:
+        assert work.diagnosis.findings[0].channels == [WRENCH[1]]
+        assert 20 <= work.diagnosis.findings[0].parameters["count"].value <= 30
+
+
+def test_what_a_model_shows_to_be_spoilt_is_isolated() -> None:
+    """Three in a row at most and nothing beside them: a hump of a fifth of a second is none."""
+    bench = Bench(12, rows=3000, rate=50.0)
+    assert glitches.faint(diagnosed(bench).model) is None
+    work = diagnosed(Bench(12, rows=3000, rate=50.0))
+    bench.wrench[[500, 1600, 1601], 0] += 9.0 * SIGMA[0]
+    bench.wrench[2000:2010, 0] += 9.0 * SIGMA[0]
+    work.model.bench.scene = scene_of(bench.observations())
+    found = glitches.faint(work.model)
+    assert found is not None
+    assert np.flatnonzero(found.any(axis=1)).tolist() == [500, 1600, 1601]
