@@ -99,3 +99,24 @@ def test_what_a_model_shows_to_be_spoilt_is_isolated() -> None:
     found = glitches.faint(work.model)
     assert found is not None
     assert np.flatnonzero(found.any(axis=1)).tolist() == [500, 1600, 1601]
+
+
+def test_where_the_signal_turns_quickly_half_a_sample_is_no_spoilt_one() -> None:
+    """A tool that is swung round in two samples, and half a sample late on the way: one reading is far off what is simulated."""
+    bench = Bench(12, rows=3000, rate=50.0)
+    work = diagnosed(bench)
+    bench.q[:, 4] += 0.3 * np.clip((np.arange(3000) - 1499.0) / 2.0, 0.0, 1.0)
+    bench.wrench = hanging(rotation(bench.q[:, 3], bench.q[:, 4]))
+    swung = bench.wrench.copy()
+    bench.wrench[1500] += 0.2 * (bench.wrench[1501] - bench.wrench[1499])
+    bench.wrench[700] += 0.2 * (swung[1501] - swung[1499])
+    work.model.bench.scene = scene_of(bench.observations())
+    found = glitches.faint(work.model)
+    off = np.abs(glitches.off(work.model)) > 6.0 * work.model.bench.noise.sigma
+    assert off[[700, 1500]].any(axis=1).all()
+    assert found is None  # the other is one alone, and one is no finding
+    bench.wrench[900] = bench.wrench[900] + bench.wrench[700] - swung[700]
+    work.model.bench.scene = scene_of(bench.observations())
+    found = glitches.faint(work.model)
+    assert found is not None
+    assert np.flatnonzero(found.any(axis=1)).tolist() == [700, 900]

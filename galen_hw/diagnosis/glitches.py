@@ -18,6 +18,8 @@ FEWEST: Final = 2
 FAR: Final = 6.0
 """Standard deviations by which a glitch must stand off what the model says, not only off its neighbours."""
 NEAR: Final = 3.5
+SAMPLES: Final = 2.0
+"""By which a model may be early or late at a bend of the motion: what that explains is not spoilt."""
 MOST_SHARE: Final = 0.03
 """Of the samples: more of them are another kind of noise."""
 TAIL: Final = 3.0
@@ -62,16 +64,22 @@ def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
 def faint(model: Model) -> Mask | None:
     """(N, C) isolated samples that stand off what the model says, but too little off their neighbours; None where there are none.
 
-    What noise does to the neighbours, and steps of a coarse converter, hide what is six to nine standard deviations large.
+    What noise does to the neighbours, and steps of a coarse converter, hide what is six to nine standard deviations large. At the
+    ends of a segment nobody knows what is late, and where the motion bends or friction turns no model knows the moment to a
+    sample: what is off there is not spoilt for that.
     """
     bench, rest = model.bench, off(model)
+    said = bench.scene.simulated + bench.scene.raw_residual - rest
     z = np.nan_to_num(np.abs(rest) / (np.sqrt(bench.rows.stride) * bench.noise.sigma))
     far, out = z > FAR, np.zeros(z.shape, dtype=bool)
     for c in np.flatnonzero(far.any(axis=0)):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], far[:, c], [False]]).astype(int)))
         for a, b in edges.reshape(-1, 2):
-            beside = z[[*range(max(a - ALONE, 0), a), *range(b, min(b + ALONE, len(z)))], c]
-            out[a:b, c] = b - a <= ALONE and np.max(beside, initial=0.0) < NEAR
+            first, last = a - ALONE, b + ALONE
+            if b - a <= ALONE and any(part.start <= first and last <= part.stop for part in bench.scene.segments):
+                quick = np.max(np.abs(np.diff(said[first:last, c])))
+                beside = np.max(z[[*range(first, a), *range(b, last)], c])
+                out[a:b, c] = beside < NEAR and SAMPLES * quick < np.min(np.abs(rest[a:b, c]))
     out &= ~_heavy_tailed(rest, bench, out.sum(axis=0)) & (out.sum(axis=0) <= MOST_SHARE * len(out))
     out &= ~(bench.spoilt | bench.scene.ends)[:, None]
     return out if out.any(axis=1).sum() >= FEWEST else None
