@@ -106,12 +106,11 @@ def _distal(recording: Recording, robot: Robot | None) -> tuple[Body, ...]:
 
 
 def _link(recording: Recording, robot: UrdfRobot, link: str, where: str) -> Body:
-    mass, com, inertia = robot.link_body(link)
     T = _in_sensor(recording, robot, link)
     if T is None:
         what = f"link {link!r} moves against the sensor"
         raise UsageError(what, where=where, todo="name links that are fixed to it, and the others' weight as tool")
-    return Body(mass, T[:3, :3] @ com + T[:3, 3], T[:3, :3] @ inertia @ T[:3, :3].T)
+    return Body(*robot.link_body(link)).seen_from(T)
 
 
 def _in_sensor(recording: Recording, robot: UrdfRobot, link: str) -> Array | None:
@@ -133,14 +132,13 @@ def _tip(recording: Recording, robot: Robot | None) -> tuple[Array, Array]:
     """
     info = recording.info
     named = None if info.tool is None or info.tool.tip is None else np.array(info.tool.tip)
-    if info.tip_link is None or info.sensor_link is None or not isinstance(robot, UrdfRobot):
-        return np.zeros(3) if named is None else named, np.eye(3)
-    T = _in_sensor(recording, robot, info.tip_link)
+    T: Array | None = np.eye(4)
+    if info.tip_link is not None and info.sensor_link is not None and isinstance(robot, UrdfRobot):
+        T = _in_sensor(recording, robot, info.tip_link)
     if T is None and info.predict == "pose":
         what, where = f"link {info.tip_link!r} moves against the sensor", f"{recording.path}/recording.json: tip_link"
         raise UsageError(what, where=where, todo="name a link that is fixed to the sensor's")
-    if T is None:
-        return np.zeros(3) if named is None else named, np.eye(3)
+    T = np.eye(4) if T is None else T
     return T[:3, 3] if named is None else named, T[:3, :3]
 
 

@@ -40,6 +40,11 @@ class Body:
         )
         return Body(mass, com, about_origin - mass * _parallel(com))
 
+    def seen_from(self, T: Array) -> "Body":
+        """The same in the axes of a frame in which its own stand at T (4, 4)."""
+        R = T[:3, :3]
+        return Body(self.mass, R @ self.com + T[:3, 3], R @ self.inertia @ R.T)
+
 
 def _parallel(c: Array) -> Array:
     """(3, 3) inertia about the origin of unit mass at c."""
