@@ -8,11 +8,12 @@ STAMP := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip install --quiet --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test loop-test lint wheel-test bench proof clean
+.PHONY: help install demo test inject-test loop-test lint wheel-test bench proof clean
 
 help:
 	@echo "make demo    calibrate a tool on the virtual robot and compensate live, with figures in demo-output/"
-	@echo "make test    the whole test suite"
+	@echo "make test    the test suite (ten minutes)"
+	@echo "make inject-test  concealed recordings that take long to explain (eight minutes)"
 	@echo "make loop-test  a concealed cable and drift: recorded, named, saved, served, gone (minutes of a live robot)"
 	@echo "make lint    style, types, layers"
 	@echo "make bench   the benchmarks, written to docs/benchmarks.md (about 15 minutes)"
@@ -42,8 +43,11 @@ demo: $(BASE)
 	$(BIN)/galen-hw calibrate --tool retractor --virtual --yes --report demo-output
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not long and not live"
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not long and not inject and not live"
 	$(BIN)/python -m pytest -m live
+
+inject-test: $(STAMP)
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m inject
 
 loop-test: $(STAMP)
 	$(BIN)/python -m pytest -m long

@@ -54,6 +54,7 @@ def test_play_behind_friction_is_play_and_friction() -> None:
     assert (curve.label, curve.unit, curve.loop) == ("tilt load", "N m", True), "its page shows it over what throws it"
 
 
+@pytest.mark.inject
 def test_creep_behind_friction_is_creep_and_friction() -> None:
     _, found = explained(rubbing_and_creeping)
     assert set(found) == {"creep", "hysteresis"}

@@ -33,6 +33,7 @@ def place(work: Work, effect: Effect) -> int:
     return next(i for i, h in enumerate(work.selection.scorer.library) if h.effect == effect)
 
 
+@pytest.mark.inject
 def test_two_that_hide_each_other_are_found_together() -> None:
     """A joint that rises slowly and falls back quickly: late, it is behind by nearly a constant."""
     bench, late = Bench(6, rows=4000, rate=50.0), 0.3
@@ -51,6 +52,7 @@ def test_of_nothing_no_two_are_made() -> None:
     assert hidden(work.bench, work.selection.scorer, work.selection, able) is None
 
 
+@pytest.mark.inject
 def test_where_a_cable_stood_before_it_was_settled_is_no_rival_of_it() -> None:
     """Its tangent there foretells anything, beside what it was found with and is gone; the cable itself does not."""
     bench = Bench(rows=3000)

@@ -31,6 +31,7 @@ def _answered(t: np.ndarray, x: np.ndarray, constant: float, damping: float | No
     return x[0] + lsim(system, x - x[0], t - t[0])[1]
 
 
+@pytest.mark.inject
 @pytest.mark.parametrize(("constant", "damping"), [(0.06, None), (0.35, 0.4), (0.2, 0.71)])
 def test_a_filter_is_a_lag_of_its_order(constant: float, damping: float | None) -> None:
     """Hardly more than a row long, a servo that rings, and Butterworth's: one name, its constants, and nothing beside it."""
@@ -55,6 +56,7 @@ def test_a_lag_far_shorter_than_a_row_is_named_beside_the_delay() -> None:
     assert told.value == pytest.approx(constant, rel=0.05)
 
 
+@pytest.mark.inject
 def test_a_servo_that_rings_is_no_delay() -> None:
     """Slow motion shows it as late alone; its commands stand from row to row, as one who integrates by hand has them."""
     servo, frequency, damping, parts = Servo(), 2.0 * np.pi * 3.0, 0.35, 200

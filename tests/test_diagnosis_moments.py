@@ -111,6 +111,7 @@ def test_each_of_several_touches_owes_its_place() -> None:
     assert bench.add(Contact(WRENCH[:2], (seen,))).ways(bench.train) == 0.0
 
 
+@pytest.mark.inject
 def test_a_short_touch_under_slow_noise_is_told() -> None:
     """Three touches, a level in every channel: for all rows of the recording their numbers would have cost too much."""
     case = Bench(8, rows=6000, rate=50.0)
@@ -149,6 +150,7 @@ def test_a_hum_that_takes_nothing_of_its_own_recording_is_not_claimed(monkeypatc
     assert earned(model, None)[0] is model
 
 
+@pytest.mark.inject
 def test_readings_that_clip_at_both_ends_are_limits_and_no_touch() -> None:
     """In the same episodes a level and a bow each do about what both limits do together."""
     case = Bench(6, rows=4000)

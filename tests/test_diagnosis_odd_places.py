@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -58,6 +59,7 @@ def test_a_marker_that_moves_on_the_body_is_a_step_in_the_axes_of_the_body() -> 
     assert abs(step.moment - moment) < 0.5  # type: ignore[union-attr]
 
 
+@pytest.mark.inject
 def test_a_push_that_swells_and_turns_is_one_contact_and_nothing_beside() -> None:
     """The hand holds its direction in the room while the sensor turns: a level and a bow are not its course."""
     rng, t, R = turning(3)
@@ -86,6 +88,7 @@ def test_a_sensor_turned_under_a_tool_that_stays_turns_the_whole_reading() -> No
         assert abs(told.value - true) < 4.0 * told.std
 
 
+@pytest.mark.inject
 def test_what_follows_the_heading_is_unknown_and_no_leak_of_the_weight() -> None:
     """Gravity in the sensor does not show where north is; the orientation, which was recorded, does."""
     rng, t, R = turning(7)

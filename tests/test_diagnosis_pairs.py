@@ -23,6 +23,7 @@ def turned(bench: Bench, angle: float, offset: float) -> Bench:
     return bench
 
 
+@pytest.mark.inject
 def test_a_turned_axis_and_a_zero_are_not_a_tilted_base_and_a_turned_sensor() -> None:
     """Five numbers do what two do; each of the five looks best while the others are there."""
     learnt, other = (scene_of(turned(Bench(seed, rows=4000), 0.025, 0.011).observations()) for seed in (5, 6))

@@ -74,6 +74,7 @@ def test_merit_for_foretelling_asks_two_for_a_number_that_lasts(leaking: Work) -
     assert asked == pytest.approx(np.log(model.bench.noise.effective) - 2.0)
 
 
+@pytest.mark.inject
 @pytest.mark.parametrize("seed", [5, 6, 7])
 def test_a_small_payload_under_slow_noise_is_no_cable(seed: int) -> None:
     """The spring has four times its numbers and follows slow noise with them."""

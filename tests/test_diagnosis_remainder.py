@@ -82,6 +82,7 @@ def test_what_has_no_name_is_predicted_without_one_on_another_recording() -> Non
     assert d.terms == []
 
 
+@pytest.mark.inject
 def test_what_is_found_in_one_channel_is_asked_of_the_others_too() -> None:
     """The same product of speeds in two: in the second it is too small to be found by itself, and foretold all the same."""
     runs = [stray(Bench(seed, rows=4000)) for seed in (1, 2)]
@@ -123,6 +124,7 @@ def test_what_a_flexible_name_leaves_of_another_recording_is_said_of_it(size: fl
     assert all("wrench.force.x of another recording" in f.says for f in d.findings if f.effect == "unknown")
 
 
+@pytest.mark.inject
 @pytest.mark.parametrize(("channel", "share", "constant"), [(0, 0.15, 6.0), (4, 0.1, 3.0)])
 def test_creep_under_a_load_that_came_on_at_the_start(channel: int, share: float, constant: float) -> None:
     """Nothing has settled when the recording begins: all that creeps is still to come."""
@@ -140,6 +142,7 @@ def test_creep_under_a_load_that_came_on_at_the_start(channel: int, share: float
     assert "nothing had settled" in finding.says
 
 
+@pytest.mark.inject
 def test_flexible_names_yield_to_what_explains_better_without_one() -> None:
     """A torque that follows the speed is no creep, hysteresis or cable, though each of them takes a part of it."""
     work = judged(rotor(Bench(3, rows=4000)), rotor(Bench(4, rows=4000)))
@@ -149,6 +152,7 @@ def test_flexible_names_yield_to_what_explains_better_without_one() -> None:
     assert fit["rmse_after"]["wrench.torque.x"] < 1.1 * SIGMA[3]
 
 
+@pytest.mark.inject
 def test_a_remainder_speaks_only_of_recordings_like_its_own() -> None:
     """Another rate, or a joint that is not there, and it says nothing; the same recording again, the same values."""
     work = of_stray()
@@ -229,6 +233,7 @@ def test_support_allows_for_what_is_known_of_the_noise() -> None:
     assert support(3.0 * noise + effect, 3.0 * noise) < 0.05
 
 
+@pytest.mark.inject
 def test_a_touch_beside_what_has_no_name_is_judged_by_its_own_moments() -> None:
     """Three seconds of 200 are little of a recording in which much is missing, and yet they stand out from all of it."""
     touched = stray(Bench(1, rows=4000), 6.0)
@@ -261,6 +266,7 @@ def test_what_warms_up_moves_several_zeros_with_one_constant() -> None:
         assert abs(value.value - size) < 3.0 * value.std
 
 
+@pytest.mark.inject
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_force_that_is_there_all_along_is_no_contact(seed: int) -> None:
     """It is loud where the arm goes far, and functions of the motion foretell it: nobody pushes by the arm's position."""
@@ -271,6 +277,7 @@ def test_a_force_that_is_there_all_along_is_no_contact(seed: int) -> None:
     assert "unknown" in named(work)
 
 
+@pytest.mark.inject
 def test_a_force_in_a_corner_of_the_motion_is_neither_slow_noise_nor_a_touch() -> None:
     """It is there whenever roll and tilt go far to the same side: seldom, loud, and foretold by where the joints are."""
     bench = Bench(2, rows=6000, rate=50.0)
@@ -284,6 +291,7 @@ def test_a_force_in_a_corner_of_the_motion_is_neither_slow_noise_nor_a_touch() -
     )
 
 
+@pytest.mark.inject
 @pytest.mark.parametrize(("motion", "expected"), [(1, ["unknown"]), (2, ["contact"])])
 def test_a_pull_at_a_place_is_no_touch_and_the_same_pull_at_any_place_is(motion: int, expected: list[str]) -> None:
     """A drape is tight where roll and tilt go far to one side: with that motion it is no event, with another it is one."""
@@ -294,6 +302,7 @@ def test_a_pull_at_a_place_is_no_touch_and_the_same_pull_at_any_place_is(motion:
     assert named(judged(bench)) == expected
 
 
+@pytest.mark.inject
 def test_what_touches_in_a_place_is_told_in_the_channel_and_size_that_it_has() -> None:
     """Of two pushes of one kind at one place each follows from the other; of one push alone nothing does."""
     corner = Bench(1, rows=4000)
@@ -318,6 +327,7 @@ def test_what_touches_in_a_place_is_told_in_the_channel_and_size_that_it_has() -
     assert found(episodes[-1:]) == []
 
 
+@pytest.mark.inject
 def test_noise_with_heavy_tails_has_no_glitches() -> None:
     """Far samples that are but the end of a tail of nearer ones; as far ones out of nothing are glitches."""
     bench = Bench(12, rows=6000, rate=50.0)
@@ -419,6 +429,7 @@ def edge(bench: Bench) -> Bench:
     return bench
 
 
+@pytest.mark.inject
 def test_trees_stand_beside_functions_where_they_say_more_of_blocks_left_out_and_hold_on_another_motion() -> None:
     """Edges in joint space are theirs; one smooth product of two speeds is not, and they stay away from it."""
     learnt, other = (scene_of(edge(Bench(seed, rows=6000)).observations()) for seed in (1, 2))
@@ -457,6 +468,7 @@ def spinning(bench: Bench) -> Bench:
     return bench
 
 
+@pytest.mark.inject
 def test_flexible_names_yield_where_they_leave_nothing() -> None:
     """Creep with a leak between channels comes so near that nothing else is left; what foretells it better has no name."""
     other = spinning(slow(Bench(22, rows=6000, rate=50.0)))

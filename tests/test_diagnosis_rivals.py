@@ -66,6 +66,7 @@ def test_a_filter_that_the_blocks_agree_on_is_no_delay(filtered: bool) -> None:
     assert named(work_of(servo)) == ["lag" if filtered else "time_delay"]
 
 
+@pytest.mark.inject
 @pytest.mark.parametrize(("pan", "lift"), [(0.05, 0.05), (0.09, 0.13), (0.05, 0.15)])
 def test_joints_have_lags_of_their_own_only_where_they_differ(pan: float, lift: float) -> None:
     """One number for all is found first; it stays unless what it leaves in one joint is the opposite of the other's."""
@@ -115,6 +116,7 @@ def test_a_filter_behind_a_delay_is_the_two_after_one_another() -> None:
     assert np.abs(alone - np.stack(expected, axis=1))[far].max() > 5e-3 * np.ptp(scene.simulated)
 
 
+@pytest.mark.inject
 def test_every_place_of_an_effect_earns_its_own() -> None:
     """Play in both joints when it was learnt, in one of them on another day: that one keeps its name, the other does not."""
     learnt, other = Servo(seed=1), Servo(seed=2)
@@ -265,6 +267,7 @@ def test_a_play_wider_than_the_motion_is_no_rival_of_a_scale() -> None:
     assert "backlash" not in [c.effect for c in finding.confounded_with]
 
 
+@pytest.mark.inject
 @pytest.mark.parametrize("offset", [0.0, 0.8])
 def test_a_limit_clips_all_that_is_carried(offset: float) -> None:
     """Under a heavier tool and an offset the reading stands at the limit; both are named alone, here and on another day."""
@@ -286,6 +289,7 @@ def test_a_limit_clips_all_that_is_carried(offset: float) -> None:
     assert np.all(np.sqrt(judged.after / judged.floor) < 1.1)
 
 
+@pytest.mark.inject
 def test_servos_that_are_all_late_have_one_clock_and_no_viscous_friction_each() -> None:
     """Dry friction in two simulated servos under one delay: a viscous part in each joint does the same with a number more."""
     servo, T, band, dt = Servo(seed=2, rows=12000, rate=100.0), 0.04, 3.3e-4, 0.01
@@ -331,6 +335,7 @@ def test_no_bias_beside_a_compliance_that_accounts_for_it() -> None:
     assert set(named(work)) == {"time_delay", "compliance"}
 
 
+@pytest.mark.inject
 @pytest.mark.parametrize(("size", "there"), [(2e-3, True), (0.0, False)])
 def test_a_small_effect_is_not_lost_in_large_slow_noise(size: float, there: bool) -> None:
     """Raw errors on blocks left out are the slow noise's; whitened ones show a joint's zero of a fifth of the noise."""

@@ -37,6 +37,7 @@ def told(case: Bench) -> dict[str, dict[str, tuple[float, float]]]:
     return {f.effect: {name: (v.value, v.std) for name, v in f.parameters.items()} for f in answer.findings}
 
 
+@pytest.mark.inject
 def test_a_new_load_on_a_wrong_joint_read_by_a_wrong_gain_is_told_in_its_own_size() -> None:
     """Each alone they would be a tenth off: ten to thirty standard deviations."""
     case = slowly(4)
@@ -82,6 +83,7 @@ def test_a_joint_that_is_read_wrong_moves_otherwise_too() -> None:
     assert abs(value - scale) < 0.01 * scale
 
 
+@pytest.mark.inject
 def test_a_wrong_joint_on_a_late_stream_is_told_in_its_own_size() -> None:
     """What it does beyond its slope is late too: on time it had moved the scale by several standard deviations."""
     case = Bench(5, rows=6000, rate=20.0)
@@ -97,6 +99,7 @@ def test_a_wrong_joint_on_a_late_stream_is_told_in_its_own_size() -> None:
         assert std < 0.01 * true
 
 
+@pytest.mark.inject
 def test_what_is_searched_is_as_unknown_as_what_is_linear() -> None:
     """Standard deviations of all at once are those of the Jacobian of the whole model, searched constants included."""
     case = slowly(3)
@@ -141,6 +144,7 @@ def test_what_is_searched_is_as_unknown_as_what_is_linear() -> None:
     assert np.max(told[: len(alone)] / alone) > 1.3
 
 
+@pytest.mark.inject
 def test_a_hum_whose_phase_walks_is_one_vibration_of_its_mean_frequency() -> None:
     """Two lines within each other's breadth would be each other's wander, with amplitudes that mean nothing."""
     case = Bench(6, rows=12000, rate=100.0)
@@ -181,6 +185,7 @@ def test_what_creeps_and_a_load_that_was_wrong_all_along_say_how_little_is_known
             assert abs(model.final[at] - 0.004) > 5.0 * alone
 
 
+@pytest.mark.inject
 def test_a_small_body_is_told_anew_where_it_sits_beside_another_convention() -> None:
     """A law between parameters goes with them: placed where the other convention had it, that one would be refused."""
     case = slowly(8)

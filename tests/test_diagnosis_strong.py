@@ -109,6 +109,7 @@ HUM = Vibration(("wrench.force.x",), 3.1)
 TOUCH = Contact(("wrench.force.x",), ((20.0, 40.0),), 1)
 
 
+@pytest.mark.inject
 def test_what_is_within_the_error_of_a_rough_law_is_a_part_of_it() -> None:
     """A touch of a thirtieth of a hum goes; of a third it stays; no rough law hides what is exact, and no law is perfect."""
     assert [h.effect for h in trifles(modelled((HUM, 0.3), (TOUCH, 0.01)))] == [TOUCH]

@@ -163,6 +163,7 @@ def shaken(path, t, *, felt=0.02, gravity=True, tilt=G):
     return columns
 
 
+@pytest.mark.inject
 @pytest.mark.parametrize("gravity", [True, False])
 def test_inertia_that_a_static_model_forgot_is_named(gravity):
     """All of it, and nothing else; a model that has it agrees."""

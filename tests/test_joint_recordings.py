@@ -361,6 +361,7 @@ def test_friction_that_never_breaks_loose_is_none():
     assert np.allclose(wide.columns(scene).values[settled, 0], slow[settled], atol=1e-6)
 
 
+@pytest.mark.inject
 def test_a_dead_time_and_a_lag_behind_it_are_found_together():
     """Beside friction, one by one: the first takes the place of both, and what is wrong about it goes to whatever bends."""
     rng, t = np.random.default_rng(5), np.arange(6000) * 0.02

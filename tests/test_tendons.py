@@ -68,6 +68,7 @@ def test_a_tendon_pulls_as_a_taut_cable_does(friction: float) -> None:
     np.testing.assert_allclose(change, bench.wrench - before, atol=1e-12)
 
 
+@pytest.mark.inject
 @pytest.mark.parametrize("friction", [0.0, 0.04])
 def test_a_cable_is_told_with_its_place_and_its_friction(friction: float) -> None:
     """Every parameter within four of its standard deviations, and the stiffness to a twentieth or so."""
@@ -86,6 +87,7 @@ def test_a_cable_is_told_with_its_place_and_its_friction(friction: float) -> Non
     assert work.model.rest(white=True)[work.bench.train].std() < 1.03
 
 
+@pytest.mark.inject
 @pytest.mark.parametrize("hidden", [cases.base_tilt, cases.gain, cases.joint_offset])
 def test_what_is_beside_a_cable_is_not_taken_for_a_part_of_it(hidden) -> None:
     """A spring that is linear in all that is unknown has parameters enough for both."""
@@ -95,6 +97,7 @@ def test_what_is_beside_a_cable_is_not_taken_for_a_part_of_it(hidden) -> None:
     assert named(diagnosed(bench)) == {"cable_drag", hidden.__name__}
 
 
+@pytest.mark.inject
 def test_a_cable_that_is_tied_to_the_platform_is_told_from_there() -> None:
     """It knows nothing of where the platform is: seen from the base nothing stretches as it does."""
     bench = Bench(rows=4000)
@@ -145,6 +148,7 @@ def test_a_pull_that_nothing_stretches_is_no_cable() -> None:
     assert named(diagnosed(bench)) == {"payload", "gain"}
 
 
+@pytest.mark.inject
 def test_no_cable_hangs_from_thirty_metres_away() -> None:
     """A search that leads far away, or begins there, ends where a cable of an arm can be."""
     bench = Bench(rows=1000)

@@ -167,7 +167,7 @@ def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
     bench, rows = model.bench, np.asarray(glitch.rows)
     places = [bench.scene.channels.index(name) for name in glitch.channels]
     away = np.abs(glitches.off(model))[rows][:, places]
-    z = away / (np.sqrt(bench.rows.stride) * bench.noise.sigma[places])
+    z = glitches.deviations(model)[rows][:, places]
     # In the channel that stands out most often: newtons and newton metres have no common size.
     strongest = np.argmax(z, axis=1)
     first = int(np.bincount(strongest).argmax())

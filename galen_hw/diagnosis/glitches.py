@@ -20,8 +20,6 @@ FAR: Final = 6.0
 NEAR: Final = 3.5
 SAMPLES: Final = 2.0
 """By which a model may be early or late at a bend of the motion: what that explains is not spoilt."""
-MOST_SHARE: Final = 0.03
-"""Of the samples: more of them are another kind of noise."""
 TAIL: Final = 3.0
 """Noise with heavy tails: so many times more samples between so many standard deviations and `FAR` than beyond it."""
 
@@ -46,14 +44,20 @@ def off(model: Model) -> Array:
     return np.asarray(bench.scene.raw_residual - (bench.whole - model.rest())[place])
 
 
+def deviations(model: Model) -> Array:
+    """(N, C) the same in standard deviations of a single sample; 0 where nothing was recorded."""
+    bench = model.bench
+    return np.asarray(np.nan_to_num(np.abs(off(model)) / (np.sqrt(bench.rows.stride) * bench.noise.sigma)))
+
+
 def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
     """Isolated samples that the model does not explain either: a cusp of physics looks isolated until it is modelled."""
-    bench, rest, out = model.bench, off(model), []
+    bench, z, out = model.bench, deviations(model), []
     for one in glitch:
         rows = np.array(one.rows)
         channels = [bench.scene.channels.index(name) for name in one.channels]
-        alone = np.abs(rest[rows]) > FAR * np.sqrt(bench.rows.stride) * bench.noise.sigma
-        alone &= ~_heavy_tailed(rest, bench, alone.sum(axis=0))
+        alone = z[rows] > FAR
+        alone &= ~_heavy_tailed(z, alone.sum(axis=0))
         kept = alone[:, channels].any(axis=1)
         names = tuple(bench.scene.channels[c] for c in channels if alone[kept, c].any())
         if kept.sum() >= FEWEST:
@@ -68,9 +72,8 @@ def faint(model: Model) -> Mask | None:
     ends of a segment nobody knows what is late, and where the motion bends or friction turns no model knows the moment to a
     sample: what is off there is not spoilt for that.
     """
-    bench, rest = model.bench, off(model)
+    bench, rest, z = model.bench, off(model), deviations(model)
     said = bench.scene.simulated + bench.scene.raw_residual - rest
-    z = np.nan_to_num(np.abs(rest) / (np.sqrt(bench.rows.stride) * bench.noise.sigma))
     far, out = z > FAR, np.zeros(z.shape, dtype=bool)
     for c in np.flatnonzero(far.any(axis=0)):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], far[:, c], [False]]).astype(int)))
@@ -80,14 +83,13 @@ def faint(model: Model) -> Mask | None:
                 quick = np.max(np.abs(np.diff(said[first:last, c])))
                 beside = np.max(z[[*range(first, a), *range(b, last)], c])
                 out[a:b, c] = beside < NEAR and SAMPLES * quick < np.min(np.abs(rest[a:b, c]))
-    out &= ~_heavy_tailed(rest, bench, out.sum(axis=0)) & (out.sum(axis=0) <= MOST_SHARE * len(out))
+    out &= ~_heavy_tailed(z, out.sum(axis=0)) & (out.sum(axis=0) <= seek.MOST_SPOILT * len(out))
     out &= ~(bench.spoilt | bench.scene.ends)[:, None]
     return out if out.any(axis=1).sum() >= FEWEST else None
 
 
-def _heavy_tailed(rest: Array, bench: Bench, far: Array) -> Mask:
-    """(C,) whether a channel's far samples (C,) are but the end of a tail that thins out towards them (N, C)."""
-    z = np.abs(rest) / (np.sqrt(bench.rows.stride) * bench.noise.sigma)
+def _heavy_tailed(z: Array, far: Array) -> Mask:
+    """(C,) whether so many far samples (C,) are but the end of a tail, in deviations (N, C), that thins out towards them."""
     between = np.sum((z > NEAR) & (z <= FAR), axis=0)
     usual = 2.0 * len(z) * float(norm.sf(NEAR))
     return np.asarray(between - 2.0 * usual > TAIL * far)

@@ -15,7 +15,7 @@ from galen_hw.diagnosis.linear import crossed
 from galen_hw.diagnosis.plainness import ALIKE
 from galen_hw.diagnosis.retiming import retime, settle_together
 from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.selection import Selection, place_of
+from galen_hw.diagnosis.selection import Selection, elsewhere
 from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.sensor_effects import Saturation
 
@@ -76,8 +76,7 @@ def _with_limits(scorer: Scorer, out: Selection, kept: list[int], piles: list[in
     """A model with the limits that stand beside it, the strongest first."""
     trial = list(kept)
     while True:
-        taken = {place_of(scorer.library[j].effect) for j in trial}
-        scores = scorer.scores(trial, [j for j in piles if place_of(scorer.library[j].effect) not in taken])[0]
+        scores = scorer.scores(trial, elsewhere(scorer, trial, piles))[0]
         able = [j for j, s in scores.items() if s.rank > 0.0 and s.surprise > out.needed]
         if not able:
             return trial

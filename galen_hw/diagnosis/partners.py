@@ -7,7 +7,7 @@ import numpy as np
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.linear import crossed
 from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.selection import Selection, place_of
+from galen_hw.diagnosis.selection import Selection, elsewhere
 from galen_hw.diagnosis.worth import PROVED, WORTH, plausible, taken, where_it_acts
 
 LEADERS: Final = 3
@@ -41,7 +41,5 @@ def hidden(bench: Bench, scorer: Scorer, out: Selection, able: list[int]) -> int
 def _partner(scorer: Scorer, out: Selection, i: int) -> int | None:
     """The likeliest hypothesis beside the chosen ones and this one; None if chance explains it."""
     scores, _ = scorer.scores([*out.chosen, i])
-    taken_places = {place_of(scorer.library[k].effect) for k in (*out.chosen, i)}
     able = [j for j, s in scores.items() if s.rank > 0.0 and s.surprise > out.needed]
-    able = [j for j in able if place_of(scorer.library[j].effect) not in taken_places]
-    return max(able, key=lambda j: scores[j].rank, default=None)
+    return max(elsewhere(scorer, [*out.chosen, i], able), key=lambda j: scores[j].rank, default=None)

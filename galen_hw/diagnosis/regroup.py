@@ -10,7 +10,7 @@ from galen_hw.diagnosis.linear import crossed
 from galen_hw.diagnosis.plainness import ALIKE, slack
 from galen_hw.diagnosis.retiming import settle_together
 from galen_hw.diagnosis.score import Score, Scorer
-from galen_hw.diagnosis.selection import Selection, place_of, told
+from galen_hw.diagnosis.selection import Selection, elsewhere, place_of, told
 from galen_hw.diagnosis.worth import plausible
 
 RIGID = ("base_tilt", "joint_offset", "joint_scale", "link_geometry", "payload", "sensor_mounting")
@@ -116,13 +116,12 @@ def _firsts(
     scorer: Scorer, others: list[int], pair: tuple[int, ...], scores: dict[int, Score], whole: float
 ) -> list[int]:
     """The best of each kind of rigid error and place that could be the first of the others."""
-    away = {place_of(scorer.library[i].effect) for i in others}
     best: dict[object, int] = {}
-    for i in sorted(scores, key=lambda i: -scores[i].rank):
+    for i in elsewhere(scorer, others, sorted(scores, key=lambda i: -scores[i].rank)):
         effect = scorer.library[i].effect
         if effect is None or effect.KEY not in RIGID or scores[i].gain < LEAST_PART * whole:
             continue
-        if scorer.library[i].theta is None and i not in pair and place_of(effect) not in away:
+        if scorer.library[i].theta is None and i not in pair:
             best.setdefault(place_of(effect), i)
     return list(best.values())[:FIRSTS]
 
@@ -132,10 +131,8 @@ def _chain(
 ) -> tuple[float, list[int]]:
     """The first and, where it adds anything, the best rigid error beside it; what both take."""
     model, none = [*others, first], scorer.solve(others)[2]
-    away = {place_of(scorer.library[i].effect) for i in model}
     scores = scorer.scores(model, [i for i in able if _rigid(scorer, i) and scorer.library[i].theta is None])[0]
-    follow = [i for i in scores if place_of(scorer.library[i].effect) not in away]
-    second = max(follow, key=lambda i: scores[i].rank, default=None)
+    second = max(elsewhere(scorer, model, scores), key=lambda i: scores[i].rank, default=None)
     chain = (
         [first]
         if second is None or scores[second].rank <= 0.0 or scores[second].surprise <= needed

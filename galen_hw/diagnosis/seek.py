@@ -28,6 +28,8 @@ class Sought:
 
 FEW_ROWS = 40
 """Rows too few to look for a moment or a movement in."""
+MOST_SPOILT = 0.03
+"""Share of a channel's samples: more isolated ones are another kind of noise."""
 HANDFUL = 4
 """Isolated samples of one channel that may always be told."""
 SHARED = 0.1
@@ -49,7 +51,7 @@ def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
     for part in segments:
         for c in range(residual.shape[1]):
             out[part, c] = isolated(residual[part, c])
-    out[:, out.sum(axis=0) > max(0.03 * len(out), HANDFUL)] = False
+    out[:, out.sum(axis=0) > max(MOST_SPOILT * len(out), HANDFUL)] = False
     return out
 
 

@@ -18,7 +18,7 @@ from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slac
 from galen_hw.diagnosis.regroup import regrouped
 from galen_hw.diagnosis.retiming import load, retime, settle_together
 from galen_hw.diagnosis.score import Score, Scorer, threshold
-from galen_hw.diagnosis.selection import Selection, place_of
+from galen_hw.diagnosis.selection import Selection, elsewhere
 from galen_hw.diagnosis.split import split
 from galen_hw.diagnosis.tendons import tightened
 from galen_hw.diagnosis.wanted import shows_in_noise
@@ -143,9 +143,8 @@ def _best(
 
     `able` is filled with those that chance does not explain, best first.
     """
-    taken = {place_of(scorer.library[i].effect) for i in out.chosen}
     fit = [i for i, s in scores.items() if s.surprise > out.needed and s.rank > 0.0 and i not in refused]
-    fit = [i for i in fit if place_of(scorer.library[i].effect) not in taken]
+    fit = elsewhere(scorer, out.chosen, fit)
     fit.sort(key=lambda i: -scores[i].rank)
     if not fit:
         return None
@@ -243,12 +242,11 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
     start = list(out.chosen)
     for i in list(out.chosen):
         others = [j for j in out.chosen if j != i]
-        taken = {place_of(scorer.library[j].effect) for j in others}
         # A cable has shown by now whether a tendon does what its spring does.
         rivals = {
             j: scorer.in_full(j, s) for j, s in in_place(bench, scorer, out.chosen, i).items() if j not in refused
         }
-        rivals = {j: s for j, s in rivals.items() if place_of(scorer.library[j].effect) not in taken}
+        rivals = {j: rivals[j] for j in elsewhere(scorer, others, rivals)}
         rivals = {j: s for j, s in rivals.items() if not loosens(scorer.library[j].effect, scorer.library[i].effect)}
         rivals = {j: s for j, s in rivals.items() if j == i or not _left_behind(scorer, i, j)}
         if i not in rivals:

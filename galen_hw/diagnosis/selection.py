@@ -1,6 +1,7 @@
 """The chosen model and how it came about."""
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -58,6 +59,12 @@ def place_of(effect: Effect | None) -> tuple[str, ...]:
     errors = getattr(effect, "errors", ())
     form = getattr(effect, "form", "") if effect.KEY == "compliance" else ""
     return (effect.KEY, *place, *map(str, errors), form)
+
+
+def elsewhere(scorer: Scorer, model: Iterable[int], candidates: Iterable[int]) -> list[int]:
+    """The candidates, in their order, whose place nothing in the model has."""
+    taken = {place_of(scorer.library[i].effect) for i in model}
+    return [j for j in candidates if place_of(scorer.library[j].effect) not in taken]
 
 
 def told(effect: Effect | None) -> tuple[object, ...]:

@@ -8,7 +8,7 @@ from galen_hw.diagnosis.linear import crossed
 from galen_hw.diagnosis.nonlinear import in_place
 from galen_hw.diagnosis.plainness import slack
 from galen_hw.diagnosis.score import Score, Scorer
-from galen_hw.diagnosis.selection import Selection, place_of
+from galen_hw.diagnosis.selection import Selection, elsewhere
 from galen_hw.diagnosis.worth import plausible
 from galen_hw.physics.effect import Effect
 
@@ -34,9 +34,8 @@ def split(bench: Bench, scorer: Scorer, out: Selection) -> bool:
         ranks = {j: s for j, s in in_place(bench, scorer, out.chosen, i).items() if i == j or _apart(scorer, i, j)}
         if i not in ranks:
             continue
-        taken = {place_of(scorer.library[j].effect) for j in others}
         with unbent(scorer, i):
-            firsts = _firsts(scorer, ranks, taken, LEAST_PART * ranks[i].gain, effect)
+            firsts = _firsts(scorer, others, ranks, LEAST_PART * ranks[i].gain, effect)
             plain = {j: score for j, score in ranks.items() if j != i}
             chains = [_chain(scorer, others, a, plain, out.needed) for a in firsts]
         total, chain = max(chains, default=(0.0, []), key=lambda x: x[0])
@@ -60,9 +59,8 @@ def _chain(
     chain, total = [first], able[first].rank
     while len(chain) < LONGEST_CHAIN:
         model = [*others, *chain]
-        away = {place_of(scorer.library[j].effect) for j in model}
         scores = scorer.scores(model)[0]
-        follow = [j for j in scores if j in able and place_of(scorer.library[j].effect) not in away]
+        follow = elsewhere(scorer, model, [j for j in scores if j in able])
         best = max(follow, key=lambda j: scores[j].rank, default=None)
         if best is None or scores[best].rank <= 0.0 or scores[best].surprise <= needed:
             break
@@ -79,13 +77,11 @@ def _apart(scorer: Scorer, i: int, j: int) -> bool:
     return plain and other.looked == 1 and j != i
 
 
-def _firsts(
-    scorer: Scorer, ranks: dict[int, Score], taken: set[tuple[str, ...]], least: float, own: Effect
-) -> list[int]:
+def _firsts(scorer: Scorer, others: list[int], ranks: dict[int, Score], least: float, own: Effect) -> list[int]:
     """The best hypothesis of each family, strongest first, that could be the first of a few."""
     out: dict[object, int] = {}
-    for j in sorted(ranks, key=lambda j: -ranks[j].rank):
+    for j in elsewhere(scorer, others, sorted(ranks, key=lambda j: -ranks[j].rank)):
         effect = scorer.library[j].effect
-        if effect is not None and effect.KEY != own.KEY and ranks[j].gain >= least and place_of(effect) not in taken:
+        if effect is not None and effect.KEY != own.KEY and ranks[j].gain >= least:
             out.setdefault(effect.family, j)
     return list(out.values())[:PAIRED]

@@ -11,7 +11,7 @@ from galen_hw.diagnosis.linear import crossed
 from galen_hw.diagnosis.nonlinear import settle
 from galen_hw.diagnosis.plainness import ALIKE
 from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.selection import Selection, place_of
+from galen_hw.diagnosis.selection import Selection, elsewhere
 from galen_hw.physics.cable_effects import TENDON, CableDrag
 from galen_hw.spatial import Array
 
@@ -102,10 +102,8 @@ def _with_tendon(
 def _beside(scorer: Scorer, out: Selection, trial: list[int]) -> int | None:
     """The best hypothesis beside a model that chance does not explain, of those that a spring can have taken with it."""
     scores = scorer.scores(trial)[0]
-    taken = {place_of(scorer.library[j].effect) for j in trial}
     able = [j for j, s in scores.items() if s.surprise > out.needed and s.rank > 0.0 and _is_plain(scorer, j)]
-    able = [j for j in able if place_of(scorer.library[j].effect) not in taken]
-    return max(able, key=lambda j: scores[j].rank, default=None)
+    return max(elsewhere(scorer, trial, able), key=lambda j: scores[j].rank, default=None)
 
 
 def _is_plain(scorer: Scorer, j: int) -> bool:

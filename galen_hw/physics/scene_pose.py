@@ -153,7 +153,7 @@ class PoseScene(ArmScene):
 
     @once
     def slipping(self) -> list[Carried]:
-        """The tool in its holder: shifts and, where orientation is tracked, turns about the tip, in the sensor's axes."""
+        """The tool in its holder: shifts and, where orientation is tracked, turns about the tip, in the tip's axes."""
         R, width = self._pose[:, :3, :3], len(self.channels)
         values = np.zeros((len(self), width, width))
         values[:, :3, :3] = R
