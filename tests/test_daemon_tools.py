@@ -162,6 +162,10 @@ def test_bars_grow_from_the_middle() -> None:
     assert all(len(bar(v, 1.0)) == BAR_WIDTH for v in (-2.0, -0.3, 0.0, 0.3, 2.0))
 
 
+NOWHERE = {"ft": "/dev/none", "motors": "/dev/none"}
+"""Wires that cannot be opened: nobody waits for an answer."""
+
+
 def check(tree: Tree, *words: str) -> tuple[int, dict[str, dict[str, object]]]:
     """Status of `galen-hw check --json` and its findings by path."""
     command = tree.command("check", "--json", "--config", str(tree.folder / "galen.toml"), *words)
@@ -220,12 +224,12 @@ def test_check_builds_the_robot(tmp_path: Path, text: str, said: str) -> None:
     urdf = tmp_path / "robot.urdf"
     urdf.write_text('<robot name="r"><link name="base"/></robot>')
     with daemon_tree(tmp_path) as tree:
-        tree.write_config(text.replace("ROBOT", str(urdf)))
+        tree.write_config(text.replace("ROBOT", str(urdf)), **NOWHERE)
         status, found = check(tree)
         assert status == 2
         assert found["robot"]["state"] == "problem"
         assert said in str(found["robot"]["text"])
-        tree.write_config()
+        tree.write_config(**NOWHERE)
         _, found = check(tree)
         assert found["robot"]["state"] == "ok"
         assert "roll, tilt" in str(found["robot"]["text"])
@@ -234,7 +238,7 @@ def test_check_builds_the_robot(tmp_path: Path, text: str, said: str) -> None:
 def test_check_names_a_device_that_nothing_uses_and_a_state_that_cannot_be_kept(tmp_path: Path) -> None:
     """`motorz` is noted with what was meant; a file where the state's folder or one below it should be is a problem."""
     with daemon_tree(tmp_path) as tree:
-        tree.write_config("[devices.motorz]\ndriver = 'motors'\ntransport.url = '/dev/none'")
+        tree.write_config("[devices.motorz]\ndriver = 'motors'\ntransport.url = '/dev/none'", **NOWHERE)
         (tree.folder / "state").mkdir()
         (tree.folder / "state" / "sweeps").write_text("not a folder")
         _, found = check(tree)

@@ -80,6 +80,7 @@ def coarse(size: float) -> Bench:
     return bench
 
 
+@pytest.mark.inject
 @pytest.mark.parametrize(("size", "told"), [(10.0, ["glitches"]), (0.0, [])])
 def test_spoilt_samples_stand_off_the_model_where_their_neighbours_hide_them(size: float, told: list[str]) -> None:
     bench = coarse(size)
@@ -90,6 +91,7 @@ def test_spoilt_samples_stand_off_the_model_where_their_neighbours_hide_them(siz
         assert 20 <= work.diagnosis.findings[0].parameters["count"].value <= 30
 
 
+@pytest.mark.inject
 def test_what_a_model_shows_to_be_spoilt_is_isolated() -> None:
     """Three in a row at most and nothing beside them: a hump of a fifth of a second is none."""
     bench = Bench(12, rows=3000, rate=50.0)

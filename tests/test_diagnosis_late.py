@@ -45,6 +45,7 @@ def test_a_filter_is_a_lag_of_its_order(constant: float, damping: float | None) 
         assert told["damping"].value == pytest.approx(damping, rel=0.03)
 
 
+@pytest.mark.inject
 def test_a_lag_far_shorter_than_a_row_is_named_beside_the_delay() -> None:
     """A twentieth of a row: no data tell the two apart, and the answer says so, whichever stands first."""
     constant, bench = 0.0025, Bench(seed=5, rows=4000)

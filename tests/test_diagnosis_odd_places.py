@@ -36,6 +36,7 @@ def seen(t: np.ndarray, R: np.ndarray, wrench: np.ndarray, rng: np.random.Genera
     return Observations("wrench", columns, None, Belief(tool=Body(MASS, COM), dynamic=False, bias_free=True))
 
 
+@pytest.mark.inject
 def test_a_marker_that_moves_on_the_body_is_a_step_in_the_axes_of_the_body() -> None:
     """Its jump turns with the arm: no offset of a channel says what it does."""
     still = scene("targets", np.random.default_rng(3), rows=1500)

@@ -65,6 +65,7 @@ def rotor(bench: Bench) -> Bench:
     return bench
 
 
+@pytest.mark.inject
 def test_what_has_no_name_is_predicted_without_one_on_another_recording() -> None:
     """Learnt on one motion it holds on the next; the answer keeps apart what names explain, and nothing of it is saved."""
     work = judged(stray(Bench(1, rows=4000)), stray(Bench(2, rows=4000)))
@@ -102,6 +103,7 @@ def test_what_is_found_in_one_channel_is_asked_of_the_others_too() -> None:
     assert _finished(work.model, scene, work.judged, None, found, functions) is work.judged
 
 
+@pytest.mark.inject
 def test_what_does_not_hold_elsewhere_is_not_counted() -> None:
     """The stray reading is there in the first recording only: nothing is predicted of the second."""
     work = judged(stray(Bench(1, rows=4000)), Bench(2, rows=4000))
@@ -111,6 +113,7 @@ def test_what_does_not_hold_elsewhere_is_not_counted() -> None:
     assert not [name for f in d.findings for name in f.parameters if name.startswith("rmse_named")]
 
 
+@pytest.mark.inject
 @pytest.mark.parametrize(("size", "verdict"), [(0.7, "partly_explained"), (0.0, "explained")])
 def test_what_a_flexible_name_leaves_of_another_recording_is_said_of_it(size: float, verdict: str) -> None:
     """Creep is there, and leaves nothing of the first recording; what the second has besides is too small to stand out."""
@@ -212,6 +215,7 @@ def test_inputs_of_another_recording_are_in_the_units_of_the_first() -> None:
     assert shapes == [(name, X.shape) for name, X in dictionaries(theirs)]
 
 
+@pytest.mark.inject
 @pytest.mark.parametrize("frequency", [6.6197376, 7.3331, 3.0179])
 def test_a_line_between_the_lines_of_the_spectrum_is_found_to_its_error(frequency: float) -> None:
     """Its frequency is known far better than a line is wide, and what it leaves is no structure."""
@@ -341,6 +345,7 @@ def test_noise_with_heavy_tails_has_no_glitches() -> None:
     assert named(judged(other)) == ["glitches"]
 
 
+@pytest.mark.inject
 def test_noise_that_grows_ever_slower_is_not_what_a_model_leaves() -> None:
     """Flicker noise moves the held-out blocks by more than what a recording can measure of its spectrum."""
     bench = Bench(14, rows=6000, rate=50.0)

@@ -310,6 +310,7 @@ def test_servos_that_are_all_late_have_one_clock_and_no_viscous_friction_each() 
     assert delay.parameters["delay"].value == pytest.approx(7e-4, rel=0.2)
 
 
+@pytest.mark.inject
 def test_no_bias_beside_a_compliance_that_accounts_for_it() -> None:
     """A bent lift under the tool's weight is lower all along: a bias with less compliance is as good, with a number more."""
     rng, robot, rate = np.random.default_rng(1), GalenRobot(), 60.0

@@ -69,6 +69,7 @@ def wandering(rng: np.random.Generator, t: Array, frequency: float) -> Array:
     return np.sin(2.0 * np.pi * frequency * t + 0.25 * (walk - walk.mean()) / walk.std())
 
 
+@pytest.mark.inject
 def test_a_loud_hum_is_one_vibration_and_leaves_nothing() -> None:
     run = Bench(rows=6000, rate=50.0)
     run.wrench[:, 1] += 30.0 * 0.01 * np.sqrt(2.0) * wandering(run.rng, run.t, 11.3)

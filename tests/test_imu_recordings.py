@@ -180,6 +180,7 @@ def test_where_nothing_accelerates_a_static_model_agrees():
     assert diagnose(scene(columns, dynamic=False)).diagnosis.verdict == "agrees"
 
 
+@pytest.mark.inject
 def test_a_tilted_base_is_not_named_inertia():
     """What an accelerometer feels of gravity beside the believed one is no acceleration, and hides no tilt."""
     columns = shaken(Path(0.03, reach=0.02), clock(60.0, 40.0), felt=0.005, tilt=TILT)

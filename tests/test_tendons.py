@@ -140,6 +140,7 @@ def test_a_cable_pulls_at_the_link_that_it_is_clipped_to() -> None:
     assert "shoulder" in {e.clipped for e in CableDrag.propose(effort)}
 
 
+@pytest.mark.inject
 def test_a_pull_that_nothing_stretches_is_no_cable() -> None:
     """A forgotten weight pulls at its point too, the same way everywhere."""
     bench = Bench(rows=4000)
