@@ -143,6 +143,24 @@ def test_a_run_that_was_cut_off_goes_on_with_the_same_truth_and_keeps_its_verdic
         seal.seal(plan(2, 3), tmp_path)
 
 
+def test_a_case_that_takes_for_ever_has_no_answer_and_does_not_end_the_proof(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It counts as not right, whatever an answer of a run before says, and the others are asked all the same."""
+    monkeypatch.setattr(judge, "PATIENCE_S", 0.05)
+    cases = plan(3, 2)
+    for case in cases:
+        (tmp_path / case.name).mkdir()
+        (tmp_path / case.name / "answer.json").write_text('{"verdict": "agrees", "findings": []}')
+    plans = [{"name": case.name, "second_run": False} for case in cases]
+    paths = judge.verdicts(tmp_path, plans, tmp_path / "verdicts", workers=1)
+    assert len(paths) == 2
+    for case, path in zip(cases, paths, strict=True):
+        scored = score.score(case.as_dict(), json.loads(path.read_text()))
+        assert not scored.right
+        assert "no answer after 0.05 s" in scored.why
+
+
 def test_what_was_judged_when_the_time_was_over_is_a_mixed_sample_and_is_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

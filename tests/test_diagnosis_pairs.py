@@ -11,6 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import Bench, hanging, rotation
 
+from galen_hw.diagnosis import regroup, select
 from galen_hw.diagnosis.engine import diagnose
 from galen_hw.physics.table import scene_of
 
@@ -34,3 +35,23 @@ def test_a_turned_axis_and_a_zero_are_not_a_tilted_base_and_a_turned_sensor() ->
     assert found["link_geometry"].parameters["axis_tilt.x"].value == pytest.approx(0.025, rel=0.02)
     assert found["joint_offset"].joints == ["tilt"]
     assert found["joint_offset"].parameters["offset"].value == pytest.approx(0.011, rel=0.05)
+
+
+@pytest.mark.inject
+def test_a_model_that_does_not_come_to_rest_is_compared_with_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stream 1.7 s late, told as weights and gains: what one of them undoes of another grows round by round."""
+    tried = []
+
+    def asked(on, scorer, out):
+        before = len(out.regrouped)
+        found = regroup.regrouped(on, scorer, out)
+        if on.restless:
+            tried.append(len(out.regrouped) - before)
+        return found
+
+    monkeypatch.setattr(select, "regrouped", asked)
+    bench = Bench(1, rows=1500)
+    bench.wrench = np.stack([np.interp(bench.t + 1.7, bench.t, c) for c in bench.wrench.T], axis=1)
+    diagnose(scene_of(bench.observations()))
+    assert tried, "no model was restless: this shows nothing"
+    assert not any(tried)

@@ -167,6 +167,8 @@ class Bench:
     timing: list[tuple[Downstream, Array]] = field(default_factory=list)
     company: Array | float = 0.0
     """(M, C) what the effects of the present model add because of each other: a gain scales a new load too."""
+    restless: bool = False
+    """Whether that grows round after round: one part of the model undoes another."""
 
     def __post_init__(self) -> None:
         """Averages the residual and marks the rows set aside."""

@@ -24,6 +24,8 @@ LEAST_PART = 0.1
 """Share of the gain of the two that the first of the others must have by itself."""
 NEARLY = 0.01
 """Share of what the two take within which others are tried: by their slopes alone, they do not yet do what they do."""
+FAIRLY = 0.1
+"""The same of one effect counted from another zero, which meets all others otherwise: to settle it beside them takes long."""
 CHEAPER = 1.0
 """In rank, from which one is: rounding is none."""
 TRIALS = 2
@@ -37,7 +39,10 @@ def regrouped(bench: Bench, scorer: Scorer, out: Selection) -> bool:
 
     Forward search takes what is best alone. Of an axis turned about one direction beside a joint's zero that is a turned sensor
     with three numbers, and then the zero of the wrong joint: no single exchange is better, and each is the other's reason.
+    A model that does not come to rest has no optimum with which others could be compared, and takes long not to.
     """
+    if bench.restless:
+        return False
     able = [i for i in out.chosen if (effect := scorer.library[i].effect) is not None and effect.KEY in EXCHANGED]
     for pair in combinations(able, 2):
         tried = frozenset((scorer.library[i].family, i in pair) for i in out.chosen)
@@ -78,9 +83,13 @@ def _counted_otherwise(bench: Bench, scorer: Scorer, out: Selection) -> bool:
         scorer.append([bench.add(other, h.looked)])
         instead = len(scorer.library) - 1
         for j in lasting:
-            scores = scorer.scores([k for k in out.chosen if k not in (i, j)], [i, j, instead])[0]
+            others = [k for k in out.chosen if k not in (i, j)]
+            scores = scorer.scores(others, [i, j, instead])[0]
             price = {k: score.gain - score.rank for k, score in scores.items()}
-            if len(price) == 3 and _taken(bench, scorer, out, (i, j), [instead], price):
+            whole = scorer.solve(others)[2] - scorer.solve(out.chosen)[2]
+            if len(price) < 3 or scores[instead].gain < (1.0 - FAIRLY) * whole:
+                continue
+            if _taken(bench, scorer, out, (i, j), [instead], price):
                 return True
     return False
 
@@ -158,10 +167,10 @@ def _taken(
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
     fall = before - scorer.solve(trial)[2]
     margin = _needed(pair, chain, price) + slack(misfit) * abs(fall)
-    real = all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in trial[kept:])
+    real = not bench.restless and all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in trial[kept:])
     if real and fall + saved > margin and float(np.mean(crossed(bench, scorer, trial) / errors)) <= 1.0 + ALIKE:
         out.chosen = trial
         return True
-    bench.y, bench.company = y, company
+    bench.y, bench.company, bench.restless = y, company, False
     scorer.retarget(y)
     return False

@@ -62,7 +62,7 @@ def settle_together(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
     A model of which one part undoes another (two slow shares of several hundred per cent) does not come to rest: its effects
     are left each as if alone.
     """
-    last = np.inf
+    last, bench.restless = np.inf, False
     for _ in range(ROUNDS):
         settle(bench, scorer, chosen)
         placed = _placed(scorer, chosen, scorer.solve(chosen)[0])
@@ -75,6 +75,7 @@ def settle_together(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
         bench.company, last = now if rests else 0.0, moved
         rebase(scorer, chosen)
         if not rests:
+            bench.restless = True
             settle(bench, scorer, chosen)
             return
 

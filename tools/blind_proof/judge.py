@@ -16,6 +16,10 @@ ONE_RUN = {"step", "contact", "glitches", "drift", "temperature", "vibration"}
 """Effects of a moment or of the clock: a second run does not repeat them; the tool sets blocks of the first aside."""
 
 
+PATIENCE_S = 600.0
+"""After which a recording of two minutes counts as one without an answer."""
+
+
 def verdicts(
     folder: Path, plans: list[dict[str, Any]], out: Path, workers: int, minutes: float = float("inf")
 ) -> list[Path]:
@@ -48,9 +52,15 @@ def _ask(case: Path, *, second_run: bool) -> dict[str, Any]:
     command = [sys.executable, "-m", "galen_hw.cli", "diagnose", str(case / "train"), "--json", str(answer)]
     if second_run:
         command += ["--holdout", str(case / "test")]
+    # Of a run before that was cut off.
+    answer.unlink(missing_ok=True)
     start = time.monotonic()
     env = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600, env=env)
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S, env=env)
+    except subprocess.TimeoutExpired:
+        said = f"no answer after {PATIENCE_S:g} s"
+        return {"exit": 124, "said": said, "seconds": PATIENCE_S, "json": None}
     verdict = json.loads(answer.read_text()) if answer.exists() else None
     said = (done.stdout + "\n" + done.stderr)[-6000:]
     return {"exit": done.returncode, "said": said, "seconds": time.monotonic() - start, "json": verdict}
