@@ -166,8 +166,8 @@ def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
     """Rows that stand off what the model says; their share is of the whole excess of the recording, theirs included."""
     bench, rows = model.bench, np.asarray(glitch.rows)
     places = [bench.scene.channels.index(name) for name in glitch.channels]
-    away = np.abs(glitches.off(model))[rows][:, places]
-    z = glitches.deviations(model)[rows][:, places]
+    rest = glitches.off(model)
+    away, z = (x[rows][:, places] for x in (np.abs(rest), glitches.deviations(bench, rest)))
     # In the channel that stands out most often: newtons and newton metres have no common size.
     strongest = np.argmax(z, axis=1)
     first = int(np.bincount(strongest).argmax())

@@ -44,15 +44,15 @@ def off(model: Model) -> Array:
     return np.asarray(bench.scene.raw_residual - (bench.whole - model.rest())[place])
 
 
-def deviations(model: Model) -> Array:
-    """(N, C) the same in standard deviations of a single sample; 0 where nothing was recorded."""
-    bench = model.bench
-    return np.asarray(np.nan_to_num(np.abs(off(model)) / (np.sqrt(bench.rows.stride) * bench.noise.sigma)))
+def deviations(bench: Bench, rest: Array) -> Array:
+    """(N, C) what samples are off, in standard deviations of a single one; 0 where nothing was recorded."""
+    return np.asarray(np.nan_to_num(np.abs(rest) / (np.sqrt(bench.rows.stride) * bench.noise.sigma)))
 
 
 def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
     """Isolated samples that the model does not explain either: a cusp of physics looks isolated until it is modelled."""
-    bench, z, out = model.bench, deviations(model), []
+    bench, out = model.bench, []
+    z = deviations(bench, off(model))
     for one in glitch:
         rows = np.array(one.rows)
         channels = [bench.scene.channels.index(name) for name in one.channels]
@@ -72,7 +72,8 @@ def faint(model: Model) -> Mask | None:
     ends of a segment nobody knows what is late, and where the motion bends or friction turns no model knows the moment to a
     sample: what is off there is not spoilt for that.
     """
-    bench, rest, z = model.bench, off(model), deviations(model)
+    bench, rest = model.bench, off(model)
+    z = deviations(bench, rest)
     said = bench.scene.simulated + bench.scene.raw_residual - rest
     far, out = z > FAR, np.zeros(z.shape, dtype=bool)
     for c in np.flatnonzero(far.any(axis=0)):

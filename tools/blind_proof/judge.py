@@ -14,8 +14,6 @@ from rich.progress import Progress
 
 ONE_RUN = {"step", "contact", "glitches", "drift", "temperature", "vibration"}
 """Effects of a moment or of the clock: a second run does not repeat them; the tool sets blocks of the first aside."""
-
-
 PATIENCE_S = 600.0
 """After which a recording of two minutes counts as one without an answer."""
 
