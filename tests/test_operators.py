@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from galen_hw.physics.operators import delay, impulse, lag, play, second_order, servo
+from galen_hw.physics.operators import MANY_SERVOS, ServoState, delay, impulse, lag, play, second_order, servo
 
 
 def play_by_definition(x: np.ndarray, half_width: np.ndarray, state: np.ndarray | None) -> np.ndarray:
@@ -156,6 +156,21 @@ def test_a_servo_that_sticks_goes_on_from_any_row(x, band, constant, slower, hol
     if 0 < cut < len(x):
         first, between = servo(t[:cut], x[:cut], r, quick, slow, None)
         assert np.array_equal(np.concatenate([first, servo(t[cut:], x[cut:], r, quick, slow, between)[0]]), whole)
+
+
+def test_servos_side_by_side_do_what_each_does_by_itself() -> None:
+    rng = np.random.default_rng(3)
+    count, t = MANY_SERVOS, np.cumsum(rng.uniform(0.001, 0.02, 300))
+    x = np.cumsum(rng.normal(size=(300, count)), axis=0)
+    r, quick = rng.uniform(0.0, 2.0, count), rng.uniform(1e-3, 0.1, count)
+    slow = np.where(np.arange(count) % 2, np.inf, 4.0 * quick)
+    for state in (None, ServoState(0.0, rng.normal(size=count))):
+        together, last = servo(t, x, r, quick, slow, state)
+        for j in range(count):
+            own = None if state is None else ServoState(state.time, state.output[j : j + 1])
+            one = [v[j : j + 1] for v in (r, quick, slow)]
+            assert np.allclose(servo(t, x[:, j : j + 1], *one, own)[0][:, 0], together[:, j], rtol=0.0, atol=1e-12)
+        assert np.array_equal(last.output, together[-1])
 
 
 def test_a_servo_is_play_when_quick_and_a_lag_without_friction():

@@ -44,6 +44,8 @@ SHORTEST = 1.05
 """Times the shortest constant that can be told from a delay, up to which a lag beside a delay is none."""
 LN2 = float(np.log(2.0))
 """Constants and bands are sought up to twice and down to half of where they stood."""
+NEAR = 10.0
+"""Log likelihood by which the last steps to an optimum may still matter, at most, once a step is no more than `FINE`."""
 OFTEN = 2
 """Times that one model is asked for its clocks: its other values may have moved since."""
 
@@ -151,9 +153,9 @@ class _Search:
         # joint by itself two more numbers would take what the others show to be something else.
         if self.within or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
             return clocks
-        swinging = self._swinging(shortest, all_late)
-        ahead = self._worth(swinging) - self._worth(clocks)
-        return swinging if ahead > (0.0 if self.swings else MARGIN) else clocks
+        wanted = self._worth(clocks) + (0.0 if self.swings else MARGIN)
+        swinging = self._swinging(shortest, all_late, wanted)
+        return swinging if self._worth(swinging) > wanted else clocks
 
     def _worth(self, clocks: Clocks) -> float:
         """Gain less the price of delay, lag or swing alone."""
@@ -191,8 +193,11 @@ class _Search:
             return [(self.delay, self._latest(0.0, (0.0, 2.0 * all_late))[1])] if all_late > 0.0 else clocks[:-1]
         return [*((end, late) for end, _ in delays), (replace(lag, constant=constant), constant)]
 
-    def _swinging(self, shortest: float, all_late: float) -> Clocks:
-        """The best lag of second order: damping and constant make up for each other, and are sought together."""
+    def _swinging(self, shortest: float, all_late: float, wanted: float) -> Clocks:
+        """The best lag of second order: damping and constant make up for each other, and are sought together.
+
+        Roughly, where it stays far from being worth what is wanted.
+        """
         bound = Lag.SEARCHED["damping"]
         starts = [np.log([0.5 * all_late / damping, damping]) for damping in DAMPINGS]
 
@@ -205,8 +210,10 @@ class _Search:
             (np.log(shortest), np.log(max(8.0 * all_late, 2.0 * shortest))),
             (np.log(bound.low), np.log(bound.high)),
         ]
-        begun = np.clip(begun, *np.transpose(limits))
-        constant, damping = np.exp(_lowest(cost, begun, limits, FINEST)[0]).tolist()
+        at, least = _lowest(cost, np.clip(begun, *np.transpose(limits)), limits)
+        if -least - 2.0 * self.price > wanted - NEAR:
+            at, _ = _lowest(cost, at, limits, FINEST, FINE)
+        constant, damping = np.exp(at).tolist()
         return [(Lag(constant, self.delay.joint, shortest, whole=True, damping=damping), constant)]
 
     def _latest(self, constant: float, bounds: tuple[float, float]) -> tuple[float, float]:
@@ -252,10 +259,14 @@ class _Search:
 
 
 def _lowest(
-    cost: Callable[[Array], float], begun: Array, limits: list[tuple[float, float]], fine: float = FINE
+    cost: Callable[[Array], float],
+    begun: Array,
+    limits: list[tuple[float, float]],
+    fine: float = FINE,
+    stride: float = STRIDE,
 ) -> tuple[Array, float]:
     """Where a cost of a few values is lowest, and how low; by simplices, for a servo that sticks has corners."""
-    simplex = begun + np.vstack([np.zeros_like(begun), STRIDE * np.eye(len(begun))])
+    simplex = begun + np.vstack([np.zeros_like(begun), stride * np.eye(len(begun))])
     options = {"xatol": fine, "fatol": 1.0, "initial_simplex": simplex}
     found = minimize(cost, begun, method="Nelder-Mead", bounds=limits, options=options)
     return found.x, float(found.fun)

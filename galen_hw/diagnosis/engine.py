@@ -159,6 +159,11 @@ class _Known:
 def _columns(effects: list[Effect], *benches: Bench) -> tuple[list[Columns], ...]:
     """Columns of all effects on the rows of several benches of one scene, computed once."""
     out: tuple[list[Columns], ...] = tuple([] for _ in benches)
+    kinds: dict[type[Effect], list[Effect]] = {}
+    for effect in effects:
+        kinds.setdefault(type(effect), []).append(effect)
+    for kind, alike in kinds.items():
+        kind.ahead(benches[0].scene, alike)
     for effect in effects:
         columns = effect.columns(benches[0].scene_of(effect))
         for bench, mine in zip(benches, out, strict=True):

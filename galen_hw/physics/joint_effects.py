@@ -1,7 +1,7 @@
 """Effects that act in a joint: friction and torque ripple."""
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
@@ -22,6 +22,9 @@ LEAST_LOOSE = 0.1
 """Share of the rows in motion in which what is called friction must slip."""
 MOST_KEPT = 6e7
 """Values of servos' stand-offs that a scene keeps (half a gigabyte), those asked for last: they are walked row by row."""
+
+MOST_TOGETHER = 1.5e7
+"""Values of them that are walked side by side."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +129,17 @@ class Friction(Effect):
         extra = {"stribeck": Parameter("stiction", unit, low, high), "load": Parameter("load_share", "1", low, high)}
         return {"coulomb": (c,), "viscous": (v,), "coulomb_viscous": (c, v)}.get(self.form) or (c, v, extra[self.form])
 
+    @classmethod
+    def ahead(cls, scene: Scene, effects: Sequence[Self]) -> None:
+        """The stand-offs of servos, as many as the scene keeps."""
+        kept = _kept(scene)
+        sticking = {one.servo: one for one in effects if one.freedom is not None}
+        new = [one for servo, one in sticking.items() if servo not in kept][: int(MOST_KEPT / len(scene))]
+        most = max(int(MOST_TOGETHER / len(scene)), 1)
+        for few in (new[i : i + most] for i in range(0, len(new), most)):
+            for one, stands in zip(few, _stand_offs(scene, few).T, strict=True):
+                kept[one.servo] = stands.copy()
+
     def columns(self, scene: Scene) -> Columns:
         """Functions of the joint's speed in the joint's channel, or what a servo that sticks does beside one that does not."""
         v = scene.rates[0][:, scene.joint_index(self.joint)]
@@ -164,15 +178,15 @@ class Friction(Effect):
         """Whether a servo that gives way while it sticks also breaks loose, in so many of the rows that move."""
         if self.settling is None or self.coulomb is None:
             return True
-        response, settling = self._constants()
-        command = self._command(scene, response)
-        stands = self._stand_off(scene, response, settling)
+        response, settling = self.constants()
+        command = self.command(scene, response)
+        stands = self._stand_off(scene)
         stands = stands + scene.lag("follows", command, response, held=True)[:, 0]
         moves = np.diff(command[:, 0]) != 0.0
         loose = np.abs(command[1:, 0] - stands[:-1]) > self.coulomb * settling / (settling - response)
         return bool(np.sum(loose & moves) >= LEAST_LOOSE * np.sum(moves))
 
-    def _constants(self) -> tuple[float, float]:
+    def constants(self) -> tuple[float, float]:
         """Response and settling, s."""
         response = self.response if self.simulated is None else self.simulated
         assert response is not None, "proposed with one"
@@ -180,34 +194,53 @@ class Friction(Effect):
 
     def _servo(self, scene: Scene, v: Array) -> list[Array]:
         assert self.coulomb is not None, "proposed with one"
-        response, settling = self._constants()
-        out = [self._stand_off(scene, response, settling)]
+        out = [self._stand_off(scene)]
         if self.freedom:
+            response, _ = self.constants()
             out.append(-scene.lag("viscous", v[:, None], response, held=True)[:, 0])
         return out
 
-    def _command(self, scene: Scene, response: float) -> Array:
+    @property
+    def servo(self) -> tuple[object, ...]:
+        """What its stand-off follows from."""
+        return (self.joint, self.coulomb, *self.constants(), self.simulated is None)
+
+    def command(self, scene: Scene, response: float) -> Array:
         """(N, 1) what the servo is told: the motion that was put in, or what makes a simulated servo move as it does."""
         at = scene.joint_index(self.joint)
         lead = 0.0 if self.simulated is None else response * scene.rates[0][:, at]
         return np.asarray((scene.q[:, at] + lead)[:, None])
 
-    def _stand_off(self, scene: Scene, response: float, settling: float) -> Array:
+    def _stand_off(self, scene: Scene) -> Array:
         """(N,) beside a servo that does not stick; kept in a scene, for it is asked for again."""
-        kept: OrderedDict[object, Array] = scene.__dict__.setdefault("_stand_offs", OrderedDict())
-        key = (self.joint, self.coulomb, response, settling, self.simulated is None)
+        kept, key = _kept(scene), self.servo
         if key in kept:
             kept.move_to_end(key)
             return kept[key]
-        command = self._command(scene, response)
-        start = scene.resting(f"joint.{self.joint}.position")
-        sticks = scene.servo("servo", command, self.coulomb, response, settling, start)
-        out = np.asarray((sticks - scene.lag("follows", command, response, held=True))[:, 0])
+        out = _stand_offs(scene, [self])[:, 0]
         if scene.memory is None:
             kept[key] = out
             if len(kept) * len(out) > MOST_KEPT:
                 kept.popitem(last=False)
         return out
+
+
+def _kept(scene: Scene) -> OrderedDict[object, Array]:
+    """Stand-offs (N,) of servos in a scene."""
+    kept: OrderedDict[object, Array] = scene.__dict__.setdefault("_stand_offs", OrderedDict())
+    return kept
+
+
+def _stand_offs(scene: Scene, servos: Sequence[Friction]) -> Array:
+    """(N, m) what servos that stick do beside ones that do not."""
+    response, settling = np.transpose([one.constants() for one in servos])
+    command = np.concatenate([one.command(scene, one.constants()[0]) for one in servos], axis=1)
+    first = command[[part.start for part in scene.segments]]
+    known = [scene.resting(f"joint.{one.joint}.position") for one in servos]
+    start = np.stack([x if at is None else at[:, 0] for x, at in zip(first.T, known, strict=True)], axis=1)
+    band = np.array([one.coulomb for one in servos], dtype=float)
+    sticks = scene.servo("servo", command, band, response, settling, start)
+    return np.asarray(sticks - scene.lag("follows", command, response, held=True))
 
 
 def _is_effort(scene: Scene) -> bool:

@@ -20,6 +20,8 @@ FEW_CORNERS = 0.02
 """Share of the rows, of so many or more, below which the corners of a signal are walked one by one."""
 FORGOTTEN = 1e-30
 """Share of a past value below which it is gone, whatever the value."""
+MANY_SERVOS = 48
+"""From which they are walked side by side: a row of arrays costs as much as about so many single numbers."""
 EVEN = 1e-9
 """Spread of the clock's steps, as a share of one, that is rounding."""
 
@@ -267,13 +269,15 @@ def servo(
     before = time[0] if state is None else state.time
     steps = np.maximum(np.diff(np.concatenate([[before], time])), 0.0)
     start = command[0] if state is None else state.output
+    if command.shape[1] >= MANY_SERVOS:
+        out = _side_by_side(steps, command, band, constant, settling, start)
+        return out, ServoState(float(time[-1]), out[-1].copy())
     out = np.empty_like(command, dtype=float)
     # Where it starts nothing moves it: on an even clock every row has the shares of every other.
     even = state is None and len(steps) > 2 and np.ptp(steps[1:]) <= EVEN * steps[1]
-    for j, (r, lag_j, slow, first) in enumerate(
-        zip(band.tolist(), constant.tolist(), settling.tolist(), start.tolist(), strict=True)
-    ):
-        q, at, breaks = first, [], r if np.isinf(slow) else r * slow / (slow - lag_j)
+    each = (x.tolist() for x in (band, constant, settling, start, _breaking(band, constant, settling)))
+    for j, (r, lag_j, slow, first, breaks) in enumerate(zip(*each, strict=True)):
+        q, at = first, []
         shares = (-np.expm1(-steps / one) for one in (lag_j, slow))
         quick, creeping = (repeat(float(x[-1]), len(x)) if even else x.tolist() for x in shares)
         for share, little, c in zip(quick, creeping, command[:, j].tolist(), strict=True):
@@ -287,6 +291,26 @@ def servo(
             at.append(q)
         out[:, j] = at
     return out, ServoState(float(time[-1]), out[-1].copy())
+
+
+def _breaking(band: Array, constant: Array, settling: Array) -> Array:
+    """(m,) error at which a servo breaks loose."""
+    gives = np.isfinite(settling)
+    known = band * np.where(gives, settling, 1.0)
+    return np.asarray(np.divide(known, settling - constant, out=band.astype(float), where=gives))
+
+
+def _side_by_side(steps: Array, command: Array, band: Array, constant: Array, settling: Array, start: Array) -> Array:
+    """(N, m) of many servos, a row of all of them at a time."""
+    out, q, breaks = np.empty_like(command, dtype=float), start.astype(float), _breaking(band, constant, settling)
+    last, share, little = -1.0, np.empty(0), np.empty(0)
+    for i, step in enumerate(steps.tolist()):
+        if abs(step - last) > EVEN * step:  # not where a clock is even but for rounding
+            last, share, little = step, -np.expm1(-step / constant), -np.expm1(-step / settling)
+        error = command[i] - q
+        moves = share * (error - np.copysign(band, error))
+        q = np.add(q, np.where(np.abs(error) > breaks, moves, little * error), out=out[i])
+    return out
 
 
 @dataclass(frozen=True)
