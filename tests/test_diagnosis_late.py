@@ -9,7 +9,7 @@ from scipy.signal import lsim
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import Bench, Servo, lagged
+from diagnosis_cases import COM, MASS, Bench, Servo, hanging, lagged
 
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.physics.table import scene_of
@@ -75,3 +75,28 @@ def test_a_servo_that_rings_is_no_delay() -> None:
     told = work.diagnosis.findings[0].parameters
     assert told["constant"].value == pytest.approx(1.0 / frequency, rel=0.02)
     assert told["damping"].value == pytest.approx(damping, rel=0.03)
+
+
+def off_by(seconds: float, bench: Bench) -> Bench:
+    """The same, its wrench stamped so many seconds late."""
+    bench.wrench = np.stack([np.interp(bench.t - seconds, bench.t, x) for x in bench.wrench.T], axis=1)
+    return bench
+
+
+def test_a_clock_off_by_more_than_the_motion_s_own_time_is_a_delay() -> None:
+    """75 s of motions of some seconds, stamped 1.7 s early: a payload and a gain had explained half of it."""
+    (finding,) = diagnose(scene_of(off_by(-1.7, Bench(seed=1, rows=1500)).observations())).diagnosis.findings
+    assert finding.effect == "time_delay"
+    assert finding.parameters["delay"].value == pytest.approx(-1.7, abs=1e-3)
+
+
+@pytest.mark.inject
+@pytest.mark.parametrize("seconds", [-2.6, 0.6, 2.1])
+def test_a_clock_that_is_off_hides_nothing_else(seconds: float) -> None:
+    """A body that nobody entered, and a sensor that drifts."""
+    bench = Bench(seed=12, rows=1500)
+    bench.wrench = hanging(bench.R, MASS + 0.15, COM + np.array([0.0, 0.0, 0.01]))
+    off_by(seconds, bench).wrench[:, 2] += np.linspace(0.0, 0.5, len(bench.t))
+    work = diagnose(scene_of(bench.observations()))
+    assert {f.effect for f in work.diagnosis.findings} == {"time_delay", "payload", "drift"}
+    assert work.diagnosis.verdict == "explained"

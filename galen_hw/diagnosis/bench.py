@@ -195,6 +195,10 @@ class Bench:
         self.y = self.whole
         self.stream = self.scene.carrying(np.median(self.whole[good], axis=0) if len(good) else 0.0, 0.0)
 
+    def begin(self) -> None:
+        """As before anything was chosen, but for what the stream is known to carry."""
+        self.y, self.timing, self.company, self.restless = self.whole, [], 0.0, False
+
     @property
     def train(self) -> Mask:
         """Rows to learn from."""

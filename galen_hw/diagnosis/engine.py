@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from galen_hw.diagnosis import adequacy, glitches, trees
 from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.clock_offset import far_off
 from galen_hw.diagnosis.confusion import confusions
 from galen_hw.diagnosis.elsewhere import left_elsewhere
 from galen_hw.diagnosis.experiment import next_experiment
@@ -102,12 +103,14 @@ def diagnose(
     searches, left = _searched(bench, effects, columns, generic, blind=bool(premise.wrong))
     if not left and not premise.wrong and (faint := glitches.faint(searches[0][1])) is not None:
         glitch = glitches.marked(bench, faint)
+        bench.begin()
         bench.learn_noise((), known.columns(bench, generic))
         searches, left = _searched(bench, effects, columns, generic, blind=False)
     if not left and not premise.wrong and (passed := trees.hidden(searches[0][1])):
         # What passed for slow noise hides others too: all is asked again beside it.
         generic += [adequacy.Family(one.kind, one.basis, local=False) for one in passed]
         also = [Columns((one.channel,), one.basis[:, None, 1:]) for one in passed]
+        bench.begin()
         bench.learn_noise((), [*known.columns(bench, generic), *also])
         searches, left = _searched(bench, effects, columns, generic, blind=False)
         left = left or trees.hidden(searches[0][1])
@@ -175,8 +178,15 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
     """Effects and leftovers under a noise that is too small rather than too large, on few rows."""
     generic = adequacy.families(coarse)
     seen = [coarse.raw(s.effect) for s in at_first_sight(bench)]
-    coarse.learn_noise(columns, [*adequacy.compact(coarse, generic), *seen], above=coarse.motion_band())
+    extra, above = [*adequacy.compact(coarse, generic), *seen], coarse.motion_band()
+    coarse.learn_noise(columns, extra, above=above)
     ((_, model), *_), left = _searched(coarse, effects, columns, generic, blind=blind)
+    if shifts := far_off(model):
+        # On the clock that was off no effect is like what was measured: slow ones had passed for noise.
+        late = [coarse.raw(effect) for effect in effects]
+        coarse.begin()
+        coarse.learn_noise(late, [*extra, *shifts], above=above)
+        ((_, model), *_), left = _searched(coarse, effects, columns, generic, blind=blind)
     if not left and len(coarse.noise.edges):
         # What is finely structured passes for quick noise. Only blocks that it was not fitted on can tell, whatever the noise.
         coarse.noise = coarse.noise.flat()

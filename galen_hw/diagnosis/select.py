@@ -6,6 +6,7 @@ from galen_hw.diagnosis import seek
 from galen_hw.diagnosis.bearings import behind_friction
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.bends import as_if, rebase, unbent
+from galen_hw.diagnosis.clock_offset import clock_offset
 from galen_hw.diagnosis.clocks import one_clock, reclocked
 from galen_hw.diagnosis.courses import finest, followed
 from galen_hw.diagnosis.episodes import contacts
@@ -95,7 +96,9 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         if turn == 0:
             out.first = scores
         able: list[int] = []
-        best = _best(bench, scorer, out, scores, refused, able)
+        # What a clock does that is far off no slope promises.
+        best = clock_offset(bench, scorer, out.chosen, scores)
+        best = _best(bench, scorer, out, scores, refused, able) if best is None else best
         if best is not None:
             out.chosen.append(best)
             tightened(bench, scorer, out, best)
