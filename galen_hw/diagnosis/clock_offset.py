@@ -79,8 +79,11 @@ def _shift(bench: Bench) -> tuple[float, float] | None:
     if n < LEAST_ROWS:
         return None
     step = max(int(REACH * n) // SHIFTS, 1)
-    said = bench.rows.average(bench.stream.simulated + bench.stream.carried)[run]
-    measured = bench.rows.average(bench.scene.simulated)[run] + bench.whole[run]
+    # Rows without a joint position have no simulation; the residual is bridged there.
+    whole = np.nan_to_num(bench.scene.simulated)
+    carried = np.broadcast_to(bench.stream.carried, whole.shape)
+    simulated, added = (bench.rows.average(x)[run] for x in (whole, carried))
+    said, measured = simulated + added, simulated + bench.whole[run]
     said, measured = (x[: n // step * step].reshape(-1, step, bench.width).mean(axis=1) for x in (said, measured))
     most = int(REACH * len(said))
     left = [_left(measured, said, shift, bench.noise.sigma) for shift in range(-most, most + 1)]
