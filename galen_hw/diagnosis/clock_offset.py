@@ -37,9 +37,10 @@ def clock_offset(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[i
         scores: of all hypotheses beside the chosen ones; the delay joins the library, settled where it is.
     """
     own = next((i for i in scores if scorer.library[i].effect == TimeDelay()), None)
-    late = any(isinstance(scorer.library[i].effect, TimeDelay) for i in chosen)
-    known = None if own is None or late else _shift(bench)
-    if own is None or known is None:
+    if own is None or any(isinstance(scorer.library[i].effect, TimeDelay) for i in chosen):
+        return None
+    shift = _shift(bench)
+    if shift is None:
         return None
     h, beside, everywhere = scorer.library[own], Beside(bench, scorer, chosen), tuple(range(bench.width))
 
@@ -47,7 +48,7 @@ def clock_offset(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[i
         change = does(bench, TimeDelay(), np.array([late]))
         return -beside.whole(bench.made(None, Columns(everywhere, change[:, :, None])))
 
-    seconds, step = known
+    seconds, step = shift
     bounds = (seconds - step, seconds + step)
     found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": FINE * step})
     most = max(score.gain for i, score in scores.items() if i != own)

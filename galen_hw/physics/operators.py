@@ -294,14 +294,14 @@ def servo(
 
 
 def _breaking(band: Array, constant: Array, settling: Array) -> Array:
-    """(m,) error at which a servo breaks loose."""
+    """(m,) error, in the unit of the command, at which servos break loose; their numbers as of `servo`."""
     gives = np.isfinite(settling)
     known = band * np.where(gives, settling, 1.0)
     return np.asarray(np.divide(known, settling - constant, out=band.astype(float), where=gives))
 
 
 def _side_by_side(steps: Array, command: Array, band: Array, constant: Array, settling: Array, start: Array) -> Array:
-    """(N, m) of many servos, a row of all of them at a time."""
+    """(N, m) outputs of many servos, a row of all of them at a time; `steps` (N,) s, the rest as of `servo`, `start` (m,)."""
     out, q, breaks = np.empty_like(command, dtype=float), start.astype(float), _breaking(band, constant, settling)
     last, share, little = -1.0, np.empty(0), np.empty(0)
     for i, step in enumerate(steps.tolist()):
