@@ -12,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from diagnosis_cases import COM, MASS, Bench, Servo, hanging, lagged
 
 from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.physics.observations import Observations
 from galen_hw.physics.table import scene_of
 
 
@@ -55,6 +56,29 @@ def test_a_lag_far_shorter_than_a_row_is_named_beside_the_delay() -> None:
     assert {finding.effect, *(c.effect for c in finding.confounded_with)} >= {"lag", "time_delay"}
     told = finding.parameters["delay" if finding.effect == "time_delay" else "constant"]
     assert told.value == pytest.approx(constant, rel=0.05)
+
+
+def servos(delays: list[float], constants: list[float]) -> Observations:
+    """Two minutes of joints of which each answers its command in its own time, a thousand times the noise."""
+    rng, t, columns = np.random.default_rng(2), np.arange(6000) / 50.0, dict[str, np.ndarray]()
+    for name, delay, constant in zip("abcd", delays, constants, strict=True):
+        frequency, phase, size = rng.uniform(0.05, 0.8, 5), rng.uniform(0.0, 6.0, 5), rng.uniform(0.1, 0.4, 5)
+        command, behind = (np.sin(2.0 * np.pi * np.outer(s, frequency) + phase) @ size for s in (t, t - delay))
+        columns[f"joint.{name}.command"] = command
+        columns[f"joint.{name}.position"] = lagged(t, behind, constant) + 2e-4 * rng.normal(size=len(t))
+    return Observations("position", {"time": t, **columns})
+
+
+@pytest.mark.inject
+def test_joints_that_answer_each_in_their_own_time_have_each_their_own_clocks() -> None:
+    """Not one delay of all and whatever bends beside it: a delay and a lag of each joint, and nothing else."""
+    delays, constants = [0.02, 0.04, 0.06, 0.08], [0.05, 0.07, 0.09, 0.11]
+    answer = diagnose(scene_of(servos(delays, constants))).diagnosis
+    assert {f.effect for f in answer.findings} == {"time_delay", "lag"}
+    told = {name: p.value for f in answer.findings for name, p in f.parameters.items()}
+    for name, delay, constant in zip("abcd", delays, constants, strict=True):
+        assert told[f"{name}: delay"] + told[f"{name}: constant"] == pytest.approx(delay + constant, rel=0.01)
+        assert told[f"{name}: constant"] == pytest.approx(constant, rel=0.05)
 
 
 @pytest.mark.inject

@@ -15,7 +15,7 @@ from scipy.optimize import minimize, minimize_scalar
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.bends import tangent
 from galen_hw.diagnosis.descent import Beside
-from galen_hw.diagnosis.linear import crossed
+from galen_hw.diagnosis.linear import crossed, errors
 from galen_hw.diagnosis.nonlinear import settle
 from galen_hw.diagnosis.plainness import ALIKE
 from galen_hw.diagnosis.score import Scorer
@@ -30,6 +30,8 @@ MARGIN = 6.0
 """Beyond the price of the parameters, in units of the log likelihood ratio."""
 RICHER = 0.05
 """Share of the excess that is left in some channel, on blocks left out, that the clocks must take."""
+NEARLY_ALL = 0.9
+"""The same that each joint's own clocks must take before anything else is known."""
 CONSTANTS = 6
 """Lags between half a sample and all of what is late that are tried with the delay that suits each."""
 DAMPINGS = (0.35, 0.7)
@@ -55,13 +57,46 @@ Clocks = list[tuple[TimeDelay | Lag, float]]
 
 def reclocked(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     """Whether the delays and lags of a model were exchanged for better ones: of the whole stream, or of each joint."""
-    old = [i for i in out.chosen if isinstance(scorer.library[i].effect, Timing)]
+    old = _ends(scorer, out.chosen)
     # Not for ever: what the search takes back of an exchange, it would take back again.
     model = frozenset(scorer.library[i].family for i in out.chosen)
     proposed = list(TimeDelay.propose(bench.scene)) if old and out.clocked[model] < OFTEN else []
     out.clocked[model] += 1
-    if not proposed:
+    for ends in ([e for e in proposed if not e.joint], [e for e in proposed if e.joint]):
+        clocks, instead = _sought(bench, scorer, out, old, ends)
+        if clocks and _exchanged(bench, scorer, out, old, clocks, instead):
+            return True
+    return False
+
+
+def own_clocks(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Whether the first clock gave way to those of each joint, which take nearly all of what is wrong wherever they act.
+
+    Before anything else is chosen: of servos that answer each in its own time it would take the rest of their lateness.
+    """
+    old = _ends(scorer, out.chosen)
+    ends = [e for e in TimeDelay.propose(bench.scene) if e.joint]
+    if not ends or old != out.chosen or len(old) != 1:
         return False
+    clocks, _ = _sought(bench, scorer, out, old, ends)
+    if len({end.joint for end, _ in clocks}) < 2 or not _exchanged(bench, scorer, out, old, clocks, {}, nearly=True):
+        return False
+    # What friction does is little beside all of the lateness, and much beside what the right clocks leave of it.
+    out.begun = errors(bench, scorer, out.chosen) ** 2
+    return True
+
+
+def _ends(scorer: Scorer, chosen: list[int]) -> list[int]:
+    """The delays and lags among the chosen."""
+    return [i for i in chosen if isinstance(scorer.library[i].effect, Timing)]
+
+
+def _sought(
+    bench: Bench, scorer: Scorer, out: Selection, old: list[int], ends: list[TimeDelay]
+) -> tuple[Clocks, dict[Effect, Effect]]:
+    """The best clocks where each of the ends acts, instead of the old ones; and what stands instead of friction within them."""
+    if not ends:
+        return [], {}
     # Friction of a servo has the servo's lag in it: it goes where that goes.
     within = [e for i in out.chosen if (e := scorer.library[i].effect) is not None and "lag" in e.contains]
     others = [i for i in out.chosen if i not in old and scorer.library[i].effect not in within]
@@ -69,14 +104,10 @@ def reclocked(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     none = bench.y + sum((b for i in old if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
     with scorer.against(none):
         beside = Beside(bench, scorer, others)
-    for ends in ([e for e in proposed if not e.joint], [e for e in proposed if e.joint]):
-        mine = [tuple(one for one in within if e.joint in ("", *one.joints)) for e in ends]
-        searches = [_Search(bench, beside, e, some, swings) for e, some in zip(ends, mine, strict=True)]
-        clocks = [clock for search in searches for clock in search.best()]
-        instead = {one: other for search in searches for one, other in search.instead.items()}
-        if clocks and _exchanged(bench, scorer, out, old, clocks, instead):
-            return True
-    return False
+    mine = [tuple(one for one in within if e.joint in ("", *one.joints)) for e in ends]
+    searches = [_Search(bench, beside, e, some, swings) for e, some in zip(ends, mine, strict=True)]
+    clocks = [clock for search in searches for clock in search.best()]
+    return clocks, {one: other for search in searches for one, other in search.instead.items()}
 
 
 def one_clock(bench: Bench, scorer: Scorer, out: Selection) -> bool:
@@ -183,6 +214,8 @@ class _Search:
         best, least = (0.0, constant, 1.0), np.inf
         for within in dict.fromkeys((self.within, tuple(one.stripped for one in self.within))):
             at, cost = _lowest(partial(missed, within), begun, limits[: len(begun)])
+            if FINE**2 * -cost > NEAR:
+                at, cost = _lowest(partial(missed, within), at, limits[: len(begun)], FINEST, FINE)
             cost += self.price * sum(len(one.searched()) for one in within)
             if cost < least:
                 best, least = read(at), cost
@@ -279,11 +312,21 @@ def _with_lag(effect: Effect, constant: float, wide: float) -> Effect:
 
 
 def _exchanged(
-    bench: Bench, scorer: Scorer, out: Selection, old: list[int], clocks: Clocks, instead: dict[Effect, Effect]
+    bench: Bench,
+    scorer: Scorer,
+    out: Selection,
+    old: list[int],
+    clocks: Clocks,
+    instead: dict[Effect, Effect],
+    *,
+    nearly: bool = False,
 ) -> bool:
-    """Whether a model with other clocks, and all else as it arrives through them, was better and was taken."""
+    """Whether a model with other clocks, and all else as it arrives through them, was better and was taken.
+
+    `nearly`: only if these take nearly all that is above the noise wherever they are better.
+    """
     before, y, timing = scorer.solve(out.chosen)[2], bench.y, bench.timing
-    errors, others = crossed(bench, scorer, out.chosen), [i for i in out.chosen if i not in old]
+    missed, others = crossed(bench, scorer, out.chosen), [i for i in out.chosen if i not in old]
     kept = [(end, theta) for end, theta in timing if not isinstance(end, Timing)]
     bench.timing = [*kept, *((effect, np.array([1.0 if isinstance(effect, Lag) else size])) for effect, size in clocks)]
     try:
@@ -301,7 +344,7 @@ def _exchanged(
     gone = [one for i in old if (one := scorer.library[i].effect) is not None]
     price = (_numbers([one for one, _ in clocks]) - _numbers(gone)) * float(np.log(bench.noise.effective))
     fall = before - scorer.solve(trial)[2] - price
-    if fall > MARGIN and _richer(bench, errors, crossed(bench, scorer, trial)):
+    if fall > MARGIN and (_nearly_all if nearly else _richer)(bench, missed, crossed(bench, scorer, trial)):
         out.chosen = trial
         return True
     bench.y = y
@@ -323,3 +366,10 @@ def _richer(bench: Bench, before: Array, after: Array) -> bool:
     """Whether errors (C,) on blocks left out fall, by enough of the excess in some channel."""
     most = float(np.max(taken(before, after, bench.noise.sigma**2)))
     return most >= RICHER and float(np.mean(after / before)) < 1.0
+
+
+def _nearly_all(bench: Bench, before: Array, after: Array) -> bool:
+    """Whether errors (C,) on blocks left out fall in two channels or more, and by nearly all of the excess wherever they do."""
+    share = taken(before, after, bench.noise.sigma**2)
+    fallen = share[share >= RICHER]
+    return len(fallen) > 1 and bool(np.min(fallen) >= NEARLY_ALL) and float(np.mean(after / before)) < 1.0

@@ -16,6 +16,17 @@ from galen_hw.spatial import Array
 
 POSITION = "the joint positions, finely"
 """What quick waves over all positions at once are functions of, and trees on the positions."""
+PLAIN = (
+    "products of joint positions",
+    "products of the simulated channels",
+    "the simulated channels times the joint positions",
+    "cubes of the simulated channels",
+    "speeds and accelerations",
+    "products of speeds",
+    "positions times speeds",
+    "the simulated channels times speeds",
+)
+"""Families of low powers of the inputs at the moment: what they say of one motion holds of another."""
 MOST_PRODUCTS = 40
 MOST_PAIRS = 25
 PLACES = np.array([-1.5, -0.5, 0.5, 1.5])

@@ -12,7 +12,7 @@ import numpy as np
 from sklearn.ensemble import HistGradientBoostingRegressor
 
 from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.generic import Inputs
+from galen_hw.diagnosis.generic import PLAIN, Inputs
 from galen_hw.diagnosis.inner_products import Functions, Sums, by_name
 from galen_hw.diagnosis.pursuit import Pursuit
 from galen_hw.diagnosis.regression import Blend, Regression
@@ -25,6 +25,8 @@ RIDGES: Final = np.logspace(-2.0, 4.0, 13)
 MOST_FAMILIES: Final = 3
 WORTH: Final = 0.1
 """Share of what is explained by which a family must be better than a plainer one, or another family add."""
+PLAINER: Final = 0.03
+"""Share of what is explained by which a few low powers may fall short of all functions: they hold of another motion too."""
 LEAST: Final = 1e-3
 """And share of the whole rest."""
 TRIED: Final = 8
@@ -90,7 +92,7 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
     """The remainder of a model, from its training rows.
 
     Args:
-        kinds: per channel the families of functions in which structure is left.
+        kinds: per channel the families of functions that are tried.
         functions: of the model's bench, where they are known already.
     """
     bench = model.bench
@@ -102,15 +104,7 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
         names = [name for name in functions.columns if name in kind]
         if not names:  # trees alone follow it
             continue
-        plain, whitened = functions.plain(names, c), functions.white(names, c)
-        targets = rest[functions.rows, c], white[functions.rows, c]
-        tried: list[Regression] = [
-            max((of(plain, whitened, *targets, weighed=w) for w in (True, False)), key=lambda one: one.reached)
-            for of in (Ridge, Pursuit)
-        ]
-        if all(one.chosen for one in tried):
-            tried.append(Blend.between(*tried))
-        best = max(tried, key=lambda one: one.reached)
+        best = _best(functions, names, c, rest[functions.rows, c], white[functions.rows, c])
         if best.chosen:
             parts[c] = best.coefficients()
             crossed[functions.rows, c] = best.crossed() * bench.noise.sigma[c]
@@ -118,6 +112,26 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
             offsets[c] = float(sum(functions.means[n] @ t for n, t in parts[c].items()))
             gain += best.white_gain
     return Remainder(functions.inputs, parts, offsets, gain, crossed) if parts else None
+
+
+def _best(functions: Functions, names: list[str], channel: int, rest: Array, white_rest: Array) -> Regression:
+    """The regression of a channel's rest (n,) that explains most of blocks left out; one on low powers if it does nearly as well.
+
+    A resonance may be in step with a speed in one motion, and is not in the next.
+    """
+
+    def of(kind: type[Ridge | Pursuit], some: list[str]) -> Ridge | Pursuit:
+        plain, white = functions.plain(some, channel), functions.white(some, channel)
+        each = (kind(plain, white, rest, white_rest, weighed=weighed) for weighed in (True, False))
+        return max(each, key=lambda one: one.reached)
+
+    tried: list[Regression] = [of(Ridge, names), of(Pursuit, names)]
+    if all(one.chosen for one in tried):
+        tried.append(Blend.between(*tried))
+    best = max(tried, key=lambda one: one.reached)
+    powers = [name for name in functions.columns if name in PLAIN]
+    plainer = of(Pursuit, powers) if powers and best.chosen else best
+    return plainer if plainer.chosen and plainer.reached >= (1.0 - PLAINER) * best.reached else best
 
 
 @dataclass

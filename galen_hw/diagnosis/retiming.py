@@ -44,6 +44,24 @@ def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
         settle(bench, scorer, chosen, anew=True)
 
 
+def cost_without(bench: Bench, scorer: Scorer, chosen: list[int], end: Effect) -> float:
+    """Whitened sum of squares of a model as a stream delivers it that has an end (a lag) no more.
+
+    Columns that came through a lag do what the lag did: beside them it seems to be worth little.
+    """
+    timing = bench.timing
+    bench.timing = [(other, theta) for other, theta in timing if other != end]
+    try:
+        fresh = [scorer.retimed(scorer.library[i]) for i in chosen]
+        bends = sum((h.bend for h in fresh if h.bend is not None), np.zeros_like(bench.y))
+        with scorer.against(bench.whole - bench.company - bends), scorer.trying(fresh):
+            places = list(range(len(scorer.library) - len(fresh), len(scorer.library)))
+            settle(bench, scorer, places, anew=True)
+            return scorer.solve(places)[2]
+    finally:
+        bench.timing = timing
+
+
 def load(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
     """The bench's stream is given what the model adds to the simulation: a reading that clips, clips all of it."""
     scene, theta = bench.scene, scorer.solve(chosen)[0]

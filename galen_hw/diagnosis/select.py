@@ -7,7 +7,7 @@ from galen_hw.diagnosis.bearings import behind_friction
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.bends import as_if, rebase, unbent
 from galen_hw.diagnosis.clock_offset import clock_offset
-from galen_hw.diagnosis.clocks import one_clock, reclocked
+from galen_hw.diagnosis.clocks import one_clock, own_clocks, reclocked
 from galen_hw.diagnosis.courses import finest, followed
 from galen_hw.diagnosis.episodes import contacts
 from galen_hw.diagnosis.jumps import timed
@@ -17,7 +17,7 @@ from galen_hw.diagnosis.nonlinear import bent, in_place, loosens, polished
 from galen_hw.diagnosis.partners import hidden
 from galen_hw.diagnosis.plainness import ALIKE, favour, handicap, plainest, slack
 from galen_hw.diagnosis.regroup import regrouped
-from galen_hw.diagnosis.retiming import load, retime, settle_together
+from galen_hw.diagnosis.retiming import cost_without, load, retime, settle_together
 from galen_hw.diagnosis.score import Score, Scorer, threshold
 from galen_hw.diagnosis.selection import Selection, elsewhere
 from galen_hw.diagnosis.split import split
@@ -27,6 +27,7 @@ from galen_hw.diagnosis.worth import WORTH, asked, completes, plausible, taken, 
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Vibration
 from galen_hw.physics.table import EFFECTS, effect_class
+from galen_hw.physics.time_effects import Timing
 
 CHANCE = 0.002
 
@@ -100,8 +101,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         best = clock_offset(bench, scorer, out.chosen, scores)
         best = _best(bench, scorer, out, scores, refused, able) if best is None else best
         if best is not None:
-            out.chosen.append(best)
-            tightened(bench, scorer, out, best)
+            _admit(bench, scorer, out, best)
         elif not (
             clipped(bench, scorer, out)
             or split(bench, scorer, out)
@@ -137,6 +137,13 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
     bench.company = 0.0
     rebase(scorer, out.chosen)
     return out
+
+
+def _admit(bench: Bench, scorer: Scorer, out: Selection, i: int) -> None:
+    """A hypothesis joins the model: a first clock as those of each joint if it is these, a spring as a tendon if it is one."""
+    out.chosen.append(i)
+    if not own_clocks(bench, scorer, out):
+        tightened(bench, scorer, out, i)
 
 
 def _best(
@@ -265,6 +272,8 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
         if best == i or able[best] <= rivals[i].rank + margin:
             continue
         trial = [best if j == i else j for j in out.chosen]
+        if able[best] - _flattered(bench, scorer, trial, i, best) <= rivals[i].rank + margin:
+            continue
         before = crossed(bench, scorer, out.chosen)
         with as_if(scorer, trial):
             after = crossed(bench, scorer, trial)
@@ -272,6 +281,16 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
             out.chosen = trial
             rebase(scorer, trial)
     return out.chosen != start
+
+
+def _flattered(bench: Bench, scorer: Scorer, trial: list[int], i: int, best: int) -> float:
+    """How much less the trial leaves than it will without the delay or lag i, through which its columns came."""
+    gone, come = scorer.library[i].effect, scorer.library[best].effect
+    if not isinstance(gone, Timing) or isinstance(come, Timing):
+        return 0.0
+    with as_if(scorer, trial):
+        promised = scorer.solve(trial)[2]
+    return max(cost_without(bench, scorer, trial, gone) - promised, 0.0)
 
 
 def _exchanged(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bool:

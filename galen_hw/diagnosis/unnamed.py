@@ -85,9 +85,9 @@ def _explained(model: Model, rest: list[adequacy.Left], functions: Functions) ->
 
     Each family pays for having been chosen among all: that choice no block was left out of.
     """
-    kinds: dict[int, set[str]] = {}
-    for one in rest:
-        kinds.setdefault(one.channel, set()).add(one.kind)
+    # A family that shows in one channel may be little in another until what is larger there is told.
+    every = {one.kind for one in rest}
+    kinds = {one.channel: every for one in rest}
     remainder, own = learn(model, kinds, functions), merit(model, foretelling=True)
     if remainder is None:
         return own, None

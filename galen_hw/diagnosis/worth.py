@@ -7,7 +7,7 @@ from galen_hw.diagnosis.linear import errors
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
-from galen_hw.physics.effect import Effect
+from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.event_effects import Contact
 from galen_hw.spatial import Array
 
@@ -33,6 +33,10 @@ PROVED = 1.25
 
 OUTSTANDING = 9.0
 """Mean square of what is left during a contact over that at all other times from which it is judged by its own moments."""
+
+
+UNDONE = 0.1
+"""Share of either of two effects that their sum must reach: what they do is not to cancel."""
 
 
 def asked(bench: Bench, out: Selection, effect: Effect | None, misfit: float) -> tuple[float, float]:
@@ -110,4 +114,20 @@ def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
     named = list(zip(h.effect.parameters(bench.scene), theta[-h.count :], spread, strict=True))
     # A lag of a twentieth is no lag. Bounds matter where physics is missing: else the shape has proved it, whatever its size.
     named_so = all(p.near(t, s) and (misfit < PROVED or p.plausible(t, s)) for p, t, s in named)
-    return named_so and h.effect.at_work(bench.scene)
+    return named_so and h.effect.at_work(bench.scene) and not _undone(bench, scorer, [*chosen, i], theta)
+
+
+def _undone(bench: Bench, scorer: Scorer, chosen: list[int], theta: Array) -> bool:
+    """Whether the last of the chosen and another do the same with opposite signs, but for a small part which alone is needed.
+
+    Two large errors that happen to cancel are less likely than that neither is there: their difference bends as it must.
+    """
+    done, changes = sum(h.count for h in scorer.base), []
+    for h in (scorer.library[j] for j in chosen):
+        change = Columns(h.raw.channels, h.does(theta[done : done + h.count])[:, :, None]).full(bench.width)[:, :, 0]
+        changes.append((change - change.mean(axis=0)) / bench.noise.sigma)
+        done += h.count
+    last, size = changes[-1], float(np.linalg.norm(changes[-1]))
+    return any(
+        float(np.linalg.norm(last + other)) < UNDONE * min(size, float(np.linalg.norm(other))) for other in changes[:-1]
+    )
