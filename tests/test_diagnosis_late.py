@@ -59,11 +59,14 @@ def test_a_lag_far_shorter_than_a_row_is_named_beside_the_delay() -> None:
 
 
 def servos(delays: list[float], constants: list[float]) -> Observations:
-    """Two minutes of joints of which each answers its command in its own time, a thousand times the noise."""
+    """Two minutes of joints from rest, of which each answers its command in its own time, a thousand times the noise."""
     rng, t, columns = np.random.default_rng(2), np.arange(6000) / 50.0, dict[str, np.ndarray]()
     for name, delay, constant in zip("abcd", delays, constants, strict=True):
         frequency, phase, size = rng.uniform(0.05, 0.8, 5), rng.uniform(0.0, 6.0, 5), rng.uniform(0.1, 0.4, 5)
-        command, behind = (np.sin(2.0 * np.pi * np.outer(s, frequency) + phase) @ size for s in (t, t - delay))
+        command, behind = (
+            np.clip(s / 3.0, 0.0, 1.0) ** 2 * (np.sin(2.0 * np.pi * np.outer(s, frequency) + phase) @ size)
+            for s in (t, t - delay)
+        )
         columns[f"joint.{name}.command"] = command
         columns[f"joint.{name}.position"] = lagged(t, behind, constant) + 2e-4 * rng.normal(size=len(t))
     return Observations("position", {"time": t, **columns})
