@@ -18,6 +18,7 @@ from galen_hw.diagnosis.descent import Beside
 from galen_hw.diagnosis.linear import crossed, errors
 from galen_hw.diagnosis.nonlinear import settle
 from galen_hw.diagnosis.plainness import ALIKE
+from galen_hw.diagnosis.retiming import settle_together
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.worth import taken
@@ -70,17 +71,21 @@ def reclocked(bench: Bench, scorer: Scorer, out: Selection) -> bool:
 
 
 def own_clocks(bench: Bench, scorer: Scorer, out: Selection) -> bool:
-    """Whether the first clock gave way to those of each joint, which take nearly all of what is wrong wherever they act.
+    """Whether the first clock gave way to those of each joint, which take nearly all that the best of one clock for all leaves.
 
     Before anything else is chosen: of servos that answer each in its own time it would take the rest of their lateness.
     """
-    old = _ends(scorer, out.chosen)
-    ends = [e for e in TimeDelay.propose(bench.scene) if e.joint]
+    old, proposed = _ends(scorer, out.chosen), list(TimeDelay.propose(bench.scene))
+    ends = [e for e in proposed if e.joint]
     if not ends or old != out.chosen or len(old) != 1:
         return False
-    clocks, _ = _sought(bench, scorer, out, old, ends)
-    if len({end.joint for end, _ in clocks}) < 2 or not _exchanged(bench, scorer, out, old, clocks, {}, nearly=True):
-        return False
+    # By its slope alone the one clock leaves what its own optimum does not.
+    settle_together(bench, scorer, out.chosen)
+    one, _ = _sought(bench, scorer, out, out.chosen, [e for e in proposed if not e.joint])
+    exchanged = bool(one) and _exchanged(bench, scorer, out, out.chosen, one, {})
+    each, _ = _sought(bench, scorer, out, out.chosen, ends)
+    if len({end.joint for end, _ in each}) < 2 or not _exchanged(bench, scorer, out, out.chosen, each, {}, nearly=True):
+        return exchanged
     # What friction does is little beside all of the lateness, and much beside what the right clocks leave of it.
     out.begun = errors(bench, scorer, out.chosen) ** 2
     return True
