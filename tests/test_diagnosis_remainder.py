@@ -16,7 +16,7 @@ from galen_hw.diagnosis import adequacy
 from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.findings import dependence
-from galen_hw.diagnosis.generic import Inputs, dictionaries
+from galen_hw.diagnosis.generic import PLAIN, Inputs, dictionaries
 from galen_hw.diagnosis.inner_products import Functions
 from galen_hw.diagnosis.judge import judge_remainder
 from galen_hw.diagnosis.pursuit import Pursuit
@@ -386,6 +386,17 @@ def test_one_function_of_many_is_taken_alone_and_holds_on_another_motion_better_
 
     assert error(alone.coefficients()) < error(family.coefficients())
     assert error(alone.coefficients()) < 1.01 * SIGMA[0] / np.sqrt(bench.rows.stride)
+
+
+def test_low_powers_alone_stand_where_no_function_does_better() -> None:
+    """The rest is one product of two speeds, and every family there is may be tried."""
+    work = of_stray()
+    functions = Functions(work.bench)
+    assert set(PLAIN) <= set(functions.columns)
+    learnt = learn(work.model, {0: set(functions.columns)}, functions)
+    assert learnt is not None
+    assert set(learnt.parts[0]) <= set(PLAIN)
+    assert np.count_nonzero(learnt.parts[0]["products of speeds"]) == 1
 
 
 def test_what_predicts_a_row_was_not_fitted_on_it() -> None:

@@ -4,6 +4,7 @@ import sys
 from copy import copy
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -16,6 +17,7 @@ from galen_hw.diagnosis.engine import Search, diagnose
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
+from galen_hw.diagnosis.worth import plausible
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.sensor_effects import Drift, Gain
 from galen_hw.physics.table import scene_of
@@ -60,3 +62,23 @@ def test_what_holds_is_kept_and_what_is_no_better_does_not_take_its_place(warmin
     assert selection is wrong[0]
     assert model is not chosen
     assert not model.effects
+
+
+def test_two_that_cancel_but_for_a_small_part_are_not_real_side_by_side(warming: DiagnosisBench) -> None:
+    """A line up and nearly the same line down leave a bow: what bends so may be there, the two are not."""
+    end = float(warming.scene.time[-1])
+    line, bow = (Drift(WRENCH[2], *form, 0.0, end) for form in (("linear", None), ("warm_up", 5.0 * end)))
+    own = copy(warming)
+    scorer = Scorer(own, [own.add(line), own.add(bow), own.add(Gain(WRENCH[2]))])
+    first = len(scorer.base)
+    shapes = [h.raw.values[:, 0, 0] for h in scorer.library[first:]]
+
+    def made(*sizes: float) -> np.ndarray:
+        y = np.zeros_like(own.y)
+        y[:, 2] = SIGMA[2] * sum(size * x / np.std(x) for size, x in zip(sizes, shapes, strict=True))
+        return y
+
+    with scorer.against(made(100.0, -100.0, 0.0)):
+        assert not plausible(own, scorer, [first], first + 1)
+    with scorer.against(made(3.0, 0.0, -3.0)):
+        assert plausible(own, scorer, [first], first + 2)

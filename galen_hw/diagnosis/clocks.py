@@ -5,7 +5,7 @@ servo on a bus, it takes one that is as late as both; beside that the other is w
 about the shape goes to whatever bends. Where joints answer one by one, each with clocks of its own, no single exchange helps.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -31,7 +31,7 @@ MARGIN = 6.0
 """Beyond the price of the parameters, in units of the log likelihood ratio."""
 RICHER = 0.05
 """Share of the excess that is left in some channel, on blocks left out, that the clocks must take."""
-NEARLY_ALL = 0.9
+COMPLETE = 0.9
 """The same that each joint's own clocks must take before anything else is known."""
 CONSTANTS = 6
 """Lags between half a sample and all of what is late that are tried with the delay that suits each."""
@@ -58,14 +58,16 @@ Clocks = list[tuple[TimeDelay | Lag, float]]
 
 def reclocked(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     """Whether the delays and lags of a model were exchanged for better ones: of the whole stream, or of each joint."""
-    old = _ends(scorer, out.chosen)
     # Not for ever: what the search takes back of an exchange, it would take back again.
     model = frozenset(scorer.library[i].family for i in out.chosen)
-    proposed = list(TimeDelay.propose(bench.scene)) if old and out.clocked[model] < OFTEN else []
+    again = _ends(scorer, out.chosen) and out.clocked[model] < OFTEN
+    proposed = list(TimeDelay.propose(bench.scene)) if again else []
     out.clocked[model] += 1
-    for ends in ([e for e in proposed if not e.joint], [e for e in proposed if e.joint]):
-        clocks, instead = _sought(bench, scorer, out, old, ends)
-        if clocks and _exchanged(bench, scorer, out, old, clocks, instead):
+    if not proposed:
+        return False
+    groups = [e for e in proposed if not e.joint], [e for e in proposed if e.joint]
+    for clocks, instead in _sought(bench, scorer, out.chosen, groups):
+        if clocks and _exchanged(bench, scorer, out, clocks, instead):
             return True
     return False
 
@@ -75,16 +77,15 @@ def own_clocks(bench: Bench, scorer: Scorer, out: Selection) -> bool:
 
     Before anything else is chosen: of servos that answer each in its own time it would take the rest of their lateness.
     """
-    old, proposed = _ends(scorer, out.chosen), list(TimeDelay.propose(bench.scene))
+    proposed = list(TimeDelay.propose(bench.scene))
     ends = [e for e in proposed if e.joint]
-    if not ends or old != out.chosen or len(old) != 1:
+    if not ends or len(out.chosen) != 1 or not _ends(scorer, out.chosen):
         return False
     # By its slope alone the one clock leaves what its own optimum does not.
     settle_together(bench, scorer, out.chosen)
-    one, _ = _sought(bench, scorer, out, out.chosen, [e for e in proposed if not e.joint])
-    exchanged = bool(one) and _exchanged(bench, scorer, out, out.chosen, one, {})
-    each, _ = _sought(bench, scorer, out, out.chosen, ends)
-    if len({end.joint for end, _ in each}) < 2 or not _exchanged(bench, scorer, out, out.chosen, each, {}, nearly=True):
+    (one, _), (each, _) = _sought(bench, scorer, out.chosen, ([e for e in proposed if not e.joint], ends))
+    exchanged = bool(one) and _exchanged(bench, scorer, out, one, {})
+    if len({end.joint for end, _ in each}) < 2 or not _exchanged(bench, scorer, out, each, {}, nearly=True):
         return exchanged
     # What friction does is little beside all of the lateness, and much beside what the right clocks leave of it.
     out.begun = errors(bench, scorer, out.chosen) ** 2
@@ -97,22 +98,25 @@ def _ends(scorer: Scorer, chosen: list[int]) -> list[int]:
 
 
 def _sought(
-    bench: Bench, scorer: Scorer, out: Selection, old: list[int], ends: list[TimeDelay]
-) -> tuple[Clocks, dict[Effect, Effect]]:
-    """The best clocks where each of the ends acts, instead of the old ones; and what stands instead of friction within them."""
-    if not ends:
-        return [], {}
+    bench: Bench, scorer: Scorer, chosen: list[int], groups: Sequence[list[TimeDelay]]
+) -> Iterator[tuple[Clocks, dict[Effect, Effect]]]:
+    """For each group of ends the best clocks where these act, instead of the chosen ones, once it is asked for.
+
+    And what stands instead of friction within them.
+    """
+    old = _ends(scorer, chosen)
     # Friction of a servo has the servo's lag in it: it goes where that goes.
-    within = [e for i in out.chosen if (e := scorer.library[i].effect) is not None and "lag" in e.contains]
-    others = [i for i in out.chosen if i not in old and scorer.library[i].effect not in within]
+    within = [e for i in chosen if (e := scorer.library[i].effect) is not None and "lag" in e.contains]
+    others = [i for i in chosen if i not in old and scorer.library[i].effect not in within]
     swings = any("damping" in e.searched() for i in old if (e := scorer.library[i].effect) is not None)
     none = bench.y + sum((b for i in old if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
     with scorer.against(none):
         beside = Beside(bench, scorer, others)
-    mine = [tuple(one for one in within if e.joint in ("", *one.joints)) for e in ends]
-    searches = [_Search(bench, beside, e, some, swings) for e, some in zip(ends, mine, strict=True)]
-    clocks = [clock for search in searches for clock in search.best()]
-    return clocks, {one: other for search in searches for one, other in search.instead.items()}
+    for ends in groups:
+        mine = [tuple(one for one in within if e.joint in ("", *one.joints)) for e in ends]
+        searches = [_Search(bench, beside, e, some, swings) for e, some in zip(ends, mine, strict=True)]
+        clocks = [clock for search in searches for clock in search.best()]
+        yield clocks, {one: other for search in searches for one, other in search.instead.items()}
 
 
 def one_clock(bench: Bench, scorer: Scorer, out: Selection) -> bool:
@@ -320,7 +324,6 @@ def _exchanged(
     bench: Bench,
     scorer: Scorer,
     out: Selection,
-    old: list[int],
     clocks: Clocks,
     instead: dict[Effect, Effect],
     *,
@@ -330,7 +333,7 @@ def _exchanged(
 
     `nearly`: only if these take nearly all that is above the noise wherever they are better.
     """
-    before, y, timing = scorer.solve(out.chosen)[2], bench.y, bench.timing
+    before, y, timing, old = scorer.solve(out.chosen)[2], bench.y, bench.timing, _ends(scorer, out.chosen)
     missed, others = crossed(bench, scorer, out.chosen), [i for i in out.chosen if i not in old]
     kept = [(end, theta) for end, theta in timing if not isinstance(end, Timing)]
     bench.timing = [*kept, *((effect, np.array([1.0 if isinstance(effect, Lag) else size])) for effect, size in clocks)]
@@ -377,4 +380,4 @@ def _nearly_all(bench: Bench, before: Array, after: Array) -> bool:
     """Whether errors (C,) on blocks left out fall in two channels or more, and by nearly all of the excess wherever they do."""
     share = taken(before, after, bench.noise.sigma**2)
     fallen = share[share >= RICHER]
-    return len(fallen) > 1 and bool(np.min(fallen) >= NEARLY_ALL) and float(np.mean(after / before)) < 1.0
+    return len(fallen) > 1 and bool(np.min(fallen) >= COMPLETE) and float(np.mean(after / before)) < 1.0

@@ -7,7 +7,7 @@ from galen_hw.diagnosis.linear import errors
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
-from galen_hw.physics.effect import Columns, Effect
+from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Contact
 from galen_hw.spatial import Array
 
@@ -120,11 +120,14 @@ def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
 def _undone(bench: Bench, scorer: Scorer, chosen: list[int], theta: Array) -> bool:
     """Whether the last of the chosen and another do the same with opposite signs, but for a small part which alone is needed.
 
+    `theta` (k,): parameters of what is always fitted, and of the chosen in their order.
+
     Two large errors that happen to cancel are less likely than that neither is there: their difference bends as it must.
     """
     done, changes = sum(h.count for h in scorer.base), []
     for h in (scorer.library[j] for j in chosen):
-        change = Columns(h.raw.channels, h.does(theta[done : done + h.count])[:, :, None]).full(bench.width)[:, :, 0]
+        change = np.zeros_like(bench.y)
+        change[:, list(h.raw.channels)] = h.does(theta[done : done + h.count])
         changes.append((change - change.mean(axis=0)) / bench.noise.sigma)
         done += h.count
     last, size = changes[-1], float(np.linalg.norm(changes[-1]))
