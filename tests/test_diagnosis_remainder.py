@@ -19,7 +19,7 @@ from galen_hw.diagnosis.findings import dependence
 from galen_hw.diagnosis.generic import PLAIN, Inputs, dictionaries
 from galen_hw.diagnosis.inner_products import Functions
 from galen_hw.diagnosis.judge import judge_remainder
-from galen_hw.diagnosis.pursuit import Pursuit
+from galen_hw.diagnosis.pursuit import MOST_FUNCTIONS, Pursuit
 from galen_hw.diagnosis.regression import Blend
 from galen_hw.diagnosis.remainder import RIDGES, Ridge, learn
 from galen_hw.diagnosis.rows import Rows
@@ -388,15 +388,18 @@ def test_one_function_of_many_is_taken_alone_and_holds_on_another_motion_better_
     assert error(alone.coefficients()) < 1.01 * SIGMA[0] / np.sqrt(bench.rows.stride)
 
 
-def test_low_powers_alone_stand_where_no_function_does_better() -> None:
-    """The rest is one product of two speeds, and every family there is may be tried."""
-    work = of_stray()
+@pytest.mark.inject
+def test_low_powers_alone_stand_where_no_function_does_much_better() -> None:
+    """Torques of a rotor go with speeds, and with these times positions: the past would say a trifle more of this motion."""
+    work = judged(rotor(Bench(1, rows=4000)))
     functions = Functions(work.bench)
     assert set(PLAIN) <= set(functions.columns)
-    learnt = learn(work.model, {0: set(functions.columns)}, functions)
+    learnt = learn(work.model, {c: set(functions.columns) for c in (3, 4, 5)}, functions)
     assert learnt is not None
-    assert set(learnt.parts[0]) <= set(PLAIN)
-    assert np.count_nonzero(learnt.parts[0]["products of speeds"]) == 1
+    assert set(learnt.parts) == {3, 4, 5}
+    for families in learnt.parts.values():
+        assert set(families) <= set(PLAIN)
+        assert sum(np.count_nonzero(theta) for theta in families.values()) <= MOST_FUNCTIONS
 
 
 def test_what_predicts_a_row_was_not_fitted_on_it() -> None:
