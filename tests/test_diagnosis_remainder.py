@@ -1,6 +1,7 @@
 """What has no name: predicted by generic functions where that holds, never under a name, never saved."""
 
 import sys
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from scipy.signal import lfilter
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import SIGMA, WRENCH, Bench, creep, lagged
+from diagnosis_cases import SIGMA, WRENCH, Bench, contact, creep, lagged
 
 from galen_hw.diagnosis import adequacy
 from galen_hw.diagnosis.engine import Work, diagnose
@@ -114,16 +115,19 @@ def test_what_does_not_hold_elsewhere_is_not_counted() -> None:
 
 
 @pytest.mark.inject
+@pytest.mark.parametrize("concealed", [creep, contact])
 @pytest.mark.parametrize(("size", "verdict"), [(0.7, "partly_explained"), (0.0, "explained")])
-def test_what_a_flexible_name_leaves_of_another_recording_is_said_of_it(size: float, verdict: str) -> None:
-    """Creep is there, and leaves nothing of the first recording; what the second has besides is too small to stand out."""
+def test_what_a_flexible_name_leaves_of_another_recording_is_said_of_it(
+    concealed: Callable[[Bench], None], size: float, verdict: str
+) -> None:
+    """It is there, and leaves nothing of the first recording; what the second has besides is too small to stand out."""
     learnt, other = Bench(23, rows=4000), Bench(24, rows=4000)
-    creep(learnt)
-    creep(other)
+    concealed(learnt)
+    concealed(other)
     work = judged(learnt, stray(other, size))
     d = work.diagnosis
     assert d.verdict == verdict
-    assert named(work) == ["creep", "unknown"][: 1 + (size > 0.0)]
+    assert named(work) == [concealed.__name__, "unknown"][: 1 + (size > 0.0)]
     assert all("wrench.force.x of another recording" in f.says for f in d.findings if f.effect == "unknown")
 
 

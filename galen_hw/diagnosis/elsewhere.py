@@ -10,6 +10,8 @@ from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.bends import tangent
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.judge import Judged, apply
+from galen_hw.physics.effect import Effect
+from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.scene import Scene
 
 MISSED: Final = 1.1
@@ -24,20 +26,23 @@ def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[adequacy.
     To be asked of models with flexible names: these may follow one motion by what the next one does not have, and there generic
     functions find what they left out. Of other models it would mostly be told that an effect was too weak to be seen at first.
     What the model's own parameters, learnt anew, would take is no structure but their error. Nothing is asked where something
-    belongs to moments: it is fitted to each recording anew, and what such a fit leaves proves nothing.
+    belongs to moments and is fitted to each recording anew: what such a fit leaves proves nothing. The rows of contacts are left
+    out there, and the others speak.
     """
     effects = [(h, h.effect) for h in model.effects if h.effect is not None]
     ratio, excess = judged.after / judged.floor, judged.before - judged.floor
-    if ratio.max() <= MISSED or any(effect.EPISODIC or effect.BRIEF for _, effect in effects):
+    if ratio.max() <= MISSED or any(_anew(effect) for _, effect in effects):
         return []
     here = _bench(model, scene, judged)
     if here is None:
         return []
-    rest = apply(model, scene)
+    rest = apply(model, scene, judged.good)
     # The second recording's noise may be larger or smaller, of the same colour.
     white = here.whitened(rest) * model.bench.noise.sigma / np.sqrt(judged.floor)
     own = [here.made(None, columns).white for columns in here.constants()]
     for h, effect in effects:
+        if isinstance(effect, Contact):
+            continue
         again = here.add(effect)
         own.append((again if h.theta is None else tangent(here, again, h.theta)).white)
     (left,) = adequacy.leftovers(here, adequacy.families(here), [adequacy.Fitted(own, rest, white)])
@@ -46,6 +51,11 @@ def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[adequacy.
         for one in left
         if ratio[one.channel] > MISSED and one.size**2 > LEAST * excess[one.channel]
     ]
+
+
+def _anew(effect: Effect) -> bool:
+    """Whether an effect belongs to moments, and these are not left out of what is judged."""
+    return (effect.EPISODIC or effect.BRIEF) and not isinstance(effect, Contact)
 
 
 def _bench(model: Model, scene: Scene, judged: Judged) -> Bench | None:

@@ -121,19 +121,19 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
             judged.untouched = np.asarray(np.mean(model.rest()[free] ** 2, axis=0))
         guard = Guard(floor, lambda part: part.rest()[rows], lambda part: part.rest(white=True)[rows], model)
     else:
-        rest = apply(model, holdout)
         if first is None or first.good is None:
-            good, episodes = _undisturbed(model, holdout, rest)
+            good, episodes = _undisturbed(model, holdout)
         else:
             good, episodes = first.good, first.episodes
-        before = np.mean(apply(baseline, holdout)[good] ** 2, axis=0)
+        rest = apply(model, holdout, good)
+        before = np.mean(apply(baseline, holdout, good)[good] ** 2, axis=0)
         floor = floor * _noisier(model, rest[good])
         judged = Judged(ELSEWHERE, before, np.mean(rest[good] ** 2, axis=0), {}, floor, episodes=episodes, good=good)
         noise = replace(bench.noise, rows=Rows(tuple(holdout.segments), bench.rows.stride), kept={})
         guard = Guard(
             floor,
-            lambda part: apply(part, holdout)[good],
-            lambda part: noise.bridged(apply(part, holdout), good)[good],
+            lambda part: apply(part, holdout, good)[good],
+            lambda part: noise.bridged(apply(part, holdout, good), good)[good],
             model,
         )
     for key, part in smaller.items():
@@ -159,8 +159,8 @@ def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remaind
         said = remainder.predict(holdout, Rows(tuple(holdout.segments), bench.rows.stride), bench.width)
         if said is None:
             return judged
-        good = slice(None) if judged.good is None else judged.good
-        rest, fuller = apply(model, holdout)[good], apply(model, holdout, said)[good]
+        good = np.ones(len(said), dtype=bool) if judged.good is None else judged.good
+        rest, fuller = (apply(model, holdout, good, besides)[good] for besides in (None, said))
     unnamed = judged.after.copy()
     for c in remainder.parts:
         better = float(np.mean(fuller[:, c] ** 2))
@@ -198,23 +198,28 @@ def _noisier(model: Model, rest: Array) -> Array:
     return np.where(model.bench.steps > 0.0, np.maximum(ratio, 1.0), ratio)
 
 
-def _undisturbed(model: Model, scene: Scene, rest: Array) -> tuple[Mask, tuple[tuple[float, float], ...]]:
+def _undisturbed(model: Model, scene: Scene) -> tuple[Mask, tuple[tuple[float, float], ...]]:
     """Rows (M,) of another recording that nothing of a moment spoils, and the times (s) of its contacts.
 
-    Only what was found in the recording itself is looked for: isolated samples, and outside forces.
+    Only what was found in the recording itself is looked for: isolated samples, and outside forces. These are sought again
+    once the constants no longer give way to them.
     """
     rows = Rows(tuple(scene.segments), model.bench.rows.stride)
-    good = ~rows.spread(scene.ends)
+    whole = ~rows.spread(scene.ends)
     if model.bench.spoilt.any():
         spoilt = seek.spikes(scene.raw_residual, tuple(scene.segments))
-        good &= ~rows.spread(np.asarray(spoilt.any(axis=1)))
-    episodes: tuple[tuple[float, float], ...] = ()
-    if any(isinstance(h.effect, Contact) for h in model.effects):
-        found = [one.effect.episodes for one in contacts(scene, rest) if isinstance(one.effect, Contact)]
+        whole &= ~rows.spread(np.asarray(spoilt.any(axis=1)))
+    good, episodes, time = whole, tuple[tuple[float, float], ...](), rows.average(scene.time)
+    if not any(isinstance(h.effect, Contact) for h in model.effects):
+        return good, episodes
+    for _ in range(2):
+        found = [
+            one.effect.episodes for one in contacts(scene, apply(model, scene, good)) if isinstance(one.effect, Contact)
+        ]
         episodes = max(found, key=lambda each: sum(end - start for start, end in each), default=())
-        time = rows.average(scene.time)
-        for start, end in episodes:
-            good &= (time < start) | (time > end)
+        good = whole & ~np.any(
+            [(time >= start) & (time <= end) for start, end in episodes or [(np.inf, np.inf)]], axis=0
+        )
     return good, episodes
 
 
@@ -232,14 +237,18 @@ def predict(model: Model) -> Array:
     return predicted(model.parts, model.theta, np.arange(len(model.bench.y)), model.bench.width)
 
 
-def apply(model: Model, scene: Scene, besides: Array | None = None) -> Array:
+def apply(model: Model, scene: Scene, good: Mask | None = None, besides: Array | None = None) -> Array:
     """(M, C) rest of another recording after the effects as learnt; nuisances, and what belongs to moments, are fitted anew.
 
     What drifts, hums or jumped once does so in another recording too, from another start, with another phase or at another
-    moment. `besides`, (M, C), is something else that is taken off.
+    moment.
+
+    Args:
+        good: (M,) rows to fit these on, None: all; besides: (M, C) something else that is taken off.
     """
     bench = model.bench
     rows = Rows(tuple(scene.segments), bench.rows.stride)
+    seen = np.ones(len(rows), dtype=bool) if good is None else good
     refit = [h for h in model.parts if h.effect is None]
     lasting = [
         (h.effect, model.final[s])
@@ -253,12 +262,12 @@ def apply(model: Model, scene: Scene, besides: Array | None = None) -> Array:
     for effect in found:
         if isinstance(effect, Drift | Vibration):
             columns += [_full(other, scene, rows, bench.width) for other in _again(effect, scene)]
-    left = _less(rest, columns)
+    left = _less(rest, columns, seen)
     for effect in found:
         if isinstance(effect, Step):
             jumps = [_full(replace(effect, moment=t), scene, rows, bench.width) for t in _moments(scene, left, rows)]
-            columns.append(min(jumps, key=lambda jump: float(np.sum(_less(left, [jump]) ** 2))))
-            left = _less(rest, columns)
+            columns.append(min(jumps, key=lambda jump: float(np.sum(_less(left, [jump], seen)[seen] ** 2))))
+            left = _less(rest, columns, seen)
     return left
 
 
@@ -283,12 +292,13 @@ def _full(effect: Effect, scene: Scene, rows: Rows, width: int) -> Array:
     return np.stack([rows.average(full[:, :, i]) for i in range(full.shape[2])], axis=-1)
 
 
-def _less(rest: Array, columns: list[Array]) -> Array:
-    """(M, C) of a rest without what columns (M, C, k) can do in it, by plain least squares."""
+def _less(rest: Array, columns: list[Array], seen: Mask) -> Array:
+    """(M, C) of a rest without what columns (M, C, k) do in it, by plain least squares on the rows seen (M,)."""
     if not columns:
         return rest
-    stacked, y = np.concatenate(columns, axis=2).reshape(rest.size, -1), rest.reshape(-1)
-    return np.asarray((y - stacked @ np.linalg.lstsq(stacked, y, rcond=1e-9)[0]).reshape(rest.shape))
+    stacked = np.concatenate(columns, axis=2)
+    X, y = stacked[seen].reshape(-1, stacked.shape[2]), rest[seen].reshape(-1)
+    return np.asarray(rest - stacked @ np.linalg.lstsq(X, y, rcond=1e-9)[0])
 
 
 def _nuisances(refit: list[Hypothesis], scene: Scene, rows: Rows, bench: Bench) -> Array:
