@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from galen_hw.diagnosis.judge import _places
-from galen_hw.diagnosis.wanted import BESIDE, Guard, poor
+from galen_hw.diagnosis.wanted import BESIDE, Guard, belied, poor
 
 ROWS = 4000
 
@@ -43,3 +43,19 @@ def test_a_place_that_the_held_out_motion_hardly_rouses_is_not_refused_by_it(sig
     assert 0 in places, "what the motion rouses is asked about"
     assert not poor(*places[0], alone=False)
     assert (1 in places) is asked
+
+
+@pytest.mark.parametrize("slow", [False, True])
+def test_what_held_out_rows_do_not_show_in_one_channel_is_belied_by_it(slow: bool) -> None:
+    """It does in both channels what was learnt, or in the first alone, or there less than it might; noise white or slow."""
+    rng = np.random.default_rng(4)
+    noise = rng.normal(size=(ROWS, 2))
+    if slow:
+        noise = np.cumsum(noise - 0.05 * np.cumsum(noise, axis=0) / np.arange(1, ROWS + 1)[:, None], axis=0)
+        noise /= noise.std(axis=0)
+    wave = np.sqrt(2.0) * np.sin(np.linspace(0.0, 160.0, ROWS))
+    learnt = 0.7 * np.stack([wave, np.roll(wave, 9)], axis=1)
+    assert not belied(noise, noise + learnt), "it is there"
+    assert belied(noise - learnt * [0.0, 1.0], noise + learnt * [1.0, 0.0]), "it is not there in the second channel"
+    assert not belied(noise - 0.2 * learnt, noise + 0.8 * learnt), "its size is wrong"
+    assert not belied(noise - 0.2 * learnt, noise), "no larger than an error of a parameter"

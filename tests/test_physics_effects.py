@@ -106,6 +106,31 @@ def test_a_point_of_mass_has_the_inertia_of_its_place(group):
     assert Payload("moment").told_by(body[1:]) is None
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_tool_and_what_was_put_on_it_are_together_a_distribution_of_mass(seed):
+    """Points of mass added to the tool can be; what leaves it an axis along which its mass has no spread cannot."""
+    rng = np.random.default_rng(seed)
+    made = scene("wrench", rng)
+    tool = made.belief.tool
+    assert tool.mass > 0.0
+    at, part = rng.normal(size=(3, 3)) * 0.1, 0.02
+    added = [part * (c @ c * np.eye(3) - np.outer(c, c)) for c in at]
+    inertia, spread = np.sum(added, axis=0), np.full(10, 1e-7)
+    body = np.concatenate([[3 * part], part * at.sum(axis=0), inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+    assert Payload("full").possible(made, body, spread)
+    # The second moments along x, (yy + zz - xx) / 2, with the tool's own: less than none.
+    own = tool.inertia + tool.mass * (tool.com @ tool.com * np.eye(3) - np.outer(tool.com, tool.com))
+    short = np.zeros(10)
+    spread_along = 0.5 * np.trace(own) - own[0, 0] - tool.mass * tool.com[0] ** 2
+    short[[6, 9]] = -(spread_along + 1e-4)
+    assert not Payload("full").possible(made, short, spread)
+    assert Payload("full").possible(made, short, np.where(np.arange(10) >= 4, 5e-5, 1e-7)), (
+        "within its errors it can be"
+    )
+    assert Payload("body").possible(made, short[:4], spread[:4])
+    assert not Payload("full").possible(made, np.array([-2.0 * tool.mass, *np.zeros(9)]), spread)
+
+
 def test_segments_start_afresh():
     """Memory does not leak from one run to the next."""
     made, found = proposals("wrench")

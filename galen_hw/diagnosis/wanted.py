@@ -31,6 +31,10 @@ ROUGHLY = 0.05
 """Share of its mean square by which the noise of held-out rows may be other than was learnt."""
 
 
+AMISS = 0.1
+"""Share of a channel's noise by which an effect may worsen it: its parameters are known to more than that."""
+
+
 def support(without: Array, rest: Array) -> float:
     """Share of what is above the noise without an effect that it takes, from rests (n, c) in units of the noise."""
     left = np.mean(without**2, axis=0)
@@ -80,6 +84,21 @@ def sure(rest: Array, without: Array) -> float:
     return float(each.sum()) / max(min(float(np.sqrt(np.sum(lucky**2))), spread), 1e-300)
 
 
+def belied(rest: Array, without: Array) -> bool:
+    """Whether held-out rows show in some channel that an effect does not act there as was learnt, in units of the noise.
+
+    The error is larger there with it, by more than a wrong estimate of a right effect would make it and by more than luck: what
+    is right in one channel and wrong in the next is the wrong physics.
+    """
+    effect, better = without - rest, without**2 - rest**2
+    size = np.sum(effect**2, axis=0)
+    # What is there of the effect itself is no luck.
+    there = np.sum(without * effect, axis=0) / np.maximum(size, 1e-300)
+    lucky = 2.0 * (without - there * effect) * effect
+    luck = np.sqrt(sum(piece.sum(axis=0) ** 2 for piece in np.array_split(lucky, min(PIECES, len(lucky)))))
+    return bool(np.any((better.mean(axis=0) < -AMISS) & (better.sum(axis=0) < -LEAST_SURE * luck)))
+
+
 class Guard:
     """Whether held-out data want an effect: how much of what would be left it takes, and how surely.
 
@@ -114,12 +133,15 @@ class Guard:
     def of(self, part: Model, own: list[int]) -> tuple[float, float]:
         """Support, in its own channels, and `sure` of what a smaller model has left out.
 
-        Nothing supports what makes the raw errors there larger, whatever weight the noise gives these: physics that is missing
-        passes for slow noise where it is left long enough.
+        Nothing supports what makes the raw errors there larger, or one channel's beyond luck, whatever weight the noise gives
+        these: physics that is missing passes for slow noise where it is left long enough.
         """
         without = self._rest_of(part)
         wanted, certain = support(without[:, own], self._rest[:, own]), sure(self._rest, without)
-        raw, plainly = (float(np.sum(np.mean(x[:, own] ** 2, axis=0))) for x in (self._raw_of(part), self._raw_rest))
+        before, after = self._raw_of(part)[:, own], self._raw_rest[:, own]
+        raw, plainly = (float(np.sum(np.mean(x**2, axis=0))) for x in (before, after))
+        if belied(after, before):
+            return min(wanted, -1.0), certain
         return (wanted if plainly <= raw * (1.0 + ROUGHLY) else min(wanted, raw / plainly - 1.0)), certain
 
     def could_tell(self, part: Model) -> bool:

@@ -114,7 +114,8 @@ def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
     named = list(zip(h.effect.parameters(bench.scene), theta[-h.count :], spread, strict=True))
     # A lag of a twentieth is no lag. Bounds matter where physics is missing: else the shape has proved it, whatever its size.
     named_so = all(p.near(t, s) and (misfit < PROVED or p.plausible(t, s)) for p, t, s in named)
-    return named_so and h.effect.at_work(bench.scene) and not _undone(bench, scorer, [*chosen, i], theta)
+    real = named_so and h.effect.at_work(bench.scene) and h.effect.possible(bench.scene, theta[-h.count :], spread)
+    return real and not _undone(bench, scorer, [*chosen, i], theta)
 
 
 def _undone(bench: Bench, scorer: Scorer, chosen: list[int], theta: Array) -> bool:

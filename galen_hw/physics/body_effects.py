@@ -80,6 +80,36 @@ class Payload(Effect):
         """What it is of a body."""
         return np.asarray(self._bodies(scene) @ theta)
 
+    def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
+        """Whether the tool with it is a distribution of mass, where the tool is known and the inertia is free.
+
+        Its second moments about the centre of mass along any axis u, u . S u with S = tr(I) / 2 - I, are of no sign but
+        positive (Wensing, Kim, Slotine 2018).
+        """
+        tool = scene.belief.tool
+        if self.part != "full" or scene.observations.predict != "wrench" or tool.mass <= 0.0:
+            return True
+        whole = tool.with_parameters(theta)
+        if whole is None:
+            return bool(tool.mass + theta[0] + 3.0 * spread[0] > 0.0)
+        least, axes = np.linalg.eigh(0.5 * np.trace(whole.inertia) * np.eye(3) - whole.inertia)
+        x, y, z = u = axes[:, 0]
+        to_com = float(u @ whole.com)
+        # S about the origin less m (u . c)^2, by mass, first moment and inertia.
+        slopes = np.array(
+            [
+                to_com**2,
+                *(-2.0 * to_com * u),
+                0.5 - x * x,
+                -2.0 * x * y,
+                0.5 - y * y,
+                -2.0 * x * z,
+                -2.0 * y * z,
+                0.5 - z * z,
+            ]
+        )
+        return bool(least[0] + 3.0 * np.abs(slopes) @ spread >= 0.0)
+
     def _bodies(self, scene: Scene) -> Array:
         """(10, k) inertial parameters per parameter of its own."""
         if self.part == "mass":

@@ -223,6 +223,10 @@ class Effect(ABC):
         """Whether it does, in this recording, what it is named for: friction that never breaks loose is a lag by another name."""
         return True
 
+    def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
+        """Whether something real can have parameters (k,), or others within three standard errors `spread` (k,) of them."""
+        return True
+
     @property
     def remark(self) -> str:
         """A sentence on where it sits that the answer adds; empty where there is nothing to add."""
