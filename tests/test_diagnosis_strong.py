@@ -1,6 +1,7 @@
 """Effects far above the noise, where what a law misses of what it is the law of shows as well."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -9,7 +10,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import Array, Bench, Servo, carriage, lagged, sines
+from diagnosis_cases import Array, Bench, Servo, cable_drag, carriage, lagged, sines
 
 from galen_hw.diagnosis.engine import diagnose
 from galen_hw.diagnosis.final import Model
@@ -117,11 +118,35 @@ def test_what_is_within_the_error_of_a_rough_law_is_a_part_of_it() -> None:
     assert trifles(modelled((HUM, 0.3), (TOUCH, 0.1))) == []
     brief = Contact(("wrench.force.x",), ((20.0, 20.5),), 1)
     assert trifles(modelled((HUM, 0.3), (brief, 0.02))) == [], "as large as the hum while it lasts"
+    assert trifles(modelled((TOUCH, 0.3), (HUM, 0.02))) == [], "a touch that is told wrongly does not hum"
     assert trifles(modelled((HUM, 0.3), (Gain("wrench.force.x"), 0.001))) == []
     assert trifles(modelled((Gain("wrench.force.x"), 0.3), (TOUCH, 0.003))) == []
     assert [h.effect for h in trifles(modelled((Gain("wrench.force.x"), 0.3), (TOUCH, 0.0003)))] == [TOUCH]
     np.testing.assert_allclose(tolerated(modelled((HUM, 0.3)))[0], FORM * 0.3**2, rtol=0.02)
     assert not tolerated(modelled((Gain("wrench.force.x"), 0.3))).any()
+
+
+def hums(run: Bench, seed: int) -> None:
+    run.wrench[:, 0] += 0.03 * np.sin(2.0 * np.pi * 3.3 * run.t + seed)
+
+
+def jumps(run: Bench, seed: int) -> None:
+    run.wrench[:, 1] += 0.06 * (run.t > 40.0 + seed)
+
+
+@pytest.mark.inject
+@pytest.mark.parametrize(("concealed", "name"), [(hums, "vibration"), (jumps, "step")])
+def test_what_completes_a_loud_recording_is_named_though_it_belongs_to_moments(
+    concealed: Callable[[Bench, int], None], name: str
+) -> None:
+    """A cable of thirty times the noise, and beside it a hundredth of that which is all that else would be left."""
+    runs = [Bench(seed, rows=4000) for seed in (115, 315)]
+    for seed, run in enumerate(runs):
+        cable_drag(run)
+        concealed(run, seed)
+    work = diagnose(scene_of(runs[0].observations()), holdout=scene_of(runs[1].observations()))
+    assert work.diagnosis.verdict == "explained"
+    assert {f.effect for f in work.diagnosis.findings} == {"cable_drag", name}
 
 
 def test_nothing_supports_what_makes_raw_errors_larger() -> None:

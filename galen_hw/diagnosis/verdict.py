@@ -8,6 +8,7 @@ from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.guards import Premise
 from galen_hw.diagnosis.judge import Judged
 from galen_hw.diagnosis.result import Finding, Verdict
+from galen_hw.physics.event_effects import Vibration
 from galen_hw.physics.table import effect_class
 from galen_hw.spatial import Array
 
@@ -44,20 +45,29 @@ def _swings(x: Array) -> Array:
     return np.asarray(np.var(x, axis=0))
 
 
+def _turns(model: Model, x: Array) -> Array:
+    """(m, C) second differences of x (M, C) inside each run."""
+    return np.concatenate([np.diff(x[run], n=2, axis=0) for run in model.bench.rows.runs])
+
+
 def trifles(model: Model) -> list[Hypothesis]:
     """Effects that do less, in every channel, than another's law may miss there: part of that one.
 
-    Of rough laws, what another rough law may; of any, what no law is known better than.
+    Of rough laws, what another rough law may; of any, what no law is known better than. A hum is compared with how quickly the
+    others turn: whatever a law misses of what is slow is slow.
     """
     does, kinds, free = _does(model), set(), model.bench.scene.belief.bias_free
     for key, x in does.items():
         # What belongs to moments is as large as it is then: a touch in a hundredth of the rows is no trifle.
         when = x.any(axis=1) if effect_class(key).EPISODIC else np.ones(len(x), dtype=bool)
         own = _swings(x) if free and when.all() else np.sum(x[when] ** 2, axis=0) / max(int(when.sum()), 1)
+        hums = effect_class(key) is Vibration
+        own = _swings(_turns(model, x)) if hums else own
         missing = np.zeros(model.bench.width)
         for other, its in does.items():
             rough = effect_class(key).ROUGH and effect_class(other).ROUGH
-            missing = np.maximum(missing, 0.0 if other == key else (FORM if rough else EXACT) * _swings(its))
+            known = (FORM if rough else EXACT) * _swings(_turns(model, its) if hums else its)
+            missing = np.maximum(missing, 0.0 if other == key else known)
         if np.all(own <= missing):
             kinds.add(key)
     return [h for h in model.effects if h.effect is not None and h.effect.KEY in kinds]

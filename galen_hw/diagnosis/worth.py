@@ -51,9 +51,13 @@ def asked(bench: Bench, out: Selection, effect: Effect | None, misfit: float) ->
     return WORTH * (1.0 + beyond * episodic), MATTERS * max(beyond, 0.3 * loud)
 
 
-def completes(effect: Effect | None, paid: float) -> bool:
-    """Whether what lasts takes so much of the excess that is left that hardly any physics is missing beside it."""
-    return effect is not None and not effect.EPISODIC and paid >= NEARLY_ALL
+def completes(effect: Effect | None, paid: float, misfit: float) -> bool:
+    """Whether an effect takes so much of the excess that is left that hardly any physics is missing beside it.
+
+    What belongs to moments fits nearly anything: of it noise alone must be left, which a misfit by many names never is.
+    """
+    proved = effect is not None and (not effect.EPISODIC or misfit < PROVED)
+    return proved and paid >= NEARLY_ALL
 
 
 def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, float]:
