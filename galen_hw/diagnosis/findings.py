@@ -78,12 +78,11 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
 
 def says(finding: Finding) -> str:
     """What physics and how much of it; why it is believed."""
-    key, gain = finding.effect, finding.evidence["heldout_gain"]
+    key = finding.effect
     names = finding.joints or finding.channels
     place = ", ".join(names) if len(names) < 4 else f"{', '.join(names[:3])} and {len(names) - 3} more"
     first = f"{SAYS[key][0].upper()}{SAYS[key][1:]} ({place}): {headline(finding)}."
-    share = f"on data it did not learn from it takes {100 * gain:.0f} % of the excess"
-    return f"{first} {BELIEVED[key][0].upper()}{BELIEVED[key][1:]}; {share}."
+    return f"{first} {BELIEVED[key][0].upper()}{BELIEVED[key][1:]}; on data it did not learn from it {finding.takes}."
 
 
 def _free(model: Model) -> Array:

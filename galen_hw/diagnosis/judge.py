@@ -68,7 +68,12 @@ class Judged:
         return self.after if self.unnamed is None else self.unnamed
 
     def gain(self, key: str) -> float:
-        """Share of the held-out excess, channels weighed by their noise, that an effect removes."""
+        """Share of the held-out excess, channels weighed by their noise, that an effect removes.
+
+        Touches remove nothing of another recording, whose own are left out: without them the others are only learnt otherwise.
+        """
+        if key == Contact.KEY and self.name == ELSEWHERE:
+            return 0.0
         return self._share(self.without[key] - self.after)
 
     def unnamed_gain(self) -> float:

@@ -36,6 +36,14 @@ class Finding:
     evidence: dict[str, float]
     confounded_with: list[Confusion] = field(default_factory=list)
 
+    @property
+    def takes(self) -> str:
+        """What it does on data that it did not learn from, in words."""
+        gain = self.evidence["heldout_gain"]
+        if self.effect == "contact" and gain == 0.0:
+            return "does nothing in another recording, whose touches are its own"
+        return f"takes {100 * gain:.0f} % of the excess"
+
 
 @dataclass
 class Diagnosis:

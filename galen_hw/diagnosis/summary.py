@@ -95,8 +95,7 @@ def _why(finding: Finding) -> str:
     place = ", ".join(finding.joints[:FEW] or [channel_words(c) for c in finding.channels[:FEW]])
     more = max(len(finding.joints) - FEW, 0)
     place += f" and {more} more" if more else ""
-    gain = finding.evidence["heldout_gain"]
-    out = f"{finding.effect.replace('_', ' ')} ({place}): {headline(finding)}; takes {100 * gain:.0f} % of the excess"
+    out = f"{finding.effect.replace('_', ' ')} ({place}): {headline(finding)}; {finding.takes}"
     if finding.confounded_with:
         out += f"; could also be {' or '.join(c.effect.replace('_', ' ') for c in finding.confounded_with[:FEW])}"
     return out
