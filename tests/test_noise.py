@@ -24,7 +24,7 @@ from galen_hw.diagnosis.rows import Rows
 from galen_hw.diagnosis.seek import _jumps
 from galen_hw.diagnosis.slow_noise import shelves, whitest
 from galen_hw.physics.effect import Columns
-from galen_hw.physics.event_effects import Vibration
+from galen_hw.physics.event_effects import Contact, Vibration
 from galen_hw.physics.table import scene_of
 
 
@@ -174,6 +174,17 @@ def test_rounding_that_hides_the_noise_of_another_recording_is_not_less_noise() 
     ratio = _noisier(model, quiet)
     assert ratio[0] == 1.0
     assert ratio[1:] == pytest.approx(0.01, rel=0.05)
+
+
+def test_the_edges_of_a_touch_are_not_the_first_recording_s_noise() -> None:
+    """It sets in at once, and no smooth shape does: what is left of its edges had made another recording seem quieter."""
+    case = Cases(4)
+    case.wrench[(case.t > 30.0) & (case.t < 36.0), 2] += 100.0 * SIGMA[2]
+    bench = DiagnosisBench(scene_of(case.observations()), 0.0, 0)
+    bench.learn_noise([])
+    touch = bench.add(Contact((WRENCH[2],), ((29.5, 36.5),), 4))
+    model = Model(bench, [bench.made(None, c) for c in bench.constants()], [touch], bench.whitened(bench.whole))
+    assert _noisier(model, Cases(5, rows=len(bench.rows)).noise)[2] == pytest.approx(1.0, rel=0.2)
 
 
 def test_few_bands_that_scatter_as_white_noise_does_are_white() -> None:

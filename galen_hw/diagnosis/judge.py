@@ -196,10 +196,14 @@ def _noisier(model: Model, rest: Array) -> Array:
     """(C,) noise of another recording over that of the first, from second differences: they hold hardly any motion.
 
     Of rounded readings no less: where what is read stands between two steps, rounding hides the noise, and not its own error.
+    Outside touches, whose edges no smooth shape follows.
     """
-    here, there = (np.mean(np.diff(x, n=2, axis=0) ** 2, axis=0) for x in (model.rest()[~model.bench.dropped], rest))
-    good = model.bench.scene.clock & (here > 0.0) & (there > 0.0)
-    ratio = np.where(good, there / np.where(good, here, 1.0), 1.0)
+    good = ~model.bench.dropped
+    free = good & ~touched(model)
+    own = model.rest()[free if free.any() else good]
+    here, there = (np.mean(np.diff(x, n=2, axis=0) ** 2, axis=0) for x in (own, rest))
+    told = model.bench.scene.clock & (here > 0.0) & (there > 0.0)
+    ratio = np.where(told, there / np.where(told, here, 1.0), 1.0)
     return np.where(model.bench.steps > 0.0, np.maximum(ratio, 1.0), ratio)
 
 
