@@ -226,9 +226,9 @@ def _undisturbed(model: Model, scene: Scene) -> tuple[Mask, tuple[tuple[float, f
             one.effect.episodes for one in contacts(scene, apply(model, scene, good)) if isinstance(one.effect, Contact)
         ]
         episodes = max(found, key=lambda each: sum(end - start for start, end in each), default=())
-        good = whole & ~np.any(
-            [(time >= start) & (time <= end) for start, end in episodes or [(np.inf, np.inf)]], axis=0
-        )
+        good = whole.copy()
+        for start, end in episodes:
+            good &= (time < start) | (time > end)
     return good, episodes
 
 

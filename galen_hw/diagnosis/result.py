@@ -41,7 +41,7 @@ class Finding:
         """What it does on data that it did not learn from, in words."""
         gain = self.evidence["heldout_gain"]
         if self.effect == "contact" and gain == 0.0:
-            return "does nothing in another recording, whose touches are its own"
+            return "takes none of the excess outside its own moments"
         return f"takes {100 * gain:.0f} % of the excess"
 
 

@@ -85,10 +85,11 @@ def sure(rest: Array, without: Array) -> float:
 
 
 def belied(rest: Array, without: Array) -> bool:
-    """Whether held-out rows show in some channel that an effect does not act there as was learnt, in units of the noise.
+    """Whether held-out rows show in some channel that an effect does not act there as was learnt.
 
-    The error is larger there with it, by more than a wrong estimate of a right effect would make it and by more than luck: what
-    is right in one channel and wrong in the next is the wrong physics.
+    Of rests (n, c) with and without it, in units of the noise. The error is larger there with it, by more than a wrong estimate
+    of a right effect would make it and by more than luck: what is right in one channel and wrong in the next is the wrong
+    physics.
     """
     effect, better = without - rest, without**2 - rest**2
     size = np.sum(effect**2, axis=0)
