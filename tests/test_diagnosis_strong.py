@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -12,9 +13,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import Array, Bench, Servo, cable_drag, carriage, lagged, sines
 
+from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.engine import diagnose
 from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.verdict import FORM, tolerated, trifles
+from galen_hw.diagnosis.verdict import FORM, strong, tolerated, trifles
 from galen_hw.diagnosis.wanted import Guard
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.event_effects import Contact, Vibration
@@ -147,6 +149,18 @@ def test_what_completes_a_loud_recording_is_named_though_it_belongs_to_moments(
     work = diagnose(scene_of(runs[0].observations()), holdout=scene_of(runs[1].observations()))
     assert work.diagnosis.verdict == "explained"
     assert {f.effect for f in work.diagnosis.findings} == {"cable_drag", name}
+
+
+@pytest.mark.parametrize(
+    ("share", "size", "worth_saying"), [(0.004, 0.2, False), (0.006, 0.2, True), (0.004, 0.4, True), (0.5, 0.1, False)]
+)
+def test_structure_is_said_that_is_large_enough_to_matter(share: float, size: float, *, worth_saying: bool) -> None:
+    """A share of what is left, whitened, and an rms over the noise's."""
+    work = diagnose(scene_of(Bench().observations()))
+    sigma = work.bench.noise.sigma
+    judged = replace(work.judged, before=sigma**2)
+    left = [Left(0, "speeds", 9.0, share, size * float(sigma[0]), np.zeros((1, 1)))]
+    assert strong(left, judged, work.bench) == left * worth_saying
 
 
 def test_nothing_supports_what_makes_raw_errors_larger() -> None:

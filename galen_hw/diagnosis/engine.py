@@ -25,7 +25,7 @@ from galen_hw.diagnosis.select import at_first_sight, library, select
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.touches import outstanding
 from galen_hw.diagnosis.unnamed import left_by, might_yield, predict_unnamed
-from galen_hw.diagnosis.verdict import beyond, strong, trifles, verdict_of
+from galen_hw.diagnosis.verdict import beyond, contradicted, strong, trifles, verdict_of
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.event_effects import Contact, Glitches
 from galen_hw.physics.scene import Scene
@@ -283,7 +283,7 @@ def _said(
     findings = findings_of(model, selection, judged, glitch)
     for finding in findings:
         finding.confounded_with = confusions(model, selection, finding)
-    rest = left or beyond(judged, model, untouched=True)
+    rest = left or beyond(judged, model, untouched=True) or contradicted(judged, model)
     if premise.wrong or rest:
         findings.append(unknown_finding(bench, judged, rest, premise))
     verdict = verdict_of(findings, rest, premise)

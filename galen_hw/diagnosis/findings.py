@@ -18,6 +18,7 @@ from galen_hw.diagnosis.select import CHANCE
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.sizes import SIGNAL, headline
 from galen_hw.diagnosis.variables import joint_units
+from galen_hw.diagnosis.verdict import NOTHING_ELSEWHERE
 from galen_hw.diagnosis.wander import mean_frequency
 from galen_hw.diagnosis.words import BELIEVED, SAYS
 from galen_hw.physics.event_effects import Glitches, Vibration
@@ -72,6 +73,8 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
     evidence = {"heldout_gain": gain, "score": score, "false_alarm_probability": chance}
     finding = Finding(key, channels, joints, "", parameters, evidence)
     remarks = dict.fromkeys(h.effect.remark for h in parts if h.effect is not None and h.effect.remark)
+    if key in judged.at_home:
+        remarks["The other recording hardly rouses it; that was told by blocks left out of this one."] = None
     finding.says = " ".join([says(finding), *remarks])
     return finding
 
@@ -205,6 +208,11 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
             says = (
                 f"Structure is left in {where} that no named effect explains: {follows}, "
                 f"which makes up {100 * share:.2g} % of what is left and holds on blocks that it was not fitted on."
+            )
+        elif best.kind == NOTHING_ELSEWHERE:
+            says = (
+                f"In the recording itself the error in {where} is {z**0.5:.2g} times the noise, and nothing that holds in "
+                f"{ELSEWHERE} too explains what is left."
             )
         else:
             says = (

@@ -9,7 +9,7 @@ from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.episodes import contacts
 from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.linear import predicted
+from galen_hw.diagnosis.linear import predicted, white_left_out
 from galen_hw.diagnosis.remainder import Remainder
 from galen_hw.diagnosis.rows import Mask, Rows
 from galen_hw.diagnosis.wanted import LEAST_SUPPORT, Guard, poor, support, sure
@@ -37,6 +37,8 @@ class Judged:
         refused: keys of which held-out rows, that it would show in, hold the contrary.
         untouched: `after` on the rows of no contact that the model believes in, None: there is none or no such row; how a touch
             swells and lets go is no law of the arm, and fitted no better than its few shapes allow.
+        at_home: per key of an effect that another recording hardly rouses, the share of the excess that it takes on blocks left
+            out of its own; support and sure are told by these too.
         unnamed: with what generic functions predict besides, without a name, where that earns its place; None: it does not.
         places: where a key stands more than once, per number in the model's effects: the same of that one alone.
         episodes: times (s) of contacts in another recording; good: (M,) its rows that are judged on, all others left out of
@@ -52,6 +54,7 @@ class Judged:
     sure: dict[str, float] = field(default_factory=dict)
     refused: set[str] = field(default_factory=set)
     places: dict[int, tuple[float, float]] = field(default_factory=dict)
+    at_home: dict[str, float] = field(default_factory=dict)
     episodes: tuple[tuple[float, float], ...] = ()
     good: Mask | None = None
     untouched: Array | None = None
@@ -74,6 +77,8 @@ class Judged:
         """
         if key == Contact.KEY and self.name == ELSEWHERE:
             return 0.0
+        if key in self.at_home:
+            return self.at_home[key]
         return self._share(self.without[key] - self.after)
 
     def unnamed_gain(self) -> float:
@@ -147,8 +152,25 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
         # In another recording what belongs to moments is not there: then these rows speak of the others' sizes alone.
         if holdout is None and judged.sure[key] < 0.0 and guard.could_tell(part):
             judged.refused.add(key)
+        kind = effect_class(key)
+        if holdout is not None and not kind.EPISODIC and not kind.BRIEF and not guard.could_tell(part):
+            judged.support[key], judged.sure[key], judged.at_home[key] = _at_home(model, part, key)
     judged.places = _places(model, guard)
     return judged
+
+
+def _at_home(model: Model, part: Model, key: str) -> tuple[float, float, float]:
+    """Support and `sure` of what a smaller model has left out, and its share of the excess, on blocks left out of its own data.
+
+    A temperature that stays where it is, or a joint that rests, says nothing for an effect and nothing against it.
+    """
+    each = (model, part, model.without(model.effects))
+    rest, without, before = (white_left_out(model.bench, one.parts, one.white) for one in each)
+    own = _channels(model, key)
+    lost = float(np.sum(np.mean(without**2 - rest**2, axis=0)))
+    excess = float(np.sum(np.maximum(np.mean(before**2, axis=0) - 1.0, 0.0)))
+    share = float(np.clip(lost / excess, -1.0, 1.0)) if excess > 0.0 else 0.0
+    return support(without[:, own], rest[:, own]), sure(rest, without), share
 
 
 def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remainder: Remainder | None) -> Judged:

@@ -80,6 +80,11 @@ def left_out(bench: Bench, model: list[Hypothesis], white: Array, *, folds: int 
     return np.asarray(np.mean(_errors(bench, model, white, folds=folds, fine=fine) ** 2, axis=0))
 
 
+def white_left_out(bench: Bench, model: list[Hypothesis], white: Array) -> Array:
+    """(n, C) white errors on the training rows, each block predicted from the others."""
+    return _errors(bench, model, white, folds=5, fine=False, whitened=True)
+
+
 def _errors(
     bench: Bench, model: list[Hypothesis], white: Array, *, folds: int, fine: bool, whitened: bool = False
 ) -> Array:

@@ -16,7 +16,7 @@ from galen_hw.diagnosis.worth import plausible
 RIGID = ("base_tilt", "joint_offset", "joint_scale", "link_geometry", "payload", "sensor_mounting")
 """Constants of the arm and its load, which stand for each other in twos and threes: an axis that is turned is the joint
 before it with another zero, and the sensor turned back."""
-EXCHANGED = (*RIGID, "cable_drag")
+EXCHANGED = (*RIGID, "cable_drag", "gain")
 """What may give way to them: a steady pull is the weight of a payload that hangs from a tilted arm."""
 FIRSTS = 4
 """Kinds that are tried as the first of the others."""

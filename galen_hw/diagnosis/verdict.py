@@ -1,16 +1,22 @@
 """What is left worth saying, and the verdict that follows."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.guards import Premise
-from galen_hw.diagnosis.judge import Judged
+from galen_hw.diagnosis.judge import ELSEWHERE, Judged, touched
 from galen_hw.diagnosis.result import Finding, Verdict
 from galen_hw.physics.event_effects import Vibration
 from galen_hw.physics.table import effect_class
 from galen_hw.spatial import Array
+
+NOTHING_RECORDED = "nothing that was recorded"
+NOTHING_ELSEWHERE = "nothing that holds elsewhere"
+"""Words for structure that no function caught."""
 
 BEYOND = 1.5
 """Held-out mean square over the noise's above which something is left, whether or not any function tried has caught it."""
@@ -45,16 +51,18 @@ def _swings(x: Array) -> Array:
     return np.asarray(np.var(x, axis=0))
 
 
-def _turns(model: Model, x: Array) -> Array:
-    """(m, C) second differences of x (M, C) inside each run."""
-    return np.concatenate([np.diff(x[run], n=2, axis=0) for run in model.bench.rows.runs])
+def _at_hums(model: Model, x: Array) -> Array:
+    """(M, C) the part of x (M, C) that swings as the hums of a model do, in whatever phase."""
+    hums = [h.raw.values[:, 0] for h in model.effects if isinstance(h.effect, Vibration)]
+    X = np.concatenate(hums, axis=1)
+    return np.asarray(X @ np.linalg.lstsq(X, x, rcond=1e-9)[0])
 
 
 def trifles(model: Model) -> list[Hypothesis]:
     """Effects that do less, in every channel, than another's law may miss there: part of that one.
 
-    Of rough laws, what another rough law may; of any, what no law is known better than. A hum is compared with how quickly the
-    others turn: whatever a law misses of what is slow is slow.
+    Of rough laws, what another rough law may; of any, what no law is known better than. A hum is compared with what the others
+    do at its frequency: what a law misses swings as the law does.
     """
     does, kinds, free = _does(model), set(), model.bench.scene.belief.bias_free
     for key, x in does.items():
@@ -62,11 +70,10 @@ def trifles(model: Model) -> list[Hypothesis]:
         when = x.any(axis=1) if effect_class(key).EPISODIC else np.ones(len(x), dtype=bool)
         own = _swings(x) if free and when.all() else np.sum(x[when] ** 2, axis=0) / max(int(when.sum()), 1)
         hums = effect_class(key) is Vibration
-        own = _swings(_turns(model, x)) if hums else own
         missing = np.zeros(model.bench.width)
         for other, its in does.items():
             rough = effect_class(key).ROUGH and effect_class(other).ROUGH
-            known = (FORM if rough else EXACT) * _swings(_turns(model, its) if hums else its)
+            known = (FORM if rough else EXACT) * _swings(_at_hums(model, its) if hums else its)
             missing = np.maximum(missing, 0.0 if other == key else known)
         if np.all(own <= missing):
             kinds.add(key)
@@ -89,7 +96,7 @@ def beyond(judged: Judged, model: Model, *, untouched: bool = False) -> list[Lef
     return [
         Left(
             int(c),
-            "nothing that was recorded",
+            NOTHING_RECORDED,
             float(ratio[c]),
             float(1.0 - 1.0 / ratio[c]),
             float(np.sqrt(after[c] - judged.floor[c])),
@@ -100,6 +107,23 @@ def beyond(judged: Judged, model: Model, *, untouched: bool = False) -> list[Lef
     ]
 
 
+def contradicted(judged: Judged, model: Model) -> list[Left]:
+    """The same of the recording itself where another one has judged: what explained it may not have held there."""
+    if judged.name != ELSEWHERE:
+        return []
+    bench = model.bench
+    free = bench.train & ~touched(model)
+    after = np.mean(model.rest()[free if free.any() else bench.train] ** 2, axis=0)
+    here = replace(judged, after=after, floor=bench.noise.sigma**2, untouched=None)
+    return [replace(one, kind=NOTHING_ELSEWHERE) for one in beyond(here, model)]
+
+
+LEAST_LEFT = 0.005
+"""Share of what is left, whitened, that structure must make up: a fourteenth of the noise's size is no matter."""
+LARGE = 0.1
+"""Mean square over the noise's from which it does matter, however little of it the weights of slow noise show."""
+
+
 def strong(left: list[Left], judged: Judged, bench: Bench) -> list[Left]:
     """Leftovers that are worth saying: above chance, and not a trifle beside what was found or the noise."""
     out = []
@@ -107,7 +131,8 @@ def strong(left: list[Left], judged: Judged, bench: Bench) -> list[Left]:
         size = one.size**2
         before = float(judged.before[one.channel] - bench.noise.sigma[one.channel] ** 2)
         rounding = _followed(float(bench.steps[one.channel]), float(bench.noise.sigma[one.channel]))
-        if size > max(0.03 * bench.noise.sigma[one.channel] ** 2, rounding) and size > 0.03 * before:
+        matters = one.share >= LEAST_LEFT or size > LARGE * bench.noise.sigma[one.channel] ** 2
+        if matters and size > max(0.03 * bench.noise.sigma[one.channel] ** 2, rounding) and size > 0.03 * before:
             out.append(one)
     return out
 

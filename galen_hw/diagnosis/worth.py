@@ -27,6 +27,12 @@ NEARLY_ALL = 0.95
 """Share of the excess that is left from which it does not matter how small a part of the whole that is."""
 
 
+MOSTLY = 0.8
+"""The same where noise alone is left besides: the rest of that share is the error of a small effect."""
+ALONE = 1.05
+"""Whitened mean square below which it is."""
+
+
 PROVED = 1.25
 """Whitened mean square below which a model leaves hardly more than noise."""
 
@@ -57,7 +63,7 @@ def completes(effect: Effect | None, paid: float, misfit: float) -> bool:
     What belongs to moments fits nearly anything: of it noise alone must be left, which a misfit by many names never is.
     """
     proved = effect is not None and (not effect.EPISODIC or misfit < PROVED)
-    return proved and paid >= NEARLY_ALL
+    return proved and paid >= (MOSTLY if misfit < ALONE else NEARLY_ALL)
 
 
 def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, float]:
