@@ -35,8 +35,10 @@ def judged_by(first: Observations, other: Observations) -> Work:
 
 def test_what_the_other_recording_does_not_rouse_is_told_by_blocks_left_out() -> None:
     """A temperature that stays where it is says nothing for a coefficient and nothing against it."""
-    (finding,) = judged_by(warmed(781, 81.0), warmed(1381, None)).diagnosis.findings
+    diagnosis = judged_by(warmed(781, 81.0), warmed(1381, None)).diagnosis
+    (finding,) = diagnosis.findings
     assert finding.effect == "temperature"
+    assert any(note.startswith("the recording held out hardly rouses temperature") for note in diagnosis.notes)
     assert finding.parameters["coefficient"].value == pytest.approx(PER_KELVIN, rel=0.05)
     assert finding.evidence["heldout_gain"] > 0.9
     assert "The other recording hardly rouses it" in finding.says

@@ -291,6 +291,9 @@ def _said(
     notes = list(premise.notes)
     if verdict == "agrees":
         notes.append(_limit(bench))
+    if judged.at_home:
+        told = ", ".join(key.replace("_", " ") for key in judged.at_home)
+        notes.append(f"the recording held out hardly rouses {told}: told by blocks left out of the first")
     if bench.scene.heard is not None:
         notes.append(
             f"above {bench.scene.heard:.3g} Hz the noise of the joint positions, differentiated, drowns all: it was filtered out"

@@ -17,7 +17,8 @@ RIGID = ("base_tilt", "joint_offset", "joint_scale", "link_geometry", "payload",
 """Constants of the arm and its load, which stand for each other in twos and threes: an axis that is turned is the joint
 before it with another zero, and the sensor turned back."""
 EXCHANGED = (*RIGID, "cable_drag", "gain")
-"""What may give way to them: a steady pull is the weight of a payload that hangs from a tilted arm."""
+"""What may give way to them: a steady pull is the weight of a payload that hangs from a tilted arm, and a gain most of one at the
+end of a single link."""
 FIRSTS = 4
 """Kinds that are tried as the first of the others."""
 LEAST_PART = 0.1
