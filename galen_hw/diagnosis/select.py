@@ -177,7 +177,7 @@ def _best(
         if paid < share and (finer := finest(bench, scorer, out.chosen, i)) != i:
             better, (paid, whole) = finer, worth(bench, scorer, out, finer)
         # Whoever takes nearly all that is left completes the model, however loud the recording was.
-        if (paid >= share and (whole >= of_all or _completes(scorer, out, better, paid))) or shows_in_noise(
+        if (paid >= share and (whole >= of_all or completes(bench, scorer, [*out.chosen, better], paid))) or shows_in_noise(
             bench, scorer, out, better
         ):
             if plausible(bench, scorer, out.chosen, better):
@@ -193,10 +193,6 @@ def _best(
         if effect is not None:
             out.refused.append((effect, paid))
     return None
-
-
-def _completes(scorer: Scorer, out: Selection, i: int, paid: float) -> bool:
-    return completes(scorer.library[i].effect, paid, scorer.misfit([*out.chosen, i]))
 
 
 def _plausible_kin(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], i: int) -> int | None:

@@ -57,13 +57,19 @@ def asked(bench: Bench, out: Selection, effect: Effect | None, misfit: float) ->
     return WORTH * (1.0 + beyond * episodic), MATTERS * max(beyond, 0.3 * loud)
 
 
-def completes(effect: Effect | None, paid: float, misfit: float) -> bool:
-    """Whether an effect takes so much of the excess that is left that hardly any physics is missing beside it.
+def completes(bench: Bench, scorer: Scorer, chosen: list[int], paid: float) -> bool:
+    """Whether the last of the chosen takes so much of the excess that is left that hardly any physics is missing beside it.
 
     What belongs to moments fits nearly anything: of it noise alone must be left, which a misfit by many names never is.
     """
-    proved = effect is not None and (not effect.EPISODIC or misfit < PROVED)
-    return proved and paid >= (MOSTLY if misfit < ALONE else NEARLY_ALL)
+    effect, misfit = scorer.library[chosen[-1]].effect, scorer.misfit(chosen)
+    if effect is None or (effect.EPISODIC and misfit >= PROVED):
+        return False
+    if paid >= NEARLY_ALL or paid < MOSTLY or misfit >= ALONE:
+        return paid >= NEARLY_ALL
+    # Physics that is missing passes for slow noise where it is left long enough: raw errors do not hide it.
+    after = np.mean(errors(bench, scorer, chosen) ** 2, axis=0)
+    return bool(np.all(after < PROVED * bench.noise.sigma**2))
 
 
 def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, float]:
