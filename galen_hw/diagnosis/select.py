@@ -177,9 +177,9 @@ def _best(
         if paid < share and (finer := finest(bench, scorer, out.chosen, i)) != i:
             better, (paid, whole) = finer, worth(bench, scorer, out, finer)
         # Whoever takes nearly all that is left completes the model, however loud the recording was.
-        if (paid >= share and (whole >= of_all or completes(bench, scorer, [*out.chosen, better], paid))) or shows_in_noise(
-            bench, scorer, out, better
-        ):
+        if (
+            paid >= share and (whole >= of_all or completes(bench, scorer, [*out.chosen, better], paid))
+        ) or shows_in_noise(bench, scorer, out, better):
             if plausible(bench, scorer, out.chosen, better):
                 return better
             # At the optimum it is not what it is called; beside it, where other physics is still missing, it may be.
