@@ -65,8 +65,10 @@ def completes(bench: Bench, scorer: Scorer, chosen: list[int], paid: float) -> b
     effect, misfit = scorer.library[chosen[-1]].effect, scorer.misfit(chosen)
     if effect is None or (effect.EPISODIC and misfit >= PROVED):
         return False
-    if paid >= NEARLY_ALL or paid < MOSTLY or misfit >= ALONE:
-        return paid >= NEARLY_ALL
+    if paid >= NEARLY_ALL:
+        return True
+    if paid < MOSTLY or misfit >= ALONE:
+        return False
     # Physics that is missing passes for slow noise where it is left long enough: raw errors do not hide it.
     after = np.mean(errors(bench, scorer, chosen) ** 2, axis=0)
     return bool(np.all(after < PROVED * bench.noise.sigma**2))
