@@ -98,11 +98,17 @@ def proposals(group, static=False):
     found += [Step((first,), 5.0), Vibration((first, last), 3.0), Contact((first,), ((2.0, 4.0), (7.0, 8.0)))]
     found += [Step((first,), 5.0, one.name) for one in made.slipping()] + [Contact((first,), ((2.0, 4.0),), 3)]
     if group in ("wrench", "effort"):
-        found += [CableDrag("tendon"), CableDrag("tendon_dry"), Payload("point", (0.02, -0.01, -0.1))]
+        found += [
+            CableDrag("tendon"),
+            CableDrag("tendon_dry"),
+            CableDrag("tendon_eye"),
+            Payload("point", (0.02, -0.01, -0.1)),
+        ]
         tied = [e for e in CableDrag.propose(made) if e.anchored or e.clipped]
-        found += [replace(e, form=form) for e in tied for form in ("tendon", "tendon_dry")]
+        found += [replace(e, form=form) for e in tied for form in ("tendon", "tendon_dry", "tendon_eye")]
     found += [Lag(0.2, damping=0.4)] if made.clock else []
     if group in ("pose", "targets"):
         found += [e.with_searched({"friction": 0.05}) for e in found if isinstance(e, Creep) and e.joint]
+    found += [richer for e in found for richer in e.richer(made)]
     found += [Glitches((first,), (3, 9))] + ([TorqueRipple("elbow", 9.0)] if group == "effort" else [])
     return made, list({(e.family, *e.searched()): e for e in found}.values())

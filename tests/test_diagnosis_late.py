@@ -127,3 +127,20 @@ def test_a_clock_that_is_off_hides_nothing_else(seconds: float) -> None:
     work = diagnose(scene_of(bench.observations()))
     assert {f.effect for f in work.diagnosis.findings} == {"time_delay", "payload", "drift"}
     assert work.diagnosis.verdict == "explained"
+
+
+@pytest.mark.parametrize("delay", [0.01, 0.04])
+def test_a_scale_beside_a_delay_makes_no_response_of_second_order(delay: float) -> None:
+    """A servo that rings is larger than its command too: beside a delay thirty times the noise it had been that."""
+    runs = []
+    for seed in (1, 2):
+        servo = Servo(seed, rows=6000, rate=100.0)
+        late = [np.interp(servo.t - delay, servo.t, command) for command in servo.command.T]
+        servo.position = 1.003 * np.stack(late, axis=1)
+        runs.append(scene_of(servo.observations()))
+    work = diagnose(runs[0], holdout=runs[1])
+    assert [f.effect for f in work.diagnosis.findings] == ["time_delay", "joint_scale"]
+    assert work.diagnosis.verdict == "explained"
+    late, scale = (f.parameters for f in work.diagnosis.findings)
+    assert late["delay"].value == pytest.approx(delay, rel=0.01)
+    assert [scale[f"{name}: scale_error"].value for name in ("pan", "lift")] == pytest.approx([0.003] * 2, rel=0.1)

@@ -4,66 +4,23 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import Array, Bench, Servo, cable_drag, carriage, lagged, sines
+from diagnosis_cases import Array, Bench, Servo, cable_drag, lagged
 
 from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.engine import diagnose
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.verdict import FORM, strong, tolerated, trifles
 from galen_hw.diagnosis.wanted import Guard
-from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.event_effects import Contact, Vibration
-from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.play_effects import Backlash
+from galen_hw.physics.observations import Observations
 from galen_hw.physics.sensor_effects import Gain
 from galen_hw.physics.table import scene_of
-
-MASS: Final = 4.0
-HALF_GAP: Final = 1e-3
-DRAG: Final = 250.0
-"""N s/m: the carriage is dragged along within 16 ms, and takes longer to cross the gap."""
-
-
-def in_grease(folder: Path, seed: int) -> Observations:
-    """A carriage between two stops of a nut that follows its command; grease in the gap drags it along. Integrated at 5 kHz."""
-    robot = folder / "slide.urdf"
-    robot.write_text(carriage(MASS))
-    rng, fine, rows = np.random.default_rng(seed), 50, 3000
-    t = np.arange(rows * fine) * 0.01 / fine
-    nut = sines(rng, t, 0.05, 0.05, 0.5)
-    place, speed, dt, read = float(nut[0]), 0.0, 0.01 / fine, []
-    for k, at in enumerate(nut.tolist()):
-        if k % fine == 0:
-            read.append(place)
-        following = (at - nut[max(k - 1, 0)]) / dt
-        speed += -DRAG * (speed - following) / MASS * dt
-        place += speed * dt
-        if abs(place - at) > HALF_GAP:
-            place, speed = at + float(np.clip(place - at, -HALF_GAP, HALF_GAP)), following
-    columns = {
-        "time": t[::fine],
-        "joint.axis.command": nut[::fine],
-        "joint.axis.position": np.array(read) + 1e-4 * rng.normal(size=rows),
-    }
-    return Observations("position", columns, None, Belief(robot=UrdfRobot(robot)))
-
-
-def test_a_link_that_grease_drags_through_its_gap_has_play(tmp_path: Path) -> None:
-    """It neither rests until the nut has crossed the gap nor is thrown at once: ten times the noise, and its size is told."""
-    learnt, other = (scene_of(in_grease(tmp_path, seed)) for seed in (1, 2))
-    work = diagnose(learnt, holdout=other)
-    assert [f.effect for f in work.diagnosis.findings] == ["backlash"]
-    told = work.diagnosis.findings[0].parameters
-    assert told["half_play"].value == pytest.approx(HALF_GAP, rel=0.05)
-    assert told["impulse"].value == pytest.approx(HALF_GAP * DRAG, rel=0.15)
-    assert told["impulse"].unit == "N s"
 
 
 def wandering(rng: np.random.Generator, t: Array, frequency: float) -> Array:
@@ -177,16 +134,3 @@ def test_nothing_supports_what_makes_raw_errors_larger() -> None:
         support, certain = guard.of(other, [0])
         assert (support > 0.0) == supported
         assert certain > 5.0
-
-
-def test_an_impulse_throws_a_link_that_nothing_drags(tmp_path: Path) -> None:
-    """The less grease, the nearer to a play that the load throws from stop to stop; all of it is one stop operator."""
-    scene = scene_of(in_grease(tmp_path, 1))
-    thrown = Backlash("axis", None, 1e-3, balanced=True).columns(scene).values[:, 0, 0]
-    quick = Backlash("axis", None, None, balanced=True, impulse=1e-5).columns(scene).values[:, 0, 0]
-    assert np.mean(np.abs(thrown - quick) < 1e-6) > 0.98
-    slow = Backlash("axis", None, None, balanced=True, impulse=1e3).columns(scene).values[:, 0, 0]
-    load = scene.inertia_load("axis")
-    assert load is not None
-    summed = np.concatenate([[0.0], np.cumsum(0.5 * (load[1:] + load[:-1]) * np.diff(scene.time))])
-    np.testing.assert_allclose(slow, summed / 1e3, atol=1e-9)

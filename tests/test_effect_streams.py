@@ -38,11 +38,13 @@ def hypotheses(whole: Scene) -> list[Effect]:
     found.append(Drift("", "wander", None, 0.0, 10.0, (first, last)))
     found += [Step((), 5.0, one.name) for one in whole.slipping()]
     if whole.observations.predict in ("wrench", "effort"):
-        found += [CableDrag("tendon"), CableDrag("tendon_dry")]
+        found += [CableDrag("tendon"), CableDrag("tendon_dry"), CableDrag("tendon_eye")]
     if whole.observations.predict == "effort":
         found.append(TorqueRipple("elbow", 9.0))
+    found += [richer for e in found for richer in e.richer(whole)]
     kinds = {
-        (e.KEY, getattr(e, "form", ""), getattr(e, "part", ""), bool(getattr(e, "channels", ""))): e for e in found
+        (e.KEY, getattr(e, "form", ""), getattr(e, "part", ""), bool(getattr(e, "channels", "")), *e.searched()): e
+        for e in found
     }
     return list(kinds.values())
 

@@ -68,6 +68,31 @@ def test_a_tendon_pulls_as_a_taut_cable_does(friction: float) -> None:
     np.testing.assert_allclose(change, bench.wrench - before, atol=1e-12)
 
 
+def drawn(bench: Bench, stiffness: float, rest: float, friction: float) -> None:
+    """The same through an eye that rubs: more while it is drawn out, less while it goes back."""
+    pose = GalenRobot().sensor_pose(bench.q)
+    R, p = pose[:, :3, :3], pose[:, :3, 3]
+    span = ANCHOR - p - R @ CLIP
+    length = np.linalg.norm(span, axis=1)
+    tension = stiffness * (length - rest) + friction * np.tanh(np.gradient(length, bench.t) / 5e-4)
+    force = np.einsum("nji,nj->ni", R, span * (tension / length)[:, None])
+    bench.wrench += np.concatenate([force, np.cross(CLIP, force)], axis=1)
+
+
+@pytest.mark.inject
+def test_a_cable_through_an_eye_that_rubs_is_told() -> None:
+    """Several times the noise: two joints' friction, a contact and something unknown had stood beside its spring."""
+    bench = Bench(rows=4000)
+    drawn(bench, 4.0, 0.2, 0.05)
+    work = diagnosed(bench)
+    assert named(work) == {"cable_drag"}
+    assert work.diagnosis.verdict == "explained"
+    told = found_cable(work)
+    assert told["eye_friction"][0] == pytest.approx(0.05, rel=0.1)
+    assert told["stiffness"][0] == pytest.approx(4.0, rel=0.1)
+    assert told["stroke"][0] < 0.01
+
+
 @pytest.mark.inject
 @pytest.mark.parametrize("friction", [0.0, 0.04])
 def test_a_cable_is_told_with_its_place_and_its_friction(friction: float) -> None:

@@ -84,8 +84,10 @@ def own_clocks(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     # By its slope alone the one clock leaves what its own optimum does not.
     settle_together(bench, scorer, out.chosen)
     (one, _), (each, _) = _sought(bench, scorer, out.chosen, ([e for e in proposed if not e.joint], ends))
-    exchanged = bool(one) and _exchanged(bench, scorer, out, one, {})
-    if len({end.joint for end, _ in each}) < 2 or not _exchanged(bench, scorer, out, each, {}, nearly=True):
+    # A response of second order is larger or smaller than what it follows: it would take a scale that is off for its own.
+    swings = any(isinstance(end, Lag) and end.damping is not None for end, _ in one)
+    exchanged = bool(one) and _exchanged(bench, scorer, out, one, {}, nearly=1 if swings else 0)
+    if len({end.joint for end, _ in each}) < 2 or not _exchanged(bench, scorer, out, each, {}, nearly=2):
         return exchanged
     # What friction does is little beside all of the lateness, and much beside what the right clocks leave of it.
     out.begun = errors(bench, scorer, out.chosen) ** 2
@@ -327,11 +329,11 @@ def _exchanged(
     clocks: Clocks,
     instead: dict[Effect, Effect],
     *,
-    nearly: bool = False,
+    nearly: int = 0,
 ) -> bool:
     """Whether a model with other clocks, and all else as it arrives through them, was better and was taken.
 
-    `nearly`: only if these take nearly all that is above the noise wherever they are better.
+    `nearly`: only if these take nearly all that is above the noise wherever they are better, in so many channels at least.
     """
     before, y, timing, old = scorer.solve(out.chosen)[2], bench.y, bench.timing, _ends(scorer, out.chosen)
     missed, others = crossed(bench, scorer, out.chosen), [i for i in out.chosen if i not in old]
@@ -352,7 +354,9 @@ def _exchanged(
     gone = [one for i in old if (one := scorer.library[i].effect) is not None]
     price = (_numbers([one for one, _ in clocks]) - _numbers(gone)) * float(np.log(bench.noise.effective))
     fall = before - scorer.solve(trial)[2] - price
-    if fall > MARGIN and (_nearly_all if nearly else _richer)(bench, missed, crossed(bench, scorer, trial)):
+    errors_after = crossed(bench, scorer, trial)
+    enough = _nearly_all(bench, missed, errors_after, nearly) if nearly else _richer(bench, missed, errors_after)
+    if fall > MARGIN and enough:
         out.chosen = trial
         return True
     bench.y = y
@@ -376,8 +380,8 @@ def _richer(bench: Bench, before: Array, after: Array) -> bool:
     return most >= RICHER and float(np.mean(after / before)) < 1.0
 
 
-def _nearly_all(bench: Bench, before: Array, after: Array) -> bool:
-    """Whether errors (C,) on blocks left out fall in two channels or more, and by nearly all of the excess wherever they do."""
+def _nearly_all(bench: Bench, before: Array, after: Array, channels: int) -> bool:
+    """Whether errors (C,) on blocks left out fall in so many channels, and by nearly all of the excess wherever they do."""
     share = taken(before, after, bench.noise.sigma**2)
     fallen = share[share >= RICHER]
-    return len(fallen) > 1 and bool(np.min(fallen) >= COMPLETE) and float(np.mean(after / before)) < 1.0
+    return len(fallen) >= channels and bool(np.min(fallen) >= COMPLETE) and float(np.mean(after / before)) < 1.0

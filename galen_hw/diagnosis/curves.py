@@ -148,7 +148,7 @@ def _driver(work: Work, effect: Effect, channel: int) -> Axis:
     kind, _, joint = getattr(effect, "driver", f"joint:{getattr(effect, 'joint', '')}").partition(":")
     load = scene.load(joint) if kind == "load" else None
     if isinstance(effect, Backlash) and effect.half_width is None:
-        load = scene.inertia_load(joint) if effect.balanced else scene.load(joint)
+        load = effect.load(scene)
     if load is not None:
         return Axis(f"{joint} load", joint_units(scene, joint)[1], average(load), loop=True)
     if joint in scene.joint_names:

@@ -25,6 +25,9 @@ PLAIN = (
     "products of speeds",
     "positions times speeds",
     "the simulated channels times speeds",
+    "the joint positions times the temperatures",
+    "the simulated channels times the temperatures",
+    "speeds times the temperatures",
 )
 """Families of low powers of the inputs at the moment: what they say of one motion holds of another."""
 MOST_PRODUCTS = 40
@@ -65,8 +68,9 @@ class Inputs:
             applied forces.
         load: (M, c) simulated channels; rate, second: (M, p) of the positions, by the row; empty without a clock.
         reach: (p,) of the positions.
+        warmth: (M, w) thermometers that move.
         lags: rows by which the past is taken.
-        scales: of these four; joints, forces: which columns the positions are.
+        scales: of position, load, rate, second and warmth; joints, forces: which columns the positions are; places: of warmth.
         period: s a row.
         same: the simulated channels are positions themselves; turns: the positions are the sensor's axes.
     """
@@ -76,10 +80,12 @@ class Inputs:
     rate: Array
     second: Array
     reach: Array
+    warmth: Array
     lags: tuple[int, ...]
-    scales: tuple[Scale, Scale, Scale, Scale]
+    scales: tuple[Scale, Scale, Scale, Scale, Scale]
     joints: tuple[str, ...]
     forces: tuple[str, ...]
+    places: tuple[str, ...]
     period: float
     same: bool
     turns: bool
@@ -103,7 +109,13 @@ class Inputs:
         else:
             raw = [load]
         raw += [rows.average(np.nan_to_num(given[name]))[:, None] for name in forces]
-        return cls._scaled(scene, rows, np.concatenate(raw, axis=1), load, like, joints, forces)
+        places = tuple(n for n in given if n.startswith("temperature.")) if like is None else like.places
+        warm = [rows.average(np.nan_to_num(given[name]))[:, None] for name in places]
+        named = joints, forces, places
+        still = np.zeros((len(rows), 0))
+        return cls._scaled(
+            scene, rows, np.concatenate(raw, axis=1), load, np.concatenate([still, *warm], axis=1), like, named
+        )
 
     @classmethod
     def _scaled(
@@ -112,9 +124,9 @@ class Inputs:
         rows: Rows,
         raw: Array,
         load: Array,
+        warm: Array,
         like: "Inputs | None",
-        joints: tuple[str, ...],
-        forces: tuple[str, ...],
+        named: tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]],
     ) -> Self:
         scale = Scale.of(raw) if like is None else like.scales[0]
         position = scale(raw)
@@ -127,20 +139,21 @@ class Inputs:
         reach = np.maximum(np.ptp(position, axis=0), 1e-9) if like is None else like.reach
         period = float(np.median(np.diff(rows.average(scene.time)))) if scene.clock and len(rows) > 1 else 0.0
         lags = tuple(k for k in LAGS if k < len(rows) // 4) if like is None else like.lags
-        scales = (scale, weight, speed, bend)
+        heat = Scale.of(warm) if like is None else like.scales[4]
+        scales = (scale, weight, speed, bend, heat)
         return cls(
             position,
             weight(load),
             speed(rate),
             bend(second),
             reach,
+            heat(warm),
             lags,
             scales,
-            joints,
-            forces,
+            *named,
             period,
             scene.observations.predict == "position",
-            not joints and isinstance(scene, WrenchScene),
+            not named[0] and isinstance(scene, WrenchScene),
         )
 
     @property
@@ -162,7 +175,7 @@ class Inputs:
     @property
     def seen(self) -> Array:
         """(M, k) all of it in one row, as what learns functions by itself wants it."""
-        return np.concatenate([self.position, self.rate, self.second, self.load, self.past], axis=1)
+        return np.concatenate([self.position, self.rate, self.second, self.load, self.warmth, self.past], axis=1)
 
     def comparable(self, other: "Inputs") -> bool:
         """Whether what is by the row here holds there too: a row lasts as long, and there are enough of them."""
@@ -192,6 +205,7 @@ def broad(inputs: Inputs) -> Iterator[tuple[str, Array]]:
         yield "products of the simulated channels", _products(load, load)
         yield "the simulated channels times the joint positions", _products(load, z)
         yield "cubes of the simulated channels", np.concatenate([load**2, load**3, np.abs(load)], axis=1)
+    yield from _warm(inputs)
     if rate.shape[1]:
         speeds = [rate, np.abs(rate), np.tanh(4.0 * rate), second, rate * np.abs(rate)]
         yield "speeds and accelerations", np.concatenate(speeds, axis=1)
@@ -204,6 +218,19 @@ def broad(inputs: Inputs) -> Iterator[tuple[str, Array]]:
             yield "a resonance that motion excites", _resonators(second, low)
         if inputs.lags:
             yield "the past of the inputs", inputs.past
+
+
+def _warm(inputs: Inputs) -> Iterator[tuple[str, Array]]:
+    """What a temperature changes in what motion and load do: it by itself is too slow to be told from noise."""
+    z, load, rate, warmth = inputs.position, inputs.load, inputs.rate, inputs.warmth
+    if not warmth.shape[1]:
+        return
+    yield "the joint positions times the temperatures", _products(z, warmth)
+    if load.shape[1] and not inputs.same:
+        yield "the simulated channels times the temperatures", _products(load, warmth)
+    if rate.shape[1]:
+        speeds = np.concatenate([rate, np.tanh(4.0 * rate)], axis=1)
+        yield "speeds times the temperatures", _products(speeds, warmth)
 
 
 def _products(a: Array, b: Array) -> Array:

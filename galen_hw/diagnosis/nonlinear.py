@@ -215,23 +215,34 @@ def _best_rest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> Array
         return rests(bench, scorer, others)[1][bench.train]
 
 
+PASSES = 4
+"""Over searched values that make up for one another, one after the other: the optimum lies on a ridge."""
+SETTLED = 1.0
+"""Gain of a pass below which they are where they belong: a standard error's worth."""
+
+
 def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> int:
     """The same effect with its searched values at the optimum: a new place in the library, or the old one."""
     hypothesis = scorer.library[i]
     effect = hypothesis.effect
     if effect is None or not effect.searched():
         return i
-    for name, value in effect.searched().items():
-        effect = _along(bench, scorer, chosen, effect, name, value)
+    beside, best = Beside(bench, scorer, chosen), -np.inf
+    for _ in range(PASSES if len(effect.searched()) > 1 else 1):
+        for name, value in effect.searched().items():
+            effect = _along(bench, beside, effect, name, value)
+        if len(effect.searched()) > 1:
+            before, best = best, beside.gain(bench.add(effect))
+            if best < before + SETTLED:
+                break
     scorer.append([bench.add(effect, hypothesis.looked)])
     last = len(scorer.library) - 1
     pair, _ = scorer.scores(chosen, [i, last])
     return last if last in pair and (i not in pair or pair[last].gain > pair[i].gain) else i
 
 
-def _along(bench: Bench, scorer: Scorer, chosen: list[int], effect: Effect, name: str, value: float) -> Effect:
+def _along(bench: Bench, beside: Beside, effect: Effect, name: str, value: float) -> Effect:
     bound = effect.SEARCHED[name]
-    beside = Beside(bench, scorer, chosen)
     wide = effect.doubt(bench.scene)
 
     def cost(log_value: float) -> float:

@@ -181,17 +181,20 @@ def drifts(scene: Scene, rest: Array, time: Array) -> list[Sought]:
 def temperatures(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[Sought]:
     """Every thermometer that several channels follow, in these: a drift in all of them at once would be before it in one.
 
+    At once, and with the delay that takes most.
+
     Args:
         rest: (M, C); average: rows (N, ...) to (M, ...).
     """
     if len(scene.channels) < 2 or len(rest) < FEW_ROWS:
         return []
-    z, out = _scaled(rest), []
-    for one in {t.place: t for t in Temperature.propose(scene)}.values():
-        names, _ = _shared(scene, z, average(one.warmth(scene)[:, None]))
-        if len(names) > 1:
-            out.append(Sought(replace(one, channel="", channels=names), len(scene.channels)))
-    return out
+    z, best = _scaled(rest), dict[tuple[str, bool], tuple[float, Temperature]]()
+    for one in {(t.place, t.constant): t for t in Temperature.propose(scene)}.values():
+        kind = one.place, one.constant is None
+        names, gain = _shared(scene, z, average(one.warmth(scene)[:, None]))
+        if len(names) > 1 and gain > best.get(kind, (0.0, one))[0]:
+            best[kind] = gain, replace(one, channel="", channels=names)
+    return [Sought(effect, len(scene.channels)) for _, effect in best.values()]
 
 
 def _scaled(rest: Array) -> Array:

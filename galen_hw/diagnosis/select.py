@@ -9,6 +9,7 @@ from galen_hw.diagnosis.bends import as_if, rebase, unbent
 from galen_hw.diagnosis.clock_offset import clock_offset
 from galen_hw.diagnosis.clocks import one_clock, own_clocks, reclocked
 from galen_hw.diagnosis.courses import finest, followed
+from galen_hw.diagnosis.enrich import enriched
 from galen_hw.diagnosis.episodes import contacts
 from galen_hw.diagnosis.jumps import timed
 from galen_hw.diagnosis.limits import clipped, levelled
@@ -23,7 +24,7 @@ from galen_hw.diagnosis.selection import Selection, elsewhere
 from galen_hw.diagnosis.split import split
 from galen_hw.diagnosis.tendons import tightened
 from galen_hw.diagnosis.wanted import shows_in_noise
-from galen_hw.diagnosis.worth import WORTH, asked, completes, plausible, taken, worth
+from galen_hw.diagnosis.worth import WORTH, asked, completes, plausible, worth
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Vibration
 from galen_hw.physics.table import EFFECTS, effect_class
@@ -122,7 +123,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         moved = _swap(bench, scorer, out, refused)
         if moved:
             settle_together(bench, scorer, out.chosen)
-        if _enrich(bench, scorer, out) or _bound(bench, scorer, out) or followed(bench, scorer, out):
+        if enriched(bench, scorer, out) or _bound(bench, scorer, out) or followed(bench, scorer, out):
             settle_together(bench, scorer, out.chosen)
         retime(bench, scorer, out.chosen)
         refused.clear()
@@ -316,37 +317,6 @@ def _families(scorer: Scorer, chosen: list[int]) -> set[object]:
     return {effect.family for i in chosen if (effect := scorer.library[i].effect) is not None}
 
 
-RICHER = 0.1
-RICHER_FORMS = 4
-
-
-def _enrich(bench: Bench, scorer: Scorer, out: Selection) -> bool:
-    """A richer form of a chosen effect (friction with a viscous part, by direction) takes its place where it pays.
-
-    Nested forms of one kind in one joint are judged by increment alone: likelihood beyond the price of the added
-    parameters, and a tenth of the excess that is left in some channel on blocks left out.
-    """
-    changed = False
-    for place, i in enumerate(list(out.chosen)):
-        effect = scorer.library[i].effect
-        if effect is None or effect.EPISODIC or not effect.joints:
-            continue
-        scores, _ = scorer.scores([j for j in out.chosen if j != i])
-        kin = [j for j in scores if i in scores and _same_kind(scorer.library[j].effect, effect) and j != i]
-        forms: dict[object, int] = {}
-        for j in sorted(kin, key=lambda j: -scores[j].rank):
-            if scores[j].rank > scores[i].rank + 6.0:
-                forms.setdefault(scorer.library[j].effect.family, j)  # type: ignore[union-attr]
-        for j in list(forms.values())[:RICHER_FORMS]:
-            trial = [*out.chosen[:place], j, *out.chosen[place + 1 :]]
-            before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, trial)
-            richer = float(np.max(taken(before, after, bench.noise.sigma**2)))
-            if richer >= RICHER and plausible(bench, scorer, trial[:place] + trial[place + 1 :], j):
-                out.chosen, changed = trial, True
-                break
-    return changed
-
-
 BOUND_STEPS = 3
 BOUND_MARGIN = 0.1
 """In rank: less would only place the same body a hair elsewhere."""
@@ -372,7 +342,3 @@ def _bound(bench: Bench, scorer: Scorer, out: Selection) -> bool:
         if j in scores and (i not in scores or scores[j].rank > scores[i].rank + BOUND_MARGIN):
             out.chosen[place], changed = j, True
     return changed
-
-
-def _same_kind(other: Effect | None, effect: Effect) -> bool:
-    return other is not None and other.KEY == effect.KEY and other.joints == effect.joints

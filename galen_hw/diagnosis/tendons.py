@@ -124,14 +124,19 @@ def _numbers(scorer: Scorer, i: int) -> int:
 
 
 def _best(bench: Bench, beside: Beside, starts: list[Start]) -> Hypothesis:
-    """The tendon that explains most beside a model, from tendons to begin with; in a conduit that rubs where that pays."""
+    """The tendon that explains most beside a model, from tendons to begin with; one that rubs where that pays."""
     cost, found = _least(bench, beside, starts)
     effect, theta = _start(found)
-    rubbing = effect.rubbing(bench.scene, theta) if bench.scene.clock else []
-    if not rubbing:
-        return found
-    less, other = _least(bench, beside, [(replace(effect, form="tendon_dry"), start) for start in rubbing])
-    return other if less + np.log(bench.noise.effective) + MARGIN < cost else found
+    forms = effect.rubbing(bench.scene, theta) if bench.scene.clock else {}
+    best = found
+    for form, rubbing in forms.items():
+        if not rubbing:
+            continue
+        less, other = _least(bench, beside, [(replace(effect, form=form), start) for start in rubbing])
+        price = (len(rubbing[0]) - len(theta)) * np.log(bench.noise.effective) + MARGIN
+        if less + price < cost:
+            cost, best = less + price, other
+    return best
 
 
 def _least(bench: Bench, beside: Beside, starts: list[Start]) -> tuple[float, Hypothesis]:

@@ -24,6 +24,9 @@ TENDON: Final = (
 LOOSE: Final = ("spring", "pull")
 """Forms with more parameters than a cable has."""
 DRY: Final = (Parameter("dry_friction", "N", 0.0),)
+EYE: Final = (Parameter("eye_friction", "N", 0.0), Parameter("stroke", "m", 1e-5, furthest=0.1))
+STROKES: Final = (0.02, 0.2)
+"""Where the search for an eye's stroke begins, of the standard deviation of the length."""
 LENGTHS: Final = (0.1, 0.3, 1.0)
 """m, of tendons that may do what a spring does."""
 RUBBING: Final = (0.2, 0.7)
@@ -42,6 +45,8 @@ class CableDrag(Effect):
     c x f for an unknown lever c (linear relaxation: 15 numbers); "pull": the same without a stiffness; "tendon": from a clip c
     on the body to an anchor a on the base, of length l = |a - p - R c|, which pulls with k (l - l0) and goes slack below l0;
     "tendon_dry": the same in a conduit whose friction holds the pull back until the spring has overcome it (a play);
+    "tendon_eye": the same through an eye that rubs, whose friction adds to the pull while the cable is drawn out and takes from
+    it while it goes back, f (l - P_s[l]) / s with the stroke s over which it takes hold (Dahl 1968);
     "joint": one channel along with one joint, r = k q_j, with the cable's own dry friction r = k q_j + c s(dq_j) in "joint_dry".
 
     A cable that is tied to the arm itself has its far end on the link that the joint `anchored` moves, in whose frame the anchor
@@ -114,7 +119,7 @@ class CableDrag(Effect):
         return self.form.startswith("tendon")
 
     def strides(self, scene: Scene, theta: Array) -> Array:
-        """A ten-thousandth of the stiffness (of 1 N/m at least) and of the friction, a tenth of a millimetre."""
+        """A ten-thousandth of the stiffness (of 1 N/m at least) and of how it rubs, a tenth of a millimetre."""
         if not self.curved:
             return super().strides(scene, theta)
         return np.array([1e-4 * max(abs(theta[0]), 1.0), *7 * [1e-4], *(1e-4 * abs(theta[8:])).clip(1e-6)])
@@ -127,7 +132,7 @@ class CableDrag(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Stiffness, pulls and levers; of a tendon the anchor in the base, and the clip in the sensor's frame or the link's."""
         if self.curved:
-            return TENDON if self.form == "tendon" else TENDON + DRY
+            return TENDON + {"tendon_dry": DRY, "tendon_eye": EYE}.get(self.form, ())
         if self.form.startswith("joint"):
             unit = scene.units[scene.channels.index(self.channel)]
             stiffness = Parameter("stiffness", f"{unit}/(rad or m)")
@@ -173,6 +178,11 @@ class CableDrag(Effect):
         tension = abs(theta[0]) * np.maximum(length - theta[4], 0.0)
         if self.form == "tendon_dry":
             tension = np.maximum(scene.play("conduit", tension[:, None], abs(theta[8]))[:, 0], 0.0)
+        if self.form == "tendon_eye":
+            stroke = max(abs(theta[9]), EYE[1].low)
+            held = (length - scene.play("eye", length[:, None], stroke)[:, 0]) / stroke
+            # A cable that hangs loose is not drawn through anything.
+            tension = np.maximum(tension + abs(theta[8]) * held * (tension > 0.0), 0.0)
         tension *= np.sign(theta[0])
         force = span * (tension / length)
         if answer is not None:
@@ -197,12 +207,16 @@ class CableDrag(Effect):
             out.append(np.array([stiff, *anchor, length - tension / stiff, *clip]))
         return out
 
-    def rubbing(self, scene: Scene, theta: Array) -> list[Array]:
-        """(9,) parameters of tendons as this one is with its parameters theta (8,), in a conduit that rubs little or much."""
+    def rubbing(self, scene: Scene, theta: Array) -> dict[str, list[Array]]:
+        """By form, parameters of tendons as this one is with its parameters theta (8,), that rub little or much."""
         R, p, _ = self._carrier(scene)
         length = _stretched(R, p, theta)[2]
-        swing = float(np.std(theta[0] * np.maximum(length - theta[4], 0.0)))
-        return [np.append(theta, share * swing) for share in RUBBING] if swing > 0.0 else []
+        swing, reach = float(np.std(theta[0] * np.maximum(length - theta[4], 0.0))), float(np.std(length))
+        frictions = [share * swing for share in RUBBING] if swing > 0.0 else []
+        return {
+            "tendon_dry": [np.append(theta, friction) for friction in frictions],
+            "tendon_eye": [np.append(theta, (f, share * reach)) for f in frictions for share in STROKES],
+        }
 
     def _carrier(self, scene: Scene) -> tuple[Array, Array, Array | None]:
         """Of the body that it pulls: orientation (3, 3, N), position (3, N), efforts (N, C, 6) per wrench (None: felt)."""
@@ -218,9 +232,10 @@ class CableDrag(Effect):
 
     def _tangent_at_nothing(self, scene: Scene) -> Columns:
         """Without stiffness it does nothing wherever it is: one from origin to origin, and none of the others."""
-        first = self.exact(scene, np.eye(9)[0])
+        count = len(self.parameters(scene))
+        first = self.exact(scene, np.eye(count)[0])
         assert first is not None, "only a tendon is asked"
-        values = np.zeros((len(scene), len(scene.channels), len(self.parameters(scene))))
+        values = np.zeros((len(scene), len(scene.channels), count))
         values[:, :, 0] = first
         return Columns(tuple(range(len(scene.channels))), values)
 

@@ -256,6 +256,10 @@ class Effect(ABC):
         """The same, bound by a law between its parameters that these (k,) can place; None without one."""
         return None
 
+    def richer(self, scene: Scene) -> Iterator[Self]:
+        """The same with something more that is searched: asked only of an effect that is in the model as it is."""
+        yield from ()
+
     def otherwise(self) -> Self | None:
         """The same physics counted from another zero, where other effects may make up for the difference; None: there is none."""
         return None

@@ -26,6 +26,10 @@ SLOWER = 1.05
 """Times its shortest constant from which creep is creep."""
 
 
+KELVIN = 7
+"""Elements by which a spectrum of constants is made up: over three decades two to a decade."""
+
+
 @dataclass(frozen=True)
 class Creep(Effect):
     """Slow settling after a change of load.
@@ -35,14 +39,20 @@ class Creep(Effect):
 
     x is a channel's simulated load (sensor), or the load of a joint (pose: the joint gives by a z), with `friction` F what the
     bearing lets through of it, P_F[x]. Settled at the start, or `rested`: the load comes on with the first row. What settles
-    within a third of a second does not creep: that is a filter.
+    within a third of a second does not creep: that is a filter. With `spread` D it settles in no single time, as most matter
+    does: z is the mean over constants from T / D to T D, evenly in their logarithm (the box spectrum of Nowick and Berry,
+    Anelastic Relaxation, 1972, ch. 4, as `KELVIN` elements).
     Visible in rests of a few T after a change of load. Confused with lag (short T), compliance or gain (T below the rests) and
     drift.
     """
 
     KEY = "creep"
     ROUGH = True
-    SEARCHED: ClassVar = {"constant": Searched(0.3, 1e4, "s"), "friction": Searched(1e-9, 1e6, "N m or N")}
+    SEARCHED: ClassVar = {
+        "constant": Searched(0.3, 1e4, "s"),
+        "friction": Searched(1e-9, 1e6, "N m or N"),
+        "spread": Searched(1.2, 1e3, "1"),
+    }
     NEEDS_CLOCK = True
     constant: float
     channel: str = ""
@@ -51,6 +61,7 @@ class Creep(Effect):
     longest: float = np.inf
     rested: bool = False
     friction: float | None = None
+    spread: float | None = None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -77,7 +88,12 @@ class Creep(Effect):
     def with_searched(self, values: Mapping[str, float]) -> Self:
         """Another constant, not above the longest of which this recording sees enough to tell it from a give."""
         constant = min(values.get("constant", self.constant), self.longest)
-        return replace(self, constant=constant, friction=values.get("friction", self.friction))
+        return replace(super().with_searched(values), constant=constant)
+
+    def richer(self, scene: Scene) -> Iterator[Self]:
+        """Many constants for one: over a decade, or over several."""
+        if self.spread is None:
+            yield from (replace(self, spread=ratio) for ratio in log_grid(3.0, 30.0, 3))
 
     def otherwise(self) -> Self:
         """What comes later or what is missing at first: a load that was read wrong all along makes one of the other."""
@@ -103,7 +119,7 @@ class Creep(Effect):
             place = scene.channels.index(self.channel)
             return in_channel(place, [self._slow(scene, scene.simulated[:, place])])
         if not self.joint:
-            slow = scene.lag("creep", scene.simulated, self.constant, empty=self.rested)
+            slow = self._settling(scene, scene.simulated)
             return in_all([slow if self.form == "more" else slow - scene.simulated], len(scene.channels))
         load = scene.load(self.joint)
         if load is None or scene.observations.predict == "position":
@@ -113,8 +129,16 @@ class Creep(Effect):
         return through(scene, self.joint, [self._slow(scene, load)])
 
     def _slow(self, scene: Scene, x: Array) -> Array:
-        slow = scene.lag("creep", x[:, None], self.constant, empty=self.rested)[:, 0]
+        slow = self._settling(scene, x[:, None])[:, 0]
         return slow if self.form == "more" else slow - x
+
+    def _settling(self, scene: Scene, x: Array) -> Array:
+        """(N, m) what has settled of loads (N, m)."""
+        if self.spread is None:
+            return scene.lag("creep", x, self.constant, empty=self.rested)
+        each = self.constant * self.spread ** np.linspace(-1.0, 1.0, KELVIN)
+        slow = [scene.lag(("creep", k), x, T, empty=self.rested) for k, T in enumerate(each.tolist())]
+        return np.asarray(np.mean(slow, axis=0))
 
 
 def let_through(scene: Scene, load: Array, friction: float) -> Array:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from galen_hw.physics.gap import gap
 from galen_hw.physics.operators import LagState, ServoState, delay, impulse, lag, play, second_order, servo
 from galen_hw.spatial import Array
 
@@ -77,6 +78,11 @@ class Operated:
     def impulse(self, name: Any, x: Array) -> Array:
         """(N, m) inputs summed over the clock, straight between the rows, from zero, see `operators.impulse`."""
         return self._carried(name, x, lambda part, state: impulse(self.time[part], x[part], state))
+
+    def gap(self, name: Any, load: Array, coasting: float) -> Array:
+        """(N, m) places of links with momentum between the stops of their gaps, see `gap.gap`."""
+        T = np.full(load.shape[1:], coasting)
+        return self._carried(name, load, lambda part, state: gap(self.time[part], load[part], T, state))
 
     def delay(self, name: Any, x: Array, seconds: float) -> Array:
         """(N, m) inputs delayed by seconds, see `operators.delay`."""

@@ -354,6 +354,10 @@ class Scene(Operated):
         """(N,) load of a joint by motion alone, where weight may be balanced; None where that is not known."""
         return None
 
+    def weight_load(self, joint: str) -> Array | None:
+        """(N,) load of a joint by weight alone; None where that is not known."""
+        return None
+
     def resting(self, channel: str) -> Array | None:
         """(segments, 1) where the far side of a play in a channel stands at the start of every segment; None: at its input."""
         return None

@@ -347,11 +347,23 @@ class PositionScene(JointScene):
     @once
     def inertia_load(self, joint: str) -> Array | None:
         """(N,) load of motion alone, N or N m, weight left out, as where it is balanced; None without a URDF."""
-        robot, torque = self._urdf(), self.motion_torque()
-        if robot is None or torque is None:
+        weight, torque = self._weights(), self.motion_torque()
+        if weight is None or torque is None:
             return None
-        at_rest = np.asarray(robot.inverse_dynamics(self.q, *(np.zeros_like(self.q) for _ in range(2))))
-        return np.asarray((at_rest - torque)[:, self.joint_index(joint)])
+        return np.asarray((-torque - weight)[:, self.joint_index(joint)])
+
+    def weight_load(self, joint: str) -> Array | None:
+        """(N,) load of weight alone, N or N m; None without a URDF."""
+        weight = self._weights()
+        return None if weight is None else np.asarray(weight[:, self.joint_index(joint)])
+
+    @once
+    def _weights(self) -> Array | None:
+        """(N, n) loads of all joints where the arm stands still."""
+        robot = self._urdf()
+        if robot is None:
+            return None
+        return -np.asarray(robot.inverse_dynamics(self.q, *(np.zeros_like(self.q) for _ in range(2))))
 
 
 def _joint(channel: str) -> str:

@@ -1,7 +1,7 @@
 """Effects of a sensor's channels: offset, drift, temperature, scale, leaks and clipping."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -58,6 +58,8 @@ HALF_COSINES = 5
 class Drift(Effect):
     """The offset moves slowly: straight, r = a t / D; warm-up, r = a (1 - exp(-t / T)); wander, a few half cosines over D.
 
+    A warm-up with a `second` constant is the sum of two: what is near the heat is warm before what is far from it.
+
     D is the length of the recording. Beyond it (a tool's file in the live services) a straight drift is carried on for as
     long again and a wander not at all, then both are held; a warm-up has an end of its own. Visible in any recording longer
     than the drift. Confused with temperature where none was measured, with gravity where the poses are ordered, and with
@@ -66,7 +68,7 @@ class Drift(Effect):
     """
 
     KEY = "drift"
-    SEARCHED: ClassVar = {"constant": Searched(1e-2, 1e6, "s")}
+    SEARCHED: ClassVar = {"constant": Searched(1e-2, 1e6, "s"), "second": Searched(1e-2, 1e6, "s")}
     EPISODIC = True
     THROUGHOUT = True
     channel: str = ""
@@ -75,6 +77,7 @@ class Drift(Effect):
     start: float = 0.0
     length: float = 1.0
     channels: tuple[str, ...] = ()
+    second: float | None = None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -91,10 +94,17 @@ class Drift(Effect):
                 yield cls(name, "warm_up", constant, start, length)
             yield cls(name, "wander", None, start, length)
 
+    def richer(self, scene: Scene) -> Iterator[Self]:
+        """A quicker warm-up beside the one that stands for both, or a slower one."""
+        if self.constant is not None and self.second is None:
+            for quick, slow in ((0.3, 3.0), (0.1, 1.0), (1.0, 10.0)):
+                yield replace(self, constant=quick * self.constant, second=slow * self.constant)
+
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Amplitudes over the whole recording."""
         one = "amplitude" if self.form == "warm_up" else "change"
         names = [f"cosine_{k}" for k in range(1, HALF_COSINES + 1)] if self.form == "wander" else [one]
+        names += ["amplitude_second"] if self.second is not None else []
         if not self.channels:
             return tuple(Parameter(name, unit_of(scene, self.channel)) for name in names)
         return tuple(Parameter(f"{name}_{c}", unit_of(scene, c)) for c in self.channels for name in names)
@@ -111,7 +121,8 @@ class Drift(Effect):
         if self.form == "wander":
             return np.stack([np.cos(np.pi * k * t / self.length) for k in range(1, HALF_COSINES + 1)], axis=-1)
         if self.constant is not None:
-            return np.asarray(-np.expm1(-t / self.constant))[:, None]
+            constants = [self.constant] if self.second is None else [self.constant, self.second]
+            return np.stack([-np.expm1(-t / T) for T in constants], axis=-1)
         return (t / self.length)[:, None]
 
 
@@ -119,22 +130,29 @@ class Drift(Effect):
 class Temperature(Effect):
     """The offset follows a measured temperature: r = k (T - T0), T0 the first one.
 
+    With a `constant` it follows as the sensor's body does where the thermometer hangs beside it: by a first-order lag.
     Visible where the temperature changes and not only with time. Confused with drift. With `channels` it is one thermometer
     in several, each with a coefficient of its own: what warms moves more than one zero.
     """
 
     KEY = "temperature"
+    SEARCHED: ClassVar = {"constant": Searched(1e-2, 1e5, "s")}
     channel: str = ""
     place: str = ""
     reference: float = 0.0
     channels: tuple[str, ...] = ()
+    constant: float | None = None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every channel with every thermometer that moves."""
+        """Every channel with every thermometer that moves, at once and later."""
+        length = duration(scene) if scene.clock else 0.0
+        constants = (None, *log_grid(length / 30.0, length / 3.0, 3))
         for name, values in scene.observations.columns.items():
             if name.startswith("temperature.") and np.isfinite(values).all() and np.ptp(values) > 1e-6:
-                yield from (cls(channel, name, float(values[0])) for channel in scene.channels)
+                for constant in constants:
+                    each = (cls(channel, name, float(values[0])) for channel in scene.channels)
+                    yield from (replace(one, constant=constant) for one in each)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Offset per kelvin."""
@@ -148,8 +166,9 @@ class Temperature(Effect):
         return in_each(places, self.warmth(scene)[:, None])
 
     def warmth(self, scene: Scene) -> Array:
-        """(N,) kelvin over the reference."""
-        return np.asarray(scene.observations.columns[self.place]) - self.reference
+        """(N,) kelvin over the reference, of the thermometer or of what follows it."""
+        warmth = np.asarray(scene.observations.columns[self.place]) - self.reference
+        return warmth if self.constant is None else scene.lag("warmth", warmth[:, None], self.constant)[:, 0]
 
 
 @dataclass(frozen=True)

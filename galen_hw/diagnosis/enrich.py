@@ -1,0 +1,68 @@
+"""A chosen effect in a richer form of its kind, where that pays."""
+
+import numpy as np
+
+from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.linear import crossed
+from galen_hw.diagnosis.nonlinear import polished
+from galen_hw.diagnosis.score import Scorer
+from galen_hw.diagnosis.selection import Selection
+from galen_hw.diagnosis.worth import plausible, taken
+from galen_hw.physics.effect import Effect
+
+RICHER = 0.1
+RICHER_FORMS = 4
+
+
+def enriched(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """A richer form of a chosen effect (friction with a viscous part, by direction) takes its place where it pays.
+
+    Nested forms of one kind in one joint are judged by increment alone: likelihood beyond the price of the added
+    parameters, and a tenth of the excess that is left in some channel on blocks left out.
+    """
+    changed = False
+    for place, i in enumerate(list(out.chosen)):
+        effect = scorer.library[i].effect
+        if effect is None or not (_nests(effect) or any(True for _ in effect.richer(bench.scene))):
+            continue
+        others = [j for j in out.chosen if j != i]
+        _grown(bench, scorer, others, effect)
+        scores, _ = scorer.scores(others)
+        kin = [j for j in scores if i in scores and _same_kind(scorer.library[j].effect, effect) and j != i]
+        forms: dict[object, int] = {}
+        for j in sorted(kin, key=lambda j: -scores[j].rank):
+            if scores[j].rank > scores[i].rank + 6.0:
+                forms.setdefault(scorer.library[j].effect.family, j)  # type: ignore[union-attr]
+        for j in list(forms.values())[:RICHER_FORMS]:
+            trial = [*out.chosen[:place], j, *out.chosen[place + 1 :]]
+            before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, trial)
+            richer = float(np.max(taken(before, after, bench.noise.sigma**2)))
+            if richer >= RICHER and plausible(bench, scorer, trial[:place] + trial[place + 1 :], j):
+                out.chosen, changed = trial, True
+                break
+    return changed
+
+
+def _grown(bench: Bench, scorer: Scorer, others: list[int], effect: Effect) -> None:
+    """The library is given the richer forms of a chosen effect, the best of them at its optimum, unless it has any."""
+    forms = list(effect.richer(bench.scene))
+    kin = [h.effect for h in scorer.library if h.effect is not None and h.effect.family == effect.family]
+    if not forms or any(other.searched().keys() == forms[0].searched().keys() for other in kin):
+        return
+    first = len(scorer.library)
+    scorer.append([bench.add(one) for one in forms])
+    scores = scorer.scores(others, list(range(first, len(scorer.library))))[0]
+    if scores:
+        polished(bench, scorer, others, max(scores, key=lambda j: scores[j].rank))
+
+
+def _nests(effect: Effect) -> bool:
+    """Whether all forms of its kind in its joint are richer or poorer than one another."""
+    return bool(effect.joints) and not effect.EPISODIC
+
+
+def _same_kind(other: Effect | None, effect: Effect) -> bool:
+    """Whether another is of the kind and in the joint of an effect; without a joint, the same at other searched values."""
+    if other is None or other.KEY != effect.KEY:
+        return False
+    return other.joints == effect.joints if _nests(effect) else other.family == effect.family
