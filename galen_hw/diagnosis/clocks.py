@@ -190,7 +190,7 @@ class _Search:
             ways.append((self._gain(0.0, constant) - self.price, [(lag, constant)]))
             most, late = self._latest(constant, (0.0, all_late))
             ways.append((most - 2.0 * self.price - MARGIN, [(self.delay, late), (lag, constant)]))
-        clocks = self._refined(max(ways, key=lambda way: way[0])[1], all_late)
+        clocks = self._plainer(self._refined(max(ways, key=lambda way: way[0])[1], all_late), all_late)
         # A response of second order looks like a delay, or a delay and a lag; friction within has a lag of the first. In one
         # joint by itself two more numbers would take what the others show to be something else.
         if self.within or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
@@ -198,6 +198,15 @@ class _Search:
         wanted = self._worth(clocks) + (0.0 if self.swings else MARGIN)
         swinging = self._swinging(shortest, all_late, wanted)
         return swinging if self._worth(swinging) > wanted else clocks
+
+    def _plainer(self, clocks: Clocks, all_late: float) -> Clocks:
+        """A lag alone for a delay of what lags, where it does as well: on a grid it stands beside its optimum, and is late."""
+        if len(clocks) < 2 or self.within:
+            return clocks
+        (_, late), (lag, constant) = clocks
+        assert isinstance(lag, Lag), "a delay of what lags"
+        alone = self._refined([(replace(lag, constant=constant + late), constant + late)], all_late)
+        return alone if self._worth(alone) + MARGIN >= self._worth(clocks) else clocks
 
     def _worth(self, clocks: Clocks) -> float:
         """Gain less the price of delay, lag or swing alone."""

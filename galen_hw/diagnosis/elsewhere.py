@@ -55,7 +55,7 @@ def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[adequacy.
 
 def _anew(effect: Effect) -> bool:
     """Whether an effect belongs to moments, and these are not left out of what is judged."""
-    return (effect.EPISODIC or effect.BRIEF) and not isinstance(effect, Contact)
+    return not effect.lasting() and not isinstance(effect, Contact)
 
 
 def _bench(model: Model, scene: Scene, judged: Judged) -> Bench | None:

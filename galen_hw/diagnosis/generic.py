@@ -16,6 +16,12 @@ from galen_hw.spatial import Array
 
 POSITION = "the joint positions, finely"
 """What quick waves over all positions at once are functions of, and trees on the positions."""
+WARM = (
+    "the joint positions times the temperatures",
+    "the simulated channels times the temperatures",
+    "speeds times the temperatures",
+)
+"""Families where a temperature was recorded: what it changes in what motion and load do."""
 PLAIN = (
     "products of joint positions",
     "products of the simulated channels",
@@ -25,9 +31,7 @@ PLAIN = (
     "products of speeds",
     "positions times speeds",
     "the simulated channels times speeds",
-    "the joint positions times the temperatures",
-    "the simulated channels times the temperatures",
-    "speeds times the temperatures",
+    *WARM,
 )
 """Families of low powers of the inputs at the moment: what they say of one motion holds of another."""
 MOST_PRODUCTS = 40
@@ -225,12 +229,13 @@ def _warm(inputs: Inputs) -> Iterator[tuple[str, Array]]:
     z, load, rate, warmth = inputs.position, inputs.load, inputs.rate, inputs.warmth
     if not warmth.shape[1]:
         return
-    yield "the joint positions times the temperatures", _products(z, warmth)
+    positions, channels, of_speeds = WARM
+    yield positions, _products(z, warmth)
     if load.shape[1] and not inputs.same:
-        yield "the simulated channels times the temperatures", _products(load, warmth)
+        yield channels, _products(load, warmth)
     if rate.shape[1]:
         speeds = np.concatenate([rate, np.tanh(4.0 * rate)], axis=1)
-        yield "speeds times the temperatures", _products(speeds, warmth)
+        yield of_speeds, _products(speeds, warmth)
 
 
 def _products(a: Array, b: Array) -> Array:

@@ -152,8 +152,7 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
         # In another recording what belongs to moments is not there: then these rows speak of the others' sizes alone.
         if holdout is None and judged.sure[key] < 0.0 and guard.could_tell(part):
             judged.refused.add(key)
-        kind = effect_class(key)
-        if holdout is not None and not kind.EPISODIC and not kind.BRIEF and not guard.could_tell(part):
+        if holdout is not None and effect_class(key).lasting() and not guard.could_tell(part):
             judged.support[key], judged.sure[key], judged.at_home[key] = _at_home(model, part, key)
     judged.places = _places(model, guard)
     return judged
@@ -206,7 +205,7 @@ def _places(model: Model, guard: Guard) -> dict[int, tuple[float, float]]:
     keys = [h.effect.KEY for h in model.effects if h.effect is not None]
     out: dict[int, tuple[float, float]] = {}
     for k, h in enumerate(model.effects):
-        if h.effect is None or h.effect.EPISODIC or h.effect.BRIEF or keys.count(h.effect.KEY) < 2:
+        if h.effect is None or not h.effect.lasting() or keys.count(h.effect.KEY) < 2:
             continue
         part = model.without([h])
         if guard.could_tell(part):
@@ -355,7 +354,7 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
     """
     while True:
         judged = judge(model, holdout, judged)
-        lasting = [k for k in judged.without if not effect_class(k).EPISODIC and not effect_class(k).BRIEF]
+        lasting = [k for k in judged.without if effect_class(k).lasting()]
         # A hum is fitted on these rows too: how surely they want it says nothing, but what it takes of them does.
         fitted = [k for k in judged.without if effect_class(k).THROUGHOUT and holdout is None]
         sole = len(judged.without) == 1

@@ -51,7 +51,7 @@ def shows_in_noise(bench: Bench, scorer: Scorer, out: Selection, i: int) -> bool
     still may be the joints' own noise, which a dead band as narrow makes quieter.
     """
     effect = scorer.library[i].effect
-    if effect is None or effect.EPISODIC or effect.BRIEF or not bench.scene.clock:
+    if effect is None or not effect.lasting() or not bench.scene.clock:
         return False
     if scorer.misfit([*out.chosen, i]) >= PROVED or float(np.max(out.start / bench.noise.sigma**2)) > LOUD:
         return False

@@ -82,7 +82,7 @@ def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, 
     """
     effect = scorer.library[i].effect
     # A contact of three seconds lies in one block: only pieces shorter than it can say whether it is there.
-    fine = effect is not None and (effect.EPISODIC or effect.BRIEF)
+    fine = effect is not None and not effect.lasting()
     before = errors(bench, scorer, out.chosen, fine=fine) ** 2
     after = errors(bench, scorer, [*out.chosen, i], fine=fine) ** 2
     floor = bench.noise.sigma**2

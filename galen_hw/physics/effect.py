@@ -114,6 +114,11 @@ class Effect(ABC):
     NULL: ClassVar[Mapping[str, float]] = {}
 
     @classmethod
+    def lasting(cls) -> bool:
+        """Whether it acts all along, and in another recording as in this one."""
+        return not (cls.EPISODIC or cls.BRIEF)
+
+    @classmethod
     @abstractmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
         """Hypotheses that this scene allows, one for every place and every value of the grid."""
