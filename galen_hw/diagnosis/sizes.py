@@ -31,7 +31,7 @@ HEAD: Final[dict[str, tuple[str, ...]]] = {
     "friction": ("coulomb", "coulomb_forward", "coulomb_backward", "viscous", "stiction"),
     "compliance": ("compliance.*",),
     "torque_ripple": ("wave_number",),
-    "cable_drag": ("stiffness", "dry_friction"),
+    "cable_drag": ("stiffness", "dry_friction", "eye_friction"),
     "glitches": ("size",),
 }
 """Parameters that are named first, by regular expression; with none of them the size of the signal speaks."""
