@@ -8,6 +8,7 @@ import pytest
 
 from galen_hw.diagnosis.judge import _places
 from galen_hw.diagnosis.wanted import BESIDE, Guard, belied, poor
+from galen_hw.physics.elastic_effects import Hardening
 
 ROWS = 4000
 
@@ -27,8 +28,7 @@ class Holding:
 
 
 def hardening(place: int) -> SimpleNamespace:
-    kind = SimpleNamespace(KEY="hardening", EPISODIC=False, BRIEF=False)
-    return SimpleNamespace(effect=kind, place=place, raw=SimpleNamespace(channels=[0]))
+    return SimpleNamespace(effect=Hardening("tilt"), place=place, raw=SimpleNamespace(channels=[0]))
 
 
 @pytest.mark.parametrize(("sigmas", "asked"), [(0.5 * BESIDE, False), (4.0 * BESIDE, True)])
