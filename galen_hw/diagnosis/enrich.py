@@ -12,6 +12,8 @@ from galen_hw.physics.effect import Effect
 
 RICHER = 0.1
 RICHER_FORMS = 4
+PASSES = 4
+"""Over the values that a richer form searches: they make up for one another, and the optimum lies on a ridge."""
 
 
 def enriched(bench: Bench, scorer: Scorer, out: Selection) -> bool:
@@ -53,7 +55,7 @@ def _grown(bench: Bench, scorer: Scorer, others: list[int], effect: Effect) -> N
     scorer.append([bench.add(one) for one in forms])
     scores = scorer.scores(others, list(range(first, len(scorer.library))))[0]
     if scores:
-        polished(bench, scorer, others, max(scores, key=lambda j: scores[j].rank))
+        polished(bench, scorer, others, max(scores, key=lambda j: scores[j].rank), PASSES)
 
 
 def _nests(effect: Effect) -> bool:

@@ -215,23 +215,24 @@ def _best_rest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> Array
         return rests(bench, scorer, others)[1][bench.train]
 
 
-PASSES = 4
-"""Over searched values that make up for one another, one after the other: the optimum lies on a ridge."""
 SETTLED = 1.0
 """Gain of a pass below which they are where they belong: a standard error's worth."""
 
 
-def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> int:
-    """The same effect with its searched values at the optimum: a new place in the library, or the old one."""
+def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int, passes: int = 1) -> int:
+    """The same effect with its searched values at the optimum: a new place in the library, or the old one.
+
+    Of several values one after the other, so many times at most.
+    """
     hypothesis = scorer.library[i]
     effect = hypothesis.effect
     if effect is None or not effect.searched():
         return i
     beside, best = Beside(bench, scorer, chosen), -np.inf
-    for _ in range(PASSES if len(effect.searched()) > 1 else 1):
+    for left in reversed(range(passes if len(effect.searched()) > 1 else 1)):
         for name, value in effect.searched().items():
             effect = _along(bench, beside, effect, name, value)
-        if len(effect.searched()) > 1:
+        if left:
             before, best = best, beside.gain(bench.add(effect))
             if best < before + SETTLED:
                 break
