@@ -25,9 +25,8 @@ DRAG: Final = 250.0
 
 def moves(rng: np.random.Generator, t: Array) -> Array:
     """(N,) places, m: a second from one to the next without a jerk, and as long a rest."""
-    places = np.cumsum(
-        rng.choice([-1.0, 1.0], size=int(t[-1] / 2.0) + 2) * rng.uniform(0.05, 0.2, size=int(t[-1] / 2.0) + 2)
-    )
+    count = int(t[-1] / 2.0) + 2
+    places = np.cumsum(rng.choice([-1.0, 1.0], size=count) * rng.uniform(0.05, 0.2, size=count))
     u = np.clip(t % 2.0, 0.0, 1.0)
     k = (t / 2.0).astype(int)
     return np.asarray(places[k] + (places[k + 1] - places[k]) * u**3 * (10.0 - 15.0 * u + 6.0 * u**2))

@@ -8,13 +8,21 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import Bench, lagged, sines
+from diagnosis_cases import Array, Bench, lagged, sines
 
 from galen_hw.diagnosis.engine import diagnose
 from galen_hw.physics.memory_effects import Creep
 from galen_hw.physics.operators import lag
 from galen_hw.physics.sensor_effects import Drift, Temperature
 from galen_hw.physics.table import scene_of
+
+
+def in_a_room(seed: int, rows: int, rate: float) -> tuple[Bench, Array]:
+    """A run beside a thermometer, and what that reads (N,), deg C: a few kelvin up and down within minutes."""
+    run = Bench(seed, rows=rows, rate=rate)
+    room = 25.0 + sines(run.rng, run.t, 3.0, 0.004, 0.02)
+    run.columns["temperature.sensor"] = room
+    return run, room
 
 
 @pytest.mark.inject
@@ -51,9 +59,7 @@ def test_a_body_that_warms_after_its_thermometer_follows_the_temperature() -> No
     """By half a minute: as large as the noise it had been a drift of unknown cause, though the cause was recorded."""
     runs = []
     for seed in (1, 2):
-        run = Bench(seed, rows=3000, rate=20.0)
-        room = 25.0 + sines(run.rng, run.t, 3.0, 0.004, 0.02)
-        run.columns["temperature.sensor"] = room
+        run, room = in_a_room(seed, 3000, 20.0)
         body = lagged(run.t, room, 25.0)
         run.wrench[:, [0, 2]] += (body - body[0])[:, None] * np.array([0.005, 0.01])
         runs.append(scene_of(run.observations()))
@@ -69,9 +75,7 @@ def test_a_sensitivity_that_warms_is_said_to_follow_the_temperature() -> None:
     """No name for it: what it leaves is too slow for noise and motion alike, and had passed for noise of three times its size."""
     runs = []
     for seed in (1, 2):
-        run = Bench(seed, rows=4000, rate=40.0)
-        room = 25.0 + sines(run.rng, run.t, 3.0, 0.004, 0.02)
-        run.columns["temperature.sensor"] = room
+        run, room = in_a_room(seed, 4000, 40.0)
         run.wrench *= 1.0 + 0.004 * (room - room.mean())[:, None]
         runs.append(scene_of(run.observations()))
     work = diagnose(runs[0], holdout=runs[1])

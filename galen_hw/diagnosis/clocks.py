@@ -363,9 +363,8 @@ def _exchanged(
     gone = [one for i in old if (one := scorer.library[i].effect) is not None]
     price = (_numbers([one for one, _ in clocks]) - _numbers(gone)) * float(np.log(bench.noise.effective))
     fall = before - scorer.solve(trial)[2] - price
-    errors_after = crossed(bench, scorer, trial)
-    enough = _nearly_all(bench, missed, errors_after, nearly) if nearly else _richer(bench, missed, errors_after)
-    if fall > MARGIN and enough:
+    enough = partial(_nearly_all, channels=nearly) if nearly else _richer
+    if fall > MARGIN and enough(bench, missed, crossed(bench, scorer, trial)):
         out.chosen = trial
         return True
     bench.y = y

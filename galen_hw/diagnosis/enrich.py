@@ -11,7 +11,9 @@ from galen_hw.diagnosis.worth import plausible, taken
 from galen_hw.physics.effect import Effect
 
 RICHER = 0.1
+"""Share of the excess that is left in some channel, on blocks left out, that a richer form must take."""
 RICHER_FORMS = 4
+"""Forms that are asked so, the best first."""
 PASSES = 4
 """Over the values that a richer form searches: they make up for one another, and the optimum lies on a ridge."""
 
@@ -25,17 +27,18 @@ def enriched(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     changed = False
     for place, i in enumerate(list(out.chosen)):
         effect = scorer.library[i].effect
-        if effect is None or not (_nests(effect) or any(True for _ in effect.richer(bench.scene))):
+        forms = [] if effect is None else list(effect.richer(bench.scene))
+        if effect is None or not (_nests(effect) or forms):
             continue
         others = [j for j in out.chosen if j != i]
-        _grown(bench, scorer, others, effect)
+        _grown(bench, scorer, others, forms)
         scores, _ = scorer.scores(others)
         kin = [j for j in scores if i in scores and _same_kind(scorer.library[j].effect, effect) and j != i]
-        forms: dict[object, int] = {}
+        best: dict[object, int] = {}
         for j in sorted(kin, key=lambda j: -scores[j].rank):
             if scores[j].rank > scores[i].rank + 6.0:
-                forms.setdefault(scorer.library[j].effect.family, j)  # type: ignore[union-attr]
-        for j in list(forms.values())[:RICHER_FORMS]:
+                best.setdefault(scorer.library[j].effect.family, j)  # type: ignore[union-attr]
+        for j in list(best.values())[:RICHER_FORMS]:
             trial = [*out.chosen[:place], j, *out.chosen[place + 1 :]]
             before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, trial)
             richer = float(np.max(taken(before, after, bench.noise.sigma**2)))
@@ -45,11 +48,10 @@ def enriched(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     return changed
 
 
-def _grown(bench: Bench, scorer: Scorer, others: list[int], effect: Effect) -> None:
-    """The library is given the richer forms of a chosen effect, the best of them at its optimum, unless it has any."""
-    forms = list(effect.richer(bench.scene))
-    kin = [h.effect for h in scorer.library if h.effect is not None and h.effect.family == effect.family]
-    if not forms or any(other.searched().keys() == forms[0].searched().keys() for other in kin):
+def _grown(bench: Bench, scorer: Scorer, others: list[int], forms: list[Effect]) -> None:
+    """The library is given richer forms of one effect, the best of them at its optimum, unless it has any."""
+    known = {(h.effect.family, *h.effect.searched()) for h in scorer.library if h.effect is not None}
+    if not forms or (forms[0].family, *forms[0].searched()) in known:
         return
     first = len(scorer.library)
     scorer.append([bench.add(one) for one in forms])

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from galen_hw.physics.operators import lagging
 from galen_hw.spatial import Array
 
 
@@ -20,6 +21,7 @@ class GapState:
 def gap(time: Array, load: Array, coasting: Array, state: GapState | None) -> tuple[Array, GapState]:
     """T y'' + y' = u between stops at y = -1 and 1 that throw nothing back; exact between the rows for a straight load.
 
+    Between the stops the speed is a first-order lag of the load (`operators.lagging`).
     T is the link's inertia over the grease's drag, u the load over drag and half width. For T = 0 it is the stop operator of
     the load's impulse (`operators.impulse` less its `operators.play`). From the speed v = y' at one row to the next
 
@@ -39,13 +41,11 @@ def gap(time: Array, load: Array, coasting: Array, state: GapState | None) -> tu
     nothing = np.zeros(load.shape[1])
     place, speed, last = (nothing, nothing, load[0]) if state is None else (state.place, state.speed, state.load)
     out, left = np.empty_like(load, dtype=float), np.empty(load.shape[1])
-    for j, (T, y, v, old) in enumerate(zip(*(x.tolist() for x in (coasting, place, speed, last)), strict=True)):
-        kept = np.exp(-steps / T)
-        straight = np.divide(-np.expm1(-steps / T) * T, steps, out=np.ones_like(steps), where=steps > 0.0)
-        u = np.concatenate([[old], load[:, j]])
-        gained = (straight - kept) * u[:-1] + (1.0 - straight) * u[1:]
-        pushed = 0.5 * steps * (u[:-1] + u[1:])
-        out[:, j], left[j] = _walked(y, v, T, kept.tolist(), gained.tolist(), pushed.tolist())
+    u = np.concatenate([last[None], load])
+    kept, earlier, now = lagging(steps[:, None], coasting, held=False)
+    gained, pushed = earlier * u[:-1] + now * u[1:], 0.5 * steps[:, None] * (u[:-1] + u[1:])
+    for j, (T, y, v) in enumerate(zip(*(x.tolist() for x in (coasting, place, speed)), strict=True)):
+        out[:, j], left[j] = _walked(y, v, T, kept[:, j].tolist(), gained[:, j].tolist(), pushed[:, j].tolist())
     return out, GapState(float(time[-1]), out[-1].copy(), left, load[-1].copy())
 
 

@@ -100,7 +100,7 @@ def lag(
     if len(x) > 2 and np.ptp(steps[1:]) <= EVEN * steps[1]:
         out = _lag_evenly(steps[:2], x, constant, start, last, held=held)
         return out, LagState(float(time[-1]), out[-1].copy(), x[-1].copy())
-    kept, earlier, now = _lagging(steps[:, None], constant, held=held)
+    kept, earlier, now = lagging(steps[:, None], constant, held=held)
     # y_k = kept y_(k-1) + new, and such steps after one another are such a step: all of them by doubling.
     new = earlier * np.concatenate([last[None], x[:-1]]) + now * x
     reach = 1
@@ -112,7 +112,7 @@ def lag(
     return out, LagState(float(time[-1]), out[-1].copy(), x[-1].copy())
 
 
-def _lagging(steps: Array, constant: Array, *, held: bool) -> tuple[Array, Array, Array]:
+def lagging(steps: Array, constant: Array, *, held: bool) -> tuple[Array, Array, Array]:
     """Shares of the last output, of the last input and of this one in the output of a lag after steps (s); they add to one."""
     ratio = steps / constant
     gone = -np.expm1(-ratio)
@@ -125,7 +125,7 @@ def _lagging(steps: Array, constant: Array, *, held: bool) -> tuple[Array, Array
 def _lag_evenly(steps: Array, x: Array, constant: Array, start: Array, last: Array, *, held: bool) -> Array:
     """The same on an even clock, where it is a digital filter; steps: to the first row and between all others, s."""
     kept, earlier, now = (
-        np.broadcast_to(part, (2, x.shape[1])) for part in _lagging(steps[:, None], constant, held=held)
+        np.broadcast_to(part, (2, x.shape[1])) for part in lagging(steps[:, None], constant, held=held)
     )
     out = np.empty_like(x, dtype=float)
     out[0] = kept[0] * start + earlier[0] * last + now[0] * x[0]

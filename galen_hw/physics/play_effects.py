@@ -134,10 +134,10 @@ class Backlash(Effect):
     def load(self, scene: Scene) -> Array | None:
         """(N,) what throws or drags the far side from stop to stop, N or N m; None where it is not known."""
         load = scene.inertia_load(self.joint) if self.balanced else scene.load(self.joint)
-        weight = None if self.unborne is None else scene.weight_load(self.joint)
-        if load is None or weight is None:
+        if load is None or self.unborne is None:
             return load
-        assert self.unborne is not None, "or no weight was asked"
+        weight = scene.weight_load(self.joint)
+        assert weight is not None, "known where the load of motion is"
         return load + (-self.unborne if self.lifted else self.unborne) * weight
 
     def at_work(self, scene: Scene) -> bool:

@@ -151,8 +151,8 @@ class Temperature(Effect):
         for name, values in scene.observations.columns.items():
             if name.startswith("temperature.") and np.isfinite(values).all() and np.ptp(values) > 1e-6:
                 for constant in constants:
-                    each = (cls(channel, name, float(values[0])) for channel in scene.channels)
-                    yield from (replace(one, constant=constant) for one in each)
+                    start = float(values[0])
+                    yield from (cls(channel, name, start, constant=constant) for channel in scene.channels)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Offset per kelvin."""
