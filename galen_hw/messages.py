@@ -76,6 +76,8 @@ class WrenchCompensated(Message, frozen=True, kw_only=True):
         terms: number of extra physical effects of the tool's file in the prediction.
         unzeroed: the sensor's own offset is in it, neither zeroed nor tared away; with a calibration that rests on a
             zeroed sensor `valid` is then false.
+        tool_unseen: since the sensor was zeroed it has not read the tool's weight: the tool is off, or was on when it was
+            zeroed and its weight is taken off twice; `valid` is false until it is seen or tared.
     """
 
     force: Vector3
@@ -88,6 +90,7 @@ class WrenchCompensated(Message, frozen=True, kw_only=True):
     blend: float = 1.0
     terms: int = 0
     unzeroed: bool = False
+    tool_unseen: bool = False
 
 
 class CompensationState(Message, frozen=True, kw_only=True):
@@ -104,6 +107,7 @@ class CompensationState(Message, frozen=True, kw_only=True):
         residual: (9,) what the blend takes off in addition where it begins: wrench (6), contact point (3).
         blend_from_ns: raw sample at which the running or last blend began.
         samples: `seq` of the next compensated sample.
+        tool_awaited: the sensor was zeroed, and the tool was not seen on it since.
     """
 
     tool: str = ""
@@ -118,6 +122,7 @@ class CompensationState(Message, frozen=True, kw_only=True):
     residual: list[float] = []
     blend_from_ns: int = 0
     samples: int = 0
+    tool_awaited: bool = False
 
 
 class JointsState(Message, frozen=True, kw_only=True):

@@ -484,6 +484,56 @@ def test_an_unzeroed_sensor_is_not_vouched_for_until_it_is_zeroed_or_tared(tmp_p
     assert six(zeroed) == pytest.approx(np.zeros(6), abs=1e-9), "the tare went with the offset, at once"
 
 
+def test_zeroed_with_the_tool_on_it_the_wrench_is_not_vouched_for(tmp_path: Path) -> None:
+    """Its weight would be taken off twice and pass for a push, in every pose; a tare or a zero without the tool ends that."""
+    tool, q, turned = tool_file(bias=(0.0,) * 6), np.full(5, 0.1), np.array([0.0, 0.0, 0.0, 1.2, 0.6])
+    service = service_at(tmp_path, tool, tare_samples=5, blend_s=0.0)
+    weight = 0.3 * 9.80665
+    feed(service, joints(MS, q, np.zeros(5)))
+    (before,) = messages(feed(service, raw(2 * MS, true_wrench(tool, q), zeroings=1)))
+    assert (before.valid, before.tool_unseen) == (True, False), "nobody knows how it was zeroed before"
+
+    away = true_wrench(tool, q)
+    zeroed = feed(service, raw(3 * MS, np.zeros(6), zeroings=2))
+    (on,) = messages(zeroed)
+    assert (on.valid, on.tool_unseen) == (False, True)
+    assert np.linalg.norm(six(on)[:3]) == pytest.approx(weight, rel=1e-2)
+    feed(service, joints(20 * MS, turned, np.zeros(5)))
+    (elsewhere,) = messages(feed(service, raw(21 * MS, true_wrench(tool, turned) - away, zeroings=2)))
+    assert not elsewhere.valid, "as far off in another pose"
+    status = next(m for _, m in service.tick(30 * MS) if isinstance(m, Status))
+    assert status.state == "degraded"
+    assert "zero without it" in status.detail
+
+    service.request(ask("tare"), 0)
+    reading = true_wrench(tool, turned) - away
+    seen = [messages(feed(service, raw((22 + k) * MS, reading, zeroings=2)))[0] for k in range(6)]
+    assert [m.valid for m in seen] == [False] * 5 + [True]
+    assert six(seen[-1]) == pytest.approx(np.zeros(6), abs=1e-9)
+    service.request(ask("untare"), 0)
+    (untared,) = messages(feed(service, raw(29 * MS, reading, zeroings=2)))
+    assert (untared.valid, untared.tool_unseen) == (False, True)
+
+    bare = true_wrench(tool, turned) - true_wrench(tool_file(mass=1e-9, bias=(0.0,) * 6), turned)
+    (off,) = messages(feed(service, raw(30 * MS, true_wrench(tool, turned) - bare, zeroings=3)))
+    assert not off.valid, "zeroed without the tool: it is still off"
+    put_on = feed(service, raw(31 * MS, true_wrench(tool, turned), zeroings=3))
+    assert messages(put_on)[0].valid
+    assert [s.tool_awaited for s in messages(put_on, "compensation/state")] == [False], "a replay is told where"
+    (later,) = messages(feed(service, raw(32 * MS, true_wrench(tool, turned) - bare, zeroings=3)))
+    assert later.valid, "felt once, what is missing later is a hand's"
+
+
+def test_a_tool_that_is_hardly_felt_is_not_waited_for(tmp_path: Path) -> None:
+    """Ten grams: what is missing is less than any hand-over-hand control answers."""
+    tool = tool_file(mass=0.01, bias=(0.0,) * 6)
+    service = service_at(tmp_path, tool, blend_s=0.0)
+    feed(service, joints(MS, np.full(5, 0.1), np.zeros(5)))
+    feed(service, raw(2 * MS, true_wrench(tool, np.full(5, 0.1)), zeroings=1))
+    (out,) = messages(feed(service, raw(3 * MS, np.zeros(6), zeroings=2)))
+    assert out.valid
+
+
 def test_without_a_tool_an_unzeroed_reading_is_told_and_kept_valid(tmp_path: Path) -> None:
     """Raw is raw: nothing is subtracted that could rest on a zero, and a table or another sensor does not say (-1)."""
     service = service_at(tmp_path)

@@ -1,8 +1,8 @@
 """What is taken off each raw wrench, and how a change of it is blended in without a step."""
 
 from collections.abc import Sequence
-from math import isfinite
-from typing import Any
+from math import hypot, isfinite
+from typing import Any, Final
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.config.tool_file import ToolFile, parse_tool
@@ -12,6 +12,10 @@ from galen_hw.services.compensation.gravity_direction import Triple
 from galen_hw.services.compensation.model import ZERO, CompensationModel, Six
 
 NO_RESIDUAL = (0.0,) * 9
+SEEN_SHARE: Final = 0.5
+"""Of the tool's weight: less than that unexplained, and the tool hangs on the sensor; all of it is missing otherwise."""
+UNFELT_N: Final = 0.1
+"""N that no hand-over-hand control answers: a tool of less weight is not waited for."""
 
 
 class Correction:
@@ -34,6 +38,8 @@ class Correction:
         self.model: CompensationModel | None = None
         self.contact: Triple = (0.0, 0.0, 0.0)
         self.tare: Six = ZERO
+        self.awaited = False
+        """The sensor was zeroed, and what it read since then was never that of the tool in hand."""
         self.changed = True
         self._blending = False
         self._residual: tuple[float, ...] = NO_RESIDUAL
@@ -73,6 +79,22 @@ class Correction:
     def unzeroed(self, raw: WrenchRaw) -> bool:
         """The sensor's own offset is in what is left: neither zeroed nor tared away."""
         return raw.zeroings == 0 and self.tare == ZERO
+
+    @property
+    def unseen(self) -> bool:
+        """What is left may lack the tool's weight, or hold it twice: zeroed, not seen since, and not tared."""
+        return self.awaited and self.rests_on_zero and self.tare == ZERO
+
+    def look_for_tool(self, raw: WrenchRaw, predicted: Six) -> bool:
+        """Whether this sample shows, for the first time since the sensor was zeroed, that the tool hangs on it.
+
+        Zeroed with the tool on, a sensor misses its weight from then on in every pose, as it does while the tool is off.
+        """
+        if not (self.awaited and self.model is not None and self.rests_on_zero):
+            return False
+        left = hypot(raw.force.x - predicted[0], raw.force.y - predicted[1], raw.force.z - predicted[2])
+        self.awaited = not left <= max(SEEN_SHARE * self.model.weight, UNFELT_N)
+        return not self.awaited
 
     def retare(self, tare: Six) -> None:
         """Another tare, at once: what came before it was of another zero, and blending would carry that on."""
@@ -130,6 +152,7 @@ class Correction:
             residual=list(self._residual) if self._blending else [],
             blend_from_ns=self._from_ns,
             samples=samples,
+            tool_awaited=self.awaited,
         )
 
     def restore(self, state: CompensationState) -> None:
@@ -144,3 +167,4 @@ class Correction:
         self.tare = tuple(state.tare) if state.tare else ZERO  # type: ignore[assignment]
         self._residual = tuple(state.residual) if state.residual else NO_RESIDUAL
         self._from_ns, self._blending, self.changed = state.blend_from_ns, bool(state.residual), False
+        self.awaited = state.tool_awaited

@@ -73,6 +73,8 @@ class CompensationModel:
             gravity=tool.gravity,
         )
         self.direction = GravityDirection(robot, tool.gravity)
+        self.weight = tool.mass * float(np.linalg.norm(tool.gravity))
+        """N, of the tool alone."""
         self._mass = float(M[0, 0])
         self._moment = (float(M[5, 1]), float(M[3, 2]), float(M[4, 0]))
         self._constant: Six = tuple(float(x) for x in M[:, 3])  # type: ignore[assignment]

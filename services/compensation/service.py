@@ -64,7 +64,7 @@ class CompensationService(Service):
         self._commands = CompensationCommands(name, settings, self._correction, store, robot.name)
         self._age_s, self._seq = nan, 0
         self._topic_seq = dict.fromkeys(("compensation/state", "status", "fault"), 0)
-        self._counters = dict.fromkeys(("samples", "invalid_samples", "old_joints", "unzeroed"), 0)
+        self._counters = dict.fromkeys(("samples", "invalid_samples", "old_joints", "unzeroed", "tool_unseen"), 0)
         self._zeroings: int | None = None
         self._unzeroed = False
         self._next_status_ns = 0
@@ -113,8 +113,10 @@ class CompensationService(Service):
         if raw.serial_number != self._commands.serial:
             self._commands.check_serial(raw.serial_number)
         predicted = ZERO if joints is None else correction.predict(joints[0], raw)
-        if correction.changed:
-            correction.begin(raw.t_ns, predicted)
+        seen = correction.awaited and self._looks_like_tool(raw, joints, predicted)
+        if correction.changed or seen:
+            if correction.changed:
+                correction.begin(raw.t_ns, predicted)
             outputs.append(("compensation/state", self._state()))
         (a, b, c, d, e, f, *point), progress = correction.apply(raw.t_ns, predicted)
         force, torque = raw.force, raw.torque
@@ -132,7 +134,15 @@ class CompensationService(Service):
         if not known:
             return []
         self._correction.retare(ZERO)
+        self._correction.awaited = zeroings > 0
         return self._commands.abandon_tare("the sensor's zero changed meanwhile")
+
+    def _looks_like_tool(
+        self, raw: WrenchRaw, joints: tuple[tuple[float, ...], int, bool] | None, predicted: Six
+    ) -> bool:
+        """The first usable sample after a zeroing that reads as the tool does; `predicted` holds it only with joints."""
+        usable = raw.valid and not raw.saturated and joints is not None and joints[2]
+        return usable and self._correction.look_for_tool(raw, predicted)
 
     def _judge(self, raw: WrenchRaw, joints: tuple[tuple[float, ...], int, bool] | None, wrench: Six) -> bool:
         """Whether the sample may be used as far as wire, joints and calibration go, with its counters."""
@@ -147,10 +157,13 @@ class CompensationService(Service):
     def _flags(self, raw: WrenchRaw, *, usable: bool, fresh: bool) -> dict[str, bool]:
         """Whether the wrench is vouched for: with the sensor's own offset in it, a calibration made without is no use."""
         self._unzeroed = unzeroed = self._correction.unzeroed(raw)
-        valid = usable and not (unzeroed and self._correction.rests_on_zero)
+        unseen = self._correction.unseen
+        valid = usable and not unseen and not (unzeroed and self._correction.rests_on_zero)
         self._counters["unzeroed"] += unzeroed
+        self._counters["tool_unseen"] += unseen
         self._counters["invalid_samples"] += not valid
-        return {"valid": valid, "unzeroed": unzeroed, "joints_extrapolated": self._correction.active and not fresh}
+        old = self._correction.active and not fresh
+        return {"valid": valid, "unzeroed": unzeroed, "tool_unseen": unseen, "joints_extrapolated": old}
 
     def _messages(
         self, raw: WrenchRaw, wrench: Six, point: list[float], progress: float, flags: dict[str, Any]
@@ -206,7 +219,7 @@ class CompensationService(Service):
     def _status(self, now_ns: int) -> Status:
         counters = self._counters | {"unusable_joints": self._history.unusable, "late_joints": self._history.late}
         state = "fault" if self._commands.problem else "ready" if self._counters["samples"] else "starting"
-        if state == "ready" and self._unzeroed and self._correction.rests_on_zero:
+        if state == "ready" and (self._correction.unseen or (self._unzeroed and self._correction.rests_on_zero)):
             state = "degraded"
         header = self._header("status", now_ns)
         gauges = {"joints_age_s": self._age_s}
@@ -215,7 +228,13 @@ class CompensationService(Service):
 
     def _describe(self) -> str:
         model = self._correction.model
-        offset = "; the sensor is not zeroed: zero it with no tool on, or tare untouched" if self._unzeroed else ""
+        offset = ""
+        if self._unzeroed:
+            offset = "; the sensor is not zeroed: zero it with no tool on, or tare untouched"
+        elif self._correction.unseen:
+            offset = (
+                "; zeroed, and the tool not felt since: put it on; if it was on, zero without it, or tare untouched"
+            )
         if model is None:
             return "no tool selected: the wrench holds its weight" + offset
         return f"{model.calibration}" + ("" if self._correction.enabled else ", switched off") + offset
