@@ -5,7 +5,7 @@ import importlib
 import os
 import sys
 from contextlib import suppress
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 from galen_hw.errors import EXIT_USAGE, GalenError
 from galen_hw.version import VERSION
@@ -37,7 +37,10 @@ def main(argv: list[str] | None = None) -> int:
     """Run one command; the exit status: 0 fine, 1 found a problem, 2 wrong use or input, 3 hardware, 141 output cut off."""
     argv = sys.argv[1:] if argv is None else argv
     parser, command = _parser(argv)
-    args = parser.parse_args(argv)
+    args, unknown = parser.parse_known_args(argv)
+    if unknown:
+        words = f"galen-hw {command}" if command else "galen-hw"
+        parser.exit(EXIT_USAGE, f"{words}: {' '.join(unknown)}: not known; {words} --help\n")
     if args.command is None:
         parser.print_help()
         return EXIT_USAGE
@@ -66,7 +69,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _parser(argv: list[str]) -> tuple[argparse.ArgumentParser, str | None]:
     """The parser; only the named command's module is imported, so that --help is quick."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="galen-hw", description="Hardware interface of the Galen surgical robot.", formatter_class=_OneColumn
     )
     parser.add_argument("--version", action="version", version=f"galen-hw {VERSION}")
@@ -77,6 +80,14 @@ def _parser(argv: list[str]) -> tuple[argparse.ArgumentParser, str | None]:
         if name == named:
             importlib.import_module(module).add_arguments(sub)
     return parser, named if named in COMMANDS else None
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong and where to look in one line, as every other problem is said; commands are such parsers too."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with the status of wrong use."""
+        self.exit(EXIT_USAGE, f"{self.prog}: {message}; {self.prog} --help\n")
 
 
 class _OneColumn(argparse.HelpFormatter):

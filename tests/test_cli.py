@@ -58,6 +58,20 @@ def test_wrong_use_exits_with_2(capsys: pytest.CaptureFixture[str]) -> None:
     assert "calibrat" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "words", [["record", "--duration", "5"], ["tool", "list", "--foo"], ["recrod"], ["tool", "selct"], ["--foo"]]
+)
+def test_wrong_use_is_one_line_and_says_where_to_look(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Of the command that was meant, not a page of usage of the whole program."""
+    with pytest.raises(SystemExit) as exit_:
+        main(words)
+    assert exit_.value.code == EXIT_USAGE
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"galen-hw {words[0]}: " if words[0] in COMMANDS else "galen-hw: ")
+    assert line.endswith(" --help")
+    assert any(word in line for word in words[-2:])
+
+
 def test_an_error_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     """What, where, what to do; no traceback."""
     assert main(["diagnose", "no/such/recording"]) == EXIT_USAGE
