@@ -213,11 +213,12 @@ def quiet(scene: Scene) -> Scene:
     """The scene with joints at rest where they stand and moving ones without noise, if that goes straight into what is compared.
 
     In a tracked pose it is in all channels at once: an arm that is wrong by a foot would explain what shakes it at rest, and
-    a dead band or a filter that does no more than quieten the encoders would be believed. What looks like noise may be poses one
-    after the other: a joint that the tracker saw go there stays as it was read.
+    a dead band or a filter that does no more than quieten the encoders would be believed. A wrench that is simulated from noisy
+    joints is noisy itself, and a lag quietens that where a delay does not. What looks like noise may be poses one
+    after the other: a joint that the tracker or the sensor saw go there stays as it was read.
     """
     seen = scene.observations
-    if seen.predict not in ("pose", "targets") or not scene.clock or not np.isfinite(scene.q).all():
+    if seen.predict not in ("pose", "targets", "wrench") or not scene.clock or not np.isfinite(scene.q).all():
         return scene
     q = denoised(scene.time, at_rest(scene.time, scene.q, scene.segments), scene.segments)
     places = {f"joint.{name}.position": q[:, i] for i, name in enumerate(scene.joint_names)}
