@@ -2,7 +2,7 @@
 
     python -m galen_hw.tools.bench_diagnosis [--joints 12] [--rows 25000 50000 100000] [--json]
 
-The recording is a servo arm against its commands: a delay, a joint with friction and one with play, noise. Its formulas are
+The recording is a servo arm against its commands: a delay, a joint that friction holds back, noise. Its formulas are
 written here anew.
 """
 
