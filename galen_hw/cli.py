@@ -39,8 +39,7 @@ def main(argv: list[str] | None = None) -> int:
     parser, command = _parser(argv)
     args, unknown = parser.parse_known_args(argv)
     if unknown:
-        words = f"galen-hw {command}" if command else "galen-hw"
-        parser.exit(EXIT_USAGE, f"{words}: {' '.join(unknown)}: not known; {words} --help\n")
+        _Parser(prog=f"galen-hw {command or ''}".strip()).error(f"{' '.join(unknown)}: not known")
     if args.command is None:
         parser.print_help()
         return EXIT_USAGE

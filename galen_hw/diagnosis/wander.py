@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 from scipy.stats import norm as normal
 from scipy.stats import t as student
+from scipy.stats import truncnorm
 
 from galen_hw.diagnosis.final import Model
 from galen_hw.physics.event_effects import Vibration
@@ -55,8 +56,7 @@ def _positive(value: float, error: float) -> float:
     """Mean of what is not negative, of which a measurement with a normal error says `value`."""
     if error <= 0.0:
         return max(value, 0.0)
-    at = value / error
-    return value + error * float(np.exp(normal.logpdf(at) - normal.logcdf(at)))
+    return float(truncnorm.mean(-value / error, np.inf, loc=value, scale=error))
 
 
 def _alone(model: Model, effect: Vibration) -> Array:

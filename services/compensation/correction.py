@@ -89,8 +89,11 @@ class Correction:
         """Whether this sample shows, for the first time since the sensor was zeroed, that the tool hangs on it.
 
         Zeroed with the tool on, a sensor misses its weight from then on in every pose, as it does while the tool is off.
+
+        Args:
+            predicted: (6,) N and N m, as `predict` has it.
         """
-        if not (self.awaited and self.model is not None and self.rests_on_zero):
+        if not self.awaited or self.model is None or not self.rests_on_zero:
             return False
         left = hypot(raw.force.x - predicted[0], raw.force.y - predicted[1], raw.force.z - predicted[2])
         self.awaited = not left <= max(SEEN_SHARE * self.model.weight, UNFELT_N)
