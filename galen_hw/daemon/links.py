@@ -84,7 +84,33 @@ class _Control(Inlet):
             return
 
 
-class CoreLink:
+class _Link:
+    """What every process has: what comes in from the others, and the line to the supervisor."""
+
+    def __init__(self, name: str, addresses: Addresses, inward: "zmq.Socket[Any]") -> None:
+        self.inlet = Inlet(inward)
+        self.control = _Control(name, addresses)
+        self.dropped = 0
+
+    def request(self, request: Request) -> None:
+        """Send a request to whoever owns its target."""
+        self.control.send(REQUEST, request)
+
+    def reply(self, reply: Reply) -> None:
+        """Answer a request that came from outside."""
+        self.control.send(REPLY, reply)
+
+    def beat(self, beat: Beat) -> None:
+        """Tell the supervisor that we are alive."""
+        self.control.send(BEAT, beat)
+
+    def close(self) -> None:
+        """Close every socket."""
+        self.inlet.socket.close()
+        self.control.socket.close()
+
+
+class CoreLink(_Link):
     """The link of `core`: binds the bus and the viewers' copy, and passes on what the others push.
 
     Raises:
@@ -97,9 +123,7 @@ class CoreLink:
         inward: zmq.Socket[Any] = zmq.Context.instance().socket(zmq.PULL)
         inward.setsockopt(zmq.RCVHWM, INWARD_QUEUE)
         bind(inward, addresses.inward)
-        self.inlet = Inlet(inward)
-        self.control = _Control(name, addresses)
-        self.dropped = 0
+        super().__init__(name, addresses, inward)
         self.publish = self._publisher.publish
 
     def _offer_viewers(self, address: str) -> bool:
@@ -120,26 +144,13 @@ class CoreLink:
                 found.append((frames[0], frames[1]))
         return found
 
-    def request(self, request: Request) -> None:
-        """Send a request to whoever owns its target."""
-        self.control.send(REQUEST, request)
-
-    def reply(self, reply: Reply) -> None:
-        """Answer a request that came from outside."""
-        self.control.send(REPLY, reply)
-
-    def beat(self, beat: Beat) -> None:
-        """Tell the supervisor that we are alive."""
-        self.control.send(BEAT, beat)
-
     def close(self) -> None:
         """Close every socket."""
         self._publisher.close()
-        self.inlet.socket.close()
-        self.control.socket.close()
+        super().close()
 
 
-class EdgeLink:
+class EdgeLink(_Link):
     """The link of the other processes: pushes to `core`, subscribes to what its services take."""
 
     def __init__(self, name: str, addresses: Addresses, topics: Iterable[str]) -> None:
@@ -156,9 +167,7 @@ class EdgeLink:
         for topic in topics:
             bus.setsockopt(zmq.SUBSCRIBE, topic.encode())
         bus.connect(addresses.bus)
-        self.inlet = Inlet(bus)
-        self.control = _Control(name, addresses)
-        self.dropped = 0
+        super().__init__(name, addresses, bus)
 
     def publish(self, topic: str, message: Message) -> None:
         """Push a message to the bus; dropped and counted when `core` does not take it."""
@@ -171,20 +180,7 @@ class EdgeLink:
         """What has been published on the topics of our services since."""
         return [(frames[0], frames[-1]) for frames in self.inlet.take(ready)]
 
-    def request(self, request: Request) -> None:
-        """Send a request to whoever owns its target."""
-        self.control.send(REQUEST, request)
-
-    def reply(self, reply: Reply) -> None:
-        """Answer a request that came from outside."""
-        self.control.send(REPLY, reply)
-
-    def beat(self, beat: Beat) -> None:
-        """Tell the supervisor that we are alive."""
-        self.control.send(BEAT, beat)
-
     def close(self) -> None:
         """Close every socket."""
         self._outward.close()
-        self.inlet.socket.close()
-        self.control.socket.close()
+        super().close()

@@ -224,7 +224,7 @@ def _recommend(found: list[Candidate], base_key: str, rows: Poses) -> Comparison
         chosen, found = _with_another(chosen, found, rows)
         reasons += ["drift and tilt together still better"] if chosen.key == "both" else []
     else:
-        reasons.append("no further unknown predicts left-out poses better")
+        reasons.append("no further unknown predicts left-out poses clearly better")
     return Comparison(tuple(found), chosen.key, "; ".join(reasons))
 
 

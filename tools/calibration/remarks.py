@@ -115,7 +115,7 @@ def _rotations(result: "Result") -> Iterator[str]:
         elif key == "mount" and _gains(row, result.best):
             yield f"{what}, and left-out poses are predicted better with it: correct the robot's model and fit again"
         else:
-            yield f"{what} by the numbers, but left-out poses are not predicted better with it: not used"
+            yield f"{what} by the numbers, but left-out poses are not predicted clearly better with it: not used"
 
 
 def _gains(row: Candidate, best: Candidate) -> bool:
