@@ -296,7 +296,7 @@ streams = st.lists(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(stream=streams)
 def test_it_survives_any_message_and_never_commands_a_number_that_is_none(
     tmp_path_factory: pytest.TempPathFactory, stream: list[tuple[str, object]]

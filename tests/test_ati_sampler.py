@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -35,7 +35,7 @@ def check_every_sample_answers_the_last_request(run, board):
     run.feed = watched
 
 
-@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=50)
 @given(
     seed=st.integers(0, 2**32),
     rates=st.dictionaries(st.sampled_from(FAULTS), st.sampled_from([0.005, 0.05, 0.3]), min_size=1),
@@ -58,7 +58,7 @@ def test_no_wrong_sample_whatever_happens_on_the_wire(seed, rates, delay_ms, rat
     assert seqs == list(range(len(seqs)))
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32), fault=st.sampled_from(FAULTS), rate=st.sampled_from([0.05, 0.2]))
 def test_start_amid_faults_never_takes_a_wrong_matrix(seed, fault, rate):
     """Whatever happens while the matrix is read: if the device becomes ready, its wrench is that of the true matrix."""
@@ -219,7 +219,7 @@ def test_a_board_that_was_exchanged_while_running_is_identified_anew():
 
 
 @given(st.lists(st.tuples(st.integers(0x1F0, 0x21F), st.binary(max_size=8), st.integers(0, 3 * MS)), max_size=200))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_any_frames_at_any_time_raise_nothing(frames):
     """Arbitrary frames on and around the board's identifiers, amid its own, are no exception."""
     run = run_of().seconds(0.02)

@@ -145,7 +145,7 @@ def test_a_busy_port_is_refused(slcan, adapter):
         transport("slcan", adapter.path).open()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     frames=st.lists(st.builds(CanFrame, st.integers(0, 0x7FF), st.binary(max_size=8)), max_size=20),
     cuts=st.lists(st.integers(1, 30), max_size=60),
@@ -166,7 +166,7 @@ def test_slcan_parses_any_chunking(frames, cuts):
     assert bus.malformed == 0
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.binary(max_size=60), max_size=20))
 def test_slcan_survives_any_noise(chunks):
     """Arbitrary bytes are no exception, and what remains buffered is bounded."""

@@ -60,7 +60,7 @@ def test_the_direction_of_gravity_is_that_of_any_robot(q: list[float]) -> None:
     assert direction.joints == (0, 2), "the sliding joint does not turn the sensor"
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     q=angles,
     mass=st.floats(0.01, 3.0),
@@ -426,7 +426,7 @@ any_request = st.sampled_from(
 )
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(st.lists(st.one_of(any_raw, any_joints, any_request), max_size=25), st.booleans(), st.booleans())
 def test_it_survives_any_message(
     tmp_path_factory: pytest.TempPathFactory, stream: list[object], dynamic: bool, wait: bool

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -50,7 +50,7 @@ def damage(bench: Bench, kind: str, what: object) -> None:
         bench.run(what)
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=25)
 @given(st.lists(EVENT, max_size=25), st.sampled_from([0, 1, 5]))
 def test_every_accepted_request_is_answered_once(events, chunk):
     """Lost bytes, noise, refusals, dead times in any order; and when the line is well again, the robot comes back."""

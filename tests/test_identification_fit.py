@@ -41,7 +41,7 @@ def test_exact_readings_give_every_parameter_back():
     assert found.bias == pytest.approx(offset, abs=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_any_orientations_and_any_body_come_back_from_quaternions_alone(seed):
     """No robot, no zeroing, any 12 orientations: mass, centre of mass and six offsets are exact."""

@@ -37,7 +37,7 @@ def test_exact_readings_give_both_bodies_back_to_1e_12():
         assert relative(found.force, [0.0, 0.0, -9.80665 * true.mass]) < 1e-12
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_any_zeroing_pose_and_any_bodies_are_recovered(seed):
     """The derivation holds for a sensor zeroed anywhere and for any weights, to 1e-10."""

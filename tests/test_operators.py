@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from galen_hw.physics.operators import MANY_SERVOS, ServoState, delay, impulse, lag, play, second_order, servo
@@ -28,7 +28,6 @@ def signals(draw: st.DrawFn) -> np.ndarray:
     return np.round(x, 1) if draw(st.booleans()) else x
 
 
-@settings(deadline=None)
 @given(signals(), st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3), st.booleans(), st.floats(0.0, 1.0))
 def test_play_is_its_definition_to_the_last_bit_wherever_it_is_cut(x, widths, started, where):
     """Corners, doubling and the definition agree, and so does a stream that was cut anywhere."""
@@ -112,7 +111,6 @@ def test_a_second_order_response_is_that_of_its_equation(uneven):
     assert np.allclose(held[:, 0], 1.0 - np.exp(-damping * since) * free, atol=1e-12), "a step, from the first row on"
 
 
-@settings(deadline=None)
 @given(signals(), st.floats(0.002, 2.0), st.floats(0.1, 0.98), st.booleans(), st.booleans(), st.floats(0.0, 1.0))
 def test_responses_go_on_from_any_row(x, constant, damping, even, held, where):
     """A batch cut anywhere gives the same numbers, of a lag and of a second-order response."""
@@ -140,7 +138,6 @@ def test_a_delay_is_the_past():
     assert np.allclose(out[:, 0], 3.0 * np.maximum(t - 0.025, 0.0), atol=1e-12)
 
 
-@settings(deadline=None)
 @given(signals(), st.floats(0.0, 0.5), st.floats(0.01, 2.0), st.floats(1.5, 30.0), st.booleans(), st.floats(0.0, 1.0))
 def test_a_servo_that_sticks_goes_on_from_any_row(x, band, constant, slower, holds, where):
     """A batch cut anywhere gives the same numbers, and the joint never stands further off than friction and lag allow."""

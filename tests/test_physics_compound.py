@@ -216,7 +216,7 @@ def test_every_reader_has_its_place():
     more=st.floats(0.001, 1.0),
     at=st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3),
 )
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_a_point_of_mass_added_to_a_body_is_the_body_of_both(mass, com, more, at):
     """Mass, moment and the inertia about the common centre (Steiner)."""
     c, p = np.array(com), np.array(at)

@@ -63,7 +63,7 @@ def recordings(draw: st.DrawFn) -> Recording:
     return Recording(columns, RecordingInfo(robot="galen", predict="wrench"))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(recordings(), st.sampled_from(["csv", "parquet", "json", "msgpack"]))
 def test_what_is_written_is_read_back_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory, recording: Recording, form: Any

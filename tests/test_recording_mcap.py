@@ -161,7 +161,7 @@ def test_a_damaged_name_in_the_index_makes_no_message_another_topics(tmp_path: P
     assert [repr(item.message) for item in found] == [repr(message) for _, message in messages]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data())
 def test_damage_costs_the_damaged_part_and_never_more_than_a_message(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

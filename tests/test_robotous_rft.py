@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
@@ -171,7 +171,7 @@ def check_every_sample_is_whole(run, sensor):
     run.feed = watched
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 2**32),
     rates=st.dictionaries(
@@ -324,7 +324,7 @@ def test_settings_refuse_what_cannot_be():
 @given(
     st.lists(st.tuples(st.sampled_from([1, 2, 0x64, 3]), st.binary(max_size=8), st.integers(0, 3 * MS)), max_size=200)
 )
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_any_frames_at_any_time_raise_nothing(frames):
     """Arbitrary frames on and around the sensor's identifiers, amid its own, are no exception."""
     run = run_of(rate_hz=1000).seconds(0.1)

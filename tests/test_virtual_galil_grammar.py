@@ -139,7 +139,7 @@ ALPHABET = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.lists(ALPHABET, max_size=8).map(b"".join), st.data())
 def test_any_chunking_and_any_garbage(data, draw):
     """Whatever comes, in whatever pieces, is answered the same, and never an exception."""

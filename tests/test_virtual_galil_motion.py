@@ -239,7 +239,7 @@ def test_absolute_encoders_read_their_offset():
 SPEEDS = st.floats(1.0, 1e6)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(-1e5, 1e5), SPEEDS, SPEEDS, SPEEDS)
 def test_every_move_is_smooth_within_its_rates_and_ends_on_target(start, target, v0, speed, ac, dc):
     """From any state: position and speed have no jumps, rates stay in bounds, the end is exact."""
@@ -257,7 +257,7 @@ def test_every_move_is_smooth_within_its_rates_and_ends_on_target(start, target,
     assert all(abs(p.v) <= max(speed, abs(v0)) * 1.0001 for p in pieces)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.floats(-1e5, 1e5), st.floats(-1e5, 1e5), SPEEDS, SPEEDS)
 def test_jog_and_stop_reach_their_speed(v0, speed, ac, dc):
     """A jog ends at its speed, a stop at rest, without a jump of the speed."""
@@ -271,7 +271,7 @@ def test_jog_and_stop_reach_their_speed(v0, speed, ac, dc):
             assert before.at(after.t).v == pytest.approx(after.v, abs=1e-6 * (1 + abs(v0)))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.lists(st.sampled_from([
     "SH", "MO", "BG", "BGA", "ST",
     "AB 1", "JG 9000,-7000", "JG -9000", "PA 5000,6000", "PR -4000", "SP 20000", "AC 60000",

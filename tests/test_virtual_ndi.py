@@ -340,7 +340,7 @@ def test_replies_take_their_time_on_the_wire():
     assert 0 < len(early) < len(early + late) == 2 + PORT_LINE + 4 + 5
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.one_of(st.binary(max_size=30), st.sampled_from([
     command("INIT:"), command("TX:0801"), command("BX:0801"), command("PHRQ:*********1****"), command("PENA:01D"),
     command("TSTART:"), b"TX \r", b"PHINF 01\r", b"PVWR 01\r", b"GETINFO x\r", b"COMM \r", b"VER 9\r", b"\r",
