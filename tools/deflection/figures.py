@@ -88,7 +88,7 @@ def figures(out: Comparison) -> Iterator[tuple[str, str, "Figure"]]:
             if out.held:
                 figure = _model(out, name, Figure((10.0, 5.4), layout="constrained"))
                 number = NUMBERS.get(name)
-                title = f"{name}" + (f" (report, figures {number})" if number else " (the same for this model)")
+                title = f"{name}, as in the report's figures {number}" if number else f"{name}, the same figures"
                 yield "model-" + "".join(c if c.isalnum() else "-" for c in name.lower()).strip("-"), title, figure
         net = out.models.get("LSTM (report)")
         if isinstance(net, Lstm) and net.losses:
