@@ -6,12 +6,7 @@ import threading
 from hypothesis import HealthCheck, settings
 
 # How long an example takes on a busy machine says nothing of the code; a test that hangs has the suite's own limit.
-settings.register_profile(
-    "any-machine",
-    settings.default,
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow],
-)
+settings.register_profile("any-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any-machine")
 
 # A shell that starts the suite in the background has it ignore Ctrl-C (nohup: the end of the terminal), and so would every

@@ -95,7 +95,11 @@ def _drift(result: "Result") -> Iterator[str]:
     k = int(np.argmax(np.abs(drift) / np.maximum(std, 1e-300)))
     clock = result.poses.time
     span = "over the sweep" if clock is None else f"in {clock[-1] - clock[0]:.0f} s"
-    used = "is in the fit" if result.fit.model.unknowns.drift else "is not in the fit: left-out poses are no better"
+    used = (
+        "is in the fit"
+        if result.fit.model.unknowns.drift
+        else "is not in the fit: left-out poses are not clearly better"
+    )
     yield f"the sensor drifts: {CHANNELS[k]} by {show(drift[k], CHANNELS[k])} {span} (p = {row.p_value:.1g}); it {used}"
 
 
