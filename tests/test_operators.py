@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from galen_hw.physics.operators import MANY_SERVOS, ServoState, delay, impulse, lag, play, second_order, servo
+from galen_hw.physics.operators import delay, impulse, lag, play, second_order
+from galen_hw.physics.servo import MANY_SERVOS, ServoState, servo
 
 
 def play_by_definition(x: np.ndarray, half_width: np.ndarray, state: np.ndarray | None) -> np.ndarray:
@@ -153,6 +154,53 @@ def test_a_servo_that_sticks_goes_on_from_any_row(x, band, constant, slower, hol
     if 0 < cut < len(x):
         first, between = servo(t[:cut], x[:cut], r, quick, slow, None)
         assert np.array_equal(np.concatenate([first, servo(t[cut:], x[cut:], r, quick, slow, between)[0]]), whole)
+
+
+def servo_by_definition(
+    x: np.ndarray, band: float, step: float, constant: float, settling: float, q: float
+) -> np.ndarray:
+    """Row after row, from q before a step to the first row."""
+    share, little = -np.expm1(-step / constant), -np.expm1(-step / settling)
+    breaks = band * settling / (settling - constant) if np.isfinite(settling) else band
+    out = []
+    for c in x.tolist():
+        error = c - q
+        q += share * (error - np.copysign(band, error)) if abs(error) > breaks else little * error
+        out.append(q)
+    return np.array(out)
+
+
+@st.composite
+def commands(draw: st.DrawFn) -> np.ndarray:
+    """(N,): slow, still, in steps, or full of noise, and from one to the other on the way."""
+    rng, parts = np.random.default_rng(draw(st.integers(0, 2**32 - 1))), []
+    for _ in range(draw(st.integers(1, 4))):
+        n = draw(st.integers(1, 3000))
+        slow = draw(st.floats(0.0, 2.0)) * np.sin(
+            np.linspace(0.0, draw(st.floats(0.0, 60.0)), n) + rng.uniform(0.0, 6.0)
+        )
+        noise = draw(st.sampled_from([0.0, 1e-4, 1e-2, 1.0])) * rng.normal(size=n)
+        digits = draw(st.sampled_from([1, 3, 12]))
+        parts.append(np.round(slow + noise, digits))
+    return np.concatenate(parts)
+
+
+@given(
+    commands(), st.floats(0.0, 0.5), st.floats(1e-4, 2.0), st.floats(1.01, 30.0), st.booleans(), st.floats(-1.0, 1.0)
+)
+def test_a_servo_on_an_even_clock_slips_and_sticks_as_row_by_row(x, band, constant, slower, holds, begun):
+    """Phase by phase on an even clock, whatever the command, also beside others and cut somewhere."""
+    settling = np.inf if holds else constant * slower
+    t, given_ = 0.002 * np.arange(len(x)), [np.array([one]) for one in (band, constant, settling)]
+    start = x[0] + begun * band
+    out, last = servo(t, x[:, None], *given_, ServoState(-0.002, np.array([start])))
+    assert np.allclose(out[:, 0], servo_by_definition(x, band, 0.002, constant, settling, start), rtol=0.0, atol=1e-9)
+    assert np.array_equal(last.output, out[-1])
+    cut = len(x) // 3
+    if cut:
+        first, between = servo(t[:cut], x[:cut, None], *given_, ServoState(-0.002, np.array([start])))
+        then, _ = servo(t[cut:], x[cut:, None], *given_, between)
+        assert np.allclose(np.concatenate([first, then]), out, rtol=0.0, atol=1e-9)
 
 
 def test_servos_side_by_side_do_what_each_does_by_itself() -> None:

@@ -17,6 +17,7 @@ from galen_hw.diagnosis.stream import through
 from galen_hw.physics.effect import Columns, Downstream, Effect
 from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.time_effects import TimeDelay, Timing
 from galen_hw.spatial import Array
 
 MOST_ROWS = 12500
@@ -167,6 +168,8 @@ class Bench:
     timing: list[tuple[Downstream, Array]] = field(default_factory=list)
     company: Array | float = 0.0
     """(M, C) what the effects of the present model add because of each other: a gain scales a new load too."""
+    plain: dict[Effect, Hypothesis] = field(default_factory=dict)
+    """See `know`."""
     restless: bool = False
     """Whether that grows round after round: one part of the model undoes another."""
 
@@ -215,17 +218,41 @@ class Bench:
 
     def add(self, effect: Effect, looked: int = 1) -> Hypothesis:
         """A hypothesis with its columns, averaged and whitened."""
-        return self.made(effect, self.raw(effect), looked)
+        known = self.plain.get(effect) if looked == 1 and not through(effect, self.timing) else None
+        return self.made(effect, self.raw(effect), looked) if known is None else known
+
+    def know(self, hypotheses: Iterable[Hypothesis]) -> None:
+        """Keeps what effects do by themselves, whatever the stream carries, until the noise is another: it is asked again."""
+        each = ((h.effect, h) for h in hypotheses)
+        self.plain = {e: h for e, h in each if e is not None and (not e.DOWNSTREAM or isinstance(e, Timing))}
 
     def raw(self, effect: Effect) -> Columns:
         """An effect's averaged columns, as the late, lagging or clipping stream delivers them."""
         ends = through(effect, self.timing)
         if not ends:
-            return effect.averaged(self.scene_of(effect), self.rows.average)
+            known = self.plain.get(effect)
+            return effect.averaged(self.scene_of(effect), self.rows.average) if known is None else known.raw
         columns = effect.columns(self.scene_of(effect))
-        for downstream, theta in ends:
+        for downstream, theta in ends[:-1]:
             columns = downstream.delivered(self.stream, columns, theta)
-        return self.averaged(columns)
+        last, theta = ends[-1]
+        if not isinstance(last, TimeDelay) or not columns.count:
+            return self.averaged(last.delivered(self.stream, columns, theta))
+        places, late = last.places(self.stream), float(theta[0])
+        mine = [i for i, c in enumerate(columns.channels) if c in places]
+        if len(mine) == len(columns.channels):
+            return Columns(columns.channels, self.late(columns.values, late))
+        out = self.averaged(columns)
+        if mine:
+            out.values[:, mine] = self.late(columns.values[:, mine], late)
+        return out
+
+    def late(self, x: Array, seconds: float) -> Array:
+        """(M, ...) averages of signals (N, ...) that come later by seconds."""
+        if self.scene.even:
+            return self.rows.late(x, [seconds / step for step in self.scene.steps])
+        flat = self.stream.delay("delay", x.reshape(len(x), -1), seconds)
+        return self.rows.average(flat).reshape(-1, *x.shape[1:])
 
     def scene_of(self, effect: Effect) -> Scene:
         """The scene as an effect meets it: at the end of the stream with all that the model adds."""
@@ -256,6 +283,7 @@ class Bench:
 
         Below `above` (cycles a row) it is not measured but taken as at that frequency.
         """
+        self.plain = {}
         constants, library, rest, basis = self.constants(), list(hypotheses), [], []
         always = [*constants, *extra]
         M, good = len(self.rows), ~self.dropped

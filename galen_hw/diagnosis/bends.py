@@ -8,6 +8,7 @@ from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.stream import arrived
 from galen_hw.physics.effect import Columns, Effect
+from galen_hw.physics.time_effects import TimeDelay
 from galen_hw.spatial import Array
 
 ROUNDING = 1e-6
@@ -31,6 +32,12 @@ def tangent(bench: Bench, h: Hypothesis, theta: Array) -> Hypothesis:
 
 def does(bench: Bench, effect: Effect, theta: Array) -> Array:
     """(M, C) averaged change of an effect with parameters theta (k,), as it arrives through a late or lagging stream."""
+    if isinstance(effect, TimeDelay):
+        # Nothing delivers it, and a joint's own changes no other channel.
+        places, out = list(effect.places(bench.scene)), np.zeros((len(bench.rows), bench.width))
+        simulated = bench.scene.simulated[:, places]
+        out[:, places] = bench.late(simulated, float(theta[0])) - bench.rows.average(simulated)
+        return out
     return bench.rows.average(arrived(bench.stream, effect, effect.change(bench.scene, theta), bench.timing))
 
 

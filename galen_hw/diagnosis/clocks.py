@@ -171,6 +171,7 @@ class _Search:
     def __post_init__(self) -> None:
         self.places = self.delay.places(self.bench.stream)
         self.simulated = self.bench.stream.simulated[:, self.places]
+        self.averaged = self.bench.rows.average(self.simulated)
         self.behind: dict[object, Array] = {}
         self.instead: dict[Effect, Effect] = {}
         self.price = float(np.log(self.bench.noise.effective))
@@ -287,8 +288,8 @@ class _Search:
     ) -> float:
         """Fall of the whitened sum of squares with a delay and a lag, s, and bands of friction so many times as wide."""
         lagged = self._lagged(constant, wide, self.within if within is None else within, damping)
-        y = self.bench.stream.delay("delay", lagged, late) - self.simulated
-        return self.beside.whole(self.bench.made(None, self.bench.averaged(Columns(self.places, y[:, :, None]))))
+        y = self.bench.late(lagged, late) - self.averaged
+        return self.beside.whole(self.bench.made(None, Columns(self.places, y[:, :, None])))
 
     def _lagged(self, constant: float, wide: float, within: tuple[Effect, ...], damping: float | None) -> Array:
         """(N, m) what servos with this constant (s) make of the simulated; kept, for it comes again with other delays."""

@@ -125,7 +125,7 @@ def rivals(selection: Selection, finding: Finding, *, everyone: bool = False) ->
 def _at_its_best(scorer: Scorer, own: Own, rival: Rival) -> Rival:
     """A rival that is not linear, by its own optimum instead of by its slope at zero."""
     bench, h = scorer.bench, scorer.library[rival.place]
-    if h.effect is None or h.effect.exact(bench.scene, np.zeros(h.count)) is None:
+    if h.effect is None or not h.effect.bends(bench.scene, np.zeros(h.count)):
         return rival
     others = [j for j in own.chosen if j != own.i]
     score = scorer.scores(others, [rival.place])[0].get(rival.place)

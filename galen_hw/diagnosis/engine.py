@@ -207,6 +207,7 @@ def _searched(
 ) -> tuple[list[Search], list[adequacy.Left]]:
     """What was searched under the present noise, the better model first, and what that leaves."""
     hypotheses = [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)]
+    bench.know(hypotheses)
     searches = _chosen(bench, hypotheses, blind=blind)
     return searches, left_by([searches[0][1]], generic)[0]
 

@@ -31,7 +31,7 @@ def settle(bench: Bench, scorer: Scorer, chosen: list[int], *, anew: bool = Fals
         for place, i in enumerate(chosen):
             h = scorer.library[i]
             t, done = theta[done : done + h.count], done + h.count
-            if h.effect is None or h.effect.exact(bench.scene, t) is None:
+            if h.effect is None or not h.effect.bends(bench.scene, t):
                 continue
             new = _settled(bench, scorer, chosen, i) if h.effect.curved else tangent(bench, h, t)
             assert new.bend is not None, "a tangent has one"
@@ -113,7 +113,7 @@ def unclocked(scorer: Scorer, i: int) -> Iterator[bool]:
         return
     bench.timing = others
     try:
-        fresh = [bench.made(h.effect, bench.raw(h.effect), h.looked) for h in behind if h.effect is not None]
+        fresh = [bench.add(h.effect, h.looked) for h in behind if h.effect is not None]
         with scorer.trying(fresh):
             yield True
     finally:
@@ -121,7 +121,7 @@ def unclocked(scorer: Scorer, i: int) -> Iterator[bool]:
 
 
 def _is_bent(bench: Bench, h: Hypothesis) -> bool:
-    return h.effect is not None and h.effect.exact(bench.scene, np.zeros(h.count)) is not None
+    return h.effect is not None and h.effect.bends(bench.scene, np.zeros(h.count))
 
 
 def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:

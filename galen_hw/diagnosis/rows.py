@@ -1,6 +1,7 @@
 """Rows of a recording: averaging over neighbours, contiguous blocks, and which are set aside."""
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -57,9 +58,44 @@ class Rows:
                 out[end] = x[middle : segment.stop].mean(axis=0)
         return out
 
+    def late(self, x: Array, steps: Sequence[float]) -> Array:
+        """The same of signals that come so many rows later in each segment, or earlier; at the ends the first or last row stands.
+
+        As `operators.delay` on an even clock, averaged: of the way between two neighbours their means need no row by itself.
+        """
+        flat = x.reshape(len(x), -1)
+        parts = [_late(flat[part], late, self.stride) for part, late in zip(self.segments, steps, strict=True)]
+        return (parts[0] if len(parts) == 1 else np.concatenate(parts)).reshape(len(self), *x.shape[1:])
+
     def spread(self, x: Mask) -> Mask:
         """(M,) mask of the groups that hold any marked row (N,)."""
         return np.asarray(np.logical_or.reduceat(x, self.starts))
+
+
+def _late(x: Array, steps: float, stride: int) -> Array:
+    """(G, k) means over groups of `stride` rows of x (n, k), so many rows later."""
+    count, groups = len(x), -(-len(x) // stride)
+    whole = int(np.floor(min(max(steps, -float(count)), float(count))))
+    share = steps - whole
+    # Groups of which every row lies between two that were recorded.
+    begin = min(max(-(-(whole + 1) // stride), 0), groups)
+    end = max(min(count, count + whole) // stride, begin)
+    out = np.empty((groups, x.shape[1]))
+    if begin < end:
+        a, b = begin * stride - whole, end * stride - whole
+        edges = x[a - 1 : b : stride] * (share / stride)
+        middle = np.einsum("gsk->gk", x[a:b].reshape(end - begin, stride, -1), out=out[begin:end])
+        middle /= stride
+        middle += edges[:-1]
+        middle -= edges[1:]
+    for first, last in ((0, begin), (end, groups)):
+        if first < last:
+            rows = np.arange(first * stride, min(last * stride, count)) - whole
+            here, before = x[np.clip(rows, 0, count - 1)], x[np.clip(rows - 1, 0, count - 1)]
+            starts = np.arange(0, len(rows), stride)
+            sizes = np.diff(starts, append=len(rows))
+            out[first:last] = np.add.reduceat(here + share * (before - here), starts, axis=0) / sizes[:, None]
+    return out
 
 
 def blocks(runs: tuple[slice, ...], count: int) -> Index:

@@ -218,7 +218,7 @@ def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int,
     fresh = []
     for i in list(leaders.values())[:4]:
         effect = scorer.library[i].effect
-        if effect is not None and effect.exact(bench.scene, np.zeros(scorer.library[i].count)) is not None:
+        if effect is not None and effect.bends(bench.scene, np.zeros(scorer.library[i].count)):
             scores[i] = bent(bench, scorer, chosen, i, scores[i])
         elif effect is not None and effect.searched() and len(leaders) > 1:
             better = polished(bench, scorer, chosen, i)

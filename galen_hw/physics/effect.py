@@ -145,6 +145,10 @@ class Effect(ABC):
         """(N, C) change for parameters theta (k,); None where `columns @ theta` is exact."""
         return None
 
+    def bends(self, scene: Scene, theta: Array) -> bool:
+        """Whether `exact` gives a change: an effect may know without computing it."""
+        return self.exact(scene, theta) is not None
+
     def change(self, scene: Scene, theta: Array) -> Array:
         """(N, C) change for parameters theta (k,)."""
         exact = self.exact(scene, np.asarray(theta, dtype=float))

@@ -137,8 +137,8 @@ class Friction(Effect):
         new = [one for servo, one in sticking.items() if servo not in kept][: int(MOST_KEPT / len(scene))]
         most = max(int(MOST_TOGETHER / len(scene)), 1)
         for few in (new[i : i + most] for i in range(0, len(new), most)):
-            for one, stands in zip(few, _stand_offs(scene, few).T, strict=True):
-                kept[one.servo] = stands.copy()
+            for one, stands in zip(few, _stand_offs(scene, few), strict=True):
+                kept[one.servo] = stands
 
     def columns(self, scene: Scene) -> Columns:
         """Functions of the joint's speed in the joint's channel, or what a servo that sticks does beside one that does not."""
@@ -217,7 +217,7 @@ class Friction(Effect):
         if key in kept:
             kept.move_to_end(key)
             return kept[key]
-        out = _stand_offs(scene, [self])[:, 0]
+        (out,) = _stand_offs(scene, [self])
         if scene.memory is None:
             kept[key] = out
             if len(kept) * len(out) > MOST_KEPT:
@@ -231,16 +231,20 @@ def _kept(scene: Scene) -> OrderedDict[object, Array]:
     return kept
 
 
-def _stand_offs(scene: Scene, servos: Sequence[Friction]) -> Array:
-    """(N, m) what servos that stick do beside ones that do not."""
+def _stand_offs(scene: Scene, servos: Sequence[Friction]) -> list[Array]:
+    """Of each (N,) what a servo that sticks does beside one that does not."""
     response, settling = np.transpose([one.constants() for one in servos])
-    command = np.concatenate([one.command(scene, one.constants()[0]) for one in servos], axis=1)
+    # Many differ in their friction alone.
+    alike = [(one.joint, float(each), one.simulated is None) for one, each in zip(servos, response, strict=True)]
+    told = {key: one.command(scene, key[1]) for key, one in dict(zip(alike, servos, strict=True)).items()}
+    follows = {key: scene.lag("follows", command, key[1], held=True)[:, 0] for key, command in told.items()}
+    command = np.concatenate([told[key] for key in alike], axis=1)
     first = command[[part.start for part in scene.segments]]
     known = [scene.resting(f"joint.{one.joint}.position") for one in servos]
     start = np.stack([x if at is None else at[:, 0] for x, at in zip(first.T, known, strict=True)], axis=1)
     band = np.array([one.coulomb for one in servos], dtype=float)
     sticks = scene.servo("servo", command, band, response, settling, start)
-    return np.asarray(sticks - scene.lag("follows", command, response, held=True))
+    return [stands - follows[key] for key, stands in zip(alike, sticks.T, strict=True)]
 
 
 def _is_effort(scene: Scene) -> bool:

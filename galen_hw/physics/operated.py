@@ -1,12 +1,24 @@
 """Operators with memory along the rows of a recording, segment by segment, or from one live row to the next."""
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from galen_hw.physics.gap import gap
-from galen_hw.physics.operators import LagState, ServoState, delay, impulse, lag, play, second_order, servo
+from galen_hw.physics.operators import (
+    DelayState,
+    LagState,
+    SecondOrderState,
+    delay,
+    evenly,
+    impulse,
+    lag,
+    play,
+    second_order,
+)
+from galen_hw.physics.servo import ServoState, servo
 from galen_hw.spatial import Array
 
 Memory = dict[Any, Any]
@@ -24,6 +36,25 @@ class Operated:
     time: Array
     segments: list[slice]
     memory: Memory | None
+
+    @cached_property
+    def even(self) -> bool:
+        """Whether the clock is even in every segment of a batch."""
+        return all(self._evenly.values())
+
+    @cached_property
+    def steps(self) -> list[float]:
+        """The mean steps (s) of a batch's segments."""
+        clocks = (self.time[part] for part in self.segments)
+        return [float(t[-1] - t[0]) / (len(t) - 1) for t in clocks]
+
+    @cached_property
+    def _evenly(self) -> dict[int, bool]:
+        """Of the segments of a batch, by their first rows: whether their clocks are even. Looked at once for many operators."""
+        return {part.start: evenly(self.time[part]) for part in self.segments}
+
+    def _even(self, part: slice) -> bool | None:
+        return None if self.memory is not None else self._evenly[part.start]
 
     def _carried(self, name: Any, x: Array, run: Callable[[slice, Any], tuple[Array, Any]], start: Any = None) -> Array:
         if self.memory is not None:
@@ -48,7 +79,7 @@ class Operated:
         def run(part: slice, state: Any) -> tuple[Array, LagState]:
             if state is not None and not isinstance(state, LagState):
                 state = LagState(float(self.time[part][0]), state, x[part][0])
-            return lag(self.time[part], x[part], c, state, held=held)
+            return lag(self.time[part], x[part], c, state, held=held, even=self._even(part))
 
         # Behind a gap nobody knows; it had time to settle.
         start = [np.zeros(x.shape[1:]), *(None for _ in self.segments[1:])] if empty else None
@@ -56,14 +87,18 @@ class Operated:
 
     def second_order(self, name: Any, x: Array, constant: float, damping: float, *, held: bool = False) -> Array:
         """Second-order response of (N, m) inputs over the clock, see `operators.second_order`."""
-        return self._carried(
-            name, x, lambda part, state: second_order(self.time[part], x[part], constant, damping, state, held=held)
-        )
+        ends = self.memory is None
+
+        def run(part: slice, state: Any) -> tuple[Array, SecondOrderState]:
+            time, even = self.time[part], self._even(part)
+            return second_order(time, x[part], constant, damping, state, held=held, even=even, ends=ends)
+
+        return self._carried(name, x, run)
 
     def servo(
         self, name: Any, command: Array, band: Any, constant: Any, settling: Any, start: Array | None = None
     ) -> Array:
-        """Servos that stick, (N, m) commands over the clock, see `operators.servo`; `start` as of `play`, inside the band."""
+        """Servos that stick, (N, m) commands over the clock, see `servo.servo`; `start` as of `play`, inside the band."""
         wide = command.shape[1:]
         r, quick, slow = (np.broadcast_to(np.asarray(x, dtype=float), wide) for x in (band, constant, settling))
 
@@ -71,7 +106,7 @@ class Operated:
             if state is not None and not isinstance(state, ServoState):
                 first = command[part][0]
                 state = ServoState(float(self.time[part][0]), np.clip(state, first - r, first + r))
-            return servo(self.time[part], command[part], r, quick, slow, state)
+            return servo(self.time[part], command[part], r, quick, slow, state, even=self._even(part))
 
         return self._carried(name, command, run, start)
 
@@ -86,4 +121,8 @@ class Operated:
 
     def delay(self, name: Any, x: Array, seconds: float) -> Array:
         """(N, m) inputs delayed by seconds, see `operators.delay`."""
-        return self._carried(name, x, lambda part, state: delay(self.time[part], x[part], seconds, state))
+
+        def run(part: slice, state: Any) -> tuple[Array, DelayState]:
+            return delay(self.time[part], x[part], seconds, state, even=self._even(part))
+
+        return self._carried(name, x, run)

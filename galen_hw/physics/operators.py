@@ -5,7 +5,6 @@ a batch cut anywhere gives the same numbers.
 """
 
 from dataclasses import dataclass
-from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +19,14 @@ FEW_CORNERS = 0.02
 """Share of the rows, of so many or more, below which the corners of a signal are walked one by one."""
 FORGOTTEN = 1e-30
 """Share of a past value below which it is gone, whatever the value."""
-MANY_SERVOS = 48
-"""From which they are walked side by side: a row of arrays costs as much as about so many single numbers."""
 EVEN = 1e-9
 """Spread of the clock's steps, as a share of one, that is rounding."""
+
+
+def evenly(time: Array) -> bool:
+    """Whether a clock (N,) is even but for rounding; of less than three rows nobody knows."""
+    steps = np.diff(time)
+    return len(steps) > 1 and bool(np.ptp(steps) <= EVEN * steps[0])
 
 
 def play(x: Array, half_width: Array, state: Array | None) -> tuple[Array, Array]:
@@ -81,7 +84,7 @@ class LagState:
 
 
 def lag(
-    time: Array, x: Array, constant: Array, state: LagState | None, *, held: bool = False
+    time: Array, x: Array, constant: Array, state: LagState | None, *, held: bool = False, even: bool | None = None
 ) -> tuple[Array, LagState]:
     """First-order lag T dy/dt = x - y, exact for inputs that are straight between the rows, however short T is.
 
@@ -92,14 +95,16 @@ def lag(
         x: (N, m) inputs.
         constant: (m,) time constants T, s.
         state: what the last row left; None: the output starts at the first input.
-        held: for inputs that are held over each step instead, as `servo` has them: s = p.
+        held: for inputs that are held over each step instead, as `servo.servo` has them: s = p.
+        even: `evenly` of the clock, where it is known.
     """
     before = time[0] if state is None else state.time
-    steps = np.maximum(np.diff(np.concatenate([[before], time])), 0.0)
     start, last = (x[0], x[0]) if state is None else (state.output, state.input)
-    if len(x) > 2 and np.ptp(steps[1:]) <= EVEN * steps[1]:
-        out = _lag_evenly(steps[:2], x, constant, start, last, held=held)
+    if evenly(time) if even is None else even:
+        steps = np.maximum([time[0] - before, time[1] - time[0]], 0.0)
+        out = _lag_evenly(steps, x, constant, start, last, held=held)
         return out, LagState(float(time[-1]), out[-1].copy(), x[-1].copy())
+    steps = np.maximum(np.diff(np.concatenate([[before], time])), 0.0)
     kept, earlier, now = lagging(steps[:, None], constant, held=held)
     # y_k = kept y_(k-1) + new, and such steps after one another are such a step: all of them by doubling.
     new = earlier * np.concatenate([last[None], x[:-1]]) + now * x
@@ -168,7 +173,15 @@ class SecondOrderState:
 
 
 def second_order(
-    time: Array, x: Array, constant: float, damping: float, state: SecondOrderState | None, *, held: bool = False
+    time: Array,
+    x: Array,
+    constant: float,
+    damping: float,
+    state: SecondOrderState | None,
+    *,
+    held: bool = False,
+    even: bool | None = None,
+    ends: bool = False,
 ) -> tuple[Array, SecondOrderState]:
     """T^2 y'' + 2 z T y' + y = x, exact for inputs that are straight between the rows: a servo, or a filter of two poles.
 
@@ -178,12 +191,15 @@ def second_order(
         constant: T, s: one over the natural frequency in rad/s.
         damping: z, below 1.
         state: what the last row left; None: the output starts at rest at the first input.
-        held: for inputs that are held over each step instead, as `servo` has them.
+        held: for inputs that are held over each step instead, as `servo.servo` has them.
+        even: `evenly` of the clock, where it is known.
+        ends: nobody goes on from the state that is left: on an even clock its rate is not computed.
     """
+    if state is None and (evenly(time) if even is None else even):
+        step = max(float(time[1] - time[0]), 0.0) / constant
+        return _second_order_evenly(time, x, step, damping, held=held, ends=ends)
     before = time[0] if state is None else state.time
     steps = np.maximum(np.diff(np.concatenate([[before], time])), 0.0) / constant
-    if state is None and len(x) > 2 and np.ptp(steps[1:]) <= EVEN * steps[1]:
-        return _second_order_evenly(time, x, float(steps[1]), damping, held=held)
     output, rate, last = (
         (x[0], np.zeros(x.shape[1]), x[0]) if state is None else (state.output, state.rate, state.input)
     )
@@ -217,7 +233,7 @@ def _swung(
 
 
 def _second_order_evenly(
-    time: Array, x: Array, step: float, damping: float, *, held: bool
+    time: Array, x: Array, step: float, damping: float, *, held: bool, ends: bool
 ) -> tuple[Array, SecondOrderState]:
     """The same from rest on an even clock, where it is a digital filter; step: in units of the constant."""
     a, b, c, d = (float(part[0]) for part in _turned(np.array([step]), damping))
@@ -229,8 +245,9 @@ def _second_order_evenly(
     poles = [1.0, -(a + d), a * d - b * c]
     moved = x - x[0]
     out = x[0] + lfilter([y_new, y_old - d * y_new + b * r_new, b * r_old - d * y_old], poles, moved, axis=0)
-    quick = lfilter([r_new, r_old - a * r_new + c * y_new, c * y_old - a * r_old], poles, moved, axis=0)
-    return out, SecondOrderState(float(time[-1]), out[-1].copy(), quick[-1], x[-1].copy())
+    slopes = [r_new, r_old - a * r_new + c * y_new, c * y_old - a * r_old]
+    quick = np.full(x.shape[1], np.nan) if ends else lfilter(slopes, poles, moved, axis=0)[-1]
+    return out, SecondOrderState(float(time[-1]), out[-1].copy(), quick, x[-1].copy())
 
 
 def _turned(steps: Array, damping: float) -> tuple[Array, Array, Array, Array]:
@@ -241,79 +258,6 @@ def _turned(steps: Array, damping: float) -> tuple[Array, Array, Array, Array]:
 
 
 @dataclass(frozen=True)
-class ServoState:
-    """Last time (s) and last output of servos that stick."""
-
-    time: float
-    output: Array
-
-
-def servo(
-    time: Array, command: Array, band: Array, constant: Array, settling: Array, state: ServoState | None
-) -> tuple[Array, ServoState]:
-    """A servo without integral action against dry friction: T dq/dt = z(c - q), z the dead zone of +- `band`.
-
-    It sticks while the stiffness times c - q cannot overcome the friction, then follows, a friction's width behind. T is its
-    damping over its stiffness: play of the command for T = 0, a first-order lag for a band of zero. Friction that is viscous
-    at creeping speed, up to its full size at some v, gives way while it sticks: (T + band / v) dq/dt = c - q. Source:
-    Armstrong-Helouvry, Dupont, Canudas de Wit 1994, sec. 2 and 4 (friction over speed; stand-off under PD control).
-
-    Args:
-        time: (N,) s.
-        command: (N, m) c, held over each step.
-        band: (m,) friction over stiffness, in the unit of c.
-        constant: (m,) T, s.
-        settling: (m,) T + band / v > T, s; infinite where it holds for good.
-        state: what the last row left; None: the output starts at the first command.
-    """
-    before = time[0] if state is None else state.time
-    steps = np.maximum(np.diff(np.concatenate([[before], time])), 0.0)
-    start = command[0] if state is None else state.output
-    if command.shape[1] >= MANY_SERVOS:
-        out = _side_by_side(steps, command, band, constant, settling, start)
-        return out, ServoState(float(time[-1]), out[-1].copy())
-    out = np.empty_like(command, dtype=float)
-    # Where it starts nothing moves it: on an even clock every row has the shares of every other.
-    even = state is None and len(steps) > 2 and np.ptp(steps[1:]) <= EVEN * steps[1]
-    each = (x.tolist() for x in (band, constant, settling, start, _breaking(band, constant, settling)))
-    for j, (r, lag_j, slow, first, breaks) in enumerate(zip(*each, strict=True)):
-        q, at = first, []
-        shares = (-np.expm1(-steps / one) for one in (lag_j, slow))
-        quick, creeping = (repeat(float(x[-1]), len(x)) if even else x.tolist() for x in shares)
-        for share, little, c in zip(quick, creeping, command[:, j].tolist(), strict=True):
-            error = c - q
-            if error > breaks:
-                q += share * (error - r)
-            elif error < -breaks:
-                q += share * (error + r)
-            else:
-                q += little * error
-            at.append(q)
-        out[:, j] = at
-    return out, ServoState(float(time[-1]), out[-1].copy())
-
-
-def _breaking(band: Array, constant: Array, settling: Array) -> Array:
-    """(m,) error, in the unit of the command, at which servos break loose; their numbers as of `servo`."""
-    gives = np.isfinite(settling)
-    known = band * np.where(gives, settling, 1.0)
-    return np.asarray(np.divide(known, settling - constant, out=band.astype(float), where=gives))
-
-
-def _side_by_side(steps: Array, command: Array, band: Array, constant: Array, settling: Array, start: Array) -> Array:
-    """(N, m) outputs of many servos, a row of all of them at a time; `steps` (N,) s, the rest as of `servo`, `start` (m,)."""
-    out, q, breaks = np.empty_like(command, dtype=float), start.astype(float), _breaking(band, constant, settling)
-    last, share, little = -1.0, np.empty(0), np.empty(0)
-    for i, step in enumerate(steps.tolist()):
-        if abs(step - last) > EVEN * step:  # not where a clock is even but for rounding
-            last, share, little = step, -np.expm1(-step / constant), -np.expm1(-step / settling)
-        error = command[i] - q
-        moves = share * (error - np.copysign(band, error))
-        q = np.add(q, np.where(np.abs(error) > breaks, moves, little * error), out=out[i])
-    return out
-
-
-@dataclass(frozen=True)
 class DelayState:
     """Past times (s) and rows that a pure delay still needs."""
 
@@ -321,7 +265,9 @@ class DelayState:
     rows: Array
 
 
-def delay(time: Array, x: Array, seconds: float, state: DelayState | None) -> tuple[Array, DelayState]:
+def delay(
+    time: Array, x: Array, seconds: float, state: DelayState | None, *, even: bool | None = None
+) -> tuple[Array, DelayState]:
     """Pure delay by linear interpolation of the past; before the first row the first row stands.
 
     Args:
@@ -329,10 +275,11 @@ def delay(time: Array, x: Array, seconds: float, state: DelayState | None) -> tu
         x: (N, m) inputs.
         seconds: >= 0 for a stream; a batch may look ahead (negative) inside its rows.
         state: what the last rows left.
+        even: `evenly` of the clock, where it is known.
     """
     t = time if state is None else np.concatenate([state.time, time])
     rows = x if state is None else np.concatenate([state.rows, x])
-    if state is None and len(t) > 2 and np.ptp(steps := np.diff(t)) <= EVEN * steps[0]:
+    if state is None and (evenly(t) if even is None else even):
         out = _shifted(rows, seconds / (t[-1] - t[0]) * (len(t) - 1))
     else:
         out = np.stack([np.interp(time - seconds, t, rows[:, j]) for j in range(x.shape[1])], axis=-1)

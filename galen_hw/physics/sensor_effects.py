@@ -1,6 +1,6 @@
 """Effects of a sensor's channels: offset, drift, temperature, scale, leaks and clipping."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
@@ -111,8 +111,12 @@ class Drift(Effect):
 
     def columns(self, scene: Scene) -> Columns:
         """By the clock, or by the row number without one."""
+        return self.averaged(scene, lambda shapes: shapes)
+
+    def averaged(self, scene: Scene, average: Callable[[Array], Array]) -> Columns:
+        """All channels share their shapes."""
         places = tuple(scene.channels.index(name) for name in self.channels or (self.channel,))
-        return in_each(places, self.shapes(scene.time))
+        return in_each(places, average(self.shapes(scene.time)))
 
     def shapes(self, time: Array) -> Array:
         """(N, n) the forms that it can take at times (N,), s."""

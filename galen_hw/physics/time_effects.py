@@ -67,6 +67,10 @@ class TimeDelay(Timing):
         places = self.places(scene)
         return Columns(places, -scene.simulated_rate[:, places, None])
 
+    def bends(self, scene: Scene, theta: Array) -> bool:
+        """A shift is not its slope."""
+        return True
+
     def exact(self, scene: Scene, theta: Array) -> Array | None:
         """The simulated channels shifted, less themselves."""
         places, out = self.places(scene), np.zeros_like(scene.simulated)
