@@ -63,12 +63,14 @@ def families(bench: Bench) -> list[Family]:
     """The generic functions of a bench, in each family a constant first, the strongest directions next."""
     ones, most = np.ones((len(bench.rows), 1)), max(int((~bench.dropped).sum()) // 6, 3)
     inputs = Inputs.of(bench.scene, bench.rows)
-    return [
-        Family(kind, rich_basis(ones, [X], 12 * min(most, X.shape[1])), is_local)
-        for is_local, functions in ((False, broad), (True, local))
-        for kind, X in functions(inputs)
-        if X.shape[1]
-    ]
+
+    def of(kind: str, X: Array, is_local: bool) -> Family:
+        return Family(kind, rich_basis(ones, [X], 12 * min(most, X.shape[1])), is_local)
+
+    functions = (
+        (kind, X, is_local) for is_local, every in ((False, broad), (True, local)) for kind, X in every(inputs)
+    )
+    return list(Parallel(n_jobs=2, require="sharedmem")(delayed(of)(*one) for one in functions if one[1].shape[1]))
 
 
 def compact(bench: Bench, generic: list[Family]) -> list[Columns]:

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from galen_hw.diagnosis.algebra import orthonormal, pinned_at, scaled, solve_sym
 from galen_hw.diagnosis.noise import Noise, estimate, quantisation
@@ -242,10 +243,11 @@ class Bench:
         mine = [i for i, c in enumerate(columns.channels) if c in places]
         if len(mine) == len(columns.channels):
             return Columns(columns.channels, self.late(columns.values, late))
-        out = self.averaged(columns)
-        if mine:
-            out.values[:, mine] = self.late(columns.values[:, mine], late)
-        return out
+        values = np.empty((len(self.rows), *columns.values.shape[1:]))
+        rest = [i for i in range(len(columns.channels)) if i not in mine]
+        values[:, rest] = self.rows.average(columns.values[:, rest])
+        values[:, mine] = self.late(columns.values[:, mine], late)
+        return Columns(columns.channels, values)
 
     def late(self, x: Array, seconds: float) -> Array:
         """(M, ...) averages of signals (N, ...) that come later by seconds."""
@@ -253,6 +255,11 @@ class Bench:
             return self.rows.late(x, [seconds / step for step in self.scene.steps])
         flat = self.stream.delay("delay", x.reshape(len(x), -1), seconds)
         return self.rows.average(flat).reshape(-1, *x.shape[1:])
+
+    @cached_property
+    def simulated(self) -> Array:
+        """(M, C) averages of what was simulated."""
+        return self.rows.average(self.scene.simulated)
 
     def scene_of(self, effect: Effect) -> Scene:
         """The scene as an effect meets it: at the end of the stream with all that the model adds."""
@@ -284,18 +291,22 @@ class Bench:
         Below `above` (cycles a row) it is not measured but taken as at that frequency.
         """
         self.plain = {}
-        constants, library, rest, basis = self.constants(), list(hypotheses), [], []
+        constants, library = self.constants(), list(hypotheses)
         always = [*constants, *extra]
         M, good = len(self.rows), ~self.dropped
-        for c in range(self.width):
+
+        def left(c: int) -> tuple[Array, Array]:
             whole = [_of(col, c) for col in always if c in col.channels]
             rich = [_of(col, c) for col in library if c in col.channels]
             Q = rich_basis(np.concatenate(whole, axis=1), rich, M)
             fit = Q @ solve_sym(Q[good].T @ Q[good], Q[good].T @ self.y[good, c][:, None])[:, 0]
-            rest.append(np.where(good, self.y[:, c] - fit, 0.0))
-            basis.append(Q)
+            return np.where(good, self.y[:, c] - fit, 0.0), Q
+
+        rest, basis = zip(
+            *Parallel(n_jobs=2, require="sharedmem")(delayed(left)(c) for c in range(self.width)), strict=True
+        )
         self.noise = estimate(
-            np.stack(rest, axis=-1), basis, self.rows, ordered=self.ordered, steps=self.steps, above=above
+            np.stack(rest, axis=-1), list(basis), self.rows, ordered=self.ordered, steps=self.steps, above=above
         )
 
     @property

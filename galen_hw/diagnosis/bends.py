@@ -34,9 +34,10 @@ def does(bench: Bench, effect: Effect, theta: Array) -> Array:
     """(M, C) averaged change of an effect with parameters theta (k,), as it arrives through a late or lagging stream."""
     if isinstance(effect, TimeDelay):
         # Nothing delivers it, and a joint's own changes no other channel.
-        places, out = list(effect.places(bench.scene)), np.zeros((len(bench.rows), bench.width))
-        simulated = bench.scene.simulated[:, places]
-        out[:, places] = bench.late(simulated, float(theta[0])) - bench.rows.average(simulated)
+        places, simulated = list(effect.places(bench.scene)), bench.scene.simulated
+        mine = simulated if len(places) == bench.width else simulated[:, places]
+        out = np.zeros((len(bench.rows), bench.width))
+        out[:, places] = bench.late(mine, float(theta[0])) - bench.simulated[:, places]
         return out
     return bench.rows.average(arrived(bench.stream, effect, effect.change(bench.scene, theta), bench.timing))
 

@@ -171,7 +171,7 @@ class _Search:
     def __post_init__(self) -> None:
         self.places = self.delay.places(self.bench.stream)
         self.simulated = self.bench.stream.simulated[:, self.places]
-        self.averaged = self.bench.rows.average(self.simulated)
+        self.averaged = self.bench.simulated[:, self.places]
         self.behind: dict[object, Array] = {}
         self.instead: dict[Effect, Effect] = {}
         self.price = float(np.log(self.bench.noise.effective))

@@ -161,17 +161,21 @@ class _Known:
 
 def _columns(effects: list[Effect], *benches: Bench) -> tuple[list[Columns], ...]:
     """Columns of all effects on the rows of several benches of one scene, computed once."""
-    out: tuple[list[Columns], ...] = tuple([] for _ in benches)
-    kinds: dict[type[Effect], list[Effect]] = {}
-    for effect in effects:
-        kinds.setdefault(type(effect), []).append(effect)
-    for kind, alike in kinds.items():
-        kind.ahead(benches[0].scene, alike)
-    for effect in effects:
-        columns = effect.columns(benches[0].scene_of(effect))
-        for bench, mine in zip(benches, out, strict=True):
-            mine.append(bench.averaged(columns))
-    return out
+    kinds: dict[type[Effect], dict[int, Effect]] = {}
+    for place, effect in enumerate(effects):
+        kinds.setdefault(type(effect), {})[place] = effect
+
+    def of(kind: type[Effect], alike: dict[int, Effect]) -> dict[int, list[Columns]]:
+        kind.ahead(benches[0].scene, list(alike.values()))
+        whole = ((place, effect.columns(benches[0].scene_of(effect))) for place, effect in alike.items())
+        return {place: [bench.averaged(columns) for bench in benches] for place, columns in whole}
+
+    # The largest kind first: it takes as long as all others.
+    work = sorted(kinds.items(), key=lambda one: -len(one[1]))
+    done: dict[int, list[Columns]] = {}
+    for part in Parallel(n_jobs=2, require="sharedmem", batch_size=1)(delayed(of)(*one) for one in work):
+        done |= part
+    return tuple([done[place][k] for place in range(len(effects))] for k in range(len(benches)))
 
 
 def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list[Columns], *, blind: bool) -> _Known:

@@ -64,6 +64,7 @@ class Scorer:
         self.white = bench.whitened(bench.y)
         self.fake = bench.surrogates()
         self._train = bench.train
+        self._fake_rows = [self.fake[self._train, c] for c in range(bench.width)]
         self._occam = _occam(library)
         self._room, self.b = np.empty((0, 0)), np.empty(0)
         self.fakes = np.empty((0, self.fake.shape[2]))
@@ -107,7 +108,7 @@ class Scorer:
                 G[np.ix_(at_new, at)] += cross.T
             G[np.ix_(at_new, at_new)] += Xn.T @ Xn
             b[at_new] += Xn.T @ self.white[self._train, c]
-            fakes[at_new] += Xn.T @ self.fake[self._train, c]
+            fakes[at_new] += Xn.T @ self._fake_rows[c]
             stack.append((at_new, Xn))
         self.b, self.fakes = b, fakes
 
@@ -138,8 +139,9 @@ class Scorer:
         self.white = self.bench.whitened(y)
         self.b = np.zeros_like(self.b)
         for c, stack in enumerate(self._stacks):
+            target = self.white[self._train, c]
             for at, X in stack:
-                self.b[at] += X.T @ self.white[self._train, c]
+                self.b[at] += X.T @ target
 
     @contextmanager
     def against(self, y: Array) -> Iterator[None]:

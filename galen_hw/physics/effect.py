@@ -344,7 +344,13 @@ class Downstream(Effect):
 
 def in_channel(channel: int, columns: Iterable[Array]) -> Columns:
     """Columns (N,) of one channel."""
-    return Columns((channel,), np.stack(list(columns), axis=-1)[:, None, :])
+    return Columns((channel,), _abreast(columns)[:, None, :])
+
+
+def _abreast(columns: Iterable[Array]) -> Array:
+    """(N, n) columns (N,) side by side; a single one is not copied, for nobody writes to it."""
+    each = list(columns)
+    return each[0][:, None] if len(each) == 1 and each[0].flags.c_contiguous else np.stack(each, axis=-1)
 
 
 def in_each(places: tuple[int, ...], shapes: Array) -> Columns:
@@ -368,10 +374,7 @@ def in_all(columns: Iterable[Array], width: int) -> Columns:
 
 def through(scene: Scene, joint: str, signals: Iterable[Array]) -> Columns:
     """Columns of what errors (N,) of a joint's position do, in the channels in which they show; there must be a port."""
-    port, live = scene.joint_port(joint), scene.reached(joint)
-    assert port is not None, "proposed only where there is a port"
-    own = port if len(live) == port.shape[1] else port[:, live]
-    return Columns(live, own[:, :, None] * np.stack(list(signals), axis=-1)[:, None, :])
+    return Columns(scene.reached(joint), scene.reaching(joint)[:, :, None] * _abreast(signals)[:, None, :])
 
 
 def unit_of(scene: Scene, channel: str) -> str:

@@ -1,5 +1,6 @@
 """Effects that act in a joint: friction and torque ripple."""
 
+import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,6 +23,9 @@ LEAST_LOOSE = 0.1
 """Share of the rows in motion in which what is called friction must slip."""
 MOST_KEPT = 6e7
 """Values of servos' stand-offs that a scene keeps (half a gigabyte), those asked for last: they are walked row by row."""
+
+_KEEPING = threading.Lock()
+"""Of these; two searches may ask at once."""
 
 MOST_TOGETHER = 1.5e7
 """Values of them that are walked side by side."""
@@ -214,14 +218,16 @@ class Friction(Effect):
     def _stand_off(self, scene: Scene) -> Array:
         """(N,) beside a servo that does not stick; kept in a scene, for it is asked for again."""
         kept, key = _kept(scene), self.servo
-        if key in kept:
-            kept.move_to_end(key)
-            return kept[key]
+        with _KEEPING:
+            if key in kept:
+                kept.move_to_end(key)
+                return kept[key]
         (out,) = _stand_offs(scene, [self])
         if scene.memory is None:
-            kept[key] = out
-            if len(kept) * len(out) > MOST_KEPT:
-                kept.popitem(last=False)
+            with _KEEPING:
+                kept[key] = out
+                if len(kept) * len(out) > MOST_KEPT:
+                    kept.popitem(last=False)
         return out
 
 

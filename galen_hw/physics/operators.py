@@ -244,7 +244,8 @@ def _second_order_evenly(
     (y_new, r_new), (y_old, r_old) = (1.0 - w[0], -w[1]), (w[0] - a, w[1] - c)
     poles = [1.0, -(a + d), a * d - b * c]
     moved = x - x[0]
-    out = x[0] + lfilter([y_new, y_old - d * y_new + b * r_new, b * r_old - d * y_old], poles, moved, axis=0)
+    out = lfilter([y_new, y_old - d * y_new + b * r_new, b * r_old - d * y_old], poles, moved, axis=0)
+    out += x[0]
     slopes = [r_new, r_old - a * r_new + c * y_new, c * y_old - a * r_old]
     quick = np.full(x.shape[1], np.nan) if ends else lfilter(slopes, poles, moved, axis=0)[-1]
     return out, SecondOrderState(float(time[-1]), out[-1].copy(), quick, x[-1].copy())

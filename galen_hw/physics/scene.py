@@ -288,6 +288,13 @@ class Scene(Operated):
         live = [] if port is None else np.flatnonzero(port.any(axis=0)).tolist()
         return tuple(live or range(len(self.channels)))
 
+    @once
+    def reaching(self, joint: str) -> Array:
+        """(N, n) the port of a joint that has one, in these channels."""
+        port, live = self.joint_port(joint), self.reached(joint)
+        assert port is not None, "proposed only where there is a port"
+        return port if len(live) == port.shape[1] else port[:, live]
+
     def misread(self, joint: str, *, offset: float = 0.0, scale: float = 0.0) -> Array | None:
         """(N, C) change, exactly, if a joint stands at (1 + scale) q + offset where q is read; None: the port must do."""
         return None

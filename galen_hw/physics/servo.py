@@ -171,10 +171,16 @@ def _side_by_side(steps: Array, command: Array, band: Array, constant: Array, se
     """(N, m) outputs of many servos, a row of all of them at a time; `steps` (N,) s, the rest as of `servo`, `start` (m,)."""
     out, q, breaks = np.empty_like(command, dtype=float), start.astype(float), _breaking(band, constant, settling)
     last, share, little = -1.0, np.empty(0), np.empty(0)
+    error, slips, moves, loose = np.empty_like(q), np.empty_like(q), np.empty_like(q), np.empty(len(q), dtype=bool)
     for i, step in enumerate(steps.tolist()):
         if abs(step - last) > EVEN * step:  # not where a clock is even but for rounding
             last, share, little = step, -np.expm1(-step / constant), -np.expm1(-step / settling)
-        error = command[i] - q
-        moves = share * (error - np.copysign(band, error))
-        q = np.add(q, np.where(np.abs(error) > breaks, moves, little * error), out=out[i])
+        np.subtract(command[i], q, out=error)
+        np.copysign(band, error, out=slips)
+        np.subtract(error, slips, out=slips)
+        np.multiply(share, slips, out=slips)
+        np.multiply(little, error, out=moves)
+        np.greater(np.abs(error, out=error), breaks, out=loose)
+        np.copyto(moves, slips, where=loose)
+        q = np.add(q, moves, out=out[i])
     return out
