@@ -47,6 +47,42 @@ class Left(NamedTuple):
     total: float
 
 
+TOGETHER = 32
+"""Columns for which there is room where few come: inner products with many narrow arrays cost more than with a wide one."""
+
+
+class _Beside(NamedTuple):
+    """Columns side by side.
+
+    Args:
+        at: their numbers; room: (n, m) whose first columns they are: who goes back to fewer leaves the rest to be overwritten.
+    """
+
+    at: "Index"
+    room: Array
+
+    @classmethod
+    def of(cls, at: "Index", X: Array) -> "_Beside":
+        """With room for more, if they are few."""
+        if len(at) >= TOGETHER:
+            return cls(at, X)
+        return cls(at[:0], np.empty((len(X), TOGETHER), order="F")).joined(at, X)
+
+    @property
+    def columns(self) -> Array:
+        """(n, len(at))."""
+        return self.room[:, : len(self.at)]
+
+    def takes(self, count: int) -> bool:
+        """Whether there is room for so many more."""
+        return bool(len(self.at) + count <= self.room.shape[1])
+
+    def joined(self, at: "Index", X: Array) -> "_Beside":
+        """With more columns X (n, k)."""
+        self.room[:, len(self.at) : len(self.at) + len(at)] = X
+        return _Beside(np.concatenate([self.at, at]), self.room)
+
+
 class Scorer:
     """Scores hypotheses on the training rows.
 
@@ -70,7 +106,7 @@ class Scorer:
         self.fakes = np.empty((0, self.fake.shape[2]))
         self.places: list[slice] = []
         # Per channel: column numbers and the columns themselves on the training rows, side by side.
-        self._stacks: list[list[tuple[Index, Array]]] = [[] for _ in range(bench.width)]
+        self._stacks: list[list[_Beside]] = [[] for _ in range(bench.width)]
         self.append([*self.base, *library])
 
     @property
@@ -102,14 +138,17 @@ class Scorer:
             own = [self.library[i].own(c) for i in fresh]
             at_new = np.concatenate([self.places[i].start + at for i, (at, _) in zip(fresh, own, strict=True)])
             Xn = np.concatenate([part for _, part in own], axis=1)[self._train]
-            for at, X in stack:
-                cross = X.T @ Xn
-                G[np.ix_(at, at_new)] += cross
-                G[np.ix_(at_new, at)] += cross.T
+            for part in stack:
+                cross = part.columns.T @ Xn
+                G[np.ix_(part.at, at_new)] += cross
+                G[np.ix_(at_new, part.at)] += cross.T
             G[np.ix_(at_new, at_new)] += Xn.T @ Xn
             b[at_new] += Xn.T @ self.white[self._train, c]
             fakes[at_new] += Xn.T @ self._fake_rows[c]
-            stack.append((at_new, Xn))
+            if stack and stack[-1].takes(len(at_new)):
+                stack[-1] = stack[-1].joined(at_new, Xn)
+            else:
+                stack.append(_Beside.of(at_new, Xn))
         self.b, self.fakes = b, fakes
 
     def _acts(self, i: int, c: int) -> bool:
@@ -140,8 +179,8 @@ class Scorer:
         self.b = np.zeros_like(self.b)
         for c, stack in enumerate(self._stacks):
             target = self.white[self._train, c]
-            for at, X in stack:
-                self.b[at] += X.T @ target
+            for part in stack:
+                self.b[part.at] += part.columns.T @ target
 
     @contextmanager
     def against(self, y: Array) -> Iterator[None]:
@@ -204,19 +243,22 @@ class Scorer:
     def _held(self, chosen: list[int]) -> Array:
         return np.concatenate([np.empty(0), *(self.library[i].held for i in [*range(len(self.base)), *chosen])])
 
-    def scores(self, chosen: list[int], which: list[int] | None = None) -> tuple[dict[int, Score], Array]:
-        """Scores of hypotheses beside the chosen ones, and the largest surprise of each surrogate."""
+    def scores(
+        self, chosen: list[int], which: list[int] | None = None, *, surrogates: bool = False
+    ) -> tuple[dict[int, Score], Array]:
+        """Scores of hypotheses beside the chosen ones, and the largest surprise of each surrogate, if these are asked too."""
+        every = self.fakes if surrogates else self.fakes[:, :0]
         asked = list(range(len(self.base), len(self.library))) if which is None else which
         at, b, _ = self.beside(chosen)
         # Columns of what is asked alone: most calls compare two hypotheses, not all.
         own = self._numbers(asked)
         starts = dict(zip(asked, np.cumsum([0, *(self.library[i].count for i in asked)]).tolist(), strict=False))
         GS, cross, K = self.G[np.ix_(at, at)], self.G[np.ix_(at, own)], len(own)
-        P = solve_sym(GS, np.concatenate([cross, b[at][:, None], self.fakes[at]], axis=1))
+        P = solve_sym(GS, np.concatenate([cross, b[at][:, None], every[at]], axis=1))
         rest_b = b[own] - cross.T @ P[:, K]
-        rest_f = self.fakes[own] - cross.T @ P[:, K + 1 :]
+        rest_f = every[own] - cross.T @ P[:, K + 1 :]
         out: dict[int, Score] = {}
-        highest = np.zeros(self.fakes.shape[1])
+        highest = np.zeros(every.shape[1])
         families = self._families()
         by_count: dict[int, list[int]] = {}
         for i in asked:
@@ -237,7 +279,7 @@ class Scorer:
             surprise = self._surprise(gains, counts) - looked
             # What was sought in the residual has no counterpart in the surrogates: `looked` pays for it instead.
             mirrored = (counts > 0) & (np.array([self.library[i].looked for i in group]) == 1)
-            if mirrored.any():
+            if surrogates and mirrored.any():
                 reached = self._surprise(fakes[mirrored], counts[mirrored, None]) - looked[mirrored, None]
                 highest = np.maximum(highest, reached.max(axis=0))
             for m, i in enumerate(group):

@@ -93,7 +93,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         scorer.append([bench.add(s.effect, s.looked) for s in fresh])
         levelled(bench, scorer, out)
         timed(bench, scorer, out)
-        scores, highest = scorer.scores(out.chosen)
+        scores, highest = scorer.scores(out.chosen, surrogates=True)
         out.needed = max(out.needed, threshold(highest, CHANCE))
         if turn == 0:
             out.first = scores

@@ -1,0 +1,88 @@
+"""What comes late and is averaged, at once: the same as delayed row by row and averaged then; what is kept is what it was."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from galen_hw.diagnosis.bench import Bench
+from galen_hw.diagnosis.bends import does
+from galen_hw.diagnosis.rows import Rows
+from galen_hw.diagnosis.score import Scorer
+from galen_hw.diagnosis.select import library
+from galen_hw.physics.joint_effects import Friction
+from galen_hw.physics.operators import delay
+from galen_hw.physics.table import scene_of
+from galen_hw.physics.time_effects import Lag, TimeDelay
+from galen_hw.tools.bench_diagnosis import recording
+
+
+@given(
+    st.lists(st.integers(3, 90), min_size=1, max_size=3), st.integers(1, 12), st.floats(-100.0, 100.0), st.booleans()
+)
+def test_late_averages_are_averages_of_what_is_late(lengths, stride, late, whole):
+    """Any segments, groups, delays and advances, beyond the ends too."""
+    edges, late = np.cumsum([0, *lengths]), float(round(late)) if whole else late
+    parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
+    x = np.random.default_rng(sum(lengths)).normal(size=(int(edges[-1]), 2, 1))
+    rows, t = Rows(tuple(parts), stride), 0.01 * np.arange(len(x))
+    flat = x[:, :, 0]
+    expected = rows.average(np.concatenate([delay(t[p], flat[p], 0.01 * late, None)[0] for p in parts]))
+    assert np.allclose(rows.late(x, [late for _ in parts])[:, :, 0], expected, rtol=0.0, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    out = Bench(scene_of(recording(3, 4000)), most=600)
+    out.learn_noise(())
+    return out
+
+
+@pytest.mark.parametrize("end", [TimeDelay(), TimeDelay("j1")])
+def test_a_late_stream_delivers_averages(bench: Bench, end: TimeDelay) -> None:
+    """Of one channel or all, behind a clock of one joint or of all, as by delaying every row."""
+    bench.timing = [(end, np.array([0.0037]))]
+    try:
+        for effect in (Lag(0.05), Lag(0.05, "j2"), Friction("j1", "coulomb", 0.01), Friction("j0", "coulomb", 0.01)):
+            late = end.delivered(bench.scene, effect.columns(bench.scene), np.array([0.0037]))
+            assert np.allclose(bench.raw(effect).values, bench.averaged(late).values, rtol=0.0, atol=1e-12)
+    finally:
+        bench.timing = []
+    change = bench.rows.average(end.change(bench.scene, np.array([0.0037])))
+    assert np.allclose(does(bench, end, np.array([0.0037])), change, rtol=0.0, atol=1e-12)
+
+
+def test_what_is_known_is_what_would_be_made(bench: Bench) -> None:
+    """Kept columns are used where nothing delivers them otherwise, and go with the noise."""
+    effect = Lag(0.05, "j2")
+    made = bench.add(effect)
+    bench.know([made])
+    assert bench.add(effect) is made
+    bench.timing = [(TimeDelay(), np.array([0.0037]))]
+    assert bench.add(effect) is not made
+    bench.timing = []
+    bench.learn_noise(())
+    again = bench.add(effect)
+    assert again is not made
+    assert np.array_equal(again.raw.values, made.raw.values)
+
+
+def test_inner_products_are_the_same_however_hypotheses_come(bench: Bench) -> None:
+    """All at once, one by one, and after some came for a while only."""
+    made = [bench.add(effect) for effect in library(bench)[:80]]
+    at_once, one_by_one = Scorer(bench, made), Scorer(bench, made[:3])
+    for h in made[3:]:
+        with one_by_one.trying([made[-1], made[-2]]):
+            pass
+        one_by_one.append([h])
+    assert np.allclose(one_by_one.G, at_once.G, rtol=1e-9, atol=1e-9 * np.max(at_once.G))
+    assert np.allclose(one_by_one.b, at_once.b, rtol=1e-9, atol=1e-9 * np.max(np.abs(at_once.b)))
+    at_once.retarget(2.0 * bench.y)
+    assert np.allclose(at_once.b, 2.0 * one_by_one.b, rtol=1e-9, atol=1e-9 * np.max(np.abs(at_once.b)))
+    scores, none = at_once.scores([])
+    same, each = at_once.scores([], surrogates=True)
+    assert not len(none)
+    assert len(each) == at_once.fakes.shape[1]
+    assert all(scores[i].rank == pytest.approx(same[i].rank, rel=1e-9) for i in same)
