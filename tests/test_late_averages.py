@@ -33,48 +33,54 @@ def test_late_averages_are_averages_of_what_is_late(lengths, stride, late, whole
     assert np.allclose(rows.late(x, [late for _ in parts])[:, :, 0], expected, rtol=0.0, atol=1e-9)
 
 
-@pytest.fixture(scope="module")
-def bench() -> Bench:
-    out = Bench(scene_of(recording(3, 4000)), most=600)
+def made(*, even: bool) -> Bench:
+    observations = recording(3, 4000)
+    if not even:
+        observations.columns["time"] += 1e-4 * np.random.default_rng(2).uniform(size=4000)
+    out = Bench(scene_of(observations), most=600)
     out.learn_noise(())
     return out
 
 
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return made(even=True)
+
+
+@pytest.mark.parametrize("even", [True, False])
 @pytest.mark.parametrize("end", [TimeDelay(), TimeDelay("j1")])
-def test_a_late_stream_delivers_averages(bench: Bench, end: TimeDelay) -> None:
-    """Of one channel or all, behind a clock of one joint or of all, as by delaying every row."""
-    bench.timing = [(end, np.array([0.0037]))]
-    try:
-        for effect in (Lag(0.05), Lag(0.05, "j2"), Friction("j1", "coulomb", 0.01), Friction("j0", "coulomb", 0.01)):
-            late = end.delivered(bench.scene, effect.columns(bench.scene), np.array([0.0037]))
-            assert np.allclose(bench.raw(effect).values, bench.averaged(late).values, rtol=0.0, atol=1e-12)
-    finally:
-        bench.timing = []
-    change = bench.rows.average(end.change(bench.scene, np.array([0.0037])))
-    assert np.allclose(does(bench, end, np.array([0.0037])), change, rtol=0.0, atol=1e-12)
+def test_a_late_stream_delivers_averages(end: TimeDelay, even: bool) -> None:
+    """Of one channel or all, behind a clock of one joint or of all, on an even clock or not, as by delaying every row."""
+    bench, late = made(even=even), np.array([0.0037])
+    bench.timing = [(end, late)]
+    for effect in (Lag(0.05), Lag(0.05, "j2"), Friction("j1", "coulomb", 0.01), Friction("j0", "coulomb", 0.01)):
+        through = end.delivered(bench.scene, effect.columns(bench.scene), late)
+        assert np.allclose(bench.raw(effect).values, bench.averaged(through).values, rtol=0.0, atol=1e-12)
+    change = bench.rows.average(end.change(bench.scene, late))
+    assert np.allclose(does(bench, end, late), change, rtol=0.0, atol=1e-12)
 
 
 def test_what_is_known_is_what_would_be_made(bench: Bench) -> None:
     """Kept columns are used where nothing delivers them otherwise, and go with the noise."""
     effect = Lag(0.05, "j2")
-    made = bench.add(effect)
-    bench.know([made])
-    assert bench.add(effect) is made
+    known = bench.add(effect)
+    bench.know([known])
+    assert bench.add(effect) is known
     bench.timing = [(TimeDelay(), np.array([0.0037]))]
-    assert bench.add(effect) is not made
+    assert bench.add(effect) is not known
     bench.timing = []
     bench.learn_noise(())
     again = bench.add(effect)
-    assert again is not made
-    assert np.array_equal(again.raw.values, made.raw.values)
+    assert again is not known
+    assert np.array_equal(again.raw.values, known.raw.values)
 
 
 def test_inner_products_are_the_same_however_hypotheses_come(bench: Bench) -> None:
     """All at once, one by one, and after some came for a while only."""
-    made = [bench.add(effect) for effect in library(bench)[:80]]
-    at_once, one_by_one = Scorer(bench, made), Scorer(bench, made[:3])
-    for h in made[3:]:
-        with one_by_one.trying([made[-1], made[-2]]):
+    some = [bench.add(effect) for effect in library(bench)[:80]]
+    at_once, one_by_one = Scorer(bench, some), Scorer(bench, some[:3])
+    for h in some[3:]:
+        with one_by_one.trying([some[-1], some[-2]]):
             pass
         one_by_one.append([h])
     assert np.allclose(one_by_one.G, at_once.G, rtol=1e-9, atol=1e-9 * np.max(at_once.G))
