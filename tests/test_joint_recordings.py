@@ -22,7 +22,8 @@ from galen_hw.physics.memory_effects import Hysteresis
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.play_effects import Backlash
 from galen_hw.physics.sensor_effects import Drift
-from galen_hw.physics.smoothing import at_rest, denoised, derivatives, ends, has_line, isolated, motion_band
+from galen_hw.physics.smoothing import at_rest, denoised, derivatives, ends, has_line, isolated
+from galen_hw.physics.splines import motion_band
 from galen_hw.physics.table import scene_of
 from galen_hw.physics.time_effects import Lag, TimeDelay
 from galen_hw.physics.together import PAUSE, joined
