@@ -217,7 +217,7 @@ def _recommend(found: list[Candidate], base_key: str, rows: Poses) -> Comparison
     chosen = next(c for c in found if c.key == base_key)
     reasons = [_base_reason(chosen)]
     extras = [c for c in found if c.key in ("drift", "drift2", "tilt")]
-    better = [c for c in extras if c.p_value < SIGNIFICANT and _gain(c, chosen) > 0.0]
+    better = [c for c in extras if c.p_value < SIGNIFICANT and gain(c, chosen) > 0.0]
     if better:
         chosen = max(better, key=lambda c: float(np.sum(c.score)) if c.score is not None else -np.inf)
         reasons.append(f"{chosen.title.removeprefix('+ ')} predicts left-out poses better (p = {chosen.p_value:.1g})")
@@ -240,7 +240,7 @@ def _with_another(chosen: Candidate, found: list[Candidate], rows: Poses) -> tup
     assert both.fit is not None
     both = replace(both, p_value=_wald(both.fit, drift_names(0) if unknowns.tilt else TILT))
     scored = _scored([*found, both], rows)
-    wanted = both.p_value < SIGNIFICANT and _gain(scored[-1], chosen) > 0.0
+    wanted = both.p_value < SIGNIFICANT and gain(scored[-1], chosen) > 0.0
     return (scored[-1], scored) if wanted else (chosen, found)
 
 
@@ -249,7 +249,7 @@ def _can_drift(rows: Poses) -> bool:
     return bool(rows.home.sum() >= LEAST_HOMES or rows.time is None or not rows.home.any())
 
 
-def _gain(one: Candidate, other: Candidate) -> float:
+def gain(one: Candidate, other: Candidate) -> float:
     """Gain in score less one standard error of the paired difference."""
     assert one.score is not None
     assert other.score is not None

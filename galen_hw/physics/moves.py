@@ -64,7 +64,7 @@ def moved(t: Array, x: Array) -> Array | None:
     how finely, for all moves alike, and to half a row when each begins and ends, generalised cross-validation says (Craven and
     Wahba 1979). Splines that leave clearly more than the noise of the readings are not believed, unless that is next to nothing.
     """
-    rests = _rests(t, x)
+    rests = _rests(t, x) if np.isfinite(x).all() else []
     between = list(_between(rests, len(x))) if rests else []
     if not between or any(b - a < MOVE_ROWS for a, b, *_ in between):
         return None

@@ -1,4 +1,4 @@
-"""Derivatives of recorded positions by penalised splines, or by local polynomials behind a low-pass; low-passes for forces."""
+"""Derivatives of recorded positions by splines or by local polynomials behind a low-pass; low-passes for forces."""
 
 import math
 from collections.abc import Iterator
@@ -25,7 +25,7 @@ def _rates(x: Array, dt: float) -> tuple[Array, Array]:
 
 
 def denoised(time: Array, x: Array, segments: list[slice]) -> Array:
-    """Signals (N, n) over time (N,) in s without their white noise, each segment by itself: penalised splines through them.
+    """Signals (N, n) over time (N,) in s without their white noise, each segment by itself: splines through them.
 
     A signal in which no noise can be told stays as it is.
     """
@@ -41,9 +41,12 @@ def denoised(time: Array, x: Array, segments: list[slice]) -> Array:
     return out
 
 
-def _followed(t: Array, x: Array) -> Array | None:
-    """Signal (N,) at times (N,) in s without its white noise, with two derivatives (3, N); None: no noise can be told."""
-    by_moves = moved(t, x)
+def _followed(t: Array, x: Array, *, place: bool = True) -> Array | None:
+    """Signal (N,) at times (N,) in s without its white noise, with two derivatives (3, N); None: no noise can be told.
+
+    What is not a `place` (a speed) starts from rest in another way.
+    """
+    by_moves = moved(t, x) if place else None
     if by_moves is not None:
         return by_moves
     found = spline(t, x)
@@ -147,7 +150,7 @@ def derivatives(
 ) -> tuple[Array, Array]:
     """First and second derivative (N, n) of signals (N, n) over time (N,) in s, each segment by itself.
 
-    A measured velocity is believed and differentiated once. Noise is smoothed away, by a penalised spline (if `fine`; commands
+    A measured velocity is believed and differentiated once. Noise is smoothed away, by splines (if `fine`; commands
     have no noise to speak of) or by the low-pass of a given or found band (Hz), over an even grid where samples are uneven.
     Segments of fewer than five samples get zeros.
     """
@@ -159,7 +162,7 @@ def derivatives(
         for j in range(x.shape[1]):
             measured = None if velocity is None or np.isnan(velocity[part, j]).any() else velocity[part, j]
             source = x[part, j] if measured is None else measured
-            found = _followed(t, source) if fine and band is None else None
+            found = _followed(t, source, place=measured is None) if fine and band is None else None
             derived = _on_grid(t, source, band) if found is None else found
             first[part, j], second[part, j] = derived[1:] if measured is None else derived[:2]
     return first, second

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import stats
 
-from galen_hw.identification.candidates import SIGNIFICANT, Candidate
+from galen_hw.identification.candidates import SIGNIFICANT, Candidate, gain
 from galen_hw.identification.model import CHANNELS
 from galen_hw.identification.poses import Poses
 from galen_hw.physics.rigid import gravity_in_sensor
@@ -116,17 +116,10 @@ def _rotations(result: "Result") -> Iterator[str]:
         what = f"{sentence} by {np.degrees(angle):.2f} degrees (p = {row.p_value:.1g})"
         if used:
             yield f"{what}; it is in the fit"
-        elif key == "mount" and _gains(row, result.best):
+        elif key == "mount" and gain(row, result.best) > 0.0:
             yield f"{what}, and left-out poses are predicted better with it: correct the robot's model and fit again"
         else:
             yield f"{what} by the numbers, but left-out poses are not predicted clearly better with it: not used"
-
-
-def _gains(row: Candidate, best: Candidate) -> bool:
-    assert row.score is not None
-    assert best.score is not None
-    difference = row.score - best.score
-    return bool(difference.sum() > np.sqrt(len(difference)) * difference.std(ddof=1))
 
 
 def _split(result: "Result") -> Iterator[str]:
