@@ -9,9 +9,10 @@ from scipy.signal import lsim
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import COM, MASS, Bench, Servo, hanging, lagged
+from diagnosis_cases import COM, MASS, Bench, G, Servo, hanging, lagged, rotation
 
 from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.table import scene_of
 
@@ -157,3 +158,38 @@ def test_a_scale_beside_a_delay_makes_no_response_of_second_order(delay: float) 
     late, scale = (f.parameters for f in work.diagnosis.findings)
     assert late["delay"].value == pytest.approx(delay, rel=0.01)
     assert [scale[f"{name}: scale_error"].value for name in ("pan", "lift")] == pytest.approx([0.003] * 2, rel=0.1)
+
+
+def swept(seed: int, late: float) -> Observations:
+    """A sweep of poses with a tool that is flung from one to the next, its wrench late by so many seconds, quiet sensors."""
+    bench, rng = Bench(seed, rows=12000, rate=100.0), np.random.default_rng(seed + 100)
+    places = np.zeros((len(bench.t) // 210 + 2, 5))
+    places[:, 3:] = rng.uniform(-0.7, 0.7, (len(places), 2))
+
+    def q(t: np.ndarray) -> np.ndarray:
+        k = np.maximum(t // 2.1, 0.0).astype(int)
+        part = np.clip((t - 2.1 * k - 1.203) / 0.871, 0.0, 1.0)[:, None]
+        return places[k] + (places[k + 1] - places[k]) * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+
+    def centre(t: np.ndarray) -> np.ndarray:
+        T = GalenRobot().sensor_pose(q(t))
+        return T[:, :3, 3] + T[:, :3, :3] @ COM
+
+    when, h = bench.t - late, 1e-4
+    pulled = np.array([0.0, 0.0, -G]) - (centre(when + h) - 2.0 * centre(when) + centre(when - h)) / h**2
+    force = MASS * np.einsum("nji,nj->ni", rotation(*q(when)[:, 3:].T), pulled)
+    bench.wrench = np.concatenate([force, np.cross(COM, force)], axis=1)
+    bench.q = np.round(q(bench.t) / 1e-5) * 1e-5
+    bench.noise *= 0.2
+    bench.belief["dynamic"] = True
+    return bench.observations()
+
+
+@pytest.mark.inject
+@pytest.mark.parametrize("late", [0.007, 0.01])
+def test_a_delay_in_a_sweep_of_poses_is_no_lag(late: float) -> None:
+    """An arm that starts from rest has a corner in its acceleration: rounded, it looks like the one less the other."""
+    learnt, other = (scene_of(swept(seed, late)) for seed in (2, 52))
+    (finding,) = diagnose(learnt, holdout=other).diagnosis.findings
+    assert finding.effect == "time_delay"
+    assert finding.parameters["delay"].value == pytest.approx(late, rel=0.02)
