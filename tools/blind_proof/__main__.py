@@ -1,6 +1,6 @@
 """`make proof`: plan, generate, seal, diagnose, unseal, score, compare with rivals, write docs/proof.md.
 
-    python -m galen_hw.tools.blind_proof [--cases 400] [--seed N] [--keep DIR] [--minutes N] [--write docs/proof.md] [--no-rivals]
+    python -m galen_hw.tools.blind_proof [--cases 480] [--seed N] [--keep DIR] [--minutes N] [--write docs/proof.md] [--no-rivals]
 
 Without `--seed` the seed comes from the commit's hash. With `--keep` a run that was cut off goes on when it is called again on
 the same commit: the same set is generated, its truth must have the digest that was written, and what was judged stays.
@@ -61,7 +61,7 @@ def _real(folder: Path, workers: int, commit: str) -> list[str]:
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="blind_proof", description=__doc__)
-    parser.add_argument("--cases", type=int, default=400, help="how many recordings (default 400)")
+    parser.add_argument("--cases", type=int, default=480, help="how many recordings (default 480)")
     parser.add_argument("--seed", type=int, help="of the set; from the commit's hash if left out")
     parser.add_argument(
         "--keep", help="folder for data, verdicts and truth (a temporary one); a judged one is not judged again"
