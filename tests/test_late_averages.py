@@ -20,17 +20,21 @@ from galen_hw.tools.bench_diagnosis import recording
 
 
 @given(
-    st.lists(st.integers(3, 90), min_size=1, max_size=3), st.integers(1, 12), st.floats(-100.0, 100.0), st.booleans()
+    st.lists(st.integers(3, 90), min_size=1, max_size=3),
+    st.integers(1, 12),
+    st.floats(-100.0, 100.0),
+    st.booleans(),
+    st.booleans(),
 )
-def test_late_averages_are_averages_of_what_is_late(lengths, stride, late, whole):
+def test_late_averages_are_averages_of_what_is_late(lengths, stride, late, whole, bowed):
     """Any segments, groups, delays and advances, beyond the ends too."""
     edges, late = np.cumsum([0, *lengths]), float(round(late)) if whole else late
     parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     x = np.random.default_rng(sum(lengths)).normal(size=(int(edges[-1]), 2, 1))
     rows, t = Rows(tuple(parts), stride), 0.01 * np.arange(len(x))
     flat = x[:, :, 0]
-    expected = rows.average(np.concatenate([delay(t[p], flat[p], 0.01 * late, None)[0] for p in parts]))
-    assert np.allclose(rows.late(x, [late for _ in parts])[:, :, 0], expected, rtol=0.0, atol=1e-9)
+    expected = rows.average(np.concatenate([delay(t[p], flat[p], 0.01 * late, None, bowed=bowed)[0] for p in parts]))
+    assert np.allclose(rows.late(x, [late for _ in parts], bowed=bowed)[:, :, 0], expected, rtol=0.0, atol=1e-9)
 
 
 def made(*, even: bool) -> Bench:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from galen_hw.physics.operators import delay, impulse, lag, play, second_order
+from galen_hw.physics.operators import LagState, bow, delay, impulse, lag, play, second_order
 from galen_hw.physics.servo import MANY_SERVOS, ServoState, servo
 
 
@@ -233,3 +233,49 @@ def test_a_servo_is_play_when_quick_and_a_lag_without_friction():
     # Where it begins to stick, friction over its creeping speed and stiffness sets the pace: 37 % left after `settling`.
     at = 100 + int(np.argmax(creeps[100:, 0] > 0.8))
     assert (1.0 - creeps[at + 100, 0]) / (1.0 - creeps[at, 0]) == pytest.approx(np.exp(-1.0), rel=0.02)
+
+
+@given(st.floats(0.0, 0.05), st.floats(0.0, 0.9), st.integers(1, 39), st.booleans())
+def test_what_bows_is_delayed_along_its_parabola(late, jitter, cut, even):
+    """Exactly for a parabola, at any delay and clock, and the same in pieces."""
+    steps = np.full(40, 0.01) if even else 0.01 * (1.0 + jitter * np.random.default_rng(cut).uniform(-0.9, 0.9, 40))
+    t = np.cumsum(steps)
+    x = np.stack([1.0 + t - 40.0 * t**2, t], axis=1)
+    out, _ = delay(t, x, late, None, bowed=True)
+    known = t - late >= t[1]
+    at = t[known] - late
+    np.testing.assert_allclose(out[known], np.stack([1.0 + at - 40.0 * at**2, at], axis=1), atol=1e-12)
+    first, state = delay(t[:cut], x[:cut], late, None, bowed=True)
+    np.testing.assert_allclose(
+        np.concatenate([first, delay(t[cut:], x[cut:], late, state, bowed=True)[0]]), out, atol=1e-12
+    )
+    np.testing.assert_allclose(bow(t, x, None)[0][2:, 0], -80.0 * steps[2:] ** 2, atol=1e-12)
+    first, held = bow(t[:cut], x[:cut], None)
+    np.testing.assert_allclose(np.concatenate([first, bow(t[cut:], x[cut:], held)[0]]), bow(t, x, None)[0], atol=1e-14)
+
+
+@pytest.mark.parametrize("constant", [1e-5, 0.0005, 0.004, 0.01, 0.03])
+def test_a_lag_of_what_bows_has_its_constant(constant: float) -> None:
+    """A sine through a lag, in closed form: straight lines between the rows had a twelfth of a step squared of another lag."""
+    t, w = 0.01 * np.arange(3000), 2.0 * np.pi * 1.3
+    x, reply = np.sin(w * t), (np.exp(1j * w * t) / (1.0 + 1j * w * constant)).imag
+    straight = lag(t, x[:, None], np.array([constant]), None)[0][:, 0]
+    bowed = lag(t, x[:, None], np.array([constant]), None, bows=bow(t, x[:, None], None)[0])[0][:, 0]
+    assert np.abs(bowed - reply)[100:].max() < 0.15 * np.abs(straight - reply)[100:].max()
+
+
+@given(st.floats(1e-4, 10.0), st.integers(1, 39), st.booleans())
+def test_a_lag_of_a_parabola_is_its_closed_form(constant, cut, even):
+    """y = a + b (t - T) + c (t^2 - 2 T t + 2 T^2) once it has settled, and the same in pieces."""
+    steps = np.full(40, 0.01) if even else 0.01 * (1.0 + np.random.default_rng(cut).uniform(-0.8, 0.8, 40))
+    t, given_ = np.cumsum(steps), np.array([constant])
+    x = (1.0 + t - 40.0 * t**2)[:, None]
+    reply = 1.0 + (t - constant) - 40.0 * (t**2 - 2.0 * constant * t + 2.0 * constant**2)
+    bows = bow(t, x, None)[0]
+    settled = LagState(float(t[1]), reply[1:2], x[1])
+    out = lag(t[2:], x[2:], given_, settled, bows=bows[2:])[0]
+    np.testing.assert_allclose(out[:, 0], reply[2:], rtol=1e-9, atol=1e-9)
+    whole = lag(t, x, given_, None, bows=bows)[0]
+    first, state = lag(t[:cut], x[:cut], given_, None, bows=bows[:cut])
+    then = lag(t[cut:], x[cut:], given_, state, bows=bows[cut:])[0]
+    np.testing.assert_allclose(np.concatenate([first, then]), whole, rtol=1e-9, atol=1e-9)

@@ -244,18 +244,18 @@ class Bench:
         if not mine:
             return self.averaged(columns)
         if len(mine) == len(columns.channels):
-            return Columns(columns.channels, self.late(columns.values, late))
+            return Columns(columns.channels, self.late(columns.values, late, bowed=last.bowed))
         values = np.empty((len(self.rows), *columns.values.shape[1:]))
         rest = [i for i in range(len(columns.channels)) if i not in mine]
         values[:, rest] = self.rows.average(columns.values[:, rest])
-        values[:, mine] = self.late(columns.values[:, mine], late)
+        values[:, mine] = self.late(columns.values[:, mine], late, bowed=last.bowed)
         return Columns(columns.channels, values)
 
-    def late(self, x: Array, seconds: float) -> Array:
-        """(M, ...) averages of signals (N, ...) that come later by seconds."""
+    def late(self, x: Array, seconds: float, *, bowed: bool = False) -> Array:
+        """(M, ...) averages of signals (N, ...) that come later by seconds, see `operators.delay`."""
         if self.scene.even:
-            return self.rows.late(x, [seconds / step for step in self.scene.steps])
-        flat = self.stream.delay("delay", x.reshape(len(x), -1), seconds)
+            return self.rows.late(x, [seconds / step for step in self.scene.steps], bowed=bowed)
+        flat = self.stream.delay("delay", x.reshape(len(x), -1), seconds, bowed=bowed)
         return self.rows.average(flat).reshape(-1, *x.shape[1:])
 
     @cached_property

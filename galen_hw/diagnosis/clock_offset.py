@@ -8,7 +8,7 @@ from scipy.optimize import minimize_scalar
 
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.bends import does, tangent
-from galen_hw.diagnosis.clocks import MARGIN
+from galen_hw.diagnosis.clock_search import MARGIN
 from galen_hw.diagnosis.descent import Beside
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.score import Score, Scorer
@@ -62,9 +62,9 @@ def far_off(model: Model) -> list[Columns]:
     """(M, C, 1) what delays of the whole stream do that their slope at zero says little of."""
     out, bench, everywhere = [], model.bench, tuple(range(model.bench.width))
     for h, s in zip(model.parts, model.slices(), strict=True):
-        if h.effect == TimeDelay():
-            change = does(bench, TimeDelay(), model.final[s])
-            slope = bench.averaged(TimeDelay().columns(bench.scene)).values @ model.final[s]
+        if isinstance(h.effect, TimeDelay) and not h.effect.joint:
+            change = does(bench, h.effect, model.final[s])
+            slope = bench.averaged(h.effect.columns(bench.scene)).values @ model.final[s]
             if np.sum((change - slope) ** 2) > BY_SLOPE * np.sum(change**2):
                 out.append(Columns(everywhere, change[:, :, None]))
     return out

@@ -58,13 +58,15 @@ class Rows:
                 out[end] = x[middle : segment.stop].mean(axis=0)
         return out
 
-    def late(self, x: Array, steps: Sequence[float]) -> Array:
+    def late(self, x: Array, steps: Sequence[float], *, bowed: bool = False) -> Array:
         """The same of signals that come so many rows later in each segment, or earlier; at the ends the first or last row stands.
 
         As `operators.delay` on an even clock, averaged: of the way between two neighbours their means need no row by itself.
         """
         flat = x.reshape(len(x), -1)
-        parts = [_late(flat[part], late, self.stride) for part, late in zip(self.segments, steps, strict=True)]
+        parts = [
+            _late(flat[part], late, self.stride, bowed=bowed) for part, late in zip(self.segments, steps, strict=True)
+        ]
         return (parts[0] if len(parts) == 1 else np.concatenate(parts)).reshape(len(self), *x.shape[1:])
 
     def spread(self, x: Mask) -> Mask:
@@ -72,18 +74,19 @@ class Rows:
         return np.asarray(np.logical_or.reduceat(x, self.starts))
 
 
-def _late(x: Array, steps: float, stride: int) -> Array:
+def _late(x: Array, steps: float, stride: int, *, bowed: bool) -> Array:
     """(G, k) means over groups of `stride` rows of x (n, k), so many rows later."""
     count, groups = len(x), -(-len(x) // stride)
     whole = int(np.floor(min(max(steps, -float(count)), float(count))))
     share = steps - whole
-    # Groups of which every row lies between two that were recorded.
-    begin = min(max(-(-(whole + 1) // stride), 0), groups)
+    bow = 0.5 * share * (1.0 - share) if bowed else 0.0
+    # Groups of which every row lies between two that were recorded, and has two before it.
+    begin = min(max(-(-(whole + 2) // stride), 0), groups)
     end = max(min(count, count + whole) // stride, begin)
     out = np.empty((groups, x.shape[1]))
     if begin < end:
         a, b = begin * stride - whole, end * stride - whole
-        edges = x[a - 1 : b : stride] * (share / stride)
+        edges = ((share + bow) * x[a - 1 : b : stride] - bow * x[a - 2 : b - 1 : stride]) / stride
         middle = np.einsum("gsk->gk", x[a:b].reshape(end - begin, stride, -1), out=out[begin:end])
         middle /= stride
         middle += edges[:-1]
@@ -94,7 +97,10 @@ def _late(x: Array, steps: float, stride: int) -> Array:
             here, before = x[np.clip(rows, 0, count - 1)], x[np.clip(rows - 1, 0, count - 1)]
             starts = np.arange(0, len(rows), stride)
             sizes = np.diff(starts, append=len(rows))
-            out[first:last] = np.add.reduceat(here + share * (before - here), starts, axis=0) / sizes[:, None]
+            late = here + share * (before - here)
+            if bow and (inside := (rows >= 2) & (rows < count)).any():
+                late[inside] -= bow * (here - 2.0 * before + x[np.clip(rows - 2, 0, count - 1)])[inside]
+            out[first:last] = np.add.reduceat(late, starts, axis=0) / sizes[:, None]
     return out
 
 

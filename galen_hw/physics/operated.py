@@ -11,6 +11,7 @@ from galen_hw.physics.operators import (
     DelayState,
     LagState,
     SecondOrderState,
+    bow,
     delay,
     evenly,
     impulse,
@@ -20,6 +21,9 @@ from galen_hw.physics.operators import (
 )
 from galen_hw.physics.servo import ServoState, servo
 from galen_hw.spatial import Array
+
+MEAN_BOW = 1.0 / 12.0
+"""By which share of a parabola's second difference a straight line lies above it, in the mean over a step."""
 
 Memory = dict[Any, Any]
 """What operators remember from row to row, by the name of their place in the effect."""
@@ -72,14 +76,18 @@ class Operated:
         r = np.broadcast_to(np.asarray(half_width, dtype=float), x.shape[1:])
         return self._carried(name, x, lambda part, state: play(x[part], r, state), start)
 
-    def lag(self, name: Any, x: Array, constant: Any, *, empty: bool = False, held: bool = False) -> Array:
+    def lag(
+        self, name: Any, x: Array, constant: Any, *, empty: bool = False, held: bool = False, bowed: bool = False
+    ) -> Array:
         """First-order lag of (N, m) inputs over the clock, see `operators.lag`; `empty`: its output begins at zero."""
+        bows = self._bows((name, "bow"), x) if bowed else None
         c = np.broadcast_to(np.asarray(constant, dtype=float), x.shape[1:])
 
         def run(part: slice, state: Any) -> tuple[Array, LagState]:
             if state is not None and not isinstance(state, LagState):
                 state = LagState(float(self.time[part][0]), state, x[part][0])
-            return lag(self.time[part], x[part], c, state, held=held, even=self._even(part))
+            own = None if bows is None else bows[part]
+            return lag(self.time[part], x[part], c, state, held=held, even=self._even(part), bows=own)
 
         # Behind a gap nobody knows; it had time to settle.
         start = [np.zeros(x.shape[1:]), *(None for _ in self.segments[1:])] if empty else None
@@ -119,10 +127,17 @@ class Operated:
         T = np.full(load.shape[1:], coasting)
         return self._carried(name, load, lambda part, state: gap(self.time[part], load[part], T, state))
 
-    def delay(self, name: Any, x: Array, seconds: float) -> Array:
+    def delay(self, name: Any, x: Array, seconds: float, *, bowed: bool = False) -> Array:
         """(N, m) inputs delayed by seconds, see `operators.delay`."""
 
         def run(part: slice, state: Any) -> tuple[Array, DelayState]:
-            return delay(self.time[part], x[part], seconds, state, even=self._even(part))
+            return delay(self.time[part], x[part], seconds, state, even=self._even(part), bowed=bowed)
 
         return self._carried(name, x, run)
+
+    def straightened(self, name: Any, x: Array) -> Array:
+        """(N, m) inputs of which straight lines between the rows are, in the mean, what the inputs are, see `operators.bow`."""
+        return x - MEAN_BOW * self._bows(name, x)
+
+    def _bows(self, name: Any, x: Array) -> Array:
+        return self._carried(name, x, lambda part, state: bow(self.time[part], x[part], state))

@@ -19,6 +19,8 @@ FEW_CORNERS = 0.02
 """Share of the rows, of so many or more, below which the corners of a signal are walked one by one."""
 FORGOTTEN = 1e-30
 """Share of a past value below which it is gone, whatever the value."""
+LEAST_RATIO = 1e-2
+"""Of a step over a lag's constant from which its shares are no series."""
 EVEN = 1e-9
 """Spread of the clock's steps, as a share of one, that is rounding."""
 
@@ -84,7 +86,14 @@ class LagState:
 
 
 def lag(
-    time: Array, x: Array, constant: Array, state: LagState | None, *, held: bool = False, even: bool | None = None
+    time: Array,
+    x: Array,
+    constant: Array,
+    state: LagState | None,
+    *,
+    held: bool = False,
+    even: bool | None = None,
+    bows: Array | None = None,
 ) -> tuple[Array, LagState]:
     """First-order lag T dy/dt = x - y, exact for inputs that are straight between the rows, however short T is.
 
@@ -97,17 +106,20 @@ def lag(
         state: what the last row left; None: the output starts at the first input.
         held: for inputs that are held over each step instead, as `servo.servo` has them: s = p.
         even: `evenly` of the clock, where it is known.
+        bows: (N, m) how the inputs `bow`: parabolas between the rows instead of straight lines.
     """
     before = time[0] if state is None else state.time
     start, last = (x[0], x[0]) if state is None else (state.output, state.input)
     if evenly(time) if even is None else even:
         steps = np.maximum([time[0] - before, time[1] - time[0]], 0.0)
-        out = _lag_evenly(steps, x, constant, start, last, held=held)
+        out = _lag_evenly(steps, x, constant, start, last, held=held, bows=bows)
         return out, LagState(float(time[-1]), out[-1].copy(), x[-1].copy())
     steps = np.maximum(np.diff(np.concatenate([[before], time])), 0.0)
     kept, earlier, now = lagging(steps[:, None], constant, held=held)
     # y_k = kept y_(k-1) + new, and such steps after one another are such a step: all of them by doubling.
     new = earlier * np.concatenate([last[None], x[:-1]]) + now * x
+    if bows is not None:
+        new -= below(steps[:, None], constant) * bows
     reach = 1
     while reach < len(x) and np.any(kept[reach:] > FORGOTTEN):
         new[reach:] = kept[reach:] * new[:-reach] + new[reach:]
@@ -127,13 +139,32 @@ def lagging(steps: Array, constant: Array, *, held: bool) -> tuple[Array, Array,
     return 1.0 - gone, straight - 1.0 + gone, 1.0 - straight
 
 
-def _lag_evenly(steps: Array, x: Array, constant: Array, start: Array, last: Array, *, held: bool) -> Array:
+def below(steps: Array, constant: Array) -> Array:
+    """Share of its bow by which a lag's output after steps (s) is below that of a straight input: half the mean of s (1 - s)."""
+    ratio = steps / constant
+    r = np.maximum(ratio, LEAST_RATIO)
+    left = np.exp(-r)
+    first, second = (1.0 - left * (1.0 + r)) / r, (2.0 - left * (2.0 + 2.0 * r + r * r)) / r**2
+    # Of short steps the rest of a series: the terms above cancel.
+    return np.where(ratio < LEAST_RATIO, ratio / 12.0 - ratio**2 / 24.0, 0.5 * (first - second))
+
+
+def _lag_evenly(
+    steps: Array, x: Array, constant: Array, start: Array, last: Array, *, held: bool, bows: Array | None
+) -> Array:
     """The same on an even clock, where it is a digital filter; steps: to the first row and between all others, s."""
     kept, earlier, now = (
         np.broadcast_to(part, (2, x.shape[1])) for part in lagging(steps[:, None], constant, held=held)
     )
     out = np.empty_like(x, dtype=float)
     out[0] = kept[0] * start + earlier[0] * last + now[0] * x[0]
+    if bows is not None:
+        less = below(steps[:, None], constant) * np.ones((2, x.shape[1]))
+        out[0] -= less[0] * bows[0]
+        new = now[1] * x[1:] + earlier[1] * x[:-1] - less[1] * bows[1:]
+        for j, p in enumerate(kept[1].tolist()):
+            out[1:, j] = lfilter([1.0], [1.0, -p], new[:, j], zi=[p * out[0, j]])[0]
+        return out
     for j, (p, a, b) in enumerate(zip(kept[1].tolist(), earlier[1].tolist(), now[1].tolist(), strict=True)):
         out[1:, j] = lfilter([b, a], [1.0, -p], x[1:, j], zi=[a * x[0, j] + p * out[0, j]])[0]
     return out
@@ -259,6 +290,36 @@ def _turned(steps: Array, damping: float) -> tuple[Array, Array, Array, Array]:
 
 
 @dataclass(frozen=True)
+class BowState:
+    """Last two times (s) and rows."""
+
+    time: Array
+    rows: Array
+
+
+def bow(time: Array, x: Array, state: BowState | None) -> tuple[Array, BowState]:
+    """How signals bow over the last step: the second difference of the parabola through the last three rows.
+
+    A straight line between two rows lies above such a signal by s (1 - s) / 2 of it, s the share of the way, and by a twelfth in
+    the mean.
+
+    Args:
+        time: (N,) s.
+        x: (N, m) inputs.
+        state: what the last rows left; None: straight up to the second row.
+    """
+    t = time if state is None else np.concatenate([state.time, time])
+    rows = x if state is None else np.concatenate([state.rows, x])
+    out = np.zeros_like(rows, dtype=float)
+    if len(t) > 2:
+        steps = np.diff(t)[:, None]
+        slopes = np.diff(rows, axis=0) / np.where(steps > 0.0, steps, np.inf)
+        over = steps[1:] + steps[:-1]
+        out[2:] = steps[1:] ** 2 * 2.0 * np.diff(slopes, axis=0) / np.where(over > 0.0, over, np.inf)
+    return out[len(t) - len(time) :], BowState(t[-2:], rows[-2:])
+
+
+@dataclass(frozen=True)
 class DelayState:
     """Past times (s) and rows that a pure delay still needs."""
 
@@ -267,9 +328,15 @@ class DelayState:
 
 
 def delay(
-    time: Array, x: Array, seconds: float, state: DelayState | None, *, even: bool | None = None
+    time: Array,
+    x: Array,
+    seconds: float,
+    state: DelayState | None,
+    *,
+    even: bool | None = None,
+    bowed: bool = False,
 ) -> tuple[Array, DelayState]:
-    """Pure delay by linear interpolation of the past; before the first row the first row stands.
+    """Pure delay by interpolation of the past; before the first row the first row stands.
 
     Args:
         time: (N,) s, rising.
@@ -277,18 +344,25 @@ def delay(
         seconds: >= 0 for a stream; a batch may look ahead (negative) inside its rows.
         state: what the last rows left.
         even: `evenly` of the clock, where it is known.
+        bowed: between the rows by parabolas (`bow`) instead of straight lines.
     """
     t = time if state is None else np.concatenate([state.time, time])
     rows = x if state is None else np.concatenate([state.rows, x])
     if state is None and (evenly(t) if even is None else even):
-        out = _shifted(rows, seconds / (t[-1] - t[0]) * (len(t) - 1))
+        out = _shifted(rows, seconds / (t[-1] - t[0]) * (len(t) - 1), bowed=bowed)
     else:
-        out = np.stack([np.interp(time - seconds, t, rows[:, j]) for j in range(x.shape[1])], axis=-1)
+        at = time - seconds
+        out = np.stack([np.interp(at, t, rows[:, j]) for j in range(x.shape[1])], axis=-1)
+        if bowed and len(t) > 2:
+            end = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
+            steps = t[end] - t[end - 1]
+            share = np.clip((t[end] - at) / np.where(steps > 0.0, steps, np.inf), 0.0, 1.0)
+            out -= (0.5 * share * (1.0 - share))[:, None] * bow(t, rows, None)[0][end]
     keep = max(int(np.searchsorted(t, t[-1] - max(seconds, 0.0), side="right")) - 2, 0)
     return out, DelayState(t[keep:], rows[keep:])
 
 
-def _shifted(x: Array, steps: float) -> Array:
+def _shifted(x: Array, steps: float, *, bowed: bool) -> Array:
     """The same on an even clock, where every row lies at the same share of the way between two; the ends stand."""
     count, whole = len(x), int(np.floor(steps))
     share = steps - whole
@@ -300,4 +374,6 @@ def _shifted(x: Array, steps: float) -> Array:
         np.subtract(before, here, out=out[first:end])
         out[first:end] *= share
         out[first:end] += here
+        if bowed and (past := max(first, whole + 2)) < end:
+            out[past:end] -= 0.5 * share * (1.0 - share) * np.diff(x[past - whole - 2 : end - whole], 2, axis=0)
     return out

@@ -65,10 +65,12 @@ class GivingScene(PoseScene):
                 out[part, i] = _played(x[part, i].tolist(), r)
         return out
 
-    def lag(self, name: Any, x: Array, constant: Any, *, empty: bool = False, held: bool = True) -> Array:
+    def lag(
+        self, name: Any, x: Array, constant: Any, *, empty: bool = False, held: bool = True, bowed: bool = False
+    ) -> Array:
         """As `operators.lag` of inputs held over each step, as in the live service; a column at a time in plain floats."""
         if empty or not held:
-            return super().lag(name, x, constant, empty=empty, held=held)
+            return super().lag(name, x, constant, empty=empty, held=held, bowed=bowed)
         out, constants = np.empty_like(x), np.broadcast_to(np.asarray(constant, dtype=float), x.shape[1:])
         for part in self.segments:
             steps = np.diff(self.time[part], prepend=self.time[part][:1])

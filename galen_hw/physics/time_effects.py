@@ -42,12 +42,14 @@ class Timing(Downstream):
 class TimeDelay(Timing):
     """One stream is late: y(t) = w(t - d), one number for all channels; its slope at zero is -dw/dt.
 
-    `joint` restricts it to one joint's reading. Visible where the channels move. Confused with lag (the same to first order),
-    with viscous friction and compliance where load follows speed.
+    `joint` restricts it to one joint's reading; `bowed`: between two rows the simulated runs along parabolas, not straight lines.
+    Visible where the channels move. Confused with lag (the same to first order), with viscous friction and compliance where load
+    follows speed.
     """
 
     KEY = "time_delay"
     joint: str = ""
+    bowed: bool = False
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -80,7 +82,7 @@ class TimeDelay(Timing):
 
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
         """(N, m) signals as this stream delivers them."""
-        return scene.delay("delay", x, float(theta[0]))
+        return scene.delay("delay", x, float(theta[0]), bowed=self.bowed)
 
 
 @dataclass(frozen=True)
@@ -90,8 +92,8 @@ class Lag(Timing):
     With `damping` z one of second order: T^2 y'' + 2 z T y' + y = w, of a servo or a filter of two poles (0.71: Butterworth).
 
     `joint` restricts it to one joint; `whole`: the share is 1, for beside a delay it is hardly told from a shorter constant and
-    runs away. Visible where the channels move quickly; nested with time_delay, to which it is the same for slow motion: a
-    constant below `shortest` (half a sample) is none.
+    runs away; `bowed` as of `TimeDelay`. Visible where the channels move quickly; nested with time_delay, to which it is the
+    same for slow motion: a constant below `shortest` (half a sample) is none.
     """
 
     KEY = "lag"
@@ -103,6 +105,7 @@ class Lag(Timing):
     shortest: float = 0.0
     whole: bool = False
     damping: float | None = None
+    bowed: bool = False
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -150,8 +153,9 @@ class Lag(Timing):
 
     def _lagged(self, scene: Scene, x: Array) -> Array:
         if self.damping is not None:
-            return scene.second_order("lag", x, self.constant, self.damping, held=scene.commanded)
-        return scene.lag("lag", x, self.constant, held=scene.commanded)
+            straight = scene.straightened("bow", x) if self.bowed else x
+            return scene.second_order("lag", straight, self.constant, self.damping, held=scene.commanded)
+        return scene.lag("lag", x, self.constant, held=scene.commanded, bowed=self.bowed)
 
 
 def joint_of(channel: str) -> str:
