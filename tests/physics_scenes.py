@@ -15,7 +15,7 @@ from galen_hw.physics.rigid import Body
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.sensor_effects import Drift
 from galen_hw.physics.table import EFFECTS, effect_class, scene_of
-from galen_hw.physics.time_effects import Lag, TimeDelay
+from galen_hw.physics.time_effects import BETWEEN, Lag, TimeDelay
 
 JOINTS = GalenRobot().joint_names
 WRENCH = tuple(f"wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz")
@@ -106,7 +106,8 @@ def proposals(group, static=False):
         ]
         tied = [e for e in CableDrag.propose(made) if e.anchored or e.clipped]
         found += [replace(e, form=form) for e in tied for form in ("tendon", "tendon_dry", "tendon_eye")]
-    clocks = [Lag(0.2, damping=0.4), Lag(0.2, damping=0.4, bowed=True), Lag(0.2, bowed=True), TimeDelay(bowed=True)]
+    clocks = [TimeDelay(between="bows"), *(Lag(0.2, between=x) for x in BETWEEN)]
+    clocks += [Lag(0.2, damping=0.4, between=x) for x in BETWEEN]
     found += clocks if made.clock else []
     if group in ("pose", "targets"):
         found += [e.with_searched({"friction": 0.05}) for e in found if isinstance(e, Creep) and e.joint]

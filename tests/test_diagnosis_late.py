@@ -18,38 +18,50 @@ from galen_hw.physics.observations import Observations
 from galen_hw.physics.table import scene_of
 
 
-def late(constant: float, damping: float | None, *, straight: bool, quiet: float) -> Work:
+def late(constant: float, damping: float | None, between: str, quiet: float) -> Work:
     """Two runs whose whole wrench answers so, 20 rows a second, their noise so many times the usual."""
     runs = [Bench(seed, rows=4000) for seed in (5, 6)]
     for run in runs:
-        run.wrench = np.stack([_answered(run.t, x, constant, damping, straight=straight) for x in run.wrench.T], axis=1)
+        run.wrench = np.stack([_answered(run.t, x, constant, damping, between) for x in run.wrench.T], axis=1)
         run.noise *= quiet
     learnt, other = (scene_of(run.observations()) for run in runs)
     return diagnose(learnt, holdout=other)
 
 
 def _answered(
-    t: np.ndarray, x: np.ndarray, constant: float, damping: float | None, *, straight: bool = False
+    t: np.ndarray, x: np.ndarray, constant: float, damping: float | None, between: str = "bows"
 ) -> np.ndarray:
-    """What a filter makes of a signal that is smooth between its rows, or runs in straight lines."""
-    fine = np.linspace(t[0], t[-1], 20 * (len(t) - 1) + 1)
+    """What a filter makes of a signal that is smooth between its rows, runs in straight lines, or stands from row to row."""
+    parts, rows = 20, len(t)
+    fine = np.linspace(t[0], t[-1], parts * (rows - 1) + 1)
     system = [1.0], [constant, 1.0] if damping is None else [constant**2, 2.0 * damping * constant, 1.0]
-    between = np.interp(fine, t, x) if straight else CubicSpline(t, x)(fine)
-    return x[0] + lsim(system, between - x[0], fine - t[0])[1][::20]
+    later = np.minimum(np.arange(len(fine)) // parts + 1, rows - 1)
+    signal = {"bows": CubicSpline(t, x)(fine), "lines": np.interp(fine, t, x), "steps": x[later]}[between]
+    return x[0] + lsim(system, signal - x[0], fine - t[0], interp=between != "steps")[1][::parts]
 
 
 @pytest.mark.inject
-@pytest.mark.parametrize("straight", [False, True])
 @pytest.mark.parametrize(
-    ("constant", "damping", "quiet"), [(0.06, None, 1.0), (0.06, None, 0.05), (0.35, 0.4, 1.0), (0.2, 0.71, 1.0)]
+    ("constant", "damping", "between", "quiet"),
+    [
+        (0.06, None, "bows", 1.0),
+        (0.06, None, "bows", 0.05),
+        (0.06, None, "lines", 0.05),
+        (0.06, None, "steps", 1.0),
+        (0.3, None, "steps", 0.2),
+        (0.35, 0.4, "bows", 1.0),
+        (0.35, 0.4, "steps", 1.0),
+        (0.2, 0.71, "bows", 1.0),
+        (0.2, 0.71, "lines", 1.0),
+    ],
 )
-def test_a_filter_is_a_lag_of_its_order(constant: float, damping: float | None, quiet: float, straight: bool) -> None:
+def test_a_filter_is_a_lag_of_its_order(constant: float, damping: float | None, between: str, quiet: float) -> None:
     """Hardly more than a row long, a servo that rings, and Butterworth's: one name, its constants, and nothing beside it.
 
-    A machine is smooth between the rows; a logger that fills in rows draws straight lines. A lag of few rows had a delay of a
-    tenth of it beside it where lines are drawn and the machine is smooth.
+    Whatever lies between two rows: a machine is smooth, a logger that fills in rows draws straight lines, and a filter of samples
+    takes each for the time before it. By lines alone the first had a delay beside it and the last an advance, or `unknown`.
     """
-    work = late(constant, damping, straight=straight, quiet=quiet)
+    work = late(constant, damping, between, quiet)
     assert [f.effect for f in work.diagnosis.findings] == ["lag"]
     assert work.diagnosis.verdict == "explained"
     told = work.diagnosis.findings[0].parameters

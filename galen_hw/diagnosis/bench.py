@@ -244,11 +244,11 @@ class Bench:
         if not mine:
             return self.averaged(columns)
         if len(mine) == len(columns.channels):
-            return Columns(columns.channels, self.late(columns.values, late, bowed=last.bowed))
+            return Columns(columns.channels, self.late(columns.values, late, bowed=last.between == "bows"))
         values = np.empty((len(self.rows), *columns.values.shape[1:]))
         rest = [i for i in range(len(columns.channels)) if i not in mine]
         values[:, rest] = self.rows.average(columns.values[:, rest])
-        values[:, mine] = self.late(columns.values[:, mine], late, bowed=last.bowed)
+        values[:, mine] = self.late(columns.values[:, mine], late, bowed=last.between == "bows")
         return Columns(columns.channels, values)
 
     def late(self, x: Array, seconds: float, *, bowed: bool = False) -> Array:

@@ -3,6 +3,8 @@
 The search goes by slopes. It would explain such a recording by whatever bends, and find nothing of it later.
 """
 
+from typing import TypeGuard
+
 import numpy as np
 from scipy.optimize import minimize_scalar
 
@@ -12,7 +14,7 @@ from galen_hw.diagnosis.clock_search import MARGIN
 from galen_hw.diagnosis.descent import Beside
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.score import Score, Scorer
-from galen_hw.physics.effect import Columns
+from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.time_effects import TimeDelay
 from galen_hw.spatial import Array
 
@@ -36,7 +38,7 @@ def clock_offset(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[i
     Args:
         scores: of all hypotheses beside the chosen ones; the delay joins the library, settled where it is.
     """
-    own = next((i for i in scores if scorer.library[i].effect == TimeDelay()), None)
+    own = next((i for i in scores if _whole(scorer.library[i].effect)), None)
     if own is None or any(isinstance(scorer.library[i].effect, TimeDelay) for i in chosen):
         return None
     shift = _shift(bench)
@@ -62,12 +64,17 @@ def far_off(model: Model) -> list[Columns]:
     """(M, C, 1) what delays of the whole stream do that their slope at zero says little of."""
     out, bench, everywhere = [], model.bench, tuple(range(model.bench.width))
     for h, s in zip(model.parts, model.slices(), strict=True):
-        if isinstance(h.effect, TimeDelay) and not h.effect.joint:
+        if _whole(h.effect):
             change = does(bench, h.effect, model.final[s])
             slope = bench.averaged(h.effect.columns(bench.scene)).values @ model.final[s]
             if np.sum((change - slope) ** 2) > BY_SLOPE * np.sum(change**2):
                 out.append(Columns(everywhere, change[:, :, None]))
     return out
+
+
+def _whole(effect: Effect | None) -> TypeGuard[TimeDelay]:
+    """Whether it is a delay of the whole stream."""
+    return isinstance(effect, TimeDelay) and not effect.joint
 
 
 def _shift(bench: Bench) -> tuple[float, float] | None:

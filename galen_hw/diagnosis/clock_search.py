@@ -10,7 +10,7 @@ from scipy.optimize import minimize, minimize_scalar
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.descent import Beside
 from galen_hw.physics.effect import Columns, Effect, log_grid, spacing
-from galen_hw.physics.time_effects import Lag, TimeDelay
+from galen_hw.physics.time_effects import BETWEEN, Lag, TimeDelay, first_order, second_order
 from galen_hw.spatial import Array
 
 MARGIN = 6.0
@@ -59,26 +59,34 @@ class ClockSearch:
         self.price = float(np.log(self.bench.noise.effective))
 
     def either(self) -> Clocks:
-        """The clocks that are there: straight lines between two rows, or parabolas, whichever the recording is nearer to.
+        """The clocks that are there, by what lies `BETWEEN` two rows as the recording is nearest to it.
 
-        A logger that fills in rows draws straight lines; machines do not.
+        Machines are smooth; a logger that fills in rows draws straight lines; a filter of samples takes each for the time
+        before it.
         """
-        clocks = self.best()
-        if not clocks or self.within or self.bench.stream.commanded or self._bow(clocks) < MARGIN:
+        clocks, search = self.best(), self
+        if not clocks or self.within or self.bench.stream.commanded:
             return clocks
-        smooth = replace(self, delay=replace(self.delay, bowed=True))
-        other = smooth.best()
-        return other if smooth.worth(other) > self.worth(clocks) else clocks
+        for between in BETWEEN:
+            if between != self.delay.between and self._differs(clocks, between) >= MARGIN:
+                other = replace(self, delay=replace(self.delay, between=between))
+                if other.worth(found := other.best()) > search.worth(clocks):
+                    clocks, search = found, other
+        return clocks
 
-    def _bow(self, clocks: Clocks) -> float:
-        """Whitened sum of squares of what parabolas change about these clocks: where there is none, nothing could tell."""
+    def _differs(self, clocks: Clocks, between: str) -> float:
+        """Whitened sum of squares of what it changes about clocks that are as late as before: without any, nothing could tell."""
         late, constant, damping = _read(clocks)
-        straight, bowed = (self._late(late, constant, damping=damping, bowed=bowed) for bowed in (False, True))
-        white = self.bench.made(None, Columns(self.places, (bowed - straight)[:, :, None])).white.values
+        sooner = 0.5 * spacing(self.bench.scene) if between == "steps" and constant > 0.0 else 0.0
+        own = self.arriving(late, constant, damping=damping)
+        other = replace(self, delay=replace(self.delay, between=between)).arriving(
+            late + sooner, constant, damping=damping
+        )
+        white = self.bench.made(None, Columns(self.places, (other - own)[:, :, None])).white.values
         return float(np.sum(white[self.bench.train] ** 2))
 
     def best(self) -> Clocks:
-        """The clocks that are there, by straight lines or, if its `delay` is bowed, by parabolas."""
+        """The clocks that are there, by what lies between two rows for its `delay`."""
         step = spacing(self.bench.scene)
         reach = max(4.0 * step, 4.0 * abs(self._by_slope()))
         most, all_late = self._latest(0.0, (-reach, reach))
@@ -88,7 +96,7 @@ class ClockSearch:
         ]
         shortest = 0.5 * step
         for constant in log_grid(shortest, 2.0 * all_late, CONSTANTS):
-            lag = Lag(constant, self.delay.joint, shortest, whole=True, bowed=self.delay.bowed)
+            lag = Lag(constant, self.delay.joint, shortest, whole=True, between=self.delay.between)
             ways.append((self._gain(0.0, constant) - self.price, [(lag, constant)]))
             most, late = self._latest(constant, (0.0, all_late))
             ways.append((most - 2.0 * self.price - MARGIN, [(self.delay, late), (lag, constant)]))
@@ -167,7 +175,7 @@ class ClockSearch:
         if -least - 2.0 * self.price > wanted - NEAR:
             at, _ = _lowest(cost, at, limits, FINEST, FINE)
         constant, damping = np.exp(at).tolist()
-        lag = Lag(constant, self.delay.joint, shortest, whole=True, damping=damping, bowed=self.delay.bowed)
+        lag = Lag(constant, self.delay.joint, shortest, whole=True, damping=damping, between=self.delay.between)
         return [(lag, constant)]
 
     def _latest(self, constant: float, bounds: tuple[float, float]) -> tuple[float, float]:
@@ -187,34 +195,30 @@ class ClockSearch:
         damping: float | None = None,
     ) -> float:
         """Fall of the whitened sum of squares with a delay and a lag, s, and bands of friction so many times as wide."""
-        y = self._late(late, constant, wide, within, damping, bowed=self.delay.bowed) - self.averaged
+        y = self.arriving(late, constant, wide, within, damping) - self.averaged
         return self.beside.whole(self.bench.made(None, Columns(self.places, y[:, :, None])))
 
-    def _late(
+    def arriving(
         self,
         late: float,
         constant: float,
         wide: float = 1.0,
         within: tuple[Effect, ...] | None = None,
         damping: float | None = None,
-        *,
-        bowed: bool,
     ) -> Array:
         """(M, m) averages of what the same make of the simulated."""
         within = self.within if within is None else within
-        return self.bench.late(self._lagged(constant, wide, within, damping, bowed=bowed), late, bowed=bowed)
+        bowed = self.delay.between == "bows"
+        return self.bench.late(self._lagged(constant, wide, within, damping), late, bowed=bowed)
 
-    def _lagged(
-        self, constant: float, wide: float, within: tuple[Effect, ...], damping: float | None, *, bowed: bool
-    ) -> Array:
+    def _lagged(self, constant: float, wide: float, within: tuple[Effect, ...], damping: float | None) -> Array:
         """(N, m) what servos with this constant (s) make of the simulated; kept, for it comes again with other delays."""
         x, stream = self.simulated, self.bench.stream
         if damping is not None:
-            straight = stream.straightened("bow", x) if bowed else x
-            return stream.second_order("lag", straight, constant, damping, held=stream.commanded)
-        key = (constant, wide, within, bowed)
+            return second_order(stream, x, constant, damping, self.delay.between)
+        key = (constant, wide, within)
         if key not in self.behind:
-            y = stream.lag("lag", x, constant, held=stream.commanded, bowed=bowed) if constant > 0.0 else x
+            y = first_order(stream, x, constant, self.delay.between) if constant > 0.0 else x
             for one in within:
                 stands = _with_lag(one, constant, wide).columns(self.bench.scene)
                 y = y + Columns(stands.channels, stands.values[:, :, :1]).full(self.bench.width)[:, self.places, 0]

@@ -167,10 +167,20 @@ def _exchanged(
     plainer = numbers([one for one, _ in clocks]) < numbers(gone)
     if fall > MARGIN and _pays(bench, missed, crossed(bench, scorer, trial), nearly=nearly, plainer=plainer):
         out.chosen = trial
+        _as_told(scorer, clocks)
         return True
     bench.y = y
     scorer.retarget(y)
     return False
+
+
+def _as_told(scorer: Scorer, clocks: Clocks) -> None:
+    """What lies between two rows is one thing to all clocks of a stream: those that were not chosen are made anew by it."""
+    told = {end.joint: end.between for end, _ in clocks}
+    for i, h in enumerate(scorer.library):
+        end = h.effect
+        if isinstance(end, (TimeDelay, Lag)) and end.between != told.get(end.joint, end.between):
+            scorer.library[i] = replace(h, effect=replace(end, between=told[end.joint]))
 
 
 def _in_place_of(bench: Bench, h: Hypothesis, instead: dict[Effect, Effect]) -> Hypothesis:

@@ -11,12 +11,21 @@ from galen_hw.physics.effect import Columns, Downstream, Parameter, Searched, lo
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
+BETWEEN = ("lines", "bows", "steps")
+"""What the simulated does between two rows: runs straight, along a parabola, or has the later one's value all the way."""
+
 
 class Timing(Downstream):
     """An effect of the clock."""
 
     NEEDS_CLOCK = True
     joint: str
+    between: str
+
+    def __post_init__(self) -> None:
+        """Refuses what it does not know: TypeError."""
+        if self.between not in BETWEEN:
+            raise TypeError(f"between two rows are {', '.join(BETWEEN)}, not {self.between}")
 
     @abstractmethod
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
@@ -42,14 +51,13 @@ class Timing(Downstream):
 class TimeDelay(Timing):
     """One stream is late: y(t) = w(t - d), one number for all channels; its slope at zero is -dw/dt.
 
-    `joint` restricts it to one joint's reading; `bowed`: between two rows the simulated runs along parabolas, not straight lines.
-    Visible where the channels move. Confused with lag (the same to first order), with viscous friction and compliance where load
-    follows speed.
+    `joint` restricts it to one joint's reading; `between`: see `BETWEEN`; steps are lines to it. Visible where the channels move.
+    Confused with lag (the same to first order), with viscous friction and compliance where load follows speed.
     """
 
     KEY = "time_delay"
     joint: str = ""
-    bowed: bool = False
+    between: str = "lines"
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -82,7 +90,7 @@ class TimeDelay(Timing):
 
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
         """(N, m) signals as this stream delivers them."""
-        return scene.delay("delay", x, float(theta[0]), bowed=self.bowed)
+        return scene.delay("delay", x, float(theta[0]), bowed=self.between == "bows")
 
 
 @dataclass(frozen=True)
@@ -92,7 +100,7 @@ class Lag(Timing):
     With `damping` z one of second order: T^2 y'' + 2 z T y' + y = w, of a servo or a filter of two poles (0.71: Butterworth).
 
     `joint` restricts it to one joint; `whole`: the share is 1, for beside a delay it is hardly told from a shorter constant and
-    runs away; `bowed` as of `TimeDelay`. Visible where the channels move quickly; nested with time_delay, to which it is the
+    runs away; `between`: see `BETWEEN`. Visible where the channels move quickly; nested with time_delay, to which it is the
     same for slow motion: a constant below `shortest` (half a sample) is none.
     """
 
@@ -105,7 +113,7 @@ class Lag(Timing):
     shortest: float = 0.0
     whole: bool = False
     damping: float | None = None
-    bowed: bool = False
+    between: str = "lines"
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -153,9 +161,20 @@ class Lag(Timing):
 
     def _lagged(self, scene: Scene, x: Array) -> Array:
         if self.damping is not None:
-            straight = scene.straightened("bow", x) if self.bowed else x
-            return scene.second_order("lag", straight, self.constant, self.damping, held=scene.commanded)
-        return scene.lag("lag", x, self.constant, held=scene.commanded, bowed=self.bowed)
+            return second_order(scene, x, self.constant, self.damping, self.between)
+        return first_order(scene, x, self.constant, self.between)
+
+
+def first_order(scene: Scene, x: Array, constant: float, between: str) -> Array:
+    """(N, m) signals behind a lag, see `BETWEEN`; commands stand."""
+    held = scene.commanded or between == "steps"
+    return scene.lag("lag", x, constant, held=held, bowed=between == "bows")
+
+
+def second_order(scene: Scene, x: Array, constant: float, damping: float, between: str) -> Array:
+    """The same behind one of second order."""
+    straight = scene.straightened("bow", x) if between == "bows" else x
+    return scene.second_order("lag", straight, constant, damping, held=scene.commanded or between == "steps")
 
 
 def joint_of(channel: str) -> str:
