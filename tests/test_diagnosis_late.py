@@ -217,3 +217,32 @@ def test_a_delay_in_a_sweep_of_poses_is_no_lag(late: float) -> None:
     (finding,) = diagnose(learnt, holdout=other).diagnosis.findings
     assert finding.effect == "time_delay"
     assert finding.parameters["delay"].value == pytest.approx(late, rel=0.02)
+
+
+def begun_in_motion(seed: int, constant: float | None, delay: float, cut: int = 400) -> Observations:
+    """A minute and a half out of a longer run: what comes first answers to what was not recorded."""
+    bench = Bench(seed, rows=2000 + cut)
+    if constant is None:
+        bench.wrench = CubicSpline(bench.t, bench.wrench)(np.maximum(bench.t - delay, 0.0))
+    else:
+        bench.wrench = np.stack([_answered(bench.t, x, constant, None) for x in bench.wrench.T], axis=1)
+    bench.t = bench.t[cut:] - bench.t[cut]
+    for name in ("q", "R", "wrench", "noise"):
+        setattr(bench, name, getattr(bench, name)[cut:])
+    return bench.observations()
+
+
+@pytest.mark.inject
+@pytest.mark.parametrize(("constant", "delay"), [(0.8, 0.0), (None, 0.3)])
+def test_what_came_before_a_recording_is_no_effect(constant: float | None, delay: float) -> None:
+    """What fades from an unknown beginning had been a drift beside a lag, and `unknown` beside a delay."""
+    learnt, other = (scene_of(begun_in_motion(seed, constant, delay)) for seed in (4, 5))
+    work = diagnose(learnt, holdout=other)
+    (finding,) = work.diagnosis.findings
+    assert work.diagnosis.verdict == "explained"
+    if constant is None:
+        assert finding.effect == "time_delay"
+        assert finding.parameters["delay"].value == pytest.approx(delay, rel=0.01)
+    else:
+        assert finding.effect == "lag"
+        assert finding.parameters["constant"].value == pytest.approx(constant, rel=0.01)

@@ -164,6 +164,7 @@ class Bench:
     rows: Rows = field(init=False)
     block: Index = field(init=False)
     aside: Mask = field(init=False)
+    hollow: Mask = field(init=False)
     dropped: Mask = field(init=False)
     noise: Noise = field(init=False)
     timing: list[tuple[Downstream, Array]] = field(default_factory=list)
@@ -191,13 +192,20 @@ class Bench:
     def leave_out(self, spoilt: Mask) -> None:
         """Rows (N,) of the recording that no fit may see, its ends among them; the averaged rows that hold one are bridged."""
         self.spoilt = spoilt
-        self.dropped = self.rows.spread(spoilt | self.scene.ends)
-        good = np.flatnonzero(~self.dropped)
-        if self.dropped.any() and len(good):
-            at = np.arange(len(self.dropped))
+        scene = self.scene
+        self.hollow = self.rows.spread(spoilt | scene.ends)
+        self.dropped = self.hollow | self.rows.spread(scene.unanswered)
+        good = np.flatnonzero(~self.hollow)
+        if self.hollow.any() and len(good):
+            at = np.arange(len(self.hollow))
             self.whole = np.stack([np.interp(at, good, self.whole[good, c]) for c in range(self.width)], axis=-1)
         self.y = self.whole
-        self.stream = self.scene.carrying(np.median(self.whole[good], axis=0) if len(good) else 0.0, 0.0)
+        self.stream = scene.carrying(np.median(self.whole[good], axis=0) if len(good) else 0.0, 0.0)
+
+    def begun(self, scene: Scene) -> None:
+        """The same scene with another beginning."""
+        self.scene = scene
+        self.leave_out(self.spoilt)
 
     def begin(self) -> None:
         """As before anything was chosen, but for what the stream is known to carry."""
@@ -281,11 +289,13 @@ class Bench:
         return out
 
     def constants(self) -> list[Columns]:
-        """What is always fitted: offsets of all channels and the baseline's own nuisances."""
+        """What is always fitted: offsets of all channels, the baseline's own nuisances, and what fades from the beginning."""
         ones = np.ones((len(self.rows), 1, 1))
         out = [Columns((c,), ones) for c in range(self.width)]
         everywhere = tuple(range(self.width))
-        return out + [Columns(everywhere, self.rows.average(n)[:, :, None]) for n in self.scene.nuisances()]
+        out += [Columns(everywhere, self.rows.average(n)[:, :, None]) for n in self.scene.nuisances()]
+        begun = self.scene.beginning.columns(self.scene.time, self.scene.segments)
+        return out + [Columns((c,), self.rows.average(x)[:, None, None]) for c, x in begun]
 
     def learn_noise(self, hypotheses: Iterable[Columns], extra: Iterable[Columns] = (), *, above: float = 0.0) -> None:
         """Noise from the rest of a fit: principal directions of all columns, channel by channel, and `extra` whole.
@@ -331,8 +341,8 @@ class Bench:
         return float(min(2.0 * reach / n, 0.2))
 
     def whitened(self, y: Array) -> Array:
-        """(M, C) residual whitened; dropped rows are bridged first."""
-        return self.noise.bridged(y, ~self.dropped)
+        """(M, C) residual whitened; rows that hold nothing are bridged first."""
+        return self.noise.bridged(y, ~self.hollow)
 
     def surrogates(self, count: int = SURROGATES) -> Array:
         """(M, C, count) whitened noise like this recording's, quantised where its channels are."""

@@ -65,6 +65,6 @@ def _bench(model: Model, scene: Scene, judged: Judged) -> Bench | None:
     if here.rows.stride != first.rows.stride:
         return None
     if judged.good is not None:
-        here.dropped = ~judged.good
+        here.hollow = here.dropped = ~judged.good
     here.noise, here.timing = replace(first.noise, rows=here.rows, kept={}), first.timing
     return here

@@ -26,9 +26,11 @@ from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.touches import outstanding
 from galen_hw.diagnosis.unnamed import left_by, might_yield, predict_unnamed
 from galen_hw.diagnosis.verdict import beyond, contradicted, strong, trifles, verdict_of
+from galen_hw.physics.beginnings import Beginning, Lagging
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.event_effects import Contact, Glitches
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.time_effects import Lag, TimeDelay
 from galen_hw.spatial import Array
 
 PARTS = 6
@@ -93,7 +95,7 @@ def diagnose(
     columns, coarser = _columns(effects, bench, coarse)
     tell("a first look", 0.25)
     known = _first_look(bench, coarse, effects, coarser, blind=bool(premise.wrong))
-    bench.stream = coarse.stream
+    holdout = _begun(bench, coarse, known.effects, holdout)
     # What moves with the robot cannot be told from noise before it is known what is there: the first noise was too small
     # rather than too large. Now it is learnt from what the first model leaves, and everything is asked again.
     tell("learning the noise", 0.4)
@@ -200,6 +202,19 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
     parts = zip(model.parts, model.slices(), strict=True)
     chosen = [(h.effect, model.final[s]) for h, s in parts if h.effect is not None]
     return _Known(chosen, {x.channel: x.kind for x in reversed(left)})
+
+
+def _begun(bench: Bench, coarse: Bench, effects: list[tuple[Effect, Array]], holdout: Scene | None) -> Scene | None:
+    """The other recording, and the bench with the stream of the coarse one: of the beginnings that a model's clocks imply."""
+    scene = bench.scene
+    late = [float(theta[0]) for effect, theta in effects if isinstance(effect, TimeDelay)]
+    # Of second order two numbers a channel would be free: enough to make one of a delay.
+    lags = [effect for effect, _ in effects if isinstance(effect, Lag) and effect.damping is None]
+    lagging = tuple(Lagging(lag.places(scene), lag.constant) for lag in lags)
+    beginning = Beginning(max([0.0, *late]), -min([0.0, *late]), lagging)
+    bench.begun(scene.begun(beginning))
+    bench.stream = coarse.stream
+    return None if holdout is None else holdout.begun(beginning)
 
 
 Search = tuple[Selection, Model]

@@ -181,7 +181,7 @@ def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
         "glitches",
         list(glitch.channels),
         [],
-        f"{len(rows)} isolated samples stand far off their neighbours; they are left out of every fit.",
+        f"{len(rows)} isolated or repeated samples stand far off what is measured around them; they are left out of every fit.",
         {"count": Value(float(len(rows)), 0.0, "1"), "size": Value(size, 0.0, bench.scene.units[places[first]])},
         {"heldout_gain": own / max(own + others, 1e-300), "score": own, "false_alarm_probability": chance},
     )

@@ -25,8 +25,9 @@ TAIL: Final = 3.0
 
 
 def marked(bench: Bench, faint: Mask | None = None) -> list[Glitches]:
-    """Marks isolated samples, and those (N, C) that a model has shown, and leaves them out of everything."""
+    """Marks isolated and repeated samples, and those (N, C) that a model has shown, and leaves them out of everything."""
     spiky = seek.spikes(bench.scene.raw_residual, tuple(bench.scene.segments))
+    spiky |= seek.repeated(bench.scene)[:, None]
     spiky = spiky if faint is None else spiky | faint
     spoilt = np.asarray(spiky.any(axis=1))
     rows = np.flatnonzero(spoilt)
@@ -50,16 +51,21 @@ def deviations(bench: Bench, rest: Array) -> Array:
 
 
 def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
-    """Isolated samples that the model does not explain either: a cusp of physics looks isolated until it is modelled."""
+    """Isolated samples that the model does not explain either: a cusp of physics looks isolated until it is modelled.
+
+    Of repeated samples all, once some of them stand off what the model says: what is old need not be wrong.
+    """
     bench, out = model.bench, []
-    z = deviations(bench, off(model))
+    z, again = deviations(bench, off(model)), seek.repeated(bench.scene)
+    single = np.where(again[:, None], 0.0, z)
     for one in glitch:
         rows = np.array(one.rows)
         channels = [bench.scene.channels.index(name) for name in one.channels]
-        alone = z[rows] > FAR
-        alone &= ~_heavy_tailed(z, alone.sum(axis=0))
+        alone, old = z[rows] > FAR, again[rows]
+        alone &= old[:, None] | ~_heavy_tailed(single, (single[rows] > FAR).sum(axis=0))
         kept = alone[:, channels].any(axis=1)
         names = tuple(bench.scene.channels[c] for c in channels if alone[kept, c].any())
+        kept |= old & (np.sum(kept & old) >= FEWEST)
         if kept.sum() >= FEWEST:
             out.append(Glitches(names, tuple(int(r) for r in rows[kept])))
     return out
@@ -85,7 +91,7 @@ def faint(model: Model) -> Mask | None:
                 beside = np.max(z[[*range(first, a), *range(b, last)], c])
                 out[a:b, c] = beside < NEAR and SAMPLES * quick < np.min(np.abs(rest[a:b, c]))
     out &= ~_heavy_tailed(z, out.sum(axis=0)) & (out.sum(axis=0) <= seek.MOST_SPOILT * len(out))
-    out &= ~(bench.spoilt | bench.scene.ends)[:, None]
+    out &= ~(bench.spoilt | bench.scene.ends | bench.scene.unanswered)[:, None]
     return out if out.any(axis=1).sum() >= FEWEST else None
 
 

@@ -235,10 +235,10 @@ def _undisturbed(model: Model, scene: Scene) -> tuple[Mask, tuple[tuple[float, f
     once the constants no longer give way to them.
     """
     rows = Rows(tuple(scene.segments), model.bench.rows.stride)
-    whole = ~rows.spread(scene.ends)
+    whole = ~rows.spread(scene.ends | scene.unanswered)
     if model.bench.spoilt.any():
         spoilt = seek.spikes(scene.raw_residual, tuple(scene.segments))
-        whole &= ~rows.spread(np.asarray(spoilt.any(axis=1)))
+        whole &= ~rows.spread(spoilt.any(axis=1) | seek.repeated(scene))
     good, episodes, time = whole, tuple[tuple[float, float], ...](), rows.average(scene.time)
     if not any(isinstance(h.effect, Contact) for h in model.effects):
         return good, episodes
@@ -332,13 +332,16 @@ def _less(rest: Array, columns: list[Array], seen: Mask) -> Array:
 
 
 def _nuisances(refit: list[Hypothesis], scene: Scene, rows: Rows, bench: Bench) -> Array:
-    constants = [h for h in refit if len(h.raw.channels) == 1]
+    constants = [h for h in refit if len(h.raw.channels) == 1 and np.all(h.raw.values == 1.0)]
+    begun = scene.beginning.columns(scene.time, scene.segments)
     out = []
     for h in constants:
         column = np.zeros((len(rows), bench.width))
         column[:, h.raw.channels[0]] = 1.0
         out.append(column)
-    out += [rows.average(column) for column in scene.nuisances()] if len(constants) < len(refit) else []
+    own = scene.nuisances() if len(constants) < len(refit) else []
+    fading = [np.where(np.arange(bench.width) == c, x[:, None], 0.0) for c, x in begun]
+    out += [rows.average(column) for column in [*own, *fading]]
     return np.stack(out, axis=-1)
 
 

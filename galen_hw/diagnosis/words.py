@@ -19,7 +19,7 @@ SAYS: Final[dict[str, str]] = {
     "hysteresis": "it remembers past load or motion, whatever the speed",
     "backlash": "a dead band at every reversal: play, or the stand-off of a servo against friction",
     "vibration": "an oscillation of one frequency",
-    "glitches": "isolated samples far off their neighbours",
+    "glitches": "isolated or repeated samples, far off what is measured around them",
     "payload": "the carried body's mass or centre of mass differs from what is believed",
     "base_tilt": "gravity does not point where the model says",
     "inertial": "forces of acceleration that the static model leaves out",

@@ -26,6 +26,8 @@ SLOWER = 1.05
 """Times its shortest constant from which creep is creep."""
 
 
+ALL = 0.8
+"""Share of a load from which what settles of it is all of it."""
 KELVIN = 7
 """Elements by which a spectrum of constants is made up: over three decades two to a decade."""
 
@@ -111,7 +113,9 @@ class Creep(Effect):
         """Settled share of the load, or give of the joint."""
         if self.joint and scene.observations.predict != "position":
             return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
-        return (Parameter("share", "1"),)
+        # All of a load that is missing at first is behind a filter.
+        whole = self.form == "less" and not self.channel
+        return (Parameter("share", "1", furthest=ALL if whole else np.inf),)
 
     def columns(self, scene: Scene) -> Columns:
         """The load's slow part through its port."""

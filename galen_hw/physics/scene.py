@@ -14,6 +14,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from galen_hw.physics.beginnings import Beginning
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.operated import Memory, Operated
 from galen_hw.physics.ports import Carried, Port
@@ -65,6 +66,8 @@ class Scene(Operated):
     """(N, C) all else that it adds before it is read."""
     limited: frozenset[str] = frozenset()
     """Channels with a limit in the model: what is carried does not show there while they clip."""
+    beginning: Beginning = Beginning()
+    """What is known of the answers to what came before the recording."""
     whole: "Self | None" = None
     """Of a single row: the recording that it belongs to, which knows what one row cannot show."""
 
@@ -88,6 +91,17 @@ class Scene(Operated):
         one = copy(self)
         one.standing, one.carried, one.limited = standing, carried, frozenset(limited)
         return one
+
+    def begun(self, beginning: Beginning) -> Self:
+        """The same scene with another beginning."""
+        one = copy(self)
+        one.beginning = beginning
+        return one
+
+    @property
+    def unanswered(self) -> NDArray[np.bool_]:
+        """(N,) rows that answer to what nobody recorded."""
+        return self.beginning.unknown(self.time, self.segments)
 
     def reading(self, simulated: Array) -> Self:
         """The same scene with something else (N, C) that is simulated."""

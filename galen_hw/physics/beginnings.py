@@ -1,0 +1,50 @@
+"""What a stream that is late answers to at the beginning of a recording: nobody recorded it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from galen_hw.spatial import Array
+
+MOST_UNKNOWN = 0.25
+"""Share of a segment that is left out at an end."""
+FEW = 8
+"""Segments whose beginnings are told apart; where there are more, each is a small part of the recording."""
+
+
+@dataclass(frozen=True)
+class Lagging:
+    """A first-order lag of channels by a constant (s): of any state that it began in, exp(-t / T) is left after t."""
+
+    channels: tuple[int, ...]
+    constant: float
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """Of every segment of a recording whose stream is late by `after` s, or early by `before`, and behind `lags`."""
+
+    after: float = 0.0
+    before: float = 0.0
+    lags: tuple[Lagging, ...] = ()
+
+    def unknown(self, time: Array, segments: Sequence[slice]) -> NDArray[np.bool_]:
+        """(N,) rows that answer to what was before the first row of their segment, or after the last."""
+        out = np.zeros(len(time), dtype=bool)
+        for part in segments if self.after or self.before else ():
+            t = time[part]
+            most = MOST_UNKNOWN * float(t[-1] - t[0])
+            out[part] = (t < t[0] + min(self.after, most)) | (t > t[-1] - min(self.before, most))
+        return out
+
+    def columns(self, time: Array, segments: Sequence[slice]) -> list[tuple[int, Array]]:
+        """Channels, and (N,) what fades in them from the beginning of each segment."""
+        out = []
+        for lag in self.lags if len(segments) <= FEW else ():
+            for part in segments:
+                column = np.zeros(len(time))
+                column[part] = np.exp(-(time[part] - time[part][0]) / lag.constant)
+                out += [(channel, column) for channel in lag.channels]
+        return out

@@ -1,0 +1,41 @@
+"""What a late stream answers to before its recording begins."""
+
+import itertools
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from galen_hw.physics.beginnings import FEW, MOST_UNKNOWN, Beginning, Lagging
+from galen_hw.physics.operators import LagState, lag
+
+
+@given(st.floats(0.0, 30.0), st.floats(0.0, 30.0), st.lists(st.integers(5, 60), min_size=1, max_size=4))
+def test_rows_that_answer_to_the_unknown(after: float, before: float, lengths: list[int]) -> None:
+    """At both ends of every segment, as long as the stream is late or early, and no more than a quarter of it."""
+    edges = np.cumsum([0, *lengths])
+    segments = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
+    time = 0.1 * np.arange(edges[-1])
+    out = Beginning(after, before).unknown(time, segments)
+    for part in segments:
+        t, most = time[part], MOST_UNKNOWN * (time[part][-1] - time[part][0])
+        expected = (t - t[0] < min(after, most)) | (t[-1] - t < min(before, most))
+        differs = out[part] != expected
+        near = np.minimum(np.abs(t - t[0] - min(after, most)), np.abs(t[-1] - t - min(before, most))) < 1e-9
+        assert not np.any(differs & ~near)
+
+
+def test_what_fades_is_what_another_beginning_leaves() -> None:
+    """The difference of two lags of one signal that began in two states, channel by channel and segment by segment."""
+    time, segments = np.concatenate([0.02 * np.arange(50), 5.0 + 0.02 * np.arange(30)]), [slice(0, 50), slice(50, 80)]
+    columns = Beginning(lags=(Lagging((0, 2), 0.3),)).columns(time, segments)
+    assert [c for c, _ in columns] == [0, 2, 0, 2]
+    x = np.sin(time)[:, None]
+    for part, (_, column) in zip(segments, columns[::2], strict=True):
+        t, one = time[part], x[part]
+        states = (LagState(float(t[0]), one[0] + offset, one[0]) for offset in (0.0, 1.0))
+        settled, begun = (lag(t, one, np.array([0.3]), state)[0] for state in states)
+        np.testing.assert_allclose(column[part], (begun - settled)[:, 0], atol=1e-12)
+        assert not column[: part.start].any()
+        assert not column[part.stop :].any()
+    assert not Beginning(lags=(Lagging((0,), 0.3),)).columns(np.arange(99.0), [slice(k, k + 1) for k in range(FEW + 1)])
