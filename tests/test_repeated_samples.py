@@ -1,6 +1,8 @@
 """A sensor that hangs: its samples come again, and are left out; readings that come again by themselves are not."""
 
+import itertools
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from diagnosis_cases import SIGMA, WRENCH, Bench
 
 from galen_hw.diagnosis.engine import diagnose
-from galen_hw.diagnosis.seek import repeated
+from galen_hw.diagnosis.repeats import repeated
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.table import scene_of
@@ -40,10 +42,31 @@ def steadied(bench: Bench) -> Bench:
 
 
 def test_every_sample_that_comes_again_is_told() -> None:
-    """All but the first of each stretch, and no other."""
-    expected = np.concatenate([np.arange(first + 1, first + 15) for first in ROWS])
-    np.testing.assert_array_equal(np.flatnonzero(repeated(read(hung(Bench(), 15)))), expected)
+    """All of each stretch, in all channels, and no other; of two alike the second."""
+    expected = np.concatenate([np.arange(first, first + 15) for first in ROWS])
+    found = repeated(read(hung(Bench(), 15)))
+    np.testing.assert_array_equal(np.flatnonzero(found.all(axis=1)), expected)
+    np.testing.assert_array_equal(found.any(axis=1), found.all(axis=1))
+    np.testing.assert_array_equal(np.flatnonzero(repeated(read(hung(Bench(), 2)))[:, 3]), np.add(ROWS, 1))
     assert not repeated(read(Bench())).any()
+
+
+def test_a_channel_that_drops_out_is_told_and_one_at_its_limit_is_not() -> None:
+    """Zero for half a second, which no force of this channel goes beyond; and clipped readings, equal for as long."""
+    bench, limit = Bench(), Bench()
+    for first in ROWS:
+        for x in (bench.wrench, bench.noise):
+            x[first : first + 10, 2] = 0.0
+    found = repeated(read(bench))
+    assert {int(row) for row in np.flatnonzero(found[:, 2])} == {
+        row for first in ROWS for row in range(first, first + 10)
+    }
+    assert not found[:, [0, 1, 3, 4, 5]].any()
+    most = np.quantile(limit.wrench[:, 0], 0.9)
+    limit.wrench[:, 0] = np.minimum(limit.wrench[:, 0] + limit.noise[:, 0], most)
+    limit.noise[:, 0] = 0.0
+    assert np.sum(np.diff(limit.wrench[:, 0]) == 0.0) > 100
+    assert not repeated(read(limit)).any()
 
 
 def test_readings_that_come_again_by_themselves_are_no_fault() -> None:
@@ -68,16 +91,25 @@ def test_on_a_grid_what_should_have_moved_hangs() -> None:
     bench = hung(Bench(), 30)
     bench.wrench = np.round((bench.wrench + bench.noise) / (2.0 * SIGMA)) * 2.0 * SIGMA
     bench.noise[:] = 0.0
-    found = np.flatnonzero(repeated(read(bench)))
-    assert set(found) == {row for first in ROWS for row in range(first + 1, first + 30)}
+    found = np.flatnonzero(repeated(read(bench)).all(axis=1))
+    assert {int(row) for row in found} == {row for first in ROWS for row in range(first, first + 30)}
 
 
 @pytest.mark.inject
-@pytest.mark.parametrize("length", [10, 40])
-def test_a_sensor_that_hangs_is_no_touch(length: int) -> None:
-    """Half a second and two: rows that are left out, not an outside force."""
-    work = diagnose(read(hung(Bench(4), length)))
+@pytest.mark.parametrize(("length", "channels"), [(10, range(6)), (40, range(6)), (10, [2])])
+def test_a_sensor_that_hangs_is_no_touch(length: int, channels: Sequence[int]) -> None:
+    """Half a second and two: rows that are left out, not an outside force, and no noise; a channel that drops out too."""
+    bench = Bench(4)
+    if len(channels) == 6:
+        hung(bench, length)
+    else:
+        for first, x, c in itertools.product(ROWS, (bench.wrench, bench.noise), channels):
+            x[first : first + length, c] = 0.0
+    work = diagnose(read(bench))
     (finding,) = work.diagnosis.findings
     assert finding.effect == "glitches"
-    assert finding.parameters["count"].value == 3 * (length - 1)
+    assert finding.parameters["count"].value == 3 * length
+    assert finding.channels == [WRENCH[c] for c in channels]
     assert work.diagnosis.verdict == "explained"
+    floor = [work.diagnosis.fit["noise_floor"][name] for name in WRENCH]
+    np.testing.assert_allclose(floor, SIGMA, rtol=0.1)

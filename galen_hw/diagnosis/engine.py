@@ -25,12 +25,11 @@ from galen_hw.diagnosis.select import at_first_sight, library, select
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.touches import outstanding
 from galen_hw.diagnosis.unnamed import left_by, might_yield, predict_unnamed
-from galen_hw.diagnosis.verdict import beyond, contradicted, strong, trifles, verdict_of
-from galen_hw.physics.beginnings import Beginning, Lagging
-from galen_hw.physics.effect import Columns, Effect
+from galen_hw.diagnosis.verdict import beyond, contradicted, outlying, strong, trifles, verdict_of
+from galen_hw.physics.beginnings import Beginning
+from galen_hw.physics.effect import Columns, Effect, spacing
 from galen_hw.physics.event_effects import Contact, Glitches
 from galen_hw.physics.scene import Scene
-from galen_hw.physics.time_effects import Lag, TimeDelay
 from galen_hw.spatial import Array
 
 PARTS = 6
@@ -138,16 +137,24 @@ def diagnose(
 
 @dataclass(frozen=True)
 class _Known:
-    """What a first look has found: effects (with parameters where these are not linear), generic functions by channel."""
+    """What a first look has found: effects (with parameters where these are not linear), generic functions by channel.
+
+    step: between the rows of the first look, s.
+    """
 
     effects: list[tuple[Effect, Array]]
     left: dict[int, str]
+    step: float
 
     def columns(self, bench: Bench, generic: list[adequacy.Family]) -> list[Columns]:
         """On the rows of a bench: what must not pass for noise."""
         out = [bench.raw(effect.relaxed) for effect, _ in self.effects]
         # How a touch swells and turns round inside its episode no plain shape follows; it is no noise for that.
-        out += [bench.raw(effect.parted(PARTS)) for effect, _ in self.effects if isinstance(effect, Contact)]
+        touches = [effect for effect, _ in self.effects if isinstance(effect, Contact)]
+        out += [bench.raw(effect.parted(PARTS)) for effect in touches]
+        if self.step > spacing(bench.scene) * bench.rows.stride:
+            # And where it begins and ends is known to a row of the first look.
+            out += [bench.raw(effect.edges(self.step).parted(2)) for effect in touches]
         everywhere = tuple(range(bench.width))
         for effect, theta in self.effects:
             change = effect.exact(bench.scene, theta)
@@ -201,17 +208,13 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
         (left,) = adequacy.leftovers(coarse, generic, [plain])
     parts = zip(model.parts, model.slices(), strict=True)
     chosen = [(h.effect, model.final[s]) for h, s in parts if h.effect is not None]
-    return _Known(chosen, {x.channel: x.kind for x in reversed(left)})
+    return _Known(chosen, {x.channel: x.kind for x in reversed(left)}, spacing(coarse.scene) * coarse.rows.stride)
 
 
 def _begun(bench: Bench, coarse: Bench, effects: list[tuple[Effect, Array]], holdout: Scene | None) -> Scene | None:
-    """The other recording, and the bench with the stream of the coarse one: of the beginnings that a model's clocks imply."""
+    """The other recording, and the bench with the stream of the coarse one: of the beginnings that a model leaves open."""
     scene = bench.scene
-    late = [float(theta[0]) for effect, theta in effects if isinstance(effect, TimeDelay)]
-    # Of second order two numbers a channel would be free: enough to make one of a delay.
-    lags = [effect for effect, _ in effects if isinstance(effect, Lag) and effect.damping is None]
-    lagging = tuple(Lagging(lag.places(scene), lag.constant) for lag in lags)
-    beginning = Beginning(max([0.0, *late]), -min([0.0, *late]), lagging)
+    beginning = sum((effect.beginning(scene, theta) for effect, theta in effects), Beginning())
     bench.begun(scene.begun(beginning))
     bench.stream = coarse.stream
     return None if holdout is None else holdout.begun(beginning)
@@ -304,6 +307,7 @@ def _said(
     for finding in findings:
         finding.confounded_with = confusions(model, selection, finding)
     rest = left or beyond(judged, model, untouched=True) or contradicted(judged, model)
+    rest = rest if rest or findings else outlying(model)
     if premise.wrong or rest:
         findings.append(unknown_finding(bench, judged, rest, premise))
     verdict = verdict_of(findings, rest, premise)

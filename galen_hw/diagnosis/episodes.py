@@ -16,8 +16,8 @@ COVERED = 0.35
 """Share of the rows that they may cover."""
 FELT = 3.0
 """Mean square of running means during the episodes, noise alone being one, from which a channel feels them."""
-FEW_POSES = 200
-"""Rows below which a running mean of five is wider than many a touch."""
+SHORT = 200
+"""Rows of episodes that a touch with sharp edges may be much shorter than."""
 
 Episode = tuple[int, int]
 
@@ -26,8 +26,8 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
     """Episodes in which the rest (M, C) stays far above its usual level: at most a third of the time, rest before and after.
 
     Running means over three lengths, all channels together, in units of their own robust spread (so slow noise counts as
-    noise). In a sweep of few poses, where a mean is wider than a touch, also as narrow as its level says. An episode that begins
-    with the recording or ends with it is a step. Without a clock the row is the time.
+    noise). Short ones also as narrow as their level says: a mean is wider than a knock, or than a touch in a sweep of few poses.
+    An episode that begins with the recording or ends with it is a step. Without a clock the row is the time.
     """
     N, C = rest.shape
     if N < FEW_ROWS:
@@ -45,7 +45,7 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
         wide = [(a, b) for a, b in _loud(loud, length) if a > 0 and b < N]
         if not wide or sum(b - a for a, b in wide) > COVERED * N or len(wide) > MOST:
             continue
-        narrow = [[_level(away, *one) for one in wide]] if N < FEW_POSES else []
+        narrow = [[_level(away, *one) for one in wide]] if max(b - a for a, b in wide) <= SHORT else []
         for own in (wide, *narrow):
             for names in _felt(scene, own, away, z):
                 times = tuple((moment(scene, a, N), moment(scene, b - 1, N)) for a, b in own)

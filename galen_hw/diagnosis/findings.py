@@ -18,7 +18,7 @@ from galen_hw.diagnosis.select import CHANCE
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.sizes import SIGNAL, headline
 from galen_hw.diagnosis.variables import joint_units
-from galen_hw.diagnosis.verdict import NOTHING_ELSEWHERE
+from galen_hw.diagnosis.verdict import FEW_SAMPLES, NOTHING_ELSEWHERE
 from galen_hw.diagnosis.wander import mean_frequency
 from galen_hw.diagnosis.words import BELIEVED, SAYS
 from galen_hw.physics.event_effects import Glitches, Vibration
@@ -176,7 +176,9 @@ def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
     size = float(np.median(away[strongest == first, first]))
     own = float(np.sum(z**2))
     others = float(np.sum(np.maximum(judged.before / judged.floor - 1.0, 0.0))) * len(bench.scene)
-    chance = float(np.clip(len(bench.scene) * bench.width * erfc(np.min(z.max(axis=1)) / np.sqrt(2.0)), 1e-300, 1.0))
+    # Of samples that came again some stand nowhere off.
+    least = np.min(z, where=z > glitches.FAR, initial=np.max(z))
+    chance = float(np.clip(len(bench.scene) * bench.width * erfc(least / np.sqrt(2.0)), 1e-300, 1.0))
     return Finding(
         "glitches",
         list(glitch.channels),
@@ -208,6 +210,11 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
             says = (
                 f"Structure is left in {where} that no named effect explains: {follows}, "
                 f"which makes up {100 * share:.2g} % of what is left and holds on blocks that it was not fitted on."
+            )
+        elif best.kind == FEW_SAMPLES:
+            says = (
+                f"Few samples hold {100 * share:.0f} % of the mean square of {where}, which is {z:.0f} times a usual sample's: "
+                "knocks, or a fault of the sensor, too short or too many to be told."
             )
         elif best.kind == NOTHING_ELSEWHERE:
             says = (

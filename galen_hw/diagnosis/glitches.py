@@ -8,6 +8,7 @@ from scipy.stats import norm
 from galen_hw.diagnosis import seek
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.repeats import repeated
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.physics.event_effects import Glitches
 from galen_hw.physics.smoothing import ALONE
@@ -27,7 +28,7 @@ TAIL: Final = 3.0
 def marked(bench: Bench, faint: Mask | None = None) -> list[Glitches]:
     """Marks isolated and repeated samples, and those (N, C) that a model has shown, and leaves them out of everything."""
     spiky = seek.spikes(bench.scene.raw_residual, tuple(bench.scene.segments))
-    spiky |= seek.repeated(bench.scene)[:, None]
+    spiky |= repeated(bench.scene)
     spiky = spiky if faint is None else spiky | faint
     spoilt = np.asarray(spiky.any(axis=1))
     rows = np.flatnonzero(spoilt)
@@ -56,16 +57,17 @@ def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
     Of repeated samples all, once some of them stand off what the model says: what is old need not be wrong.
     """
     bench, out = model.bench, []
-    z, again = deviations(bench, off(model)), seek.repeated(bench.scene)
-    single = np.where(again[:, None], 0.0, z)
+    z, again = deviations(bench, off(model)), repeated(bench.scene)
+    single = np.where(again, 0.0, z)
     for one in glitch:
         rows = np.array(one.rows)
         channels = [bench.scene.channels.index(name) for name in one.channels]
         alone, old = z[rows] > FAR, again[rows]
-        alone &= old[:, None] | ~_heavy_tailed(single, (single[rows] > FAR).sum(axis=0))
+        alone &= old | ~_heavy_tailed(single, (single[rows] > FAR).sum(axis=0))
         kept = alone[:, channels].any(axis=1)
         names = tuple(bench.scene.channels[c] for c in channels if alone[kept, c].any())
-        kept |= old & (np.sum(kept & old) >= FEWEST)
+        hung = old.any(axis=1)
+        kept |= hung & (np.sum(kept & hung) >= FEWEST)
         if kept.sum() >= FEWEST:
             out.append(Glitches(names, tuple(int(r) for r in rows[kept])))
     return out

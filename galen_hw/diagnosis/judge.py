@@ -11,6 +11,7 @@ from galen_hw.diagnosis.episodes import contacts
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.linear import predicted, white_left_out
 from galen_hw.diagnosis.remainder import Remainder
+from galen_hw.diagnosis.repeats import repeated
 from galen_hw.diagnosis.rows import Mask, Rows
 from galen_hw.diagnosis.wanted import LEAST_SUPPORT, Guard, poor, support, sure
 from galen_hw.physics.effect import Effect
@@ -238,7 +239,7 @@ def _undisturbed(model: Model, scene: Scene) -> tuple[Mask, tuple[tuple[float, f
     whole = ~rows.spread(scene.ends | scene.unanswered)
     if model.bench.spoilt.any():
         spoilt = seek.spikes(scene.raw_residual, tuple(scene.segments))
-        whole &= ~rows.spread(spoilt.any(axis=1) | seek.repeated(scene))
+        whole &= ~rows.spread(np.asarray((spoilt | repeated(scene)).any(axis=1)))
     good, episodes, time = whole, tuple[tuple[float, float], ...](), rows.average(scene.time)
     if not any(isinstance(h.effect, Contact) for h in model.effects):
         return good, episodes

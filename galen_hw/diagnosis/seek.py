@@ -30,16 +30,6 @@ FEW_ROWS = 40
 """Rows too few to look for a moment or a movement in."""
 MOST_SPOILT = 0.03
 """Share of a channel's samples: more isolated ones are another kind of noise."""
-MOST_REPEATED = 0.2
-"""Share of samples that are the one before again: where there are more, the sensor is slower than its record."""
-STILL = 1e-9
-"""Share of its range by which a simulated channel must move from row to row to move at all."""
-ONCE = 0.99
-"""Share of readings that are different from one another where they are on no grid."""
-CHANCE = 1e-2
-"""Stretches of readings on a grid that may stand by chance, in a recording."""
-GRIDS = 3.0
-"""Times its usual change, which is a step or two of a grid."""
 HANDFUL = 4
 """Isolated samples of one channel that may always be told."""
 SHARED = 0.1
@@ -63,33 +53,6 @@ def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
             out[part, c] = isolated(residual[part, c])
     out[:, out.sum(axis=0) > max(MOST_SPOILT * len(out), HANDFUL)] = False
     return out
-
-
-def repeated(scene: Scene) -> Mask:
-    """(N,) samples that are the one before again, in every channel, where readings do not come again by themselves.
-
-    Readings without noise do where nothing moves. Those on a grid do by chance: such a stretch must be too long for that, and
-    what is simulated must change over it by more than it usually does from row to row.
-    """
-    y, N = scene.observations.matrix(*scene.channels), len(scene)
-    again, moved = np.zeros(y.shape, dtype=bool), np.zeros(N)
-    usual = np.array([np.median(d[d > 0.0]) if np.any(d > 0.0) else np.inf for d in np.abs(np.diff(y, axis=0)).T])
-    for part in scene.segments:
-        again[part][1:] = y[part][1:] == y[part][:-1]
-        moved[part][1:] = np.max(np.abs(np.diff(scene.simulated[part], axis=0)) / usual, axis=1)
-    same, still = np.all(again, axis=1), moved < STILL
-    if np.mean(same) > MOST_REPEATED:
-        return np.zeros(N, dtype=bool)
-    if still.sum() >= FEW_ROWS and np.mean(same[still]) > 0.5:
-        same &= ~still
-    # Values that were there before, but not just before, are those of a grid.
-    grid = [len(np.unique(x[~a])) < ONCE * np.sum(~a) for x, a in zip(y.T, again.T, strict=True)]
-    if all(grid):
-        chance = np.sum(np.log(np.maximum(np.mean(again, axis=0), 1.0 / N)))
-        for a, b in np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int))).reshape(-1, 2):
-            changed = float(np.max(np.abs(scene.simulated[b - 1] - scene.simulated[a - 1]) / usual))
-            same[a:b] &= np.log(N) + (b - a) * chance < np.log(CHANCE) and changed > GRIDS
-    return np.asarray(same)
 
 
 def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]:

@@ -16,6 +16,7 @@ from galen_hw.spatial import Array
 
 NOTHING_RECORDED = "nothing that was recorded"
 NOTHING_ELSEWHERE = "nothing that holds elsewhere"
+FEW_SAMPLES = "few samples"
 """Words for structure that no function caught."""
 
 BEYOND = 1.5
@@ -116,6 +117,31 @@ def contradicted(judged: Judged, model: Model) -> list[Left]:
     after = np.mean(model.rest()[free if free.any() else bench.train] ** 2, axis=0)
     here = replace(judged, after=after, floor=bench.noise.sigma**2, untouched=None)
     return [replace(one, kind=NOTHING_ELSEWHERE) for one in beyond(here, model)]
+
+
+FAR_OFF = 8.0
+"""Robust standard deviations by which a sample stands far off."""
+FEW = 0.05
+"""Share of the samples that few are at most."""
+
+
+def outlying(model: Model) -> list[Left]:
+    """Channels in which few samples hold most of what is left where nothing was found: knocks pass for loud noise.
+
+    z is the mean square over that of a usual sample. Of noise with heavy tails (Student's t of three degrees of freedom) samples
+    so far off hold a quarter.
+    """
+    out, none = [], np.zeros((len(model.bench.rows), 0))
+    rest = model.rest()[~model.bench.dropped]
+    away = np.abs(rest - np.median(rest, axis=0))
+    usual = 1.4826 * np.median(away, axis=0)
+    for c in np.flatnonzero(usual > 0.0).tolist():
+        far, square = away[:, c] > FAR_OFF * usual[c], away[:, c] ** 2
+        share = float(np.sum(square[far]) / np.sum(square))
+        if share > 0.5 and np.mean(far) < FEW:
+            ratio = float(np.mean(square) / usual[c] ** 2)
+            out.append(Left(c, FEW_SAMPLES, ratio, share, float(np.sqrt(np.mean(square))), none))
+    return sorted(out, key=lambda one: -one.z)
 
 
 LEAST_LEFT = 0.005

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,10 @@ class Beginning:
     after: float = 0.0
     before: float = 0.0
     lags: tuple[Lagging, ...] = ()
+
+    def __add__(self, other: Self) -> Self:
+        """What both leave open."""
+        return type(self)(max(self.after, other.after), max(self.before, other.before), self.lags + other.lags)
 
     def unknown(self, time: Array, segments: Sequence[slice]) -> NDArray[np.bool_]:
         """(N,) rows that answer to what was before the first row of their segment, or after the last."""

@@ -107,6 +107,11 @@ class Contact(_Shaped):
         edges = [np.linspace(start, end, count + 1).tolist() for start, end in self.episodes]
         return replace(self, episodes=tuple(part for edge in edges for part in itertools.pairwise(edge)))
 
+    def edges(self, width: float) -> Self:
+        """What may happen within so many seconds of where they begin and end."""
+        around = tuple((t - width, t + width) for episode in self.episodes for t in episode)
+        return replace(self, episodes=around, waves=1)
+
     def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
         """Box and half sines of every episode."""
         out = []

@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from galen_hw.physics.beginnings import Beginning, Lagging
 from galen_hw.physics.effect import Columns, Downstream, Parameter, Searched, log_grid, spacing
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
@@ -81,6 +82,11 @@ class TimeDelay(Timing):
         """A shift is not its slope."""
         return True
 
+    def beginning(self, scene: Scene, theta: Array) -> Beginning:
+        """As many seconds as it is late, or at the end as it is early."""
+        late = float(theta[0])
+        return Beginning(max(late, 0.0), max(-late, 0.0))
+
     def exact(self, scene: Scene, theta: Array) -> Array | None:
         """The simulated channels shifted, less themselves."""
         places, out = self.places(scene), np.zeros_like(scene.simulated)
@@ -130,6 +136,11 @@ class Lag(Timing):
         """Another constant, not below the shortest that can be told from a delay, or damping."""
         constant = max(values.get("constant", self.constant), self.shortest)
         return replace(self, constant=constant, damping=values.get("damping", self.damping))
+
+    def beginning(self, scene: Scene, theta: Array) -> Beginning:
+        """What the filter held. Of second order two numbers a channel would be free: enough to make one of a delay."""
+        first = self.damping is None
+        return Beginning(lags=(Lagging(self.places(scene), self.constant),) if first else ())
 
     def unlimited(self) -> Self:
         """Any constant: a filter quicker than half a sample is a delay to this recording, but it may be there."""
