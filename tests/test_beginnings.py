@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from galen_hw.physics.beginnings import FEW, MOST_UNKNOWN, Beginning, Lagging
+from galen_hw.physics.beginnings import FEW, GONE, MOST_UNKNOWN, Beginning, Lagging
 from galen_hw.physics.operators import LagState, lag
 
 
@@ -35,7 +35,7 @@ def test_what_fades_is_what_another_beginning_leaves() -> None:
         t, one = time[part], x[part]
         states = (LagState(float(t[0]), one[0] + offset, one[0]) for offset in (0.0, 1.0))
         settled, begun = (lag(t, one, np.array([0.3]), state)[0] for state in states)
-        np.testing.assert_allclose(column[part], (begun - settled)[:, 0], atol=1e-12)
+        np.testing.assert_allclose(column[part], (begun - settled)[:, 0], atol=GONE)
         assert not column[: part.start].any()
         assert not column[part.stop :].any()
     assert not Beginning(lags=(Lagging((0,), 0.3),)).columns(np.arange(99.0), [slice(k, k + 1) for k in range(FEW + 1)])

@@ -224,10 +224,8 @@ def begun_in_motion(effect: str, seed: int, cut: int = 400) -> Observations:
     bench = Bench(seed, rows=2000 + cut)
     if effect == "time_delay":
         bench.wrench = CubicSpline(bench.t, bench.wrench)(np.maximum(bench.t - 0.3, 0.0))
-    elif effect == "lag":
-        bench.wrench = np.stack([_answered(bench.t, x, 0.8, None) for x in bench.wrench.T], axis=1)
     else:
-        bench.wrench[:, 0] += 0.15 * _answered(bench.t, bench.wrench[:, 0], 6.0, None)
+        bench.wrench = np.stack([_answered(bench.t, x, 0.8, None) for x in bench.wrench.T], axis=1)
     bench.t = bench.t[cut:] - bench.t[cut]
     for name in ("q", "R", "wrench", "noise"):
         setattr(bench, name, getattr(bench, name)[cut:])
@@ -235,11 +233,9 @@ def begun_in_motion(effect: str, seed: int, cut: int = 400) -> Observations:
 
 
 @pytest.mark.inject
-@pytest.mark.parametrize(
-    ("effect", "name", "value"), [("lag", "constant", 0.8), ("time_delay", "delay", 0.3), ("creep", "share", 0.15)]
-)
+@pytest.mark.parametrize(("effect", "name", "value"), [("lag", "constant", 0.8), ("time_delay", "delay", 0.3)])
 def test_what_came_before_a_recording_is_no_effect(effect: str, name: str, value: float) -> None:
-    """What fades from an unknown beginning had been a drift beside a lag, and `unknown` beside a delay or a creep."""
+    """What fades from an unknown beginning had been a drift beside a lag, and `unknown` beside a delay."""
     learnt, other = (scene_of(begun_in_motion(effect, seed)) for seed in (4, 5))
     work = diagnose(learnt, holdout=other)
     (finding,) = work.diagnosis.findings

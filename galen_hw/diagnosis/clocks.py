@@ -164,7 +164,9 @@ def _exchanged(
     gone = [one for i in old if (one := scorer.library[i].effect) is not None]
     price = (numbers([one for one, _ in clocks]) - numbers(gone)) * float(np.log(bench.noise.effective))
     fall = before - scorer.solve(trial)[2] - price
-    plainer = numbers([one for one, _ in clocks]) < numbers(gone)
+    # What lies between two rows is no number more.
+    told = {one.between for one in gone if isinstance(one, TimeDelay | Lag)} != {one.between for one, _ in clocks}
+    plainer = numbers([one for one, _ in clocks]) < numbers(gone) + told
     if fall > MARGIN and _pays(bench, missed, crossed(bench, scorer, trial), nearly=nearly, plainer=plainer):
         out.chosen = trial
         _as_told(scorer, clocks)

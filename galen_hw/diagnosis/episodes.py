@@ -16,8 +16,10 @@ COVERED = 0.35
 """Share of the rows that they may cover."""
 FELT = 3.0
 """Mean square of running means during the episodes, noise alone being one, from which a channel feels them."""
-SHORT = 200
-"""Rows of episodes that a touch with sharp edges may be much shorter than."""
+FEW_POSES = 200
+"""Rows below which a running mean of five is wider than many a touch."""
+SHARES = (0.004, 0.01, 0.02)
+"""Of the rows that running means are wide."""
 
 Episode = tuple[int, int]
 
@@ -26,7 +28,7 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
     """Episodes in which the rest (M, C) stays far above its usual level: at most a third of the time, rest before and after.
 
     Running means over three lengths, all channels together, in units of their own robust spread (so slow noise counts as
-    noise). Short ones also as narrow as their level says: a mean is wider than a knock, or than a touch in a sweep of few poses.
+    noise). A mean is wider than a knock, or than a touch in a sweep of few poses: these also as narrow as their level says.
     An episode that begins with the recording or ends with it is a step. Without a clock the row is the time.
     """
     N, C = rest.shape
@@ -35,7 +37,7 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
     away = rest - np.median(rest, axis=0)
     away = away / np.maximum(1.4826 * np.median(np.abs(away), axis=0), 1e-300)
     out: dict[Contact, Sought] = {}
-    for share in (0.004, 0.01, 0.02):
+    for share in SHARES:
         length = max(int(share * N), 5)
         z = uniform_filter1d(away, length, axis=0)
         spread = 1.4826 * np.median(np.abs(z), axis=0)
@@ -45,7 +47,9 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
         wide = [(a, b) for a, b in _loud(loud, length) if a > 0 and b < N]
         if not wide or sum(b - a for a, b in wide) > COVERED * N or len(wide) > MOST:
             continue
-        narrow = [[_level(away, *one) for one in wide]] if max(b - a for a, b in wide) <= SHORT else []
+        narrow = [[_level(away, *one) for one in wide]] if N < FEW_POSES or share == SHARES[0] else []
+        # What a mean is as wide as, it shows by itself.
+        narrow = [own for own in narrow if N < FEW_POSES or max(b - a for a, b in own) <= length]
         for own in (wide, *narrow):
             for names in _felt(scene, own, away, z):
                 times = tuple((moment(scene, a, N), moment(scene, b - 1, N)) for a, b in own)

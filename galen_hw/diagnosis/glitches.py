@@ -21,8 +21,11 @@ FAR: Final = 6.0
 NEAR: Final = 3.5
 SAMPLES: Final = 2.0
 """By which a model may be early or late at a bend of the motion: what that explains is not spoilt."""
-TAIL: Final = 3.0
-"""Noise with heavy tails: so many times more samples between so many standard deviations and `FAR` than beyond it."""
+TAIL: Final = 1.0
+"""Noise with heavy tails: so many times as many samples between so many standard deviations and `FAR` as beyond it.
+
+Student's t of three degrees of freedom has four times as many, of two still twice; outliers of a uniform size hardly any.
+"""
 
 
 def marked(bench: Bench, faint: Mask | None = None) -> list[Glitches]:

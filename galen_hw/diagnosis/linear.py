@@ -96,7 +96,7 @@ def _errors(
     else:
         fold = np.unique(bench.block[train], return_inverse=True)[1] % folds
     out = np.zeros((len(train), bench.width))
-    stays = None if fine else _of_moments(model, white, train, fold, bench.width)
+    stays = _of_moments(model, white, train, fold, bench.width, fine=fine)
     for k in range(folds):
         learn, aside = fold != k, fold == k
         if not aside.any() or not learn.any():
@@ -111,16 +111,18 @@ LIVES = 0.9
 """Share of the square of what belongs to a moment that must lie in blocks left out for these to be all that tells of it."""
 
 
-def _of_moments(model: list[Hypothesis], white: Array, rows: Chosen, fold: Index, width: int) -> Array | None:
+def _of_moments(
+    model: list[Hypothesis], white: Array, rows: Chosen, fold: Index, width: int, *, fine: bool
+) -> Array | None:
     """(k,) parameters of what lies in one fold alone, as learnt on all rows, else nan; None where nothing does.
 
     A touch that lies in the blocks left out cannot be foretold from the others: what then stands there would decide between
-    models that have the same one.
+    models that have the same one. Nor can what fades from a beginning; it may be quicker than a short piece, which no touch is.
     """
     held = np.zeros(sum(h.count for h in model), dtype=bool)
     done = 0
     for h in model:
-        if h.effect is not None and h.effect.EPISODIC:
+        if h.effect is None or (h.effect.EPISODIC and not fine):
             square = np.stack([np.sum(h.white.values[rows[fold == k]] ** 2, axis=(0, 1)) for k in np.unique(fold)])
             held[done : done + h.count] = square.max(axis=0) > LIVES * square.sum(axis=0)
         done += h.count

@@ -11,6 +11,8 @@ from galen_hw.spatial import Array
 
 MOST_UNKNOWN = 0.25
 """Share of a segment that is left out at an end."""
+GONE = 1e-5
+"""Share of a beginning that is nothing."""
 FEW = 8
 """Segments whose beginnings are told apart; where there are more, each is a small part of the recording."""
 
@@ -50,6 +52,8 @@ class Beginning:
         for lag in self.lags if len(segments) <= FEW else ():
             for part in segments:
                 column = np.zeros(len(time))
-                column[part] = np.exp(-(time[part] - time[part][0]) / lag.constant)
+                fading = np.exp(-(time[part] - time[part][0]) / lag.constant)
+                # Of blocks that hold nothing of it nothing may be concluded.
+                column[part] = np.where(fading > GONE, fading, 0.0)
                 out += [(channel, column) for channel in lag.channels]
         return out

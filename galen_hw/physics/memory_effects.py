@@ -6,7 +6,6 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.beginnings import Beginning, Lagging
 from galen_hw.physics.effect import (
     LOADS,
     Columns,
@@ -27,8 +26,6 @@ SLOWER = 1.05
 """Times its shortest constant from which creep is creep."""
 
 
-QUICK = 0.1
-"""Share of a recording up to which what settles in it is told from what goes on all the time."""
 ALL = 0.8
 """Share of a load from which what settles of it is all of it."""
 KELVIN = 7
@@ -103,13 +100,6 @@ class Creep(Effect):
     def otherwise(self) -> Self:
         """What comes later or what is missing at first: a load that was read wrong all along makes one of the other."""
         return replace(self, form="less" if self.form == "more" else "more")
-
-    def beginning(self, scene: Scene, theta: Array) -> Beginning:
-        """What had settled of a sensor's load; of slow ones it is a drift, or an offset."""
-        if self.joint or self.constant > QUICK * duration(scene):
-            return Beginning()
-        places = [scene.channels.index(self.channel)] if self.channel else range(len(scene.channels))
-        return Beginning(lags=(Lagging(tuple(places), self.constant),))
 
     def unlimited(self) -> Self:
         """Any constant: what never settles in this recording is a give to it, but it may be there."""
