@@ -131,7 +131,7 @@ class Bench:
             self.line.append((self.now_ns + self.latency_ns + self.byte_ns * len(wire + answer), answer))
 
     def feed(self, data: bytes) -> None:
-        size = self.chunk or len(data)
+        size = self.chunk or max(len(data), 1)
         for start in range(0, len(data), size):
             self.outputs += self.device.feed(data[start : start + size], self.now_ns)
 

@@ -184,7 +184,7 @@ class NdiBench:
             arrived = [data for t, data in self.line if t <= at]
             self.line = [(t, data) for t, data in self.line if t > at]
             for data in arrived:
-                size = self.chunk or len(data)
+                size = self.chunk or max(len(data), 1)
                 for place in range(0, len(data), size):
                     self.outputs += self.device.feed(data[place : place + size], self.now_ns)
             wires, outputs = self.device.poll(self.now_ns)
