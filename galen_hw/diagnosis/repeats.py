@@ -26,8 +26,9 @@ def repeated(scene: Scene) -> Mask:
     """(N, C) samples that are the one before again where readings do not come again by themselves, in all channels or in one.
 
     Readings without noise do where nothing moves. Those on a grid do by chance: such a stretch must be too long for that, and
-    what is simulated must change over it by more than it usually does from row to row; in one channel it must begin or end with
-    a jump. Of two and more the first is told with them: when it stopped, nobody knows.
+    what is simulated must change over it by more than it usually does from row to row. One channel alone is asked of a wrench,
+    off a grid, and must jump there or back: a joint's effort and position stand still with the joint. Of two and more samples
+    the first is told with them: when it stopped, nobody knows.
     """
     y, N = scene.observations.matrix(*scene.channels), len(scene)
     again, moved = np.zeros(y.shape, dtype=bool), np.zeros(N)
@@ -45,20 +46,18 @@ def repeated(scene: Scene) -> Mask:
         resting = still.sum() >= FEW_ROWS and float(np.mean(again[still][:, channels].all(axis=1))) > 0.5
         return float(np.mean(same)) > MOST_REPEATED or resting
 
-    def by_chance(a: int, b: int, channels: list[int]) -> bool:
-        return bool(np.log(N) + (b - a) * float(np.sum(chance[channels])) >= np.log(CHANCE))
-
     every = list(range(y.shape[1]))
     together = np.all(again, axis=1)
     for a, b in _stretches(together) if not by_itself(every, together) else ():
         changed = float(np.max(np.abs(scene.simulated[b - 1] - scene.simulated[a - 1]) / usual))
-        if not by_chance(a, b, every) and (not grid.all() or changed > GRIDS):
+        by_chance = np.log(N) + (b - a) * float(np.sum(chance)) >= np.log(CHANCE)
+        if not by_chance and (not grid.all() or changed > GRIDS):
             out[a - (b > a + 1) : b] = True
-    for c in every:
+    for c in every if scene.observations.predict == "wrench" else ():
         alone = again[:, c] & ~out[:, c]
         for a, b in _stretches(alone) if not by_itself([c], alone) else ():
             jumps = np.abs(y[[a - 1, min(b, N - 1)], c] - y[[max(a - 2, 0), b - 1], c])
-            if not by_chance(a, b, [c]) and float(np.max(jumps)) > JUMP * usual[c]:
+            if not grid[c] and float(np.max(jumps)) > JUMP * usual[c]:
                 out[a - (b > a + 1) : b, c] = True
     return out
 
