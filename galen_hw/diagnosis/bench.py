@@ -15,7 +15,7 @@ from galen_hw.diagnosis.algebra import orthonormal, pinned_at, scaled, solve_sym
 from galen_hw.diagnosis.noise import Noise, estimate, quantisation
 from galen_hw.diagnosis.rows import Index, Mask, Rows, blocks, set_aside
 from galen_hw.diagnosis.stream import through
-from galen_hw.physics.effect import Columns, Downstream, Effect
+from galen_hw.physics.effect import Columns, Downstream, Effect, spacing
 from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.time_effects import TimeDelay, Timing
@@ -252,12 +252,17 @@ class Bench:
         if not mine:
             return self.averaged(columns)
         if len(mine) == len(columns.channels):
-            return Columns(columns.channels, self.late(columns.values, late, bowed=last.between == "bows"))
+            return Columns(columns.channels, self.late(columns.values, late, bowed=last.bowed))
         values = np.empty((len(self.rows), *columns.values.shape[1:]))
         rest = [i for i in range(len(columns.channels)) if i not in mine]
         values[:, rest] = self.rows.average(columns.values[:, rest])
-        values[:, mine] = self.late(columns.values[:, mine], late, bowed=last.between == "bows")
+        values[:, mine] = self.late(columns.values[:, mine], late, bowed=last.bowed)
         return Columns(columns.channels, values)
+
+    @property
+    def spacing(self) -> float:
+        """Between its rows, s."""
+        return spacing(self.scene) * self.rows.stride
 
     def late(self, x: Array, seconds: float, *, bowed: bool = False) -> Array:
         """(M, ...) averages of signals (N, ...) that come later by seconds, see `operators.delay`."""

@@ -37,7 +37,7 @@ def does(bench: Bench, effect: Effect, theta: Array) -> Array:
         places, simulated = list(effect.places(bench.scene)), bench.scene.simulated
         mine = simulated if len(places) == bench.width else simulated[:, places]
         out = np.zeros((len(bench.rows), bench.width))
-        out[:, places] = bench.late(mine, float(theta[0]), bowed=effect.between == "bows") - bench.simulated[:, places]
+        out[:, places] = bench.late(mine, float(theta[0]), bowed=effect.bowed) - bench.simulated[:, places]
         return out
     return bench.rows.average(arrived(bench.stream, effect, effect.change(bench.scene, theta), bench.timing))
 

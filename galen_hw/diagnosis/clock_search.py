@@ -78,11 +78,11 @@ class ClockSearch:
         """Whitened sum of squares of what it changes about clocks that are as late as before: without any, nothing could tell."""
         late, constant, damping = _read(clocks)
         sooner = 0.5 * spacing(self.bench.scene) if between == "steps" and constant > 0.0 else 0.0
-        own = self.arriving(late, constant, damping=damping)
-        other = replace(self, delay=replace(self.delay, between=between)).arriving(
-            late + sooner, constant, damping=damping
+        other = replace(self, delay=replace(self.delay, between=between))
+        change = other.arriving(late + sooner, constant, 1.0, (), damping) - self.arriving(
+            late, constant, 1.0, (), damping
         )
-        white = self.bench.made(None, Columns(self.places, (other - own)[:, :, None])).white.values
+        white = self.bench.made(None, Columns(self.places, change[:, :, None])).white.values
         return float(np.sum(white[self.bench.train] ** 2))
 
     def best(self) -> Clocks:
@@ -195,21 +195,14 @@ class ClockSearch:
         damping: float | None = None,
     ) -> float:
         """Fall of the whitened sum of squares with a delay and a lag, s, and bands of friction so many times as wide."""
-        y = self.arriving(late, constant, wide, within, damping) - self.averaged
+        y = self.arriving(late, constant, wide, self.within if within is None else within, damping) - self.averaged
         return self.beside.whole(self.bench.made(None, Columns(self.places, y[:, :, None])))
 
     def arriving(
-        self,
-        late: float,
-        constant: float,
-        wide: float = 1.0,
-        within: tuple[Effect, ...] | None = None,
-        damping: float | None = None,
+        self, late: float, constant: float, wide: float, within: tuple[Effect, ...], damping: float | None
     ) -> Array:
         """(M, m) averages of what the same make of the simulated."""
-        within = self.within if within is None else within
-        bowed = self.delay.between == "bows"
-        return self.bench.late(self._lagged(constant, wide, within, damping), late, bowed=bowed)
+        return self.bench.late(self._lagged(constant, wide, within, damping), late, bowed=self.delay.bowed)
 
     def _lagged(self, constant: float, wide: float, within: tuple[Effect, ...], damping: float | None) -> Array:
         """(N, m) what servos with this constant (s) make of the simulated; kept, for it comes again with other delays."""

@@ -27,9 +27,10 @@ from galen_hw.diagnosis.touches import outstanding
 from galen_hw.diagnosis.unnamed import left_by, might_yield, predict_unnamed
 from galen_hw.diagnosis.verdict import beyond, contradicted, outlying, strong, trifles, verdict_of
 from galen_hw.physics.beginnings import Beginning
-from galen_hw.physics.effect import Columns, Effect, spacing
+from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.event_effects import Contact, Glitches
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.time_effects import Timing
 from galen_hw.spatial import Array
 
 PARTS = 6
@@ -152,7 +153,7 @@ class _Known:
         # How a touch swells and turns round inside its episode no plain shape follows; it is no noise for that.
         touches = [effect for effect, _ in self.effects if isinstance(effect, Contact)]
         out += [bench.raw(effect.parted(PARTS)) for effect in touches]
-        if self.step > spacing(bench.scene) * bench.rows.stride:
+        if self.step > bench.spacing:
             # And where it begins and ends is known to a row of the first look.
             out += [bench.raw(effect.edges(self.step).parted(2)) for effect in touches]
         everywhere = tuple(range(bench.width))
@@ -208,13 +209,14 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
         (left,) = adequacy.leftovers(coarse, generic, [plain])
     parts = zip(model.parts, model.slices(), strict=True)
     chosen = [(h.effect, model.final[s]) for h, s in parts if h.effect is not None]
-    return _Known(chosen, {x.channel: x.kind for x in reversed(left)}, spacing(coarse.scene) * coarse.rows.stride)
+    return _Known(chosen, {x.channel: x.kind for x in reversed(left)}, coarse.spacing)
 
 
 def _begun(bench: Bench, coarse: Bench, effects: list[tuple[Effect, Array]], holdout: Scene | None) -> Scene | None:
     """The other recording, and the bench with the stream of the coarse one: of the beginnings that a model leaves open."""
     scene = bench.scene
-    beginning = sum((effect.beginning(scene, theta) for effect, theta in effects), Beginning())
+    late = (effect.beginning(scene, theta) for effect, theta in effects if isinstance(effect, Timing))
+    beginning = sum(late, Beginning())
     bench.begun(scene.begun(beginning))
     bench.stream = coarse.stream
     return None if holdout is None else holdout.begun(beginning)

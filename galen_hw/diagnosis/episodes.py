@@ -21,6 +21,9 @@ FEW_POSES = 200
 SHARES = (0.004, 0.01, 0.02)
 """Of the rows that running means are wide."""
 
+WIDE = 4
+"""Times the width of a mean that an episode may be for a knock: a mean opens what it is as wide as to three times that."""
+
 Episode = tuple[int, int]
 
 
@@ -47,9 +50,11 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
         wide = [(a, b) for a, b in _loud(loud, length) if a > 0 and b < N]
         if not wide or sum(b - a for a, b in wide) > COVERED * N or len(wide) > MOST:
             continue
-        narrow = [[_level(away, *one) for one in wide]] if N < FEW_POSES or share == SHARES[0] else []
-        # What a mean is as wide as, it shows by itself.
-        narrow = [own for own in narrow if N < FEW_POSES or max(b - a for a, b in own) <= length]
+        narrow = []
+        if N < FEW_POSES or (share == SHARES[0] and max(b - a for a, b in wide) <= WIDE * length):
+            own = [_level(away, *one) for one in wide]
+            # What a mean is as wide as, it shows by itself.
+            narrow = [own] if N < FEW_POSES or max(b - a for a, b in own) <= length else []
         for own in (wide, *narrow):
             for names in _felt(scene, own, away, z):
                 times = tuple((moment(scene, a, N), moment(scene, b - 1, N)) for a, b in own)

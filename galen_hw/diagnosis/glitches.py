@@ -59,6 +59,8 @@ def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
 
     Of repeated samples all, once some of them stand off what the model says: what is old need not be wrong.
     """
+    if not glitch:
+        return []
     bench, out = model.bench, []
     z, again = deviations(bench, off(model)), repeated(bench.scene)
     single = np.where(again, 0.0, z)

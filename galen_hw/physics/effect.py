@@ -8,7 +8,6 @@ from typing import Any, ClassVar, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from galen_hw.physics.beginnings import Beginning
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
@@ -273,10 +272,6 @@ class Effect(ABC):
     def otherwise(self) -> Self | None:
         """The same physics counted from another zero, where other effects may make up for the difference; None: there is none."""
         return None
-
-    def beginning(self, scene: Scene, theta: Array) -> Beginning:
-        """What it leaves open, with parameters theta (k,), at the beginning of a recording: it answers to what came before."""
-        return Beginning()
 
     def unlimited(self) -> Self:
         """The same without what keeps a search away from its look-alikes: what it may be, not what it would be called."""

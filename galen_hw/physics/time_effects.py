@@ -28,6 +28,15 @@ class Timing(Downstream):
         if self.between not in BETWEEN:
             raise TypeError(f"between two rows are {', '.join(BETWEEN)}, not {self.between}")
 
+    @property
+    def bowed(self) -> bool:
+        """Whether the simulated runs along parabolas between two rows."""
+        return self.between == "bows"
+
+    @abstractmethod
+    def beginning(self, scene: Scene, theta: Array) -> Beginning:
+        """What it leaves open, with parameters theta (k,), at the beginning of a recording: it answers to what came before."""
+
     @abstractmethod
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
         """(N, m) signals as this stream delivers them, whatever they are."""
@@ -96,7 +105,7 @@ class TimeDelay(Timing):
 
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
         """(N, m) signals as this stream delivers them."""
-        return scene.delay("delay", x, float(theta[0]), bowed=self.between == "bows")
+        return scene.delay("delay", x, float(theta[0]), bowed=self.bowed)
 
 
 @dataclass(frozen=True)
