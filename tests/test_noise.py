@@ -155,7 +155,7 @@ def test_what_has_humps_is_no_noise_with_a_corner():
     centres, lines = np.geomspace(1e-3, 0.45, 15), np.geomspace(18.0, 4000.0, 15)
     corner = 0.01 + 20.0 / (1.0 + (centres / 0.02) ** 2)
     humps = corner + 3.0 * np.exp(-(np.log(centres / 0.15) ** 2) / 0.1)
-    shelf = shelves(centres, np.stack([corner, humps], axis=-1), lines)
+    shelf = shelves(centres, np.stack([corner, humps], axis=-1), lines, 3e-4)
     assert shelf[0] == pytest.approx(20.0, rel=0.3)
     assert np.isnan(shelf[1])
 

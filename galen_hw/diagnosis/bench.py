@@ -3,6 +3,7 @@
 All decisions are then small solves: inner products of columns with each other and with the residual.
 """
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -127,7 +128,7 @@ class Hypothesis:
         times = 1.0
         if isinstance(self.effect, Contact) and self.count:
             times = len(self.effect.episodes) * (1.0 - self.aside(train) / self.count)
-        return times * float(np.log(self.looked))
+        return times * math.log(self.looked)
 
     def does(self, theta: Array) -> Array:
         """(M, len(channels)) its change with parameters theta (k,), what it is bent by included."""

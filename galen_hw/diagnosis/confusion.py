@@ -7,6 +7,7 @@ spans of A and B (Bjoerck and Golub 1973) says whether any signal of one could b
 angles say why.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -316,7 +317,7 @@ def price(h: Hypothesis) -> float:
     """
     if h.effect is None:
         return 1.0
-    return float(h.owed() + 2.0 * np.log(h.looked))
+    return float(h.owed() + 2.0 * math.log(h.looked))
 
 
 def _angle(cosine: float) -> float:

@@ -30,6 +30,7 @@ from galen_hw.physics.beginnings import Beginning
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.event_effects import Contact, Glitches
 from galen_hw.physics.scene import Scene
+from galen_hw.physics.sensor_effects import Drift
 from galen_hw.physics.time_effects import Timing
 from galen_hw.spatial import Array
 
@@ -37,6 +38,8 @@ PARTS = 6
 """Into which a touch is parted so that nothing of it passes for noise."""
 LEAST_SHARE = 12
 """Rows for each direction that may be kept from passing for noise."""
+SLOW = 0.003
+"""Cycles a row of a slow effect."""
 COARSE = 3000
 """Rows of the first look: motion is slow beside a force sensor's samples."""
 
@@ -317,6 +320,7 @@ def _said(
     notes = list(premise.notes)
     if verdict == "agrees":
         notes.append(_limit(bench))
+    notes += _wandering(model)
     if judged.at_home:
         told = ", ".join(key.replace("_", " ") for key in judged.at_home)
         notes.append(f"the recording held out hardly rouses {told}: told by blocks left out of the first")
@@ -345,8 +349,23 @@ def _said(
 
 
 def _limit(bench: Bench) -> str:
-    """The smallest effect that would have been seen, in words."""
+    """The smallest effect that would have been seen, in words: a slow one, where noise is slow."""
     rows = max(int(bench.train.sum()), 1)
-    least = np.sqrt(2.0 * 14.0 / rows) * bench.noise.sigma
+    slow = bench.noise.spectrum(np.array([SLOW]))[0]
+    least = np.sqrt(2.0 * 14.0 / rows * np.maximum(slow, bench.noise.sigma**2))
     worst = ", ".join(f"{n} {v:.2g}" for n, v in zip(bench.scene.channels, least, strict=True))
     return f"an effect of this rms in one channel would have been seen: {worst}"
+
+
+def _wandering(model: Model) -> list[str]:
+    """Which channels wander by more than their quick noise although no drift was found: nobody is to take them for quiet."""
+    bench = model.bench
+    drifting = {
+        name for h in model.effects if isinstance(h.effect, Drift) for name in h.effect.channels or (h.effect.channel,)
+    }
+    told = [
+        f"{name} {wander:.2g} {unit}"
+        for name, unit, wander, quick in zip(bench.scene.channels, bench.scene.units, *bench.noise.wander, strict=True)
+        if wander > quick and name not in drifting
+    ]
+    return [f"what wanders so slowly passes for noise, rms: {', '.join(told)}"] if told else []

@@ -1,4 +1,4 @@
-"""Jumps at the moment that the present model gives them: what was found beside a poorer one may be off."""
+"""Jumps, each by itself and at the moment that the present model gives them: what was found beside a poorer one may be off."""
 
 from typing import Final
 
@@ -35,3 +35,15 @@ def timed(bench: Bench, scorer: Scorer, out: Selection) -> bool:
         if scorer.solve([*others, j])[2] < misfit - BETTER:
             out.chosen[place], moved = j, True
     return moved
+
+
+def parted(bench: Bench, scorer: Scorer, out: Selection) -> None:
+    """Jumps that came in together stand in the model each by itself, to be moved, dropped and told alone."""
+    chosen: list[int] = []
+    for i in out.chosen:
+        h = scorer.library[i]
+        single = h.effect.single if isinstance(h.effect, Step) and h.effect.later else ()
+        chosen += range(len(scorer.library), len(scorer.library) + len(single)) if single else [i]
+        if single:
+            scorer.append([bench.add(one, round(h.looked ** (1.0 / len(single)))) for one in single])
+    out.chosen[:] = chosen

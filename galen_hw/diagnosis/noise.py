@@ -12,7 +12,7 @@ import numpy as np
 from scipy.fft import dct, idct, next_fast_len
 
 from galen_hw.diagnosis.rows import Mask, Rows
-from galen_hw.diagnosis.slow_noise import LEAST_BANDS, shelves, smoothed, whitest
+from galen_hw.diagnosis.slow_noise import LEAST_BANDS, shelves, smoothed, walking, whitest
 from galen_hw.spatial import Array
 
 BANDS_PER_DECADE = 6
@@ -21,6 +21,10 @@ SHORTEST = 96
 STEEPEST = -1.0
 """Slope (power of the frequency) along which the spectrum is continued below the slowest band at most: flicker noise.
 Slower wander than a recording can tell from drift is called drift."""
+FORGETS = 30.0
+"""Times that noise forgets within a recording, at least: what has a longer memory drifts."""
+WANDERS = 50
+"""Cycles in a recording up to which noise is said to wander."""
 SLOW_CYCLES = 7.0
 """Below so many cycles in a segment the spectrum is continued, not measured."""
 
@@ -52,17 +56,43 @@ class Noise:
         """(F, C) level at frequencies in cycles a row."""
         if not len(self.edges):
             return np.tile(self.sigma**2, (len(frequency), 1))
-        centres = np.log(np.sqrt(self.edges[1:] * self.edges[:-1]))
+        centres = np.log(self.centres)
         at = np.log(np.maximum(frequency, 0.07 * self.edges[0]))
-        channels = zip(np.log(self.levels).T, self._shelves, strict=True)
+        channels = zip(np.log(self.levels).T, np.log(self._shelves), strict=True)
         return np.exp(np.stack([_line(at, centres, level, shelf) for level, shelf in channels], axis=-1))
 
     @cached_property
+    def centres(self) -> Array:
+        """(B,) of the bands, cycles a row."""
+        return np.asarray(np.sqrt(self.edges[1:] * self.edges[:-1]))
+
+    @cached_property
+    def lines(self) -> Array:
+        """(B,) of the spectrum in each band."""
+        return np.asarray(sum(self._lengths) * np.diff(self.edges))
+
+    @property
+    def _lengths(self) -> list[int]:
+        """Of the runs that are long enough for a spectrum, rows."""
+        return [run.stop - run.start for run in self.rows.runs if run.stop - run.start >= SHORTEST]
+
+    @property
+    def slowest(self) -> float:
+        """Corner of the longest memory that noise may have, cycles a row."""
+        return FORGETS / (2.0 * np.pi * max(self._lengths))
+
+    @cached_property
     def _shelves(self) -> Array:
-        """(C,) logarithm of the level below the slowest band where the noise is flat there for certain, else nan."""
-        lengths = [run.stop - run.start for run in self.rows.runs if run.stop - run.start >= SHORTEST]
-        lines = sum(lengths) * np.diff(self.edges)
-        return np.log(shelves(np.sqrt(self.edges[1:] * self.edges[:-1]), self.levels, lines))
+        """(C,) level below the slowest band where the noise is known there for certain, else nan."""
+        return shelves(self.centres, self.levels, self.lines, self.slowest)
+
+    def walks(self, rest: Array) -> Mask:
+        """(C,) whether what is left (M, C) of a channel is no noise but a walk."""
+        if len(self.centres) < LEAST_BANDS or len(self.rows.runs) > 1:
+            return np.zeros(len(self.sigma), dtype=bool)
+        below = int(2 * SLOW_CYCLES)
+        modes = dct(rest, axis=0, norm="ortho")[1 : 1 + below] ** 2
+        return walking(self.centres, self.levels, self.lines, modes, len(rest), self.slowest)
 
     def whiten(self, x: Array, channel: int) -> Array:
         """(M, k) columns of one channel, scaled and filtered so that its noise becomes white with unit variance."""
@@ -88,7 +118,7 @@ class Noise:
         if not len(self.edges):
             return white
         out, transformed = np.empty_like(white), self.transformed(white)
-        centres = np.log(np.sqrt(self.edges[1:] * self.edges[:-1]))
+        centres = np.log(self.centres)
         for run, place in zip(self.rows.runs, self._places, strict=True):
             if self._coloured(run):
                 n = place.stop - place.start
@@ -102,9 +132,7 @@ class Noise:
     @cached_property
     def _roughness(self) -> Array:
         """(B, C) logarithm of a smooth spectrum over the measured one."""
-        lengths = [run.stop - run.start for run in self.rows.runs if run.stop - run.start >= SHORTEST]
-        lines = sum(lengths) * np.diff(self.edges)
-        smooth = smoothed(np.sqrt(self.edges[1:] * self.edges[:-1]), self.levels, lines)
+        smooth = smoothed(self.centres, self.levels, self.lines)
         return np.asarray(np.log(smooth / self.levels))
 
     def flat(self) -> "Noise":
@@ -171,6 +199,14 @@ class Noise:
         M = len(self.rows)
         frequency = np.linspace(0.25 / M, 0.5 - 0.25 / M, M)
         return np.asarray(np.maximum(np.mean(self.spectrum(frequency), axis=0) / self.sigma**2, 1.0))
+
+    @property
+    def wander(self) -> tuple[Array, Array]:
+        """(C,) rms of what is slower than a fiftieth of the recording, (C,) of what is quicker."""
+        M = len(self.rows)
+        level = self.spectrum(np.linspace(0.25 / M, 0.5 - 0.25 / M, M))
+        slow = level[: 2 * WANDERS].sum(axis=0) / M
+        return np.sqrt(slow), np.sqrt(np.maximum(level.mean(axis=0) - slow, 0.0))
 
     @cached_property
     def effective(self) -> float:

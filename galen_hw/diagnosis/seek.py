@@ -1,5 +1,6 @@
 """Looks into a residual for what belongs to one recording: glitches, steps, shared drifts, spectral lines, ripple."""
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -12,7 +13,7 @@ from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Step, Vibration
 from galen_hw.physics.joint_effects import TorqueRipple
 from galen_hw.physics.scene import Scene
-from galen_hw.physics.sensor_effects import Drift, Saturation, Temperature
+from galen_hw.physics.sensor_effects import WALK, Drift, Saturation, Temperature
 from galen_hw.physics.smoothing import isolated
 from galen_hw.physics.time_effects import joint_of
 from galen_hw.spatial import Array
@@ -34,6 +35,10 @@ HANDFUL = 4
 """Isolated samples of one channel that may always be told."""
 SHARED = 0.1
 """Share of the strongest channel's gain from which another channel is in it too."""
+MOST_JUMPS = 6
+"""Of one staircase: more stairs are a slope, or a walk."""
+WORTH_A_JUMP = 25.0
+"""Fall of the whitened sum of squares in a channel for which another jump is sought beside those that are there."""
 MOMENTS = 400
 """Moments at which something carried may have slipped."""
 FEW_CLIPPED = 5
@@ -72,6 +77,50 @@ def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]
         if 1 < len(some) < C:
             found.append(Sought(Step(some, moment(scene, row + 1, N)), N // 4))
     return found
+
+
+def staircases(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
+    """Up to `MOST_JUMPS` jumps of each channel, and at moments that channels share, that together take most out of a rest (M, C).
+
+    Each is where it takes most beside those before it, and is placed once more beside all others.
+    """
+    N, C = rest.shape
+    if N < FEW_ROWS:
+        return []
+    places: list[tuple[tuple[int, ...], list[int]]] = [((c,), _stairs(rest, noise, (c,))) for c in range(C)]
+    if C > 1:
+        rows = _stairs(rest, noise, tuple(range(C)))
+        taken = (rest.var(axis=0) - _treads(rest, rows).var(axis=0)) / np.maximum(_slow_spread(rest) ** 2, 1e-300)
+        places.append((tuple(np.flatnonzero(taken > SHARED * taken.max()).tolist()), rows))
+    out = []
+    for own, rows in places:
+        if len(rows) > 1:
+            first, *later = (moment(scene, row, N) for row in sorted(rows))
+            step = Step(tuple(scene.channels[c] for c in own), first, later=tuple(later))
+            out.append(Sought(step, (N // 4) ** len(rows)))
+    return out
+
+
+def _stairs(rest: Array, noise: Noise, own: tuple[int, ...]) -> list[int]:
+    """First rows of up to `MOST_JUMPS` treads of a staircase in channels `own`, most telling first."""
+    rows: list[int] = []
+    for _ in range(MOST_JUMPS):
+        gain = _gains(_treads(rest, rows), noise)[:, own].sum(axis=1)
+        row = int(np.argmax(gain)) + 1
+        if gain[row - 1] < WORTH_A_JUMP * len(own) or row in rows:
+            break
+        rows.append(row)
+        for k in range(len(rows)):
+            others = rows[:k] + rows[k + 1 :]
+            again = int(np.argmax(_gains(_treads(rest, others), noise)[:, own].sum(axis=1))) + 1
+            rows[k] = rows[k] if again in others else again
+    return rows
+
+
+def _treads(rest: Array, rows: list[int]) -> Array:
+    """(M, C) of a rest without its mean between jumps."""
+    edges = [0, *sorted(rows), len(rest)]
+    return np.concatenate([rest[a:b] - rest[a:b].mean(axis=0) for a, b in itertools.pairwise(edges)])
 
 
 def again(scene: Scene, rest: Array, step: Step, noise: Noise) -> Sought:
@@ -159,6 +208,13 @@ def moment(scene: Scene, row: int, rows: int) -> float:
     """Time of a row of the averaged rest."""
     place = min(round(row * len(scene) / rows), len(scene) - 1)
     return float(scene.time[place])
+
+
+def walks(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
+    """A wander with every wave that is slower than noise, of each channel of which the rest (M, C) walks."""
+    proposed = {d.channel: d for d in Drift.propose(scene) if d.form == "wander"}
+    walking = [name for name, walks in zip(scene.channels, noise.walks(rest), strict=True) if walks]
+    return [Sought(replace(proposed[name], waves=WALK), 1) for name in walking if name in proposed]
 
 
 def drifts(scene: Scene, rest: Array, time: Array) -> list[Sought]:

@@ -11,7 +11,7 @@ from galen_hw.diagnosis.clocks import one_clock, own_clocks, reclocked
 from galen_hw.diagnosis.courses import finest, followed
 from galen_hw.diagnosis.enrich import enriched
 from galen_hw.diagnosis.episodes import contacts
-from galen_hw.diagnosis.jumps import timed
+from galen_hw.diagnosis.jumps import parted, timed
 from galen_hw.diagnosis.limits import clipped, levelled
 from galen_hw.diagnosis.linear import crossed, missed, rests
 from galen_hw.diagnosis.nonlinear import bent, in_place, loosens, polished
@@ -50,8 +50,10 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[seek.Sought]
     """What the rest of the present model shows by itself."""
     load(bench, scorer, chosen)
     rest, _ = rests(bench, scorer, chosen)
-    found = seek.steps(bench.scene, rest, bench.noise) + contacts(bench.scene, rest)
+    found = seek.steps(bench.scene, rest, bench.noise) + seek.staircases(bench.scene, rest, bench.noise)
+    found += contacts(bench.scene, rest)
     found += seek.slips(bench.scene, rest, bench.rows.average)
+    found += seek.walks(bench.scene, rest, bench.noise)
     found += seek.drifts(bench.scene, rest, bench.rows.average(bench.scene.time))
     found += seek.temperatures(bench.scene, rest, bench.rows.average)
     # A limit that was found before something else was is sought again as if it had not been.
@@ -143,6 +145,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
 def _admit(bench: Bench, scorer: Scorer, out: Selection, i: int) -> None:
     """A hypothesis joins the model: a first clock as those of each joint if it is these, a spring as a tendon if it is one."""
     out.chosen.append(i)
+    parted(bench, scorer, out)
     if not own_clocks(bench, scorer, out):
         tightened(bench, scorer, out, i)
 
@@ -280,7 +283,8 @@ def _swap(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) -> bo
             after = crossed(bench, scorer, trial)
         if float(np.mean(after / before)) <= 1.0 + ALIKE:
             out.chosen = trial
-            rebase(scorer, trial)
+            parted(bench, scorer, out)
+            rebase(scorer, out.chosen)
     return out.chosen != start
 
 

@@ -2,6 +2,8 @@
 
 Noise with a memory (a filter, a servo, a settling converter) is flat below its corner; flicker noise goes on rising. Both are
 fitted to the measured bands by their likelihood (Whittle 1953), and a corner is believed where it is the better one for certain.
+What rises more steeply than flicker noise has its corner just below, or is a walk. A walk is no noise but a drift, of which the
+slow end must not pass for noise: what does not forget within a thirtieth of the recording walks.
 """
 
 from typing import TYPE_CHECKING
@@ -12,7 +14,7 @@ from scipy.stats import chi2
 from galen_hw.spatial import Array
 
 if TYPE_CHECKING:
-    from galen_hw.diagnosis.rows import Index
+    from galen_hw.diagnosis.rows import Index, Mask
 
 CERTAIN = 9.0
 """Twice the log likelihood ratio, over all channels, from which a corner is believed; one of flicker noise reaches 6."""
@@ -25,15 +27,19 @@ LIKE_NOISE = 3.0
 WINDOWED = 1.94
 """Lines of a Hann window's spectrum that are worth one independent line."""
 LEAST_BANDS = 6
-CORNERS, SLOPES = 24, 15
+CORNERS, SLOPES, GENTLE = 24, 15, 7
+"""Of the slopes, a quarter to two, so many are none steeper than flicker noise."""
 ITERATIONS = 150
 
 
-def shelves(centres: Array, levels: Array, lines: Array) -> Array:
+def shelves(centres: Array, levels: Array, lines: Array, slowest: float) -> Array:
     """(C,) level below the corner of each channel's noise, a standard error up; nan where it is not flat there for certain.
+
+    What is steeper than flicker noise for certain has the slowest corner that noise may have.
 
     Args:
         centres: (B,) of the bands, cycles a row; levels: (B, C); lines: (B,) of the spectrum in each band.
+        slowest: cycles a row, of the slowest corner.
     """
     if len(centres) < LEAST_BANDS:
         return np.full(levels.shape[1], np.nan)
@@ -45,11 +51,39 @@ def shelves(centres: Array, levels: Array, lines: Array) -> Array:
     corner, fitted, which = _likeliest(levels, weights, [np.stack([white, bend], axis=-1) for bend in bends])
     rising, _, _ = _likeliest(levels, weights, [np.stack([white, slope], axis=-1) for slope in slopes])
     both, _, _ = _likeliest(levels, weights, [np.stack([white, bend, flicker], axis=-1) for bend in bends])
+    gentle, _, _ = _likeliest(levels, weights, [np.stack([white, slope], axis=-1) for slope in slopes[:GENTLE]])
+    walk, walked, _ = _likeliest(levels, weights, [np.stack([white, flicker**2], axis=-1)])
     sure, noise = rising - corner, corner < LIKE_NOISE * len(centres)
+    steep = (walk < LIKE_NOISE * len(centres)) & (gentle - walk >= CERTAIN)
     flat = noise & (np.sum(sure[noise]) >= CERTAIN) & (sure > CONTRARY) & (corner - both < HIDDEN)
     # The shelf is known from the bands below the corner alone; in doubt slow noise is stronger.
     known = np.array([np.sum(weights[centres <= corners[k]]) for k in which])
-    return np.where(flat, fitted[0] * (1.0 + 1.0 / np.sqrt(known)), np.nan)
+    shelf = np.where(flat, fitted[0] * (1.0 + 1.0 / np.sqrt(known)), np.nan)
+    return np.where(steep & ~flat, walked[0] * (centres[0] / slowest) ** 2, shelf)
+
+
+WALKS = 22.0
+"""Twice the log likelihood ratio from which a channel is said to walk: what a search asks of any effect."""
+
+
+def walking(centres: Array, levels: Array, lines: Array, modes: Array, rows: int, slowest: float) -> "Mask":
+    """(C,) which channels walk: their spectrum rises as 1 / f^2 down to their slowest modes, and no noise is like that.
+
+    Args:
+        modes: (K, C) squares of the half cosines 1 to K over so many rows, below the bands.
+
+    Other arguments as of `shelves`. A walk is asked against noise with a corner above `slowest`, and against flicker noise.
+    """
+    f = np.concatenate([0.5 * np.arange(1, len(modes) + 1) / rows, centres])
+    level = np.concatenate([np.maximum(modes, 1e-12 * np.max(levels, axis=0)), levels])
+    # A single line is chi square of one, and so counts half.
+    weights = np.concatenate([np.full(len(modes), 0.5), np.maximum(lines, 1.0) / WINDOWED])
+    white, flicker = np.ones_like(f), f[0] / f
+    bends = [1.0 / (1.0 + (f / corner) ** 2) for corner in np.geomspace(slowest, centres[-1], CORNERS)]
+    forgets, _, _ = _likeliest(level, weights, [np.stack([white, bend, flicker], axis=-1) for bend in bends])
+    walk, walked, _ = _likeliest(level, weights, [np.stack([white, flicker**2], axis=-1)])
+    like = _deviance(levels, walked[len(modes) :], weights[len(modes) :]) < LIKE_NOISE * len(centres)
+    return np.asarray(like & (forgets - walk > WALKS))
 
 
 WHITE = 0.01
@@ -114,7 +148,13 @@ def _likeliest(levels: Array, weights: Array, shapes: list[Array]) -> tuple[Arra
         pull = np.swapaxes(parts, 1, 2) * weights
         amplitude *= (pull @ (data / model**2)) / (pull @ (1.0 / model))
     model = np.maximum(parts @ amplitude, 1e-12)
-    cost = 2.0 * np.sum(weights[:, None] * (data / model - np.log(data / model) - 1.0), axis=1)
+    cost = _deviance(data, model, weights)
     best = np.argmin(cost, axis=0)
     each = np.arange(levels.shape[1])
     return np.asarray(cost[best, each]), np.asarray(model[best, :, each].T * peak), best
+
+
+def _deviance(levels: Array, model: Array, weights: Array) -> Array:
+    """(..., C) minus twice the log likelihood of levels (B, C), over that of the levels themselves."""
+    ratio = levels / model
+    return np.asarray(2.0 * np.sum(weights[:, None] * (ratio - np.log(ratio) - 1.0), axis=-2))

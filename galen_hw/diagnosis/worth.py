@@ -8,7 +8,7 @@ from galen_hw.diagnosis.rows import Mask
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.physics.effect import Effect
-from galen_hw.physics.event_effects import Contact
+from galen_hw.physics.event_effects import Contact, Step
 from galen_hw.spatial import Array
 
 WORTH = 0.25
@@ -25,6 +25,10 @@ LOUD = 400.0
 
 NEARLY_ALL = 0.95
 """Share of the excess that is left from which it does not matter how small a part of the whole that is."""
+
+
+STAIRS = 0.9
+"""Share of the excess that is left of which several jumps are worth their place together."""
 
 
 MOSTLY = 0.8
@@ -48,13 +52,14 @@ UNDONE = 0.1
 def asked(bench: Bench, out: Selection, effect: Effect | None, misfit: float) -> tuple[float, float]:
     """The shares that an effect must take, of the excess that is left and of the excess at the start, see `worth`.
 
-    What belongs to moments fits nearly anything and pays more. Of the whole nothing is asked where noise is all that is left
-    and the excess was small.
+    What belongs to moments fits nearly anything and pays more; a staircase, which follows any slope, pays nearly all. Of the
+    whole nothing is asked where noise is all that is left and the excess was small.
     """
     episodic = effect is not None and effect.EPISODIC
+    stairs = isinstance(effect, Step) and bool(effect.later)
     loud = float(np.max(out.start / bench.noise.sigma**2)) > LOUD
     beyond = min(1.0, misfit - 1.0)
-    return WORTH * (1.0 + beyond * episodic), MATTERS * max(beyond, 0.3 * loud)
+    return STAIRS if stairs else WORTH * (1.0 + beyond * episodic), MATTERS * max(beyond, 0.3 * loud)
 
 
 def completes(bench: Bench, scorer: Scorer, chosen: list[int], paid: float) -> bool:

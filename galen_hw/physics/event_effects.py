@@ -50,6 +50,7 @@ class Step(_Shaped):
     """The offset jumps at a moment: r = a for t >= t0. A bump, a re-zeroing, a moved marker.
 
     `carried` names what has slipped on the arm (a target, the tool): its jump has the body's axes, and turns with the arm.
+    `later` holds the moments of further jumps in the same channels, to be asked together: of three none may pay alone.
     Visible with rest on both sides. Confused with drift (smooth) and contact (which ends).
     """
 
@@ -57,12 +58,19 @@ class Step(_Shaped):
     channels: tuple[str, ...]
     moment: float
     carried: str = ""
+    later: tuple[float, ...] = ()
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """The jump of every channel, or shifts and turns of what has slipped."""
         if self.carried:
             return tuple(Parameter(f"jump_{self.carried}_{move}", unit) for move, unit in self._slipped(scene).moves)
-        return tuple(Parameter(f"jump_{name}", unit_of(scene, name)) for name in self.channels)
+        each = ("jump", *(f"jump{k}" for k in range(2, 2 + len(self.later))))
+        return tuple(Parameter(f"{jump}_{name}", unit_of(scene, name)) for name in self.channels for jump in each)
+
+    @property
+    def single(self) -> tuple[Self, ...]:
+        """Each jump by itself."""
+        return tuple(replace(self, moment=t, later=()) for t in (self.moment, *self.later))
 
     def _slipped(self, scene: Scene) -> Carried:
         return next(one for one in scene.slipping() if one.name == self.carried)
@@ -75,8 +83,9 @@ class Step(_Shaped):
         return Columns(slipped.channels, average(slipped.values * (scene.time >= self.moment)[:, None, None]))
 
     def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
-        """One after the moment."""
-        return average(scene.seen((scene.time >= self.moment).astype(float)[:, None]))
+        """One after each moment."""
+        after = scene.time[:, None] >= np.array([self.moment, *self.later])
+        return average(scene.seen(after.astype(float)))
 
 
 @dataclass(frozen=True)

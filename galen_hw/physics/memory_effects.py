@@ -177,6 +177,9 @@ def _bearing(scene: Scene) -> Iterator[tuple[str, str]]:
 class Hysteresis(Effect):
     """Rate-independent memory: Prandtl-Ishlinskii, r = sum_i a_i (P_{r_i}[x] - x), P_r the play operator of half width r.
 
+    With `form` "more" r = sum_i a_i P_{r_i}[x], of weights of one sign: what a load leaves comes on top of it, and is not what
+    is missing of it. A gain is the difference of the two.
+
     x is the simulated channel (a sensor's load, a joint's position) or a joint's position or load; widths r_i are shares
     `widths` of the amplitude `scale`. The same sum is a set of Maxwell slip elements. Without a `channel` it moves the arm
     through the port of the joint that drives it: friction beside the joint's spring (of load), a gear's memory (of motion).
@@ -198,6 +201,7 @@ class Hysteresis(Effect):
     linear: bool = False
     reach: float | None = None
     gap: float | None = None
+    form: str = "less"
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -211,6 +215,8 @@ class Hysteresis(Effect):
                 if scale > 0.0:
                     yield cls(name, driver, scale)
                     yield cls(name, driver, scale, (0.12,))
+                    if driver == name and scene.observations.predict in LOADS:
+                        yield cls(name, driver, scale, form="more")
                     if scene.observations.predict == "effort" and scene.belief.robot is None:
                         yield cls(name, driver, scale, linear=True)
                         yield from cls._slipping(name, driver, scale)
@@ -261,6 +267,24 @@ class Hysteresis(Effect):
         own = joint_of(self.channel)
         return (self.driver.split(":", 1)[1],) if ":" in self.driver else ((own,) if own else ())
 
+    def otherwise(self) -> Self | None:
+        """What comes on top of a load or what is missing of it: a gain makes one of the other."""
+        if (
+            not self.channel
+            or self.driver != self.channel
+            or self.channel.startswith("joint.")
+            or len(self.widths) == 1
+        ):
+            return None
+        return replace(self, form="less" if self.form == "more" else "more")
+
+    def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
+        """Plays that come on top do so with weights of one sign: else one of them is a gain, and the others are missing of it."""
+        if self.form == "less":
+            return True
+        sign = np.sign(np.sum(theta))
+        return bool(np.all(sign * theta + 3.0 * spread >= 0.0))
+
     def reads(self, scene: Scene) -> bool:
         """Where it is the sensor's own."""
         return self.channel != "" and self.driver == self.channel and scene.observations.predict in LOADS
@@ -275,14 +299,13 @@ class Hysteresis(Effect):
         return (*(Parameter(f"weight_{r * self.scale:.4g}", unit) for r in self.widths), *slip, *rates)
 
     def columns(self, scene: Scene) -> Columns:
-        """Play less input, one column a width."""
+        """Play, less its input or as it is, one column a width."""
         x = _signal(scene, self.driver)[:, None]
         r = np.asarray(self.widths) * self.scale
         wide = np.repeat(x, len(r), axis=1)
         start = scene.resting(self.channel) if self.channel and self.driver == self.channel else None
-        out = list(
-            (scene.play("hysteresis", wide, r, None if start is None else np.repeat(start, len(r), axis=1)) - wide).T
-        )
+        play = scene.play("hysteresis", wide, r, None if start is None else np.repeat(start, len(r), axis=1))
+        out = list((play if self.form == "more" else play - wide).T)
         if self.reach is not None:
             out += self._slip(scene, x, self.reach)
         if self.linear:

@@ -52,12 +52,21 @@ class Bias(Effect):
 
 HALF_COSINES = 5
 """Of a wander, over the length of the recording."""
+WALK = 14
+"""Of one that wanders as a walk does: down to what can be told from noise."""
+WALKING = 4
+"""Numbers that these are worth: a walk has one, its strength, and waves that are the smaller the quicker they are cost little.
+
+Twice their log evidence, sum(1 + log(1 + (w / k)^2)) for noise with a corner at wave w = 10, is 34; a number of the usual kind
+costs about 8 of it.
+"""
 
 
 @dataclass(frozen=True)
 class Drift(Effect):
-    """The offset moves slowly: straight, r = a t / D; warm-up, r = a (1 - exp(-t / T)); wander, a few half cosines over D.
+    """The offset moves slowly: straight, r = a t / D; warm-up, r = a (1 - exp(-t / T)); wander, some half cosines over D.
 
+    A wander has a few `waves`, a walk all that are slower than noise, of which each quicker one is the smaller.
     A warm-up with a `second` constant is the sum of two: what is near the heat is warm before what is far from it.
 
     D is the length of the recording. Beyond it (a tool's file in the live services) a straight drift is carried on for as
@@ -78,6 +87,7 @@ class Drift(Effect):
     length: float = 1.0
     channels: tuple[str, ...] = ()
     second: float | None = None
+    waves: int = HALF_COSINES
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -94,6 +104,11 @@ class Drift(Effect):
                 yield cls(name, "warm_up", constant, start, length)
             yield cls(name, "wander", None, start, length)
 
+    @property
+    def freedom(self) -> int | None:
+        """Of a walk."""
+        return WALKING if self.waves == WALK else None
+
     def richer(self, scene: Scene) -> Iterator[Self]:
         """A quicker warm-up beside the one that stands for both, or a slower one."""
         if self.constant is not None and self.second is None:
@@ -103,7 +118,7 @@ class Drift(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Amplitudes over the whole recording."""
         one = "amplitude" if self.form == "warm_up" else "change"
-        names = [f"cosine_{k}" for k in range(1, HALF_COSINES + 1)] if self.form == "wander" else [one]
+        names = [f"cosine_{k}" for k in range(1, int(self.waves) + 1)] if self.form == "wander" else [one]
         names += ["amplitude_second"] if self.second is not None else []
         if not self.channels:
             return tuple(Parameter(name, unit_of(scene, self.channel)) for name in names)
@@ -123,7 +138,7 @@ class Drift(Effect):
         furthest = {"linear": 2.0 * self.length, "wander": self.length}.get(self.form, np.inf)
         t = np.clip(time - self.start, 0.0, furthest)
         if self.form == "wander":
-            return np.stack([np.cos(np.pi * k * t / self.length) for k in range(1, HALF_COSINES + 1)], axis=-1)
+            return np.stack([np.cos(np.pi * k * t / self.length) for k in range(1, int(self.waves) + 1)], axis=-1)
         if self.constant is not None:
             constants = [self.constant] if self.second is None else [self.constant, self.second]
             return np.stack([-np.expm1(-t / T) for T in constants], axis=-1)

@@ -1,0 +1,76 @@
+"""Loops of other makers: plays that add up on top of a load, slopes that wear off (Bouc-Wen, Dahl), beside a gain or alone."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from diagnosis_cases import Array, Bench
+
+from galen_hw.diagnosis.engine import diagnose
+from galen_hw.physics.table import scene_of
+
+pytestmark = pytest.mark.inject
+
+Y = "wrench.force.y"
+
+
+def plays(x: Array) -> Array:
+    """Ten plays of falling weight, on top of the load (Prandtl-Ishlinskii as Kuhnen writes it, 2003, without its linear part)."""
+    reach, out = 0.5 * np.ptp(x), np.zeros_like(x)
+    for share in np.linspace(0.05, 0.95, 10):
+        y = 0.0
+        for i, value in enumerate(x):
+            y = min(max(y, value - share * reach), value + share * reach)
+            out[i] += np.exp(-3.0 * share) * y
+    return out
+
+
+def wears_off(x: Array, beta: float, power: int) -> Array:
+    """Bouc-Wen, of unit height and a quarter of the amplitude long; Dahl's model where beta is 1."""
+    reach, z, out = 0.125 * np.ptp(x), 0.0, np.zeros_like(x)
+    for i in range(1, len(x)):
+        for _ in range(4):
+            d = (x[i] - x[i - 1]) / reach / 4.0
+            z += d * (1.0 - abs(z) ** power * (beta * np.sign(d * z) + 1.0 - beta))
+        out[i] = z
+    return out
+
+
+def bouc_wen(x: Array) -> Array:
+    return wears_off(x, 0.5, 1)
+
+
+def sharper(x: Array) -> Array:
+    return wears_off(x, 0.5, 2)
+
+
+def dahl(x: Array) -> Array:
+    return wears_off(x, 1.0, 1)
+
+
+def found(loop: Callable[[Array], Array], size: float, gain: float = 0.0) -> set[tuple[str, tuple[str, ...]]]:
+    """What is found of a loop so many times the noise, and of a gain."""
+    bench = Bench(7, 5000, 50.0)
+    x, noise = bench.wrench[:, 1], bench.noise[:, 1].std()
+    bench.wrench[:, 1] = (1.0 + gain) * x + size * noise * loop(x) / loop(x).std()
+    work = diagnose(scene_of(bench.observations()))
+    assert work.diagnosis.verdict == "explained"
+    return {(f.effect, tuple(f.channels)) for f in work.diagnosis.findings}
+
+
+@pytest.mark.parametrize("size", [1.0, 6.0])
+@pytest.mark.parametrize("loop", [plays, bouc_wen, sharper, dahl])
+def test_a_loop_is_hysteresis_and_nothing_beside(loop: Callable[[Array], Array], size: float) -> None:
+    """Plays on top of a load were a creep of many constants, or a gain with something missing."""
+    assert found(loop, size) == {("hysteresis", (Y,))}
+
+
+@pytest.mark.parametrize("gain", [0.03, 0.1])
+def test_a_gain_beside_a_loop_stays_one(gain: float) -> None:
+    """Weights of both signs are no plays: one of them is the gain."""
+    assert found(bouc_wen, 4.0, gain) == {("hysteresis", (Y,)), ("gain", (Y,))}
