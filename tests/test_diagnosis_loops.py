@@ -9,7 +9,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import Array, Bench
+from diagnosis_cases import Array, Bench, tracked
 
 from galen_hw.diagnosis.engine import diagnose
 from galen_hw.physics.table import scene_of
@@ -56,7 +56,7 @@ def dahl(x: Array) -> Array:
 def found(loop: Callable[[Array], Array], size: float, gain: float = 0.0) -> set[tuple[str, tuple[str, ...]]]:
     """What is found of a loop so many times the noise, and of a gain."""
     bench = Bench(7, 5000, 50.0)
-    x, noise = bench.wrench[:, 1], bench.noise[:, 1].std()
+    x, noise = bench.wrench[:, 1].copy(), bench.noise[:, 1].std()
     bench.wrench[:, 1] = (1.0 + gain) * x + size * noise * loop(x) / loop(x).std()
     work = diagnose(scene_of(bench.observations()))
     assert work.diagnosis.verdict == "explained"
@@ -74,3 +74,30 @@ def test_a_loop_is_hysteresis_and_nothing_beside(loop: Callable[[Array], Array],
 def test_a_gain_beside_a_loop_stays_one(gain: float) -> None:
     """Weights of both signs are no plays: one of them is the gain."""
     assert found(bouc_wen, 4.0, gain) == {("hysteresis", (Y,)), ("gain", (Y,))}
+
+
+@pytest.mark.parametrize("loop", [bouc_wen, dahl])
+def test_a_loud_loop_is_told_with_its_own_shape(loop: Callable[[Array], Array]) -> None:
+    """No sum of plays turns round so: what one misses was a contact."""
+    bench = Bench(5, 5000, 50.0)
+    x, noise = bench.wrench[:, 1].copy(), bench.noise[:, 1].std()
+    bench.wrench[:, 1] = x + 20.0 * noise * loop(x) / loop(x).std()
+    (finding,) = diagnose(scene_of(bench.observations())).diagnosis.findings
+    assert finding.effect == "hysteresis"
+    assert finding.parameters["wear"].value == pytest.approx(1.0 if loop is dahl else 0.5, abs=0.05)
+    assert finding.parameters["reach"].value == pytest.approx(0.125 * np.ptp(x), rel=0.03)
+
+
+@pytest.mark.parametrize(("loop", "give"), [(dahl, 0.0), (bouc_wen, 1.5e-3)])
+def test_a_joint_s_loop_has_no_creep_beside_it(loop: Callable[[Array], Array], give: float) -> None:
+    """Of its load, four times a tracker's noise, beside its own give (rad / (N m)) or alone."""
+
+    def law(_t: Array, moment: Array) -> Array:
+        z = loop(moment)
+        return np.asarray(give * moment + 1.9e-3 * z / z.std())
+
+    work = diagnose(scene_of(tracked(seed=5, rows=2400, law=law)))
+    found = {f.effect: f for f in work.diagnosis.findings}
+    assert set(found) == ({"hysteresis", "compliance"} if give else {"hysteresis"})
+    if give:
+        assert found["compliance"].parameters["compliance"].value == pytest.approx(give, rel=0.05)

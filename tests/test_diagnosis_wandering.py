@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import Array, Bench
+from test_diagnosis_sweeps import AVERAGED, sweep
 
 from galen_hw.diagnosis.engine import diagnose
 from galen_hw.diagnosis.result import Diagnosis
@@ -27,9 +28,9 @@ def told(bench: Bench) -> tuple[Diagnosis, list[tuple[str, list[str]]]]:
     return diagnosis, [(f.effect, f.channels) for f in diagnosis.findings]
 
 
-def walk(seed: int) -> Array:
+def walk(seed: int, rows: int = ROWS) -> Array:
     """Sum of white steps, rms 1."""
-    x = np.cumsum(np.random.default_rng(seed).normal(size=ROWS))
+    x = np.cumsum(np.random.default_rng(seed).normal(size=rows))
     return np.asarray((x - x.mean()) / x.std())
 
 
@@ -83,3 +84,19 @@ def test_many_bumps_are_no_drift(seed: int) -> None:
         bench.wrench[:, 0] += 3.0 * jump * bench.noise[:, 0].std() * (bench.t > moment)
     diagnosis, found = told(bench)
     assert (diagnosis.verdict, found) == ("explained", [("step", [X])])
+
+
+def test_a_zero_that_walks_during_a_sweep_of_poses_is_mostly_a_drift() -> None:
+    """Fifty-six rows have no spectrum; but noise of one pose knows nothing of the next. Some walks are more of a jump."""
+    found = []
+    for seed in range(10, 22):
+        moved = np.zeros((56, 6))
+        moved[:, 2] = 6.0 * AVERAGED[2] * walk(seed, 56)
+        found.append({f.effect for f in sweep(np.random.default_rng(seed), moved).findings})
+    assert sum(one == {"drift"} for one in found) >= 8
+    assert all(one & {"drift", "step"} for one in found)
+
+
+def test_sweeps_of_poses_that_only_read_noise_agree() -> None:
+    verdicts = [sweep(np.random.default_rng(seed)).verdict for seed in range(100, 112)]
+    assert verdicts == ["agrees"] * 12

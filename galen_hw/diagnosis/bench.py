@@ -27,6 +27,8 @@ SURROGATES = 48
 MOST_OF_MOTION = 0.995
 LEAST_TOLD = float(np.exp(2.0))
 """Independent values at which a number costs what it takes of noise alone on average and as much again (Akaike 1974)."""
+POSE = 1.0
+"""Seconds from row to row from which they are poses of a sweep."""
 IN_ORDER = 1000
 """Rows without a clock from which their order shows what the noise is like; poses that were averaged are fewer, and apart."""
 
@@ -323,14 +325,18 @@ class Bench:
         rest, basis = zip(
             *Parallel(n_jobs=2, require="sharedmem")(delayed(left)(c) for c in range(self.width)), strict=True
         )
-        self.noise = estimate(
-            np.stack(rest, axis=-1), list(basis), self.rows, ordered=self.ordered, steps=self.steps, above=above
-        )
+        told = {"ordered": self.ordered, "apart": self.apart}
+        self.noise = estimate(np.stack(rest, axis=-1), list(basis), self.rows, steps=self.steps, above=above, **told)
 
     @property
     def ordered(self) -> bool:
         """Whether the noise of successive rows may be of one piece: on a clock, or where so many rows have only their order."""
         return self.scene.clock or len(self.rows) >= IN_ORDER
+
+    @property
+    def apart(self) -> bool:
+        """Whether each row is a pose by itself, held for a second or for nobody knows how long."""
+        return not self.scene.clock or self.spacing >= POSE
 
     def motion_band(self) -> float:
         """Cycles a row below which nearly all of the motion and of its products lies; 0 where nothing moves."""

@@ -15,6 +15,8 @@ from galen_hw.diagnosis.rows import Mask, Rows
 from galen_hw.diagnosis.slow_noise import LEAST_BANDS, shelves, smoothed, walking, whitest
 from galen_hw.spatial import Array
 
+SURELY = 2.5
+"""Standard deviations."""
 BANDS_PER_DECADE = 6
 LINES = 18
 SHORTEST = 96
@@ -204,6 +206,8 @@ class Noise:
     def wander(self) -> tuple[Array, Array]:
         """(C,) rms of what is slower than a fiftieth of the recording, (C,) of what is quicker."""
         M = len(self.rows)
+        if not len(self.edges):
+            return np.zeros_like(self.sigma), self.sigma
         level = self.spectrum(np.linspace(0.25 / M, 0.5 - 0.25 / M, M))
         slow = level[: 2 * WANDERS].sum(axis=0) / M
         return np.sqrt(slow), np.sqrt(np.maximum(level.mean(axis=0) - slow, 0.0))
@@ -237,12 +241,22 @@ def _slope(x: Array, y: Array) -> float:
     return float(value[1] - np.sqrt(rest @ rest / max(len(x) - 2, 1) * inverse[1, 1]))
 
 
-def estimate(rest: Array, basis: list[Array], rows: Rows, *, ordered: bool, steps: Array, above: float = 0.0) -> Noise:
+def estimate(
+    rest: Array,
+    basis: list[Array],
+    rows: Rows,
+    *,
+    ordered: bool,
+    steps: Array,
+    above: float = 0.0,
+    apart: bool = False,
+) -> Noise:
     """Noise from what is left (M, C) after a fit with an orthonormal basis (M, r) in each channel.
 
     Args:
         rest, basis: of the fit; rows: of the bench; ordered: if not, noise is white; steps: of rounded readings.
         above: cycles a row below which physics may still be in the rest: there the noise is taken as at that frequency.
+        apart: whether each row is a pose by itself, so that what rows next to each other share is no noise.
     """
     M, C = rest.shape
     freedom = np.array([max(M - b.shape[1], 2) for b in basis], dtype=float)
@@ -252,6 +266,7 @@ def estimate(rest: Array, basis: list[Array], rows: Rows, *, ordered: bool, step
     np.fill_diagonal(correlation, 1.0)
     long = [run for run in rows.runs if run.stop - run.start >= SHORTEST]
     if not ordered or not long:
+        sigma = np.minimum(sigma, _by_neighbours(rest, sigma, freedom, rows)) if apart else sigma
         return Noise(rows, np.empty(0), np.empty((0, C)), sigma, float(freedom.sum()), correlation, steps)
     edges = _bands(max(run.stop - run.start for run in long))
     levels = np.stack([_levels(rest[:, c], basis[c], long, edges, above) for c in range(C)], axis=-1)
@@ -262,6 +277,16 @@ def estimate(rest: Array, basis: list[Array], rows: Rows, *, ordered: bool, step
     f = np.maximum((np.arange(4096) + 0.5) / 8192, np.sqrt(edges[0] * edges[1]))
     total = np.sqrt(np.mean(noise.spectrum(f), axis=0))
     return Noise(rows, edges, levels, total, float(freedom.sum()), correlation, steps)
+
+
+def _by_neighbours(rest: Array, sigma: Array, freedom: Array, rows: Rows) -> Array:
+    """(C,) standard deviation by the differences of neighbours, where these are surely smaller than noise of sigma (C,) has.
+
+    In white noise half the mean squared difference over the variance is 1, with a deviation of 1 / sqrt(n) (von Neumann 1941).
+    """
+    difference = np.concatenate([np.diff(rest[run], axis=0) for run in rows.runs])
+    square = 0.5 * np.mean(difference**2, axis=0) * len(rest) / freedom
+    return np.where(square < (1.0 - SURELY / np.sqrt(freedom)) * sigma**2, np.sqrt(square), sigma)
 
 
 def _bands(n: int) -> Array:

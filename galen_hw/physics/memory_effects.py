@@ -188,12 +188,18 @@ class Hysteresis(Effect):
     play in series: d is a dead zone of +- `gap` (a share of the reach), scaled to 1 where it slips (Kuhnen 2003, modified
     Prandtl-Ishlinskii). `linear` adds a spring and a damper, which stand for what a linear simulation made of the loop.
 
+    With `wear` the loop's slope wears off over the reach: Bouc-Wen in the place of plays, of which no sum turns round so.
+
     Visible at reversals; confused with backlash (one width), Coulomb friction (very small widths), and creep.
     """
 
     KEY = "hysteresis"
     ROUGH = True
-    SEARCHED: ClassVar = {"reach": Searched(1e-7, 10.0, "rad or m"), "gap": Searched(0.02, 0.95, "1")}
+    SEARCHED: ClassVar = {
+        "reach": Searched(1e-7, 10.0, "rad or m"),
+        "gap": Searched(0.02, 0.95, "1"),
+        "wear": Searched(0.1, 1.0, "1"),
+    }
     channel: str = ""
     driver: str = ""
     scale: float = 1.0
@@ -202,6 +208,7 @@ class Hysteresis(Effect):
     reach: float | None = None
     gap: float | None = None
     form: str = "less"
+    wear: float | None = None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -217,6 +224,8 @@ class Hysteresis(Effect):
                     yield cls(name, driver, scale, (0.12,))
                     if driver == name and scene.observations.predict in LOADS:
                         yield cls(name, driver, scale, form="more")
+                        # A sensor's own: a loop of the joint that turns the load is so like it that it must not come first.
+                        yield from cls(name, driver, scale).richer(scene)
                     if scene.observations.predict == "effort" and scene.belief.robot is None:
                         yield cls(name, driver, scale, linear=True)
                         yield from cls._slipping(name, driver, scale)
@@ -251,11 +260,13 @@ class Hysteresis(Effect):
 
     def searched_unit(self, name: str) -> str:
         """What drives it is a motion or a load."""
-        return "N m or N" if name == "reach" and self.driver.startswith("load:") else super().searched_unit(name)
+        if name == "reach" and not self.driver.startswith("joint"):
+            return "N m or N"
+        return super().searched_unit(name)
 
     def rubs_in(self, joint: str) -> bool:
         """Whether it is a joint's friction beside its spring."""
-        return not self.channel and self.driver == f"load:{joint}"
+        return not self.channel and self.wear is None and self.driver == f"load:{joint}"
 
     def stuck_by(self, friction: float) -> Self:
         """One sharp element of so much friction (N or N m) in its place."""
@@ -266,6 +277,12 @@ class Hysteresis(Effect):
         """The joint that drives it."""
         own = joint_of(self.channel)
         return (self.driver.split(":", 1)[1],) if ":" in self.driver else ((own,) if own else ())
+
+    def richer(self, scene: Scene) -> Iterator[Self]:
+        """A slope that wears off, which turns round otherwise than plays."""
+        if self.reach is None and self.form == "less" and len(self.widths) > 1:
+            for share in log_grid(0.03, 0.6, 4):
+                yield from (replace(self, reach=share * self.scale, wear=shape) for shape in (0.5, 1.0))
 
     def otherwise(self) -> Self | None:
         """What comes on top of a load or what is missing of it: a gain makes one of the other."""
@@ -292,6 +309,8 @@ class Hysteresis(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Weights of the operators."""
         own = scene.units[scene.channels.index(self.channel)] if self.channel else "rad or m"
+        if self.wear is not None:
+            return (Parameter("height", own),)
         unit = "1" if self.driver == self.channel else f"{own}/unit"
         slip = [] if self.reach is None else [Parameter("stick_force", own)]
         slip += [] if self.gap is None else [Parameter("closed_gap_force", own)]
@@ -301,6 +320,13 @@ class Hysteresis(Effect):
     def columns(self, scene: Scene) -> Columns:
         """Play, less its input or as it is, one column a width."""
         x = _signal(scene, self.driver)[:, None]
+        if self.wear is not None and self.reach is not None:
+            worn = scene.wear("wear", x[:, 0], self.reach, self.wear)
+            return (
+                in_channel(scene.channels.index(self.channel), [worn])
+                if self.channel
+                else through(scene, self.joints[0], [worn])
+            )
         r = np.asarray(self.widths) * self.scale
         wide = np.repeat(x, len(r), axis=1)
         start = scene.resting(self.channel) if self.channel and self.driver == self.channel else None

@@ -20,6 +20,7 @@ from galen_hw.physics.operators import (
     second_order,
 )
 from galen_hw.physics.servo import ServoState, servo
+from galen_hw.physics.wear import wear
 from galen_hw.spatial import Array
 
 MEAN_BOW = 1.0 / 12.0
@@ -126,6 +127,10 @@ class Operated:
         """(N, m) places of links with momentum between the stops of their gaps, see `gap.gap`."""
         T = np.full(load.shape[1:], coasting)
         return self._carried(name, load, lambda part, state: gap(self.time[part], load[part], T, state))
+
+    def wear(self, name: Any, x: Array, reach: float, shape: float) -> Array:
+        """(N,) Bouc-Wen hysteresis of an input, carried along the rows, see `wear.wear`."""
+        return self._carried(name, x, lambda part, state: wear(x[part], reach, shape, state))
 
     def delay(self, name: Any, x: Array, seconds: float, *, bowed: bool = False) -> Array:
         """(N, m) inputs delayed by seconds, see `operators.delay`."""

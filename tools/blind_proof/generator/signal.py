@@ -39,14 +39,19 @@ def lagged(x: Array, dt: float, tau_s: float) -> Array:
     return np.asarray(start + lfilter([1 - share, share - pole], [1.0, -pole], x - start, axis=0))
 
 
-def bouc_wen(x: Array, width: float, sharpness: float = 1.0) -> Array:
-    """The hysteretic variable of Bouc and Wen driven by x (N,), between -1 and 1; `width` in units of x."""
-    z, out = 0.0, np.empty_like(x)
-    dx = np.diff(x, prepend=x[0]) / width
-    for i, step in enumerate(dx):
-        z += step - sharpness * (0.5 * abs(step) * z + 0.5 * step * abs(z))
-        out[i] = z
-    return out
+def preisach(x: Array, width: float, span: float, middle: float) -> Array:
+    """What relays (Preisach) driven by x (N,) lag behind their own thresholds, about 1 between far reversals.
+
+    Thresholds lie evenly over `span` about `middle`, their half widths evenly up to half of `width`; all in units of x.
+    """
+    at = middle + span * (np.arange(60) + 0.5 - 30.0)[:, None] / 60.0
+    half = 0.5 * width * (np.arange(12) + 0.5)[None, :] / 12.0
+    up = x[0] > at + 0.0 * half
+    out = np.empty_like(x)
+    for i, value in enumerate(x):
+        up = (up | (value > at + half)) & (value > at - half)
+        out[i] = np.mean(up) - np.mean(value > at)
+    return out * span / np.mean(half)
 
 
 def narrow_band(rng: np.random.Generator, t: Array, hz: float) -> Array:

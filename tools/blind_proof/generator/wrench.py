@@ -190,13 +190,15 @@ def creep(scene: Scene, hidden: Injected, rng: np.random.Generator, a: float) ->
 
 
 def hysteresis(scene: Scene, hidden: Injected, rng: np.random.Generator, a: float) -> None:
-    """A channel remembers the way of its load (Bouc-Wen)."""
+    """A channel remembers the way of its load (Preisach)."""
     c, width = int(rng.integers(6)), rng.uniform(0.1, 0.3)
 
     def change(x: Array) -> Array:
         x = x.copy()
         wide = scene.of_machine(hidden, "width", float(width * np.ptp(x[:, c])))
-        x[:, c] += a * SIGMA[c] * signal.bouc_wen(x[:, c], wide)
+        span = scene.of_machine(hidden, "span", float(np.ptp(x[:, c])))
+        middle = scene.of_machine(hidden, "middle", float(0.5 * (x[:, c].min() + x[:, c].max())))
+        x[:, c] += a * SIGMA[c] * signal.preisach(x[:, c], wide, 1.5 * span, middle)
         return x
 
     scene.after.append(change)

@@ -1,0 +1,52 @@
+"""A slope that wears off along the way and is whole again at a reversal: Bouc-Wen hysteresis, of which Dahl's model is one."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from galen_hw.spatial import Array
+
+
+@dataclass(frozen=True)
+class WearState:
+    """Last input and last output."""
+
+    input: float
+    output: float
+
+
+def wear(x: Array, reach: float, shape: float, state: WearState | None) -> tuple[Array, WearState]:
+    """Bouc-Wen of power one: dz = dx / reach (1 - |z| (beta sgn(z dx) + 1 - beta)), |z| <= 1.
+
+    On a way s = |x - x_0| / reach without a turn w = z sgn(dx) grows by w' = 1 - w where w > 0, and by w' = 1 + (1 - 2 beta) w
+    before; both are solved exactly. Sources: Wen, J. Eng. Mech. Div. ASCE 102 (1976) 249; Dahl, AIAA J. 14 (1976) 1675 (beta 1).
+
+    Args:
+        x: (N,) inputs; reach: in their unit; shape: beta, 0 to 1.
+        state: what the last row left; None: nothing is worn at the first input.
+    """
+    way = x if state is None else np.concatenate([[state.input], x])
+    z, out = 0.0 if state is None else state.output, np.empty_like(way)
+    moves = np.flatnonzero(np.diff(way))
+    rising = way[moves + 1] > way[moves]
+    turns = moves[1:][rising[1:] != rising[:-1]]
+    edges = [0, *turns.tolist(), len(way) - 1]
+    out[0] = z
+    for a, b in itertools.pairwise(edges):
+        sign = 1.0 if way[b] >= way[a] else -1.0
+        out[a : b + 1] = sign * _worn(sign * out[a], np.abs(way[a : b + 1] - way[a]) / reach, 1.0 - 2.0 * shape)
+    own = out if state is None else out[1:]
+    return own, WearState(float(x[-1]), float(own[-1]))
+
+
+def _worn(start: float, s: Array, growth: float) -> Array:
+    """(n,) w along a way s (n,) from w = start, with w' = 1 + growth w below zero and 1 - w above."""
+    if start >= 0.0:
+        return np.asarray(1.0 - (1.0 - start) * np.exp(-s))
+    even = abs(growth) < 1e-6
+    left = 1.0 + growth * start
+    zero = -start if even else (-np.log(left) / growth if left > 0.0 else np.inf)
+    until = np.minimum(s, zero)
+    below = start + until if even else start * np.exp(growth * until) + np.expm1(growth * until) / growth
+    return np.asarray(np.where(s < zero, below, -np.expm1(np.minimum(zero - s, 0.0))))
