@@ -325,8 +325,15 @@ class Bench:
         rest, basis = zip(
             *Parallel(n_jobs=2, require="sharedmem")(delayed(left)(c) for c in range(self.width)), strict=True
         )
-        told = {"ordered": self.ordered, "apart": self.apart}
-        self.noise = estimate(np.stack(rest, axis=-1), list(basis), self.rows, steps=self.steps, above=above, **told)
+        self.noise = estimate(
+            np.stack(rest, axis=-1),
+            list(basis),
+            self.rows,
+            ordered=self.ordered,
+            apart=self.apart,
+            steps=self.steps,
+            above=above,
+        )
 
     @property
     def ordered(self) -> bool:

@@ -51,7 +51,7 @@ def preisach(x: Array, width: float, span: float, middle: float) -> Array:
     for i, value in enumerate(x):
         up = (up | (value > at + half)) & (value > at - half)
         out[i] = np.mean(up) - np.mean(value > at)
-    return out * span / np.mean(half)
+    return np.asarray(out * span / np.mean(half))
 
 
 def narrow_band(rng: np.random.Generator, t: Array, hz: float) -> Array:
