@@ -16,12 +16,12 @@ from diagnosis_cases import SIGMA, WRENCH
 from diagnosis_cases import Bench as Cases
 
 from galen_hw.diagnosis.bench import Bench as DiagnosisBench
+from galen_hw.diagnosis.bumps import _jumps
 from galen_hw.diagnosis.episodes import contacts
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.judge import _noisier
 from galen_hw.diagnosis.noise import Noise, estimate
 from galen_hw.diagnosis.rows import Rows
-from galen_hw.diagnosis.seek import _jumps
 from galen_hw.diagnosis.slow_noise import shelves, whitest
 from galen_hw.physics.effect import Columns
 from galen_hw.physics.event_effects import Contact, Vibration
@@ -124,7 +124,7 @@ def test_the_gain_of_a_jump_in_slow_noise_is_that_of_generalised_least_squares()
     """All moments by two transforms, against the covariance matrix of the same noise, constants free."""
     n, model = 300, noise(300)
     rest = np.random.default_rng(9).normal(size=(n, 2)) + 0.8 * (np.arange(n) >= 130)[:, None]
-    gain = _jumps(rest, model)
+    gain = _jumps(rest, model, list(range(rest.shape[1])))
     line = np.arange(n) / (2.0 * n)
     basis = dct(np.eye(n), axis=0, norm="ortho")
     for c in range(2):

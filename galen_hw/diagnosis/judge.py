@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from galen_hw.diagnosis import seek, stream
+from galen_hw.diagnosis import bumps, seek, stream
 from galen_hw.diagnosis.adequacy import Left
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.episodes import contacts
@@ -312,7 +312,7 @@ def _again(effect: Drift | Vibration, scene: Scene) -> list[Drift | Vibration]:
 
 def _moments(scene: Scene, rest: Array, rows: Rows) -> list[float]:
     """Times at which something may have jumped in a recording; its start where nothing did."""
-    jumps = seek.steps(scene, rest) + seek.slips(scene, rest, rows.average)
+    jumps = bumps.steps(scene, rest) + bumps.slips(scene, rest, rows.average)
     found = [s.effect.moment for s in jumps if isinstance(s.effect, Step)]
     return sorted(set(found)) or [float(scene.time[0])]
 

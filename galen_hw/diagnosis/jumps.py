@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from galen_hw.diagnosis import seek
+from galen_hw.diagnosis import bumps
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.linear import rests
 from galen_hw.diagnosis.retiming import load
@@ -27,7 +27,7 @@ def timed(bench: Bench, scorer: Scorer, out: Selection) -> bool:
         h, own = scorer.library[i], scorer.places[i]
         rest, _ = rests(bench, scorer, out.chosen)
         rest[:, list(h.raw.channels)] += h.raw.values @ theta[(at >= own.start) & (at < own.stop)]
-        best = seek.again(bench.scene, rest, step, bench.noise)
+        best = bumps.again(bench.scene, rest, step, bench.noise)
         if best.effect == step:
             continue
         scorer.append([bench.add(best.effect, best.looked)])

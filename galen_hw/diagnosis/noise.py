@@ -16,7 +16,7 @@ from galen_hw.diagnosis.slow_noise import LEAST_BANDS, shelves, smoothed, walkin
 from galen_hw.spatial import Array
 
 SURELY = 2.5
-"""Standard deviations."""
+"""Standard deviations by which neighbours must differ by less than noise as large as it seems would."""
 BANDS_PER_DECADE = 6
 LINES = 18
 SHORTEST = 96

@@ -1,16 +1,14 @@
-"""Looks into a residual for what belongs to one recording: glitches, steps, shared drifts, spectral lines, ripple."""
+"""Looks into a residual for what belongs to one recording: glitches, shared drifts, spectral lines, ripple."""
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.fft import dct, fft, idct
 
 from galen_hw.diagnosis.noise import Noise
 from galen_hw.diagnosis.rows import Mask
 from galen_hw.physics.effect import Effect
-from galen_hw.physics.event_effects import Step, Vibration
+from galen_hw.physics.event_effects import Vibration
 from galen_hw.physics.joint_effects import TorqueRipple
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.sensor_effects import WALK, Drift, Saturation, Temperature
@@ -35,12 +33,6 @@ HANDFUL = 4
 """Isolated samples of one channel that may always be told."""
 SHARED = 0.1
 """Share of the strongest channel's gain from which another channel is in it too."""
-MOST_JUMPS = 6
-"""Of one staircase: more stairs are a slope, or a walk."""
-WORTH_A_JUMP = 25.0
-"""Fall of the whitened sum of squares in a channel for which another jump is sought beside those that are there."""
-MOMENTS = 400
-"""Moments at which something carried may have slipped."""
 FEW_CLIPPED = 5
 """Rows beyond a limit that are too few to show that it is one."""
 FEWEST = 1e-3
@@ -60,147 +52,8 @@ def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
     return out
 
 
-def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]:
-    """The moment at which a jump takes most out of the rest (M, C), channel by channel and over all together.
-
-    Where the noise is known to have a memory its slow wander is told from a jump.
-    """
-    N, C = rest.shape
-    if N < FEW_ROWS:
-        return []
-    gain, names = _gains(rest, noise), scene.channels
-    found = [Sought(Step((names[c],), moment(scene, int(np.argmax(gain[:, c])) + 1, N)), N // 4) for c in range(C)]
-    if C > 1:
-        row = int(np.argmax(gain.sum(axis=1)))
-        found.append(Sought(Step(tuple(names), moment(scene, row + 1, N)), N // 4))
-        some = tuple(n for n, g in zip(names, gain[row], strict=True) if g > SHARED * gain[row].max())
-        if 1 < len(some) < C:
-            found.append(Sought(Step(some, moment(scene, row + 1, N)), N // 4))
-    return found
-
-
-def staircases(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
-    """Up to `MOST_JUMPS` jumps of each channel, and at moments that channels share, that together take most out of a rest (M, C).
-
-    Each is where it takes most beside those before it, and is placed once more beside all others.
-    """
-    N, C = rest.shape
-    if N < FEW_ROWS:
-        return []
-    places: list[tuple[tuple[int, ...], list[int]]] = [((c,), _stairs(rest, noise, (c,))) for c in range(C)]
-    if C > 1:
-        rows = _stairs(rest, noise, tuple(range(C)))
-        taken = (rest.var(axis=0) - _treads(rest, rows).var(axis=0)) / np.maximum(_slow_spread(rest) ** 2, 1e-300)
-        places.append((tuple(np.flatnonzero(taken > SHARED * taken.max()).tolist()), rows))
-    out = []
-    for own, rows in places:
-        if len(rows) > 1:
-            first, *later = (moment(scene, row, N) for row in sorted(rows))
-            step = Step(tuple(scene.channels[c] for c in own), first, later=tuple(later))
-            out.append(Sought(step, (N // 4) ** len(rows)))
-    return out
-
-
-def _stairs(rest: Array, noise: Noise, own: tuple[int, ...]) -> list[int]:
-    """First rows of up to `MOST_JUMPS` treads of a staircase in channels `own`, most telling first."""
-    rows: list[int] = []
-    for _ in range(MOST_JUMPS):
-        gain = _gains(_treads(rest, rows), noise)[:, own].sum(axis=1)
-        row = int(np.argmax(gain)) + 1
-        if gain[row - 1] < WORTH_A_JUMP * len(own) or row in rows:
-            break
-        rows.append(row)
-        for k in range(len(rows)):
-            others = rows[:k] + rows[k + 1 :]
-            again = int(np.argmax(_gains(_treads(rest, others), noise)[:, own].sum(axis=1))) + 1
-            rows[k] = rows[k] if again in others else again
-    return rows
-
-
-def _treads(rest: Array, rows: list[int]) -> Array:
-    """(M, C) of a rest without its mean between jumps."""
-    edges = [0, *sorted(rows), len(rest)]
-    return np.concatenate([rest[a:b] - rest[a:b].mean(axis=0) for a, b in itertools.pairwise(edges)])
-
-
-def again(scene: Scene, rest: Array, step: Step, noise: Noise) -> Sought:
-    """A jump at the moment where it takes most out of a rest (M, C) that it is still in, in its own channels.
-
-    Found beside a model that had not all of the rest, it may be off by what a touch between the two moments then makes up for.
-    """
-    own = [scene.channels.index(name) for name in step.channels]
-    row = int(np.argmax(_gains(rest, noise)[:, own].sum(axis=1)))
-    return Sought(replace(step, moment=moment(scene, row + 1, len(rest))), len(rest) // 4)
-
-
-def _gains(rest: Array, noise: Noise | None) -> Array:
-    """(M - 1, C) how much a jump before each row but the first takes out of a rest, none near its ends."""
-    plain = noise is None or not len(noise.edges) or len(noise.rows.runs) > 1
-    gain = _white_jumps(rest) if noise is None or plain else _jumps(rest, noise)
-    margin = max(len(rest) // 60, 3)
-    gain[:margin], gain[-margin:] = 0.0, 0.0
-    return gain
-
-
-def slips(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[Sought]:
-    """For all that the arm carries the moment at which a slip of it takes most out of the rest (M, C).
-
-    With A the answer to a slip and b its product with the rest, both summed over the rows behind a moment, and S of all rows
-    what constants of the baseline take of it, the gain is b (A - A S^-1 A)^-1 b.
-
-    Args:
-        average: rows (N, ...) to (M, ...).
-    """
-    M = len(rest)
-    if M < FEW_ROWS:
-        return []
-    margin, out = max(M // 60, 3), []
-    sigma = np.maximum(_slow_spread(rest), 1e-300)
-    for one in scene.slipping():
-        own = list(one.channels)
-        X, r = average(one.values) / sigma[own, None], (rest - rest.mean(axis=0))[:, own] / sigma[own]
-        # Moves in metres and in radians, made comparable.
-        X = X / np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)
-        behind = [
-            np.cumsum(each[::-1], axis=0)[::-1]
-            for each in (np.einsum("mck,mcl->mkl", X, X), np.einsum("mck,mc->mk", X, r))
-        ]
-        moments = np.unique(np.linspace(margin, M - margin - 1, MOMENTS).astype(int))
-        A, b = behind[0][moments], behind[1][moments]
-        free = A - A @ np.linalg.pinv(behind[0][0], rcond=1e-9, hermitian=True) @ A
-        gain = np.einsum("mk,mkl,ml->m", b, np.linalg.pinv(free, rcond=1e-6, hermitian=True), b)
-        when = moment(scene, int(moments[int(np.argmax(gain))]), M)
-        names = tuple(scene.channels[c] for c in own)
-        out.append(Sought(Step(names, when, one.name), M // 4))
-    return out
-
-
-def _white_jumps(rest: Array) -> Array:
-    """(M - 1, C) how much a jump before each row but the first takes out of a rest with white noise."""
-    N = len(rest)
-    z = (rest - rest.mean(axis=0)) / np.maximum(_slow_spread(rest), 1e-300)
-    k = np.arange(1, N)[:, None]
-    return np.asarray(np.cumsum(z, axis=0)[:-1] ** 2 / (k * (N - k) / N))
-
-
-def _jumps(rest: Array, noise: Noise) -> Array:
-    """The same by generalised least squares, all moments at once: in cosine lines the noise's covariance is diagonal.
-
-    Line j of a jump before row k of N is -sqrt(2 / N) sin(pi j k / N) / (2 sin(pi j / (2 N))).
-    """
-    N = len(rest)
-    lines = np.arange(1, N)[:, None]
-    level = noise.spectrum(lines[:, 0] / (2.0 * N))
-    weighed = np.zeros_like(rest)
-    weighed[1:] = dct(rest, axis=0, norm="ortho")[1:] / level
-    inner = np.cumsum(idct(weighed, axis=0, norm="ortho"), axis=0)[:-1]
-    power = np.zeros_like(rest)
-    power[1:] = 1.0 / (2.0 * N * np.sin(np.pi * lines / (2.0 * N)) ** 2 * level)
-    square = 0.5 * (power.sum(axis=0) - fft(power, axis=0).real[1:])
-    return np.asarray(inner**2 / square)
-
-
-def _slow_spread(x: Array) -> Array:
+def slow_spread(x: Array) -> Array:
+    """(C,) standard deviation of a rest (M, C) by the differences of its rows, and a little of its own."""
     return np.asarray(np.std(np.diff(x, axis=0), axis=0) / np.sqrt(2.0) + 0.05 * np.std(x, axis=0))
 
 
@@ -254,7 +107,7 @@ def temperatures(scene: Scene, rest: Array, average: Callable[[Array], Array]) -
 
 
 def _scaled(rest: Array) -> Array:
-    return np.asarray((rest - rest.mean(axis=0)) / np.maximum(_slow_spread(rest), 1e-300))
+    return np.asarray((rest - rest.mean(axis=0)) / np.maximum(slow_spread(rest), 1e-300))
 
 
 def _shared(scene: Scene, z: Array, shapes: Array) -> tuple[tuple[str, ...], float]:

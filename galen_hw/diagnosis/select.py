@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from galen_hw.diagnosis import seek
+from galen_hw.diagnosis import bumps, seek
 from galen_hw.diagnosis.bearings import behind_friction
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.bends import as_if, rebase, unbent
@@ -50,9 +50,9 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[seek.Sought]
     """What the rest of the present model shows by itself."""
     load(bench, scorer, chosen)
     rest, _ = rests(bench, scorer, chosen)
-    found = seek.steps(bench.scene, rest, bench.noise) + seek.staircases(bench.scene, rest, bench.noise)
+    found = bumps.steps(bench.scene, rest, bench.noise) + bumps.staircases(bench.scene, rest, bench.noise)
     found += contacts(bench.scene, rest)
-    found += seek.slips(bench.scene, rest, bench.rows.average)
+    found += bumps.slips(bench.scene, rest, bench.rows.average)
     found += seek.walks(bench.scene, rest, bench.noise)
     found += seek.drifts(bench.scene, rest, bench.rows.average(bench.scene.time))
     found += seek.temperatures(bench.scene, rest, bench.rows.average)
@@ -82,7 +82,7 @@ def at_first_sight(bench: Bench) -> list[seek.Sought]:
     """What belongs to moments and shows in the residual itself: it must not pass for noise, whatever it is to be called."""
     rest = bench.whole - np.median(bench.whole, axis=0)
     found = contacts(bench.scene, rest) + seek.lines(bench.scene, rest, bench.rows.runs, narrow=np.inf)
-    return found + seek.steps(bench.scene, rest)[:-1]
+    return found + bumps.steps(bench.scene, rest)[:-1]
 
 
 def select(bench: Bench, scorer: Scorer) -> Selection:
