@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.fft import dct
+from scipy.signal import lfilter
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -83,6 +84,46 @@ def test_a_corner_shows_in_one_channel_and_flicker_noise_never_passes_for_one():
     """A drift in noise with a memory is seen only where its shelf is known; one in flicker noise must not be made up."""
     assert np.mean(np.abs(np.log(slowest("memory", together=False))) < np.log(2.0)) > 0.8
     assert np.mean(slowest("flicker", 6_000, 40, together=False) > 0.25) > 0.9
+
+
+def shaped(kind: str, n: int = 6_000, channels: int = 40) -> np.ndarray:
+    """(n, channels) white noise beside as much again of another kind, which it meets at a hundredth of the rate."""
+    rng = np.random.default_rng(9)
+    white, slow = rng.normal(size=(2, n, channels))
+    if kind == "walk":
+        return white + 0.06 * np.cumsum(slow, axis=0)
+    if kind == "forgets":  # within a fiftieth
+        return white + 0.06 * lfilter([1.0], [1.0, -np.exp(-50.0 / n)], slow, axis=0)
+    f = np.fft.rfftfreq(n)
+    return white + np.fft.irfft(np.fft.rfft(slow, axis=0) * np.sqrt(0.01 / np.maximum(f, f[1]))[:, None], n, axis=0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "least", "most"), [("walk", 0.6, 1.0), ("forgets", 0.0, 0.05), ("flicker", 0.0, 0.05)]
+)
+def test_what_walks_and_what_only_is_slow(kind: str, least: float, most: float) -> None:
+    """Of walks seven in ten are known for certain: by chance one may hardly wander in its slowest waves."""
+    rest = shaped(kind)
+    rest = rest - rest.mean(axis=0)
+    constant = np.ones((len(rest), 1)) / np.sqrt(len(rest))
+    width = rest.shape[1]
+    learnt = estimate(rest, [constant] * width, Rows((slice(0, len(rest)),)), ordered=True, steps=np.zeros(width))
+    assert least <= float(np.mean(learnt.walks(rest))) <= most
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_what_neighbouring_poses_share_is_no_noise(apart: bool) -> None:
+    """A walk of 56 poses; of white noise one channel in a hundred at most is thought smaller."""
+    rng, rows = np.random.default_rng(10), Rows((slice(0, 56),))
+    white = rng.normal(size=(56, 200))
+    rest = np.concatenate([white, white + np.cumsum(rng.normal(size=(56, 200)), axis=0)], axis=1)
+    rest = rest - rest.mean(axis=0)
+    basis = [np.ones((56, 1)) / np.sqrt(56.0)] * 400
+    sigma = estimate(rest, basis, rows, ordered=True, steps=np.zeros(400), apart=apart).sigma
+    plain = rest.std(axis=0, ddof=1)
+    assert np.mean(sigma[:200] < 0.99 * plain[:200]) <= 0.02
+    assert np.median(sigma[200:] / plain[200:]) < (0.5 if apart else 1.01)
+    assert np.median(sigma[200:]) > 1.0
 
 
 def test_an_awkward_length_is_whitened_like_the_length_beside_it():
