@@ -51,7 +51,7 @@ def test_a_model_that_does_not_come_to_rest_is_compared_with_no_other(monkeypatc
 
     monkeypatch.setattr(select, "regrouped", asked)
     monkeypatch.setattr(select, "clock_offset", lambda *_: None)
-    bench = Bench(1, rows=1500)
+    bench = Bench(5, rows=1500)
     bench.wrench = np.stack([np.interp(bench.t + 1.7, bench.t, c) for c in bench.wrench.T], axis=1)
     diagnose(scene_of(bench.observations()))
     assert tried, "no model was restless: this shows nothing"

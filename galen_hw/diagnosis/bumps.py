@@ -19,6 +19,10 @@ WORTH_A_JUMP = 25.0
 """Fall of the whitened sum of squares in a channel for which another jump is sought beside those that are there."""
 HARDLY = 0.2
 """Share of the excess that two jumps must take for others to be sought beside them: what never rests is no staircase."""
+SAME = 0.01
+"""Share of the larger jump's square by which two levels may differ and be one."""
+SURE = 4.0
+"""And variances of the difference."""
 MOMENTS = 400
 """Moments at which something carried may have slipped."""
 
@@ -45,7 +49,8 @@ def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]
 def staircases(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
     """Up to `MOST_JUMPS` jumps of each channel, and at moments that channels share, that together take most out of a rest (M, C).
 
-    Each is where it takes most beside those before it, and is placed once more beside all others.
+    Each is where it takes most beside those before it, and is placed once more beside all others. What comes back to where it
+    was is no staircase: somebody touched the arm.
     """
     N, C = rest.shape
     if N < FEW_ROWS:
@@ -57,7 +62,7 @@ def staircases(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
         places.append((tuple(np.flatnonzero(taken > SHARED * taken.max()).tolist()), rows))
     out = []
     for own, rows in places:
-        if len(rows) > 1:
+        if len(rows) > 1 and not _returns(rest[:, list(own)], rows):
             first, *later = (moment(scene, row, N) for row in sorted(rows))
             step = Step(tuple(scene.channels[c] for c in own), first, later=tuple(later))
             out.append(Sought(step, (N // 4) ** len(rows)))
@@ -87,6 +92,16 @@ def _treads(rest: Array, rows: list[int]) -> Array:
     """(M, C) of a rest without its mean between jumps."""
     edges = [0, *sorted(rows), len(rest)]
     return np.concatenate([rest[a:b] - rest[a:b].mean(axis=0) for a, b in itertools.pairwise(edges)])
+
+
+def _returns(rest: Array, rows: list[int]) -> bool:
+    """Whether a staircase in a rest (M, c) ever goes back from a tread to the one before, by its jumps and by the noise."""
+    edges, spread = [0, *sorted(rows), len(rest)], np.maximum(slow_spread(rest), 1e-300)
+    level = np.stack([rest[a:b].mean(axis=0) / spread for a, b in itertools.pairwise(edges)])
+    error = rest.shape[1] / np.diff(edges)
+    jump = np.sum(np.diff(level, axis=0) ** 2, axis=1)
+    back = np.sum((level[2:] - level[:-2]) ** 2, axis=1)
+    return bool(np.any(back < SAME * np.maximum(jump[1:], jump[:-1]) + SURE * (error[2:] + error[:-2])))
 
 
 def again(scene: Scene, rest: Array, step: Step, noise: Noise) -> Sought:
