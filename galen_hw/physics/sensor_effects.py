@@ -54,11 +54,11 @@ HALF_COSINES = 5
 """Of a wander, over the length of the recording."""
 WALK = 14
 """Of one that wanders as a walk does: down to what can be told from noise."""
-WALKING = 4
+WALKING = 6
 """Numbers that these are worth: a walk has one, its strength, and waves that are the smaller the quicker they are cost little.
 
 Twice their log evidence, sum(1 + log(1 + (w / k)^2)) for noise with a corner at wave w = 10, is 34; a number of the usual kind
-costs about 8 of it.
+costs 5 to 8 of it.
 """
 
 

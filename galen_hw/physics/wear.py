@@ -44,9 +44,9 @@ def _worn(start: float, s: Array, growth: float) -> Array:
     """(n,) w along a way s (n,) from w = start, with w' = 1 + growth w below zero and 1 - w above."""
     if start >= 0.0:
         return np.asarray(1.0 - (1.0 - start) * np.exp(-s))
-    even = abs(growth) < 1e-6
+    start, even = max(start, -1.0), abs(growth) < 1e-6
     left = 1.0 + growth * start
     zero = -start if even else (-np.log(left) / growth if left > 0.0 else np.inf)
     until = np.minimum(s, zero)
-    below = start + until if even else start * np.exp(growth * until) + np.expm1(growth * until) / growth
+    below = start + until if even else (left * np.exp(growth * until) - 1.0) / growth
     return np.asarray(np.where(s < zero, below, -np.expm1(np.minimum(zero - s, 0.0))))
