@@ -26,6 +26,7 @@ from galen_hw.diagnosis.rows import Rows
 from galen_hw.diagnosis.slow_noise import shelves, whitest
 from galen_hw.physics.effect import Columns
 from galen_hw.physics.event_effects import Contact, Vibration
+from galen_hw.physics.sensor_effects import WALK
 from galen_hw.physics.table import scene_of
 
 
@@ -108,7 +109,7 @@ def test_what_walks_and_what_only_is_slow(kind: str, least: float, most: float) 
     constant = np.ones((len(rest), 1)) / np.sqrt(len(rest))
     width = rest.shape[1]
     learnt = estimate(rest, [constant] * width, Rows((slice(0, len(rest)),)), ordered=True, steps=np.zeros(width))
-    assert least <= float(np.mean(learnt.walks(rest))) <= most
+    assert least <= float(np.mean(learnt.walks(rest, WALK))) <= most
 
 
 @pytest.mark.parametrize("apart", [False, True])
@@ -165,7 +166,7 @@ def test_the_gain_of_a_jump_in_slow_noise_is_that_of_generalised_least_squares()
     """All moments by two transforms, against the covariance matrix of the same noise, constants free."""
     n, model = 300, noise(300)
     rest = np.random.default_rng(9).normal(size=(n, 2)) + 0.8 * (np.arange(n) >= 130)[:, None]
-    gain = _jumps(rest, model, list(range(rest.shape[1])))
+    gain = _jumps(rest, model)
     line = np.arange(n) / (2.0 * n)
     basis = dct(np.eye(n), axis=0, norm="ortho")
     for c in range(2):

@@ -325,14 +325,9 @@ class Bench:
         rest, basis = zip(
             *Parallel(n_jobs=2, require="sharedmem")(delayed(left)(c) for c in range(self.width)), strict=True
         )
+        rows, whole = self.rows, np.stack(rest, axis=-1)
         self.noise = estimate(
-            np.stack(rest, axis=-1),
-            list(basis),
-            self.rows,
-            ordered=self.ordered,
-            apart=self.apart,
-            steps=self.steps,
-            above=above,
+            whole, list(basis), rows, ordered=self.ordered, apart=self.apart, steps=self.steps, above=above
         )
 
     @property

@@ -1,7 +1,7 @@
 """Where a residual jumps: once, or several times, of which none may tell by itself."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -35,15 +35,20 @@ def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]
     N, C = rest.shape
     if N < FEW_ROWS:
         return []
-    gain, names = _gains(rest, noise), scene.channels
-    found = [Sought(Step((names[c],), moment(scene, int(np.argmax(gain[:, c])) + 1, N)), N // 4) for c in range(C)]
+    gain, names, places = _gains(rest, noise), scene.channels, places_of(N)
+    found = [Sought(Step((names[c],), moment(scene, int(np.argmax(gain[:, c])) + 1, N)), places) for c in range(C)]
     if C > 1:
         row = int(np.argmax(gain.sum(axis=1)))
-        found.append(Sought(Step(tuple(names), moment(scene, row + 1, N)), N // 4))
+        found.append(Sought(Step(tuple(names), moment(scene, row + 1, N)), places))
         some = tuple(n for n, g in zip(names, gain[row], strict=True) if g > SHARED * gain[row].max())
         if 1 < len(some) < C:
-            found.append(Sought(Step(some, moment(scene, row + 1, N)), N // 4))
+            found.append(Sought(Step(some, moment(scene, row + 1, N)), places))
     return found
+
+
+def places_of(rows: int) -> int:
+    """At how many places a jump is looked for in so many rows: neighbours are nearly the same place."""
+    return rows // 4
 
 
 def staircases(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
@@ -55,23 +60,25 @@ def staircases(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
     N, C = rest.shape
     if N < FEW_ROWS:
         return []
-    places: list[tuple[tuple[int, ...], list[int]]] = [((c,), _stairs(rest, noise, (c,))) for c in range(C)]
+    found = [([c], _stairs(rest[:, [c]], noise, [c])) for c in range(C)]
     if C > 1:
-        rows = _stairs(rest, noise, tuple(range(C)))
+        rows = _stairs(rest, noise, list(range(C)))
         taken = (rest.var(axis=0) - _treads(rest, rows).var(axis=0)) / np.maximum(slow_spread(rest) ** 2, 1e-300)
-        places.append((tuple(np.flatnonzero(taken > SHARED * taken.max()).tolist()), rows))
+        found.append((np.flatnonzero(taken > SHARED * taken.max()).tolist(), rows))
     out = []
-    for own, rows in places:
-        if len(rows) > 1 and not _returns(rest[:, list(own)], rows):
+    for own, rows in found:
+        if len(rows) > 1 and not _returns(rest[:, own], rows):
             first, *later = (moment(scene, row, N) for row in sorted(rows))
             step = Step(tuple(scene.channels[c] for c in own), first, later=tuple(later))
-            out.append(Sought(step, (N // 4) ** len(rows)))
+            out.append(Sought(step, places_of(N) ** len(rows)))
     return out
 
 
-def _stairs(rest: Array, noise: Noise, own: tuple[int, ...]) -> list[int]:
-    """First rows of up to `MOST_JUMPS` treads of a staircase in channels `own`, most telling first."""
+def _stairs(rest: Array, noise: Noise, own: list[int]) -> list[int]:
+    """First rows of up to `MOST_JUMPS` treads of a staircase in the rest (M, c) of channels `own`, most telling first."""
     rows: list[int] = []
+    whole = rest.var(axis=0)
+    excess = whole - slow_spread(rest) ** 2
     while len(rows) < MOST_JUMPS:
         gain = _gains(_treads(rest, rows), noise, own).sum(axis=1)
         row = int(np.argmax(gain)) + 1
@@ -82,8 +89,7 @@ def _stairs(rest: Array, noise: Noise, own: tuple[int, ...]) -> list[int]:
             others = rows[:k] + rows[k + 1 :]
             again = int(np.argmax(_gains(_treads(rest, others), noise, own).sum(axis=1))) + 1
             rows[k] = rows[k] if again in others else again
-        whole, left = rest[:, own].var(axis=0), _treads(rest, rows)[:, own].var(axis=0)
-        if len(rows) > 1 and np.all(whole - left < HARDLY * (whole - slow_spread(rest)[list(own)] ** 2)):
+        if len(rows) > 1 and np.all(whole - _treads(rest, rows).var(axis=0) < HARDLY * excess):
             break
     return rows
 
@@ -110,15 +116,17 @@ def again(scene: Scene, rest: Array, step: Step, noise: Noise) -> Sought:
     Found beside a model that had not all of the rest, it may be off by what a touch between the two moments then makes up for.
     """
     own = [scene.channels.index(name) for name in step.channels]
-    row = int(np.argmax(_gains(rest, noise, own).sum(axis=1)))
-    return Sought(replace(step, moment=moment(scene, row + 1, len(rest))), len(rest) // 4)
+    row = int(np.argmax(_gains(rest[:, own], noise, own).sum(axis=1)))
+    return Sought(replace(step, moment=moment(scene, row + 1, len(rest))), places_of(len(rest)))
 
 
-def _gains(rest: Array, noise: Noise | None, own: Sequence[int] | None = None) -> Array:
-    """(M - 1, c) how much a jump before each row but the first takes out of channels `own` (all); none near its ends."""
+def _gains(rest: Array, noise: Noise | None, own: list[int] | None = None) -> Array:
+    """(M - 1, c) how much a jump before each row but the first takes out of the rest (M, c) of channels `own` (all).
+
+    None near its ends.
+    """
     plain = noise is None or not len(noise.edges) or len(noise.rows.runs) > 1
-    which = list(range(rest.shape[1]) if own is None else own)
-    gain = _white_jumps(rest[:, which]) if noise is None or plain else _jumps(rest, noise, which)
+    gain = _white_jumps(rest) if noise is None or plain else _jumps(rest, noise, own)
     margin = max(len(rest) // 60, 3)
     gain[:margin], gain[-margin:] = 0.0, 0.0
     return gain
@@ -132,14 +140,14 @@ def _white_jumps(rest: Array) -> Array:
     return np.asarray(np.cumsum(z, axis=0)[:-1] ** 2 / (k * (N - k) / N))
 
 
-def _jumps(rest: Array, noise: Noise, own: list[int]) -> Array:
-    """The same of channels `own` by generalised least squares, all moments at once: in cosine lines noise is diagonal.
+def _jumps(rest: Array, noise: Noise, own: list[int] | None = None) -> Array:
+    """The same by generalised least squares, all moments at once: in cosine lines noise is diagonal.
 
     Line j of a jump before row k of N is -sqrt(2 / N) sin(pi j k / N) / (2 sin(pi j / (2 N))).
     """
-    N, rest = len(rest), rest[:, own]
+    N = len(rest)
     lines = np.arange(1, N)[:, None]
-    level = noise.spectrum(lines[:, 0] / (2.0 * N))[:, own]
+    level = noise.spectrum(lines[:, 0] / (2.0 * N))[:, slice(None) if own is None else own]
     weighed = np.zeros_like(rest)
     weighed[1:] = dct(rest, axis=0, norm="ortho")[1:] / level
     inner = np.cumsum(idct(weighed, axis=0, norm="ortho"), axis=0)[:-1]
@@ -178,5 +186,5 @@ def slips(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[
         gain = np.einsum("mk,mkl,ml->m", b, np.linalg.pinv(free, rcond=1e-6, hermitian=True), b)
         when = moment(scene, int(moments[int(np.argmax(gain))]), M)
         names = tuple(scene.channels[c] for c in own)
-        out.append(Sought(Step(names, when, one.name), M // 4))
+        out.append(Sought(Step(names, when, one.name), places_of(M)))
     return out

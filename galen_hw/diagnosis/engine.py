@@ -38,8 +38,6 @@ PARTS = 6
 """Into which a touch is parted so that nothing of it passes for noise."""
 LEAST_SHARE = 12
 """Rows for each direction that may be kept from passing for noise."""
-SLOW = 0.003
-"""Cycles a row of a slow effect."""
 COARSE = 3000
 """Rows of the first look: motion is slow beside a force sensor's samples."""
 
@@ -351,8 +349,7 @@ def _said(
 def _limit(bench: Bench) -> str:
     """The smallest effect that would have been seen, in words: a slow one, where noise is slow."""
     rows = max(int(bench.train.sum()), 1)
-    slow = bench.noise.spectrum(np.array([SLOW]))[0]
-    least = np.sqrt(2.0 * 14.0 / rows * np.maximum(slow, bench.noise.sigma**2))
+    least = np.sqrt(2.0 * 14.0 / rows * np.maximum(bench.noise.slow, bench.noise.sigma**2))
     worst = ", ".join(f"{n} {v:.2g}" for n, v in zip(bench.scene.channels, least, strict=True))
     return f"an effect of this rms in one channel would have been seen: {worst}"
 

@@ -41,9 +41,9 @@ def parted(bench: Bench, scorer: Scorer, out: Selection) -> None:
     """Jumps that came in together stand in the model each by itself, to be moved, dropped and told alone."""
     chosen: list[int] = []
     for i in out.chosen:
-        h = scorer.library[i]
-        single = h.effect.single if isinstance(h.effect, Step) and h.effect.later else ()
+        effect = scorer.library[i].effect
+        single = effect.single if isinstance(effect, Step) and effect.later else ()
         chosen += range(len(scorer.library), len(scorer.library) + len(single)) if single else [i]
         if single:
-            scorer.append([bench.add(one, round(h.looked ** (1.0 / len(single)))) for one in single])
+            scorer.append([bench.add(one, bumps.places_of(len(bench.rows))) for one in single])
     out.chosen[:] = chosen

@@ -25,6 +25,8 @@ STEEPEST = -1.0
 Slower wander than a recording can tell from drift is called drift."""
 FORGETS = 30.0
 """Times that noise forgets within a recording, at least: what has a longer memory drifts."""
+SLOW = 0.003
+"""Cycles a row of a slow regressor."""
 WANDERS = 50
 """Cycles in a recording up to which noise is said to wander."""
 SLOW_CYCLES = 7.0
@@ -88,12 +90,11 @@ class Noise:
         """(C,) level below the slowest band where the noise is known there for certain, else nan."""
         return shelves(self.centres, self.levels, self.lines, self.slowest)
 
-    def walks(self, rest: Array) -> Mask:
-        """(C,) whether what is left (M, C) of a channel is no noise but a walk."""
+    def walks(self, rest: Array, waves: int) -> Mask:
+        """(C,) whether what is left (M, C) of a channel is no noise but a walk; `waves` half cosines lie below the bands."""
         if len(self.centres) < LEAST_BANDS or len(self.rows.runs) > 1:
             return np.zeros(len(self.sigma), dtype=bool)
-        below = int(2 * SLOW_CYCLES)
-        modes = dct(rest, axis=0, norm="ortho")[1 : 1 + below] ** 2
+        modes = dct(rest, axis=0, norm="ortho")[1 : 1 + waves] ** 2
         return walking(self.centres, self.levels, self.lines, modes, len(rest), self.slowest)
 
     def whiten(self, x: Array, channel: int) -> Array:
@@ -198,25 +199,31 @@ class Noise:
     @cached_property
     def slower(self) -> Array:
         """(C,) mean square over all rows, with what is too slow to be measured, over `sigma` squared."""
-        M = len(self.rows)
-        frequency = np.linspace(0.25 / M, 0.5 - 0.25 / M, M)
-        return np.asarray(np.maximum(np.mean(self.spectrum(frequency), axis=0) / self.sigma**2, 1.0))
+        return np.asarray(np.maximum(np.mean(self._all, axis=0) / self.sigma**2, 1.0))
 
     @property
     def wander(self) -> tuple[Array, Array]:
         """(C,) rms of what is slower than a fiftieth of the recording, (C,) of what is quicker."""
-        M = len(self.rows)
         if not len(self.edges):
             return np.zeros_like(self.sigma), self.sigma
-        level = self.spectrum(np.linspace(0.25 / M, 0.5 - 0.25 / M, M))
-        slow = level[: 2 * WANDERS].sum(axis=0) / M
-        return np.sqrt(slow), np.sqrt(np.maximum(level.mean(axis=0) - slow, 0.0))
+        slow, quick = np.split(self._all / len(self.rows), [2 * WANDERS])
+        return np.sqrt(slow.sum(axis=0)), np.sqrt(quick.sum(axis=0))
+
+    @cached_property
+    def _all(self) -> Array:
+        """(M, C) level at as many frequencies as there are rows."""
+        M = len(self.rows)
+        return self.spectrum(np.linspace(0.25 / M, 0.5 - 0.25 / M, M))
+
+    @cached_property
+    def slow(self) -> Array:
+        """(C,) level that a slow regressor meets."""
+        return np.asarray(self.spectrum(np.array([SLOW]))[0])
 
     @cached_property
     def effective(self) -> float:
         """Number of independent values that a slow regressor meets, over all channels."""
-        slow = self.spectrum(np.array([0.003]))[0]
-        return float(max(np.sum(len(self.rows) * np.minimum(1.0, self.sigma**2 / slow)), 20.0))
+        return float(max(np.sum(len(self.rows) * np.minimum(1.0, self.sigma**2 / self.slow)), 20.0))
 
 
 def _line(at: Array, centres: Array, level: Array, shelf: float) -> Array:

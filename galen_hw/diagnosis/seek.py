@@ -66,7 +66,7 @@ def moment(scene: Scene, row: int, rows: int) -> float:
 def walks(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
     """A wander with every wave that is slower than noise, of each channel of which the rest (M, C) walks."""
     proposed = {d.channel: d for d in Drift.propose(scene) if d.form == "wander"}
-    walking = [name for name, walks in zip(scene.channels, noise.walks(rest), strict=True) if walks]
+    walking = [name for name, walks in zip(scene.channels, noise.walks(rest, WALK), strict=True) if walks]
     return [Sought(replace(proposed[name], waves=WALK), 1) for name in walking if name in proposed]
 
 

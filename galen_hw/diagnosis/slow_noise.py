@@ -49,10 +49,10 @@ def shelves(centres: Array, levels: Array, lines: Array, slowest: float) -> Arra
     white, flicker = np.ones_like(centres), centres[0] / centres
     weights = np.maximum(lines, 1.0) / WINDOWED
     corner, fitted, which = _likeliest(levels, weights, [np.stack([white, bend], axis=-1) for bend in bends])
-    rising, _, _ = _likeliest(levels, weights, [np.stack([white, slope], axis=-1) for slope in slopes])
+    costs, models = _fitted(levels, weights, [np.stack([white, slope], axis=-1) for slope in slopes])
     both, _, _ = _likeliest(levels, weights, [np.stack([white, bend, flicker], axis=-1) for bend in bends])
-    gentle, _, _ = _likeliest(levels, weights, [np.stack([white, slope], axis=-1) for slope in slopes[:GENTLE]])
-    walk, walked, _ = _likeliest(levels, weights, [np.stack([white, flicker**2], axis=-1)])
+    # The steepest of the slopes is a walk's.
+    rising, gentle, walk, walked = costs.min(axis=0), costs[:GENTLE].min(axis=0), costs[-1], models[-1]
     sure, noise = rising - corner, corner < LIKE_NOISE * len(centres)
     steep = (walk < LIKE_NOISE * len(centres)) & (gentle - walk >= CERTAIN)
     flat = noise & (np.sum(sure[noise]) >= CERTAIN) & (sure > CONTRARY) & (corner - both < HIDDEN)
@@ -133,7 +133,15 @@ def smoothed(centres: Array, levels: Array, lines: Array) -> Array:
 
 
 def _likeliest(levels: Array, weights: Array, shapes: list[Array]) -> tuple[Array, Array, "Index"]:
-    """The best of several sums of shapes (B, K), amplitudes >= 0: (C,) deviance, (B, C) levels, (C,) which.
+    """The best of several sums of shapes (B, K), amplitudes >= 0: (C,) deviance, (B, C) levels, (C,) which."""
+    costs, models = _fitted(levels, weights, shapes)
+    best = np.argmin(costs, axis=0)
+    each = np.arange(levels.shape[1])
+    return np.asarray(costs[best, each]), np.asarray(models[best, :, each].T), best
+
+
+def _fitted(levels: Array, weights: Array, shapes: list[Array]) -> tuple[Array, Array]:
+    """Each of several sums of shapes (B, K), amplitudes >= 0: (S, C) deviance, (S, B, C) levels.
 
     Deviance: minus twice the log likelihood over that of the levels themselves, chi square of B less what was fitted.
 
@@ -148,10 +156,7 @@ def _likeliest(levels: Array, weights: Array, shapes: list[Array]) -> tuple[Arra
         pull = np.swapaxes(parts, 1, 2) * weights
         amplitude *= (pull @ (data / model**2)) / (pull @ (1.0 / model))
     model = np.maximum(parts @ amplitude, 1e-12)
-    cost = _deviance(data, model, weights)
-    best = np.argmin(cost, axis=0)
-    each = np.arange(levels.shape[1])
-    return np.asarray(cost[best, each]), np.asarray(model[best, :, each].T * peak), best
+    return _deviance(data, model, weights), np.asarray(model * peak)
 
 
 def _deviance(levels: Array, model: Array, weights: Array) -> Array:

@@ -286,12 +286,8 @@ class Hysteresis(Effect):
 
     def otherwise(self) -> Self | None:
         """What comes on top of a load or what is missing of it: a gain makes one of the other."""
-        if (
-            not self.channel
-            or self.driver != self.channel
-            or self.channel.startswith("joint.")
-            or len(self.widths) == 1
-        ):
+        own = self.channel and self.driver == self.channel and not joint_of(self.channel)
+        if not own or self.reach is not None or len(self.widths) == 1:
             return None
         return replace(self, form="less" if self.form == "more" else "more")
 
@@ -318,15 +314,18 @@ class Hysteresis(Effect):
         return (*(Parameter(f"weight_{r * self.scale:.4g}", unit) for r in self.widths), *slip, *rates)
 
     def columns(self, scene: Scene) -> Columns:
-        """Play, less its input or as it is, one column a width."""
+        """Play, less its input or as it is, one column a width; or the one loop whose slope wears off."""
         x = _signal(scene, self.driver)[:, None]
         if self.wear is not None and self.reach is not None:
-            worn = scene.wear("wear", x[:, 0], self.reach, self.wear)
-            return (
-                in_channel(scene.channels.index(self.channel), [worn])
-                if self.channel
-                else through(scene, self.joints[0], [worn])
-            )
+            out = [scene.wear("wear", x[:, 0], self.reach, self.wear)]
+        else:
+            out = self._plays(scene, x)
+        if self.channel:
+            return in_channel(scene.channels.index(self.channel), out)
+        return through(scene, self.joints[0], out)
+
+    def _plays(self, scene: Scene, x: Array) -> list[Array]:
+        """Of what drives it (N, 1), and what else stands beside them."""
         r = np.asarray(self.widths) * self.scale
         wide = np.repeat(x, len(r), axis=1)
         start = scene.resting(self.channel) if self.channel and self.driver == self.channel else None
@@ -337,9 +336,7 @@ class Hysteresis(Effect):
         if self.linear:
             joint = scene.joint_index(self.driver.split(":", 1)[1])
             out += [x[:, 0], scene.rates[0][:, joint]]
-        if self.channel:
-            return in_channel(scene.channels.index(self.channel), out)
-        return through(scene, self.joints[0], out)
+        return out
 
     def _slip(self, scene: Scene, x: Array, reach: float) -> list[Array]:
         e = (x - scene.play("slip", x, reach))[:, 0] / reach

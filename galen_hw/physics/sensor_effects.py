@@ -118,6 +118,7 @@ class Drift(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Amplitudes over the whole recording."""
         one = "amplitude" if self.form == "warm_up" else "change"
+        # A tool's file makes a float of every number.
         names = [f"cosine_{k}" for k in range(1, int(self.waves) + 1)] if self.form == "wander" else [one]
         names += ["amplitude_second"] if self.second is not None else []
         if not self.channels:

@@ -46,7 +46,7 @@ def preisach(x: Array, width: float, span: float, middle: float) -> Array:
     """
     at = middle + span * (np.arange(60) + 0.5 - 30.0)[:, None] / 60.0
     half = 0.5 * width * (np.arange(12) + 0.5)[None, :] / 12.0
-    up = x[0] > at + 0.0 * half
+    up = np.broadcast_to(x[0] > at, np.broadcast_shapes(at.shape, half.shape))
     out = np.empty_like(x)
     for i, value in enumerate(x):
         up = (up | (value > at + half)) & (value > at - half)
