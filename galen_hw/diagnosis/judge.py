@@ -351,7 +351,8 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
 
     What belongs to moments shows nowhere else, and need not be wanted there; it only must not make worse what it touches.
     What drifts or hums is there all through its own recording, and takes its share of what is set aside of that. Where a
-    kind stands in several places (friction in five joints), each place has to earn its own.
+    kind stands in several places (friction in five joints), each place has to earn its own. What fits with parameters that
+    are not known at all has the shape of its name and no more.
 
     Args:
         judged: of a larger model, whose rows are judged on again.
@@ -370,7 +371,10 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
             or (key in fitted and judged.support[key] < LEAST_SUPPORT)
         ]
         places = [(support, k) for k, (support, sure) in judged.places.items() if poor(support, sure, alone=False)]
-        if places:
+        vague = _vague(model)
+        if vague:
+            out = vague
+        elif places:
             # One place first: the kind may earn its name without it.
             out = [model.effects[min(places)[1]]]
         elif weak:
@@ -378,3 +382,12 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
         else:
             return model, judged
         model = model.without(out)
+
+
+def _vague(model: Model) -> list[Hypothesis]:
+    """Effects whose parameters do not say what they are."""
+    curved = [
+        (h, s) for h, s in zip(model.parts, model.slices(), strict=True) if h.effect is not None and h.effect.curved
+    ]
+    spread = np.sqrt(model.variance) if curved else np.zeros(0)
+    return [h for h, s in curved if h.effect is not None and not h.effect.known(model.final[s], spread[s])]

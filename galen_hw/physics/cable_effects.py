@@ -124,6 +124,10 @@ class CableDrag(Effect):
             return super().strides(scene, theta)
         return np.array([1e-4 * max(abs(theta[0]), 1.0), *7 * [1e-4], *(1e-4 * abs(theta[8:])).clip(1e-6)])
 
+    def known(self, theta: Array, spread: Array) -> bool:
+        """A tendon is, if stiffer than its own error: what pulls nobody knows how much, from nobody knows where, is none."""
+        return not self.curved or abs(theta[0]) >= spread[0]
+
     @property
     def joints(self) -> tuple[str, ...]:
         """Where the arm must move for it to show."""
