@@ -267,9 +267,6 @@ def test_a_play_wider_than_the_motion_is_no_rival_of_a_scale() -> None:
     assert "backlash" not in [c.effect for c in finding.confounded_with]
 
 
-@pytest.mark.xfail(
-    strict=True, reason="its share is told as 0.86 +- 0.04: what the clip leaves at first is learnt as noise that walks"
-)
 @pytest.mark.inject
 @pytest.mark.parametrize("offset", [0.0, 0.8])
 def test_a_limit_clips_all_that_is_carried(offset: float) -> None:

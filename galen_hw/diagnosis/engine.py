@@ -23,11 +23,12 @@ from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.select import at_first_sight, library, select
 from galen_hw.diagnosis.selection import Selection
+from galen_hw.diagnosis.stream import arrived
 from galen_hw.diagnosis.touches import outstanding
 from galen_hw.diagnosis.unnamed import left_by, might_yield, predict_unnamed
 from galen_hw.diagnosis.verdict import beyond, contradicted, outlying, strong, trifles, verdict_of
 from galen_hw.physics.beginnings import Beginning
-from galen_hw.physics.effect import Columns, Effect
+from galen_hw.physics.effect import Columns, Downstream, Effect
 from galen_hw.physics.event_effects import Contact, Glitches
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.sensor_effects import Drift
@@ -141,15 +142,17 @@ def diagnose(
 class _Known:
     """What a first look has found: effects (with parameters where these are not linear), generic functions by channel.
 
-    step: between the rows of the first look, s.
+    step: between the rows of the first look, s; ends: late clocks, filters and limits that it goes through.
     """
 
     effects: list[tuple[Effect, Array]]
     left: dict[int, str]
     step: float
+    ends: list[tuple[Downstream, Array]]
 
     def columns(self, bench: Bench, generic: list[adequacy.Family]) -> list[Columns]:
-        """On the rows of a bench: what must not pass for noise."""
+        """On the rows of a bench: what must not pass for noise, as it arrives."""
+        before, bench.timing = bench.timing, self.ends
         out = [bench.raw(effect.relaxed) for effect, _ in self.effects]
         # How a touch swells and turns round inside its episode no plain shape follows; it is no noise for that.
         touches = [effect for effect, _ in self.effects if isinstance(effect, Contact)]
@@ -161,7 +164,9 @@ class _Known:
         for effect, theta in self.effects:
             change = effect.exact(bench.scene, theta)
             if change is not None:
-                out.append(Columns(everywhere, bench.rows.average(change)[:, :, None]))
+                seen = arrived(bench.stream, effect, change, self.ends)
+                out.append(Columns(everywhere, bench.rows.average(seen)[:, :, None]))
+        bench.timing = before
         for channel, kind in self.left.items():
             alike = [one.basis for one in generic if one.kind == kind]
             # In few rows all directions of what looked best would leave too little of the noise, and find themselves again.
@@ -210,7 +215,7 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
         (left,) = adequacy.leftovers(coarse, generic, [plain])
     parts = zip(model.parts, model.slices(), strict=True)
     chosen = [(h.effect, model.final[s]) for h, s in parts if h.effect is not None]
-    return _Known(chosen, {x.channel: x.kind for x in reversed(left)}, coarse.spacing)
+    return _Known(chosen, {x.channel: x.kind for x in reversed(left)}, coarse.spacing, list(coarse.timing))
 
 
 def _begun(bench: Bench, coarse: Bench, effects: list[tuple[Effect, Array]], holdout: Scene | None) -> Scene | None:
