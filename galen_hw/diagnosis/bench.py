@@ -302,8 +302,7 @@ class Bench:
         out = [Columns((c,), ones) for c in range(self.width)]
         everywhere = tuple(range(self.width))
         out += [Columns(everywhere, self.rows.average(n)[:, :, None]) for n in self.scene.nuisances()]
-        begun = self.scene.beginning.columns(self.scene.time, self.scene.segments)
-        return out + [Columns((c,), self.rows.average(x)[:, None, None]) for c, x in begun]
+        return out + [Columns(channels, self.rows.average(x)[:, :, None]) for channels, x in self.scene.fading()]
 
     def learn_noise(self, hypotheses: Iterable[Columns], extra: Iterable[Columns] = (), *, above: float = 0.0) -> None:
         """Noise from the rest of a fit: principal directions of all columns, channel by channel, and `extra` whole.

@@ -30,15 +30,17 @@ from galen_hw.diagnosis.verdict import beyond, contradicted, outlying, strong, t
 from galen_hw.physics.beginnings import Beginning
 from galen_hw.physics.effect import Columns, Downstream, Effect
 from galen_hw.physics.event_effects import Contact, Glitches
+from galen_hw.physics.memory_effects import Creep
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.sensor_effects import Drift
-from galen_hw.physics.time_effects import Timing
 from galen_hw.spatial import Array
 
 PARTS = 6
 """Into which a touch is parted so that nothing of it passes for noise."""
 LEAST_SHARE = 12
 """Rows for each direction that may be kept from passing for noise."""
+AS_QUICK = 1.5
+"""Ratio of time constants within which a warm-up may be what had not settled of a creep."""
 COARSE = 3000
 """Rows of the first look: motion is slow beside a force sensor's samples."""
 
@@ -221,11 +223,32 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
 def _begun(bench: Bench, coarse: Bench, effects: list[tuple[Effect, Array]], holdout: Scene | None) -> Scene | None:
     """The other recording, and the bench with the stream of the coarse one: of the beginnings that a model leaves open."""
     scene = bench.scene
-    late = (effect.beginning(scene, theta) for effect, theta in effects if isinstance(effect, Timing))
-    beginning = sum(late, Beginning())
+    drifts = [effect for effect, _ in effects if isinstance(effect, Drift)]
+    unknown = [one for one in effects if not isinstance(one[0], Creep) or any(_as_quick(one[0], d) for d in drifts)]
+    beginning = sum((effect.beginning(scene, theta) for effect, theta in unknown), Beginning())
     bench.begun(scene.begun(beginning))
     bench.stream = coarse.stream
     return None if holdout is None else holdout.begun(beginning)
+
+
+def _as_quick(creep: Creep, drift: Drift) -> bool:
+    """Whether an offset fades as a creep that has not settled does: settled and rested are not all that may have been before."""
+    if drift.constant is None or creep.channel not in ("", drift.channel):
+        return False
+    return bool(abs(np.log(drift.constant / creep.constant)) < np.log(AS_QUICK))
+
+
+def _open(scene: Scene, effects: list[Effect], columns: list[Columns]) -> list[tuple[Effect, Columns]]:
+    """Effects with their columns, without what presumes a beginning where any is fitted: there it is nothing of its own."""
+    free = {
+        (places, lag.joint) for lag in scene.beginning.lags for places in (lag.channels, *((c,) for c in lag.channels))
+    }
+
+    def moot(effect: Effect) -> bool:
+        rested = isinstance(effect, Creep) and effect.rested
+        return rested and any((lag.channels, lag.joint) in free for lag in effect.beginning(scene, np.zeros(1)).lags)
+
+    return [(effect, own) for effect, own in zip(effects, columns, strict=True) if not moot(effect)]
 
 
 Search = tuple[Selection, Model]
@@ -236,7 +259,7 @@ def _searched(
     bench: Bench, effects: list[Effect], columns: list[Columns], generic: list[adequacy.Family], *, blind: bool
 ) -> tuple[list[Search], list[adequacy.Left]]:
     """What was searched under the present noise, the better model first, and what that leaves."""
-    hypotheses = [bench.made(e, raw) for e, raw in zip(effects, columns, strict=True)]
+    hypotheses = [bench.made(e, raw) for e, raw in _open(bench.scene, effects, columns)]
     bench.know(hypotheses)
     searches = _chosen(bench, hypotheses, blind=blind)
     return searches, left_by([searches[0][1]], generic)[0]

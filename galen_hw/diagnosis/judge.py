@@ -334,15 +334,17 @@ def _less(rest: Array, columns: list[Array], seen: Mask) -> Array:
 
 def _nuisances(refit: list[Hypothesis], scene: Scene, rows: Rows, bench: Bench) -> Array:
     constants = [h for h in refit if len(h.raw.channels) == 1 and np.all(h.raw.values == 1.0)]
-    begun = scene.beginning.columns(scene.time, scene.segments)
     out = []
     for h in constants:
         column = np.zeros((len(rows), bench.width))
         column[:, h.raw.channels[0]] = 1.0
         out.append(column)
     own = scene.nuisances() if len(constants) < len(refit) else []
-    fading = [np.where(np.arange(bench.width) == c, x[:, None], 0.0) for c, x in begun]
-    out += [rows.average(column) for column in [*own, *fading]]
+    out += [rows.average(column) for column in own]
+    for channels, fading in scene.fading():
+        column = np.zeros((len(rows), bench.width))
+        column[:, list(channels)] = rows.average(fading)
+        out.append(column)
     return np.stack(out, axis=-1)
 
 

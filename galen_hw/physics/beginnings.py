@@ -1,4 +1,4 @@
-"""What a stream that is late answers to at the beginning of a recording: nobody recorded it."""
+"""What a late stream, or what settles slowly, answers to at the beginning of a recording: nobody recorded it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,10 +19,15 @@ FEW = 8
 
 @dataclass(frozen=True)
 class Lagging:
-    """A first-order lag of channels by a constant (s): of any state that it began in, exp(-t / T) is left after t."""
+    """A first-order lag by a constant (s): of any state that it began in, exp(-t / T) is left after t.
+
+    Args:
+        channels: each of which may have begun in a state of its own; joint: which may instead, and shows where it moves what.
+    """
 
     channels: tuple[int, ...]
     constant: float
+    joint: str = ""
 
 
 @dataclass(frozen=True)
@@ -46,8 +51,8 @@ class Beginning:
             out[part] = (t < t[0] + min(self.after, most)) | (t > t[-1] - min(self.before, most))
         return out
 
-    def columns(self, time: Array, segments: Sequence[slice]) -> list[tuple[int, Array]]:
-        """Channels, and (N,) what fades in them from the beginning of each segment."""
+    def columns(self, time: Array, segments: Sequence[slice]) -> list[tuple[Lagging, Array]]:
+        """What lags, and (N,) what fades of it from the beginning of each segment."""
         out = []
         for lag in self.lags if len(segments) <= FEW else ():
             for part in segments:
@@ -55,5 +60,5 @@ class Beginning:
                 fading = np.exp(-(time[part] - time[part][0]) / lag.constant)
                 # Of blocks that hold nothing of it nothing may be concluded.
                 column[part] = np.where(fading > GONE, fading, 0.0)
-                out += [(channel, column) for channel in lag.channels]
+                out.append((lag, column))
         return out

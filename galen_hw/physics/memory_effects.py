@@ -6,6 +6,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from galen_hw.physics.beginnings import Beginning, Lagging
 from galen_hw.physics.effect import (
     LOADS,
     Columns,
@@ -100,6 +101,13 @@ class Creep(Effect):
     def otherwise(self) -> Self:
         """What comes later or what is missing at first: a load that was read wrong all along makes one of the other."""
         return replace(self, form="less" if self.form == "more" else "more")
+
+    def beginning(self, scene: Scene, theta: Array) -> Beginning:
+        """What was still settling: one time constant of it, and where there are many the shortest and the longest too."""
+        spread = (1.0,) if self.spread is None else (1.0 / self.spread, 1.0, self.spread)
+        places = () if self.joint else tuple(i for i, name in enumerate(scene.channels) if self.channel in ("", name))
+        lags = (Lagging(places, self.constant * ratio, self.joint) for ratio in spread)
+        return Beginning(lags=tuple(lags))
 
     def unlimited(self) -> Self:
         """Any constant: what never settles in this recording is a give to it, but it may be there."""
