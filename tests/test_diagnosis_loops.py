@@ -9,7 +9,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import Array, Bench, tracked
+from diagnosis_cases import Array, Bench, Servo, tracked
 
 from galen_hw.diagnosis.engine import diagnose
 from galen_hw.physics.table import scene_of
@@ -74,6 +74,18 @@ def test_a_loop_is_hysteresis_and_nothing_beside(loop: Callable[[Array], Array],
 def test_a_gain_beside_a_loop_stays_one(gain: float) -> None:
     """Weights of both signs are no plays: one of them is the gain."""
     assert found(bouc_wen, 4.0, gain) == {("hysteresis", (Y,)), ("gain", (Y,))}
+
+
+@pytest.mark.parametrize(("size", "scale"), [(1.0, 0.0), (10.0, 0.0), (3.0, -0.02)])
+def test_plays_on_top_of_a_joint_s_motion_are_no_scale(size: float, scale: float) -> None:
+    """They had been a gear's scale with something missing; a scale that is there is told beside them."""
+    servo = Servo(1, 6000, 50.0)
+    x = servo.command[:, 0]
+    servo.position[:, 0] = (1.0 + scale) * x + size * servo.sigma * plays(x) / plays(x).std()
+    findings = diagnose(scene_of(servo.observations())).diagnosis.findings
+    assert {(f.effect, tuple(f.joints)) for f in findings} == {
+        (effect, ("pan",)) for effect in ("hysteresis", *(["joint_scale"] if scale else []))
+    }
 
 
 @pytest.mark.parametrize("loop", [bouc_wen, dahl])

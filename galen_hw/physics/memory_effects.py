@@ -230,8 +230,9 @@ class Hysteresis(Effect):
                 if scale > 0.0:
                     yield cls(name, driver, scale)
                     yield cls(name, driver, scale, (0.12,))
-                    if driver == name and scene.observations.predict in LOADS:
+                    if driver == name:
                         yield cls(name, driver, scale, form="more")
+                    if driver == name and scene.observations.predict in LOADS:
                         # A sensor's own: a loop of the joint that turns the load is so like it that it must not come first.
                         yield from cls(name, driver, scale).richer(scene)
                     if scene.observations.predict == "effort" and scene.belief.robot is None:
@@ -294,8 +295,7 @@ class Hysteresis(Effect):
 
     def otherwise(self) -> Self | None:
         """What comes on top of a load or what is missing of it: a gain makes one of the other."""
-        own = self.channel and self.driver == self.channel and not joint_of(self.channel)
-        if not own or self.reach is not None or len(self.widths) == 1:
+        if not self.channel or self.driver != self.channel or self.reach is not None or len(self.widths) == 1:
             return None
         return replace(self, form="less" if self.form == "more" else "more")
 
