@@ -350,3 +350,28 @@ def test_a_small_effect_is_not_lost_in_large_slow_noise(size: float, there: bool
     place = next(i for i, h in enumerate(scorer.library) if h.effect == JointOffset("roll"))
     assert worth(work.bench, scorer, selection, place)[0] < 0.5 * WORTH
     assert shows_in_noise(work.bench, scorer, selection, place) is there
+
+
+PLANAR = """<robot name="planar"><link name="base"/><link name="upper"/><link name="fore"/>
+<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" velocity="5" effort="100"/></joint>
+<joint name="elbow" type="revolute"><parent link="upper"/><child link="fore"/><origin xyz="0.3 0 0"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" velocity="5" effort="100"/></joint></robot>"""
+
+
+@pytest.mark.inject
+def test_a_zero_that_may_be_another_joint_s_is_told_so() -> None:
+    """Two joints about parallel axes turn gravity alike: no wrench tells whose zero is off."""
+    rng = np.random.default_rng(3)
+    t = np.arange(3000) / 25.0
+    q = np.stack([cases.sines(rng, t, size) for size in (0.4, 0.6)], axis=1)
+    tilt = q.sum(axis=1) + 0.01
+    wrench = cases.hanging(cases.rotation(np.zeros(len(t)), tilt)) + rng.normal(size=(len(t), 6)) * cases.SIGMA
+    columns = {"time": t, "joint.shoulder.position": q[:, 0], "joint.elbow.position": q[:, 1]}
+    belief = Belief(robot=UrdfRobot(PLANAR), tool=Body(cases.MASS, cases.COM), dynamic=False, bias_free=True)
+    seen = Observations("wrench", columns | dict(zip(WRENCH, wrench.T, strict=True)), None, belief)
+    (finding,) = diagnose(scene_of(seen)).diagnosis.findings
+    assert finding.effect == "joint_offset"
+    (other,) = {"shoulder", "elbow"} - set(finding.joints)
+    assert [f"in {other} instead of" in c.why for c in finding.confounded_with if c.effect == "joint_offset"] == [True]
+    assert "joint_offset" not in [c.effect for c in finding.rivals]

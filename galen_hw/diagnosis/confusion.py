@@ -92,7 +92,28 @@ def confusions(model: Model, selection: Selection, finding: Finding) -> list[Con
     out = {rival.key: Confusion(rival.key, _why(finding.effect, rival)) for rival in rivals(selection, finding)}
     for key in structural(finding.effect, model.bench.scene, finding.parameters):
         out.setdefault(key, Confusion(key, why(finding.effect, key)))
-    return list(out.values())[:MOST]
+    return [*list(out.values())[:MOST], *_in_other_joints(selection, finding)]
+
+
+def _in_other_joints(selection: Selection, finding: Finding) -> list[Confusion]:
+    """The same effect where it would do as well: joints about parallel axes turn gravity alike."""
+    scorer, out = selection.scorer, []
+    for i in _places(selection, finding):
+        effect = scorer.library[i].effect
+        if effect is None or not effect.joints or effect.loose:
+            continue
+        own, best = _own(scorer, selection.chosen, i), dict[tuple[str, ...], Rival]()
+        with unbent(scorer, i), unclocked(scorer, i):
+            for rival in sorted(_in_place(scorer, own, own_key=True), key=lambda r: -r.angle):
+                if rival.angle < NEAR and rival.effect.joints not in ((), effect.joints):
+                    best[rival.effect.joints] = rival
+            near = [_at_its_best(scorer, own, rival) for rival in list(best.values())[-MOST:]]
+        alike = [r for r in near if r.lead < CLOSE and _is_what_it_is_called(scorer, r)]
+        others = " or ".join(", ".join(r.effect.joints) for r in sorted(alike, key=lambda r: r.lead))
+        if others:
+            why_not = f"in {others} instead of {', '.join(effect.joints)} it makes the same signal in this recording"
+            out.append(Confusion(finding.effect, f"{why_not}, to within its noise"))
+    return out
 
 
 def rivals(selection: Selection, finding: Finding, *, everyone: bool = False) -> list[Rival]:
@@ -268,8 +289,8 @@ def _own(scorer: Scorer, chosen: list[int], i: int) -> Own:
     return Own(i, tuple(chosen), without - rest, theta[mine], straight[mine])
 
 
-def _in_place(scorer: Scorer, found: Own) -> list[Rival]:
-    """Every hypothesis of another key that can make at least half of the found signal."""
+def _in_place(scorer: Scorer, found: Own, *, own_key: bool = False) -> list[Rival]:
+    """Every hypothesis of another key (or of its `own_key`) that can make at least half of the found signal."""
     i, gain, theta = found.i, found.gain, found.straight
     at, b, _ = _others(scorer, list(found.chosen), i)
     own = scorer.places[i]
@@ -279,8 +300,8 @@ def _in_place(scorer: Scorer, found: Own) -> list[Rival]:
     signal = float(theta @ A @ theta)
     mine, out = scorer.library[i].effect, []
     for j, h in enumerate(scorer.library):
-        same = h.effect is None or (mine is not None and h.effect.KEY == mine.KEY)
-        if h.effect is None or same or j in found.chosen or not h.count or signal <= 0.0:
+        same = h.effect is not None and mine is not None and h.effect.KEY == mine.KEY
+        if h.effect is None or same != own_key or j in found.chosen or not h.count or signal <= 0.0:
             continue
         s = scorer.places[j]
         B = scorer.G[s, s] - scorer.G[s, at] @ P[:, s]

@@ -77,7 +77,7 @@ def _alike(work: Work) -> list[Alike]:
     """The nearest look-alikes of every finding, told apart or not."""
     out = []
     for finding in work.diagnosis.findings:
-        tied = {c.effect for c in finding.confounded_with}
+        tied = {c.effect for c in finding.rivals}
         near = rivals(work.selection, finding, everyone=True)
         near.sort(key=lambda r: r.lead)
         shown = [Alike(finding.effect, r.key, r.angle, r.nearest, 0.5 * r.lead, r.key not in tied) for r in near]

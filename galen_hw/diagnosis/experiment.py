@@ -73,7 +73,7 @@ def next_experiment(model: Model, selection: Selection, findings: list[Finding],
     """One or two sentences: what to record next, and what that would show."""
     if any(f.effect == "unknown" and not f.parameters["share_left"].value for f in findings):
         return "First put right what is said of the recording itself; nothing else is worth an experiment before."
-    said = [_settled(model, selection, f) for f in findings if f.confounded_with][:1]
+    said = [_settled(model, selection, f) for f in findings if f.rivals][:1]
     if left:
         said.append(_unexplained(model, left))
     if not said:
@@ -82,7 +82,7 @@ def next_experiment(model: Model, selection: Selection, findings: list[Finding],
 
 
 def _settled(model: Model, selection: Selection, finding: Finding) -> str:
-    rival = finding.confounded_with[0].effect
+    rival = finding.rivals[0].effect
     pair = pair_of(selection, finding, rival, model)
     advice = None if pair is None else best_of(model, pair)
     if pair is not None and advice is not None:
@@ -135,8 +135,8 @@ def best_of(model: Model, pair: Pair) -> Advice | None:
 def options_of(model: Model, selection: Selection, findings: list[Finding]) -> list[Advice]:
     """All recipes for the first open question, quickest first; none where nothing is open."""
     for finding in findings:
-        if finding.confounded_with:
-            pair = pair_of(selection, finding, finding.confounded_with[0].effect, model)
+        if finding.rivals:
+            pair = pair_of(selection, finding, finding.rivals[0].effect, model)
             able = [] if pair is None else [a for a in _advised(model, pair) if a.minutes < LONGEST]
             return sorted(able, key=lambda a: (a.angle < WIDE, a.minutes))
     return []

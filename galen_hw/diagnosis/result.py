@@ -18,7 +18,7 @@ class Value:
 
 @dataclass(frozen=True)
 class Confusion:
-    """Another effect that this recording cannot tell from the one found."""
+    """Another effect, or the same in other joints, that this recording cannot tell from the one found."""
 
     effect: str
     why: str
@@ -35,6 +35,11 @@ class Finding:
     parameters: dict[str, Value]
     evidence: dict[str, float]
     confounded_with: list[Confusion] = field(default_factory=list)
+
+    @property
+    def rivals(self) -> list[Confusion]:
+        """What it could be besides itself in another place."""
+        return [c for c in self.confounded_with if c.effect != self.effect]
 
     @property
     def takes(self) -> str:

@@ -96,8 +96,10 @@ def _why(finding: Finding) -> str:
     more = max(len(finding.joints) - FEW, 0)
     place += f" and {more} more" if more else ""
     out = f"{finding.effect.replace('_', ' ')} ({place}): {headline(finding)}; {finding.takes}"
-    if finding.confounded_with:
-        out += f"; could also be {' or '.join(c.effect.replace('_', ' ') for c in finding.confounded_with[:FEW])}"
+    others = [c.effect.replace("_", " ") for c in finding.rivals[:FEW]]
+    others += ["in another joint"] if len(finding.rivals) < len(finding.confounded_with) else []
+    if others:
+        out += f"; could also be {' or '.join(others)}"
     return out
 
 
