@@ -1,12 +1,20 @@
 """What a late stream answers to before its recording begins."""
 
 import itertools
+import sys
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+sys.path.insert(0, str(Path(__file__).parent))
+
+from physics_scenes import scene
+
 from galen_hw.physics.beginnings import FEW, GONE, MOST_UNKNOWN, Beginning, Lagging
+from galen_hw.physics.memory_effects import Creep
 from galen_hw.physics.operators import LagState, lag
 
 
@@ -39,3 +47,17 @@ def test_what_fades_is_what_another_beginning_leaves() -> None:
         assert not column[: part.start].any()
         assert not column[part.stop :].any()
     assert not Beginning(lags=(Lagging((0,), 0.3),)).columns(np.arange(99.0), [slice(k, k + 1) for k in range(FEW + 1)])
+
+
+def test_what_a_joint_s_creep_leaves_shows_where_the_joint_moves_what() -> None:
+    """A creep that began rested and one that had settled differ by the load at the start, which fades through the joint."""
+    pose, one = scene("pose", np.random.default_rng(2)), np.ones(1)
+    settled = Creep(3.0, joint="tilt")
+    begun = pose.begun(settled.beginning(pose, one))
+    load = pose.load("tilt")
+    assert load is not None
+    assert abs(load[0]) > 0.0
+    ((channels, fading),) = begun.fading()
+    differs = settled.change(pose, one) - replace(settled, rested=True).change(pose, one)
+    np.testing.assert_allclose(load[0] * fading, differs[:, list(channels)], atol=GONE * np.abs(differs).max())
+    assert not np.delete(differs, list(channels), axis=1).any()

@@ -12,8 +12,11 @@ import diagnosis_cases as cases
 from diagnosis_cases import Bench, rotation
 from physics_scenes import scene
 
+from galen_hw.diagnosis.bends import tangent
 from galen_hw.diagnosis.descent import Beside, descended
 from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.final import Model
+from galen_hw.diagnosis.judge import Judged, earned
 from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.cable_effects import CableDrag
 from galen_hw.physics.scene_joint import EffortScene
@@ -186,3 +189,23 @@ def test_no_cable_hangs_from_thirty_metres_away() -> None:
         assert found.theta is not None
         assert np.all(np.abs(found.theta[1:5]) <= 10.0)
         assert np.all(np.abs(found.theta[5:8]) <= 1.0)
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 4.0])
+def test_a_tendon_whose_stiffness_is_not_known_is_no_cable(stiffness: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However much it takes of held-out data: a magnet's pull had been one of 0.0001 N/m, known to 0.003."""
+    clean, case = Bench(7, rows=1000), Bench(7, rows=1000)
+    pulled(case, stiffness, 0.2)
+    bench = diagnose(scene_of(clean.observations())).bench
+    bench.whole = bench.whole + bench.rows.average(case.wrench - clean.wrench)
+    tendon = tangent(bench, bench.add(CableDrag("tendon")), np.array([max(stiffness, 1e-4), *ANCHOR, 0.2, *CLIP]))
+    nuisances = [bench.made(None, columns) for columns in bench.constants()]
+    model = Model(bench, nuisances, [tendon], bench.whitened(bench.whole - tendon.bend))
+
+    def wanted(asked: Model, *_: object) -> Judged:
+        keys, floor = [h.effect.KEY for h in asked.effects if h.effect is not None], bench.noise.sigma**2
+        without = dict.fromkeys(keys, floor)
+        return Judged("", floor, floor, without, floor, dict.fromkeys(keys, 0.9), dict.fromkeys(keys, 100.0))
+
+    monkeypatch.setattr("galen_hw.diagnosis.judge.judge", wanted)
+    assert earned(model, None)[0].effects == ([tendon] if stiffness else [])
