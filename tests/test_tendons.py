@@ -209,3 +209,27 @@ def test_a_tendon_whose_stiffness_is_not_known_is_no_cable(stiffness: float, mon
 
     monkeypatch.setattr("galen_hw.diagnosis.judge.judge", wanted)
     assert earned(model, None)[0].effects == ([tendon] if stiffness else [])
+
+
+def test_what_pushes_off_or_turns_without_a_force_is_no_cable() -> None:
+    """A spring draws towards where it hangs; of its numbers a force must be there, not a moment alone."""
+    pulls = scene_of(Bench(rows=200).observations())
+    spring, pull = CableDrag("spring"), CableDrag("pull")
+    taut, spread = np.array([2.0, 0.1, 0.3, 0.2, *12 * [0.0]]), np.full(16, 0.1)
+    assert spring.known(taut, spread)
+    assert spring.possible(pulls, taut, spread)
+    assert not spring.possible(pulls, -taut, spread)
+    moment = np.array([0.1, 0.05, -0.2, 0.1, *12 * [5.0]])
+    assert not spring.known(moment, spread)
+    assert not pull.known(moment[1:13], spread[1:13])
+    assert pull.known(np.array([0.0, 0.4, *10 * [0.0]]), spread[:12])
+
+
+def test_one_channel_with_one_joint_is_a_cable_alone_and_a_patch_beside_a_tendon() -> None:
+    """Of a wrench. A joint's own effort may have a hose of its own."""
+    alone, tendon = CableDrag("joint", "wrench.torque.x", "tilt"), CableDrag("tendon")
+    assert alone.known(np.array([0.01]), np.array([0.02]))
+    assert not alone.patches([alone, CableDrag("joint", "wrench.torque.y", "roll")])
+    assert alone.patches([alone, tendon])
+    assert not tendon.patches([alone, tendon])
+    assert not CableDrag("joint", "joint.shoulder.effort", "shoulder").patches([tendon])

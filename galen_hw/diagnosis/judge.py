@@ -14,6 +14,7 @@ from galen_hw.diagnosis.remainder import Remainder
 from galen_hw.diagnosis.repeats import repeated
 from galen_hw.diagnosis.rows import Mask, Rows
 from galen_hw.diagnosis.wanted import LEAST_SUPPORT, Guard, poor, support, sure
+from galen_hw.physics.cable_effects import CableDrag
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Contact, Step, Vibration
 from galen_hw.physics.scene import Scene
@@ -387,9 +388,10 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
 
 
 def _vague(model: Model) -> list[Hypothesis]:
-    """Effects whose parameters do not say what they are."""
-    curved = [
-        (h, s) for h, s in zip(model.parts, model.slices(), strict=True) if h.effect is not None and h.effect.curved
+    """Cables whose parameters do not say that they are cables, and those that patch what another one misses."""
+    cables = [
+        (h, h.effect, s) for h, s in zip(model.parts, model.slices(), strict=True) if isinstance(h.effect, CableDrag)
     ]
-    spread = np.sqrt(model.variance) if curved else np.zeros(0)
-    return [h for h, s in curved if h.effect is not None and not h.effect.known(model.final[s], spread[s])]
+    spread = np.sqrt(model.variance) if any(e.curved or e.loose for _, e, _ in cables) else np.zeros(len(model.final))
+    every = [e for _, e, _ in cables]
+    return [h for h, e, s in cables if e.patches(every) or not e.known(model.final[s], spread[s])]

@@ -1,6 +1,6 @@
 """A cable or hose: along one joint, as a spring that is linear in what is unknown, and as the tendon that it is."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
@@ -125,8 +125,22 @@ class CableDrag(Effect):
         return np.array([1e-4 * max(abs(theta[0]), 1.0), *7 * [1e-4], *(1e-4 * abs(theta[8:])).clip(1e-6)])
 
     def known(self, theta: Array, spread: Array) -> bool:
-        """A tendon is, if stiffer than its own error: what pulls nobody knows how much, from nobody knows where, is none."""
-        return not self.curved or abs(theta[0]) >= spread[0]
+        """Whether it surely pulls: what turns without a force, or pulls nobody knows how much from nobody knows where, is none.
+
+        A tendon must be stiffer than its own error; of a spring or a pull some force must be there by three errors.
+        """
+        if self.curved:
+            return bool(abs(theta[0]) >= spread[0])
+        forces = slice(0, {"spring": 4, "pull": 3}.get(self.form, 0))
+        return not self.loose or bool(np.any(np.abs(theta[forces]) >= 3.0 * spread[forces]))
+
+    def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
+        """A taut cable pulls the harder the further it is drawn, whichever way: what pushes off is none."""
+        return self.form != "spring" or bool(theta[0] >= -3.0 * spread[0])
+
+    def patches(self, others: Iterable["CableDrag"]) -> bool:
+        """Whether it is no cable beside others, but what these miss: one channel of a wrench with one joint, beside a tendon."""
+        return bool(self.joint) and joint_of(self.channel) == "" and any(other.curved for other in others)
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -241,10 +241,6 @@ class Effect(ABC):
         """Whether something real can have parameters (k,), or others within three standard errors `spread` (k,) of them."""
         return True
 
-    def known(self, theta: Array, spread: Array) -> bool:
-        """Whether parameters (k,) with standard deviations `spread` (k,) say what it is: else something else has its shape."""
-        return True
-
     @property
     def remark(self) -> str:
         """A sentence on where it sits that the answer adds; empty where there is nothing to add."""
