@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from physics_scenes import scene
 
-from galen_hw.physics.beginnings import FEW, GONE, MOST_UNKNOWN, Beginning, Lagging
+from galen_hw.physics.beginnings import FEW, GONE, MOST_UNKNOWN, Beginning, Lagging, fading
 from galen_hw.physics.memory_effects import Creep
 from galen_hw.physics.operators import LagState, lag
 
@@ -37,7 +37,7 @@ def test_what_fades_is_what_another_beginning_leaves() -> None:
     """The difference of two lags of one signal that began in two states, channel by channel and segment by segment."""
     time, segments = np.concatenate([0.02 * np.arange(50), 5.0 + 0.02 * np.arange(30)]), [slice(0, 50), slice(50, 80)]
     columns = Beginning(lags=(Lagging((0, 2), 0.3),)).columns(time, segments)
-    assert [lag.channels for lag, _ in columns] == [(0, 2), (0, 2)]
+    assert [one.channels for one, _ in columns] == [(0, 2), (0, 2)]
     x = np.sin(time)[:, None]
     for part, (_, column) in zip(segments, columns, strict=True):
         t, one = time[part], x[part]
@@ -53,11 +53,11 @@ def test_what_a_joint_s_creep_leaves_shows_where_the_joint_moves_what() -> None:
     """A creep that began rested and one that had settled differ by the load at the start, which fades through the joint."""
     pose, one = scene("pose", np.random.default_rng(2)), np.ones(1)
     settled = Creep(3.0, joint="tilt")
-    begun = pose.begun(settled.beginning(pose, one))
+    begun = pose.begun(Beginning(lags=settled.lags(pose)))
     load = pose.load("tilt")
     assert load is not None
     assert abs(load[0]) > 0.0
-    ((channels, fading),) = begun.fading()
+    ((channels, fades),) = fading(begun)
     differs = settled.change(pose, one) - replace(settled, rested=True).change(pose, one)
-    np.testing.assert_allclose(load[0] * fading, differs[:, list(channels)], atol=GONE * np.abs(differs).max())
+    np.testing.assert_allclose(load[0] * fades, differs[:, list(channels)], atol=GONE * np.abs(differs).max())
     assert not np.delete(differs, list(channels), axis=1).any()

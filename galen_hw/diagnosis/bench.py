@@ -16,6 +16,7 @@ from galen_hw.diagnosis.algebra import orthonormal, pinned_at, scaled, solve_sym
 from galen_hw.diagnosis.noise import Noise, estimate, quantisation
 from galen_hw.diagnosis.rows import Index, Mask, Rows, blocks, set_aside
 from galen_hw.diagnosis.stream import through
+from galen_hw.physics.beginnings import fading
 from galen_hw.physics.effect import Columns, Downstream, Effect, spacing
 from galen_hw.physics.event_effects import Contact
 from galen_hw.physics.scene import Scene
@@ -302,7 +303,7 @@ class Bench:
         out = [Columns((c,), ones) for c in range(self.width)]
         everywhere = tuple(range(self.width))
         out += [Columns(everywhere, self.rows.average(n)[:, :, None]) for n in self.scene.nuisances()]
-        return out + [Columns(channels, self.rows.average(x)[:, :, None]) for channels, x in self.scene.fading()]
+        return out + [Columns(channels, self.rows.average(x)[:, :, None]) for channels, x in fading(self.scene)]
 
     def learn_noise(self, hypotheses: Iterable[Columns], extra: Iterable[Columns] = (), *, above: float = 0.0) -> None:
         """Noise from the rest of a fit: principal directions of all columns, channel by channel, and `extra` whole.

@@ -100,7 +100,7 @@ def _in_other_joints(selection: Selection, finding: Finding) -> list[Confusion]:
     scorer, out = selection.scorer, []
     for i in _places(selection, finding):
         effect = scorer.library[i].effect
-        if effect is None or not effect.joints or effect.loose:
+        if effect is None or not effect.joints:
             continue
         own, best = _own(scorer, selection.chosen, i), dict[tuple[str, ...], Rival]()
         with unbent(scorer, i), unclocked(scorer, i):

@@ -26,11 +26,10 @@ from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.stream import arrived
 from galen_hw.diagnosis.touches import outstanding
 from galen_hw.diagnosis.unnamed import left_by, might_yield, predict_unnamed
+from galen_hw.diagnosis.unrecorded import left_open, supposable
 from galen_hw.diagnosis.verdict import beyond, contradicted, outlying, strong, trifles, verdict_of
-from galen_hw.physics.beginnings import Beginning
 from galen_hw.physics.effect import Columns, Downstream, Effect
 from galen_hw.physics.event_effects import Contact, Glitches
-from galen_hw.physics.memory_effects import Creep
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.sensor_effects import Drift
 from galen_hw.spatial import Array
@@ -39,8 +38,6 @@ PARTS = 6
 """Into which a touch is parted so that nothing of it passes for noise."""
 LEAST_SHARE = 12
 """Rows for each direction that may be kept from passing for noise."""
-AS_QUICK = 1.5
-"""Ratio of time constants within which a warm-up may be what had not settled of a creep."""
 COARSE = 3000
 """Rows of the first look: motion is slow beside a force sensor's samples."""
 
@@ -222,33 +219,10 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
 
 def _begun(bench: Bench, coarse: Bench, effects: list[tuple[Effect, Array]], holdout: Scene | None) -> Scene | None:
     """The other recording, and the bench with the stream of the coarse one: of the beginnings that a model leaves open."""
-    scene = bench.scene
-    drifts = [effect for effect, _ in effects if isinstance(effect, Drift)]
-    unknown = [one for one in effects if not isinstance(one[0], Creep) or any(_as_quick(one[0], d) for d in drifts)]
-    beginning = sum((effect.beginning(scene, theta) for effect, theta in unknown), Beginning())
-    bench.begun(scene.begun(beginning))
+    beginning = left_open(bench.scene, effects)
+    bench.begun(bench.scene.begun(beginning))
     bench.stream = coarse.stream
     return None if holdout is None else holdout.begun(beginning)
-
-
-def _as_quick(creep: Creep, drift: Drift) -> bool:
-    """Whether an offset fades as a creep that has not settled does: settled and rested are not all that may have been before."""
-    if drift.constant is None or creep.channel not in ("", drift.channel):
-        return False
-    return bool(abs(np.log(drift.constant / creep.constant)) < np.log(AS_QUICK))
-
-
-def _open(scene: Scene, effects: list[Effect], columns: list[Columns]) -> list[tuple[Effect, Columns]]:
-    """Effects with their columns, without what presumes a beginning where any is fitted: there it is nothing of its own."""
-    free = {
-        (places, lag.joint) for lag in scene.beginning.lags for places in (lag.channels, *((c,) for c in lag.channels))
-    }
-
-    def moot(effect: Effect) -> bool:
-        rested = isinstance(effect, Creep) and effect.rested
-        return rested and any((lag.channels, lag.joint) in free for lag in effect.beginning(scene, np.zeros(1)).lags)
-
-    return [(effect, own) for effect, own in zip(effects, columns, strict=True) if not moot(effect)]
 
 
 Search = tuple[Selection, Model]
@@ -259,7 +233,7 @@ def _searched(
     bench: Bench, effects: list[Effect], columns: list[Columns], generic: list[adequacy.Family], *, blind: bool
 ) -> tuple[list[Search], list[adequacy.Left]]:
     """What was searched under the present noise, the better model first, and what that leaves."""
-    hypotheses = [bench.made(e, raw) for e, raw in _open(bench.scene, effects, columns)]
+    hypotheses = [bench.made(e, raw) for e, raw in supposable(bench.scene, effects, columns)]
     bench.know(hypotheses)
     searches = _chosen(bench, hypotheses, blind=blind)
     return searches, left_by([searches[0][1]], generic)[0]

@@ -14,6 +14,7 @@ from galen_hw.diagnosis.remainder import Remainder
 from galen_hw.diagnosis.repeats import repeated
 from galen_hw.diagnosis.rows import Mask, Rows
 from galen_hw.diagnosis.wanted import LEAST_SUPPORT, Guard, poor, support, sure
+from galen_hw.physics.beginnings import fading
 from galen_hw.physics.cable_effects import CableDrag
 from galen_hw.physics.effect import Effect
 from galen_hw.physics.event_effects import Contact, Step, Vibration
@@ -342,9 +343,9 @@ def _nuisances(refit: list[Hypothesis], scene: Scene, rows: Rows, bench: Bench) 
         out.append(column)
     own = scene.nuisances() if len(constants) < len(refit) else []
     out += [rows.average(column) for column in own]
-    for channels, fading in scene.fading():
+    for channels, fades in fading(scene):
         column = np.zeros((len(rows), bench.width))
-        column[:, list(channels)] = rows.average(fading)
+        column[:, list(channels)] = rows.average(fades)
         out.append(column)
     return np.stack(out, axis=-1)
 
@@ -392,6 +393,7 @@ def _vague(model: Model) -> list[Hypothesis]:
     cables = [
         (h, h.effect, s) for h, s in zip(model.parts, model.slices(), strict=True) if isinstance(h.effect, CableDrag)
     ]
-    spread = np.sqrt(model.variance) if any(e.curved or e.loose for _, e, _ in cables) else np.zeros(len(model.final))
-    every = [e for _, e, _ in cables]
+    if not cables:
+        return []
+    spread, every = np.sqrt(model.variance), [e for _, e, _ in cables]
     return [h for h, e, s in cables if e.patches(every) or not e.known(model.final[s], spread[s])]

@@ -2,12 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.spatial import Array
+
+if TYPE_CHECKING:
+    from galen_hw.physics.scene import Scene
 
 MOST_UNKNOWN = 0.25
 """Share of a segment that is left out at an end."""
@@ -62,3 +65,13 @@ class Beginning:
                 column[part] = np.where(fading > GONE, fading, 0.0)
                 out.append((lag, column))
         return out
+
+
+def fading(scene: "Scene") -> list[tuple[tuple[int, ...], Array]]:
+    """Channels, and (N, c) what fades in them from the beginning of each segment of a scene, per unit of what lags."""
+    out: list[tuple[tuple[int, ...], Array]] = []
+    for lag, column in scene.beginning.columns(scene.time, scene.segments):
+        if lag.joint:
+            out.append((scene.reached(lag.joint), scene.reaching(lag.joint) * column[:, None]))
+        out += [((channel,), column[:, None]) for channel in lag.channels]
+    return out

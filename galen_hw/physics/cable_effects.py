@@ -125,14 +125,15 @@ class CableDrag(Effect):
         return np.array([1e-4 * max(abs(theta[0]), 1.0), *7 * [1e-4], *(1e-4 * abs(theta[8:])).clip(1e-6)])
 
     def known(self, theta: Array, spread: Array) -> bool:
-        """Whether it surely pulls: what turns without a force, or pulls nobody knows how much from nobody knows where, is none.
+        """Whether it surely pulls, by its parameters (k,) and their standard deviations (k,).
 
-        A tendon must be stiffer than its own error; of a spring or a pull some force must be there by three errors.
+        What turns without a force, or pulls nobody knows how much from nobody knows where, is no cable: a tendon must be stiffer
+        than its own error, and of a spring's or a pull's forces one must be there by three errors.
         """
-        if self.curved:
-            return bool(abs(theta[0]) >= spread[0])
-        forces = slice(0, {"spring": 4, "pull": 3}.get(self.form, 0))
-        return not self.loose or bool(np.any(np.abs(theta[forces]) >= 3.0 * spread[forces]))
+        if not self.loose:
+            return not self.curved or bool(abs(theta[0]) >= spread[0])
+        forces = slice(0, 4 if self.form == "spring" else 3)
+        return bool(np.any(np.abs(theta[forces]) >= 3.0 * spread[forces]))
 
     def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
         """A taut cable pulls the harder the further it is drawn, whichever way: what pushes off is none."""

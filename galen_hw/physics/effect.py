@@ -8,7 +8,6 @@ from typing import Any, ClassVar, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from galen_hw.physics.beginnings import Beginning
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
@@ -228,10 +227,6 @@ class Effect(ABC):
     def stands(self, scene: Scene, theta: Array) -> Scene | None:
         """The scene of a machine that stands as it says, which other errors of geometry meet; None: they do not."""
         return None
-
-    def beginning(self, scene: Scene, theta: Array) -> Beginning:
-        """What it leaves open, with parameters theta (k,), at the beginning of a recording: it answers to what came before."""
-        return Beginning()
 
     def at_work(self, scene: Scene) -> bool:
         """Whether it does, in this recording, what it is named for: friction that never breaks loose is a lag by another name."""

@@ -6,7 +6,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.beginnings import Beginning, Lagging
+from galen_hw.physics.beginnings import Lagging
 from galen_hw.physics.effect import (
     LOADS,
     Columns,
@@ -102,12 +102,11 @@ class Creep(Effect):
         """What comes later or what is missing at first: a load that was read wrong all along makes one of the other."""
         return replace(self, form="less" if self.form == "more" else "more")
 
-    def beginning(self, scene: Scene, theta: Array) -> Beginning:
-        """What was still settling: one time constant of it, and where there are many the shortest and the longest too."""
+    def lags(self, scene: Scene) -> tuple[Lagging, ...]:
+        """What may still have been settling: its one time constant, and where there are many the shortest and the longest too."""
         spread = (1.0,) if self.spread is None else (1.0 / self.spread, 1.0, self.spread)
         places = () if self.joint else tuple(i for i, name in enumerate(scene.channels) if self.channel in ("", name))
-        lags = (Lagging(places, self.constant * ratio, self.joint) for ratio in spread)
-        return Beginning(lags=tuple(lags))
+        return tuple(Lagging(places, self.constant * ratio, self.joint) for ratio in spread)
 
     def unlimited(self) -> Self:
         """Any constant: what never settles in this recording is a give to it, but it may be there."""
@@ -232,9 +231,9 @@ class Hysteresis(Effect):
                     yield cls(name, driver, scale, (0.12,))
                     if driver == name:
                         yield cls(name, driver, scale, form="more")
-                    if driver == name and scene.observations.predict in LOADS:
-                        # A sensor's own: a loop of the joint that turns the load is so like it that it must not come first.
-                        yield from cls(name, driver, scale).richer(scene)
+                        if scene.observations.predict in LOADS:
+                            # A loop of the joint that turns the load is so like it that it must not come first.
+                            yield from cls(name, driver, scale).richer(scene)
                     if scene.observations.predict == "effort" and scene.belief.robot is None:
                         yield cls(name, driver, scale, linear=True)
                         yield from cls._slipping(name, driver, scale)

@@ -103,15 +103,6 @@ class Scene(Operated):
         """(N,) rows that answer to what nobody recorded."""
         return self.beginning.unknown(self.time, self.segments)
 
-    def fading(self) -> list[tuple[tuple[int, ...], Array]]:
-        """Channels, and (N, c) what fades in them from the beginning of each segment."""
-        out: list[tuple[tuple[int, ...], Array]] = []
-        for lag, column in self.beginning.columns(self.time, self.segments):
-            if lag.joint:
-                out.append((self.reached(lag.joint), self.reaching(lag.joint) * column[:, None]))
-            out += [((channel,), column[:, None]) for channel in lag.channels]
-        return out
-
     def reading(self, simulated: Array) -> Self:
         """The same scene with something else (N, C) that is simulated."""
         return self._otherwise(simulated=simulated)

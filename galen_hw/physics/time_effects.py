@@ -34,6 +34,10 @@ class Timing(Downstream):
         return self.between == "bows"
 
     @abstractmethod
+    def beginning(self, scene: Scene, theta: Array) -> Beginning:
+        """What it leaves open, with parameters theta (k,), at the beginning of a recording: it answers to what came before."""
+
+    @abstractmethod
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
         """(N, m) signals as this stream delivers them, whatever they are."""
 

@@ -165,5 +165,6 @@ def _row(real_set: RealSet, answer: dict[str, Any] | str) -> str:
 
 def _finding(finding: dict[str, Any]) -> str:
     joints = f" ({', '.join(finding['joints'])})" if finding["joints"] else ""
-    rivals = ", ".join(c["effect"] for c in finding["confounded_with"])
+    others = [c["effect"] for c in finding["confounded_with"]]
+    rivals = ", ".join("elsewhere" if other == finding["effect"] else other for other in others)
     return f"**{finding['effect']}**{joints}" + (f", or {rivals}" if rivals else "")
