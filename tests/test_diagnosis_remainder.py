@@ -18,7 +18,7 @@ from galen_hw.diagnosis.engine import Work, diagnose
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.findings import dependence
 from galen_hw.diagnosis.generic import PLAIN, WARM, Inputs, dictionaries
-from galen_hw.diagnosis.inner_products import Functions
+from galen_hw.diagnosis.inner_products import Functions, by_name
 from galen_hw.diagnosis.judge import judge_remainder
 from galen_hw.diagnosis.pursuit import MOST_FUNCTIONS, Pursuit
 from galen_hw.diagnosis.regression import Blend
@@ -112,6 +112,34 @@ def test_what_does_not_hold_elsewhere_is_not_counted() -> None:
     assert d.fit["rmse_after"]["wrench.force.x"] == pytest.approx(d.fit["rmse_before"]["wrench.force.x"], rel=1e-6)
     assert "unknown" not in named(work) or d.findings[-1].evidence["heldout_gain"] == 0.0
     assert not [name for f in d.findings for name in f.parameters if name.startswith("rmse_named")]
+
+
+@pytest.mark.inject
+@pytest.mark.parametrize("seeds", [(1, 2), (3, 4)])
+def test_what_has_no_name_has_its_own_constant(seeds: tuple[int, int]) -> None:
+    """A gauge that is not straight: the scale and the zero that were fitted before it was known take their part of it back.
+
+    Nor is it an offset, a compliance and a hardening of one joint, each of which takes off what another has too much.
+    """
+    runs = [Bench(seed, rows=4000) for seed in seeds]
+    own = runs[0].wrench[:, 4]
+    null, span = float(own.mean()) - 0.5 * float(own.std()), float(own.std())
+    for run in runs:
+        run.wrench[:, 4] += SIGMA[4] * ((run.wrench[:, 4] - null) / span) ** 2
+    work = judged(*runs)
+    assert set(named(work)) <= {"gain", "unknown"}
+    assert "unknown" in named(work)
+    assert work.diagnosis.fit["rmse_before"]["wrench.torque.y"] > 1.3 * SIGMA[4]
+    assert work.diagnosis.fit["rmse_after"]["wrench.torque.y"] < 1.03 * SIGMA[4]
+
+
+@pytest.mark.inject
+def test_what_only_another_recording_shows_is_said_of_it() -> None:
+    """The first moves too slowly for it: no function of the first can tell, and those of the second do."""
+    work = judged(stray(Bench(1, rows=4000), 0.0), stray(Bench(2, rows=4000), 4.0))
+    assert (work.diagnosis.verdict, named(work)) == ("unexplained", ["unknown"])
+    assert "wrench.force.x of another recording" in work.diagnosis.findings[0].says
+    assert "speeds" in work.diagnosis.findings[0].says
 
 
 @pytest.mark.inject
@@ -388,7 +416,7 @@ def test_one_function_of_many_is_taken_alone_and_holds_on_another_motion_better_
     rest = rows.average(scene.residual)[:, 0]
 
     def error(parts: dict[str, np.ndarray]) -> float:
-        told = sum(dict(dictionaries(inputs))[n] @ t - functions.means[n] @ t for n, t in parts.items())
+        told = sum(by_name(inputs)[n] @ t - functions.means[n] @ t for n, t in parts.items())
         return float(np.std(rest - told))
 
     assert error(alone.coefficients()) < error(family.coefficients())

@@ -12,7 +12,6 @@ from galen_hw.diagnosis import adequacy, glitches, trees
 from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.clock_offset import far_off
 from galen_hw.diagnosis.confusion import confusions
-from galen_hw.diagnosis.elsewhere import left_elsewhere
 from galen_hw.diagnosis.experiment import next_experiment
 from galen_hw.diagnosis.final import MERIT, Model, merit, offsets, settle_model, weighed
 from galen_hw.diagnosis.findings import findings_of, unknown_finding
@@ -25,7 +24,7 @@ from galen_hw.diagnosis.select import at_first_sight, library, select
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.stream import arrived
 from galen_hw.diagnosis.touches import outstanding
-from galen_hw.diagnosis.unnamed import left_by, might_yield, predict_unnamed
+from galen_hw.diagnosis.unnamed import left_by, left_of_another, might_yield, predict_unnamed
 from galen_hw.diagnosis.unrecorded import left_open, supposable
 from galen_hw.diagnosis.verdict import beyond, contradicted, outlying, strong, trifles, verdict_of
 from galen_hw.physics.effect import Columns, Downstream, Effect
@@ -129,8 +128,8 @@ def diagnose(
     glitch = [] if premise.wrong else glitches.confirmed(glitch, model)
     if (left or might_yield(model)) and not premise.wrong:
         model, judged, left = predict_unnamed(generic, model, holdout, judged, left)
-    if not left and holdout is not None and might_yield(model):
-        left = strong(left_elsewhere(model, holdout, judged), judged, bench)
+    if not left and holdout is not None and not premise.wrong:
+        left = left_of_another(model, holdout, judged)
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
     diagnosis.holdout = judged.name
     tell("done", 1.0)

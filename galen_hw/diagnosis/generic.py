@@ -224,6 +224,23 @@ def broad(inputs: Inputs) -> Iterator[tuple[str, Array]]:
             yield "the past of the inputs", inputs.past
 
 
+def factors(inputs: Inputs) -> dict[str, Array]:
+    """(M, k) what the products of some families are made of, by family.
+
+    What a model's own effects have taken of a product is a straight line in them. None is sought by itself: it has a name.
+    """
+    z, load, rate = inputs.position, inputs.load, inputs.rate
+    return {
+        "products of joint positions": z,
+        "products of the simulated channels": load,
+        "the simulated channels times the joint positions": np.concatenate([load, z], axis=1),
+        "cubes of the simulated channels": load,
+        "products of speeds": rate,
+        "positions times speeds": rate,
+        "the simulated channels times speeds": rate,
+    }
+
+
 def _warm(inputs: Inputs) -> Iterator[tuple[str, Array]]:
     """What a temperature changes in what motion and load do: it by itself is too slow to be told from noise."""
     z, load, rate, warmth = inputs.position, inputs.load, inputs.rate, inputs.warmth

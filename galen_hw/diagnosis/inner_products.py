@@ -7,17 +7,20 @@ from typing import Final
 import numpy as np
 
 from galen_hw.diagnosis.bench import Bench
-from galen_hw.diagnosis.generic import Inputs, dictionaries
+from galen_hw.diagnosis.generic import Inputs, dictionaries, factors
 from galen_hw.spatial import Array
 
 FOLDS: Final = 5
 
 
 def by_name(inputs: Inputs) -> dict[str, Array]:
-    """(M, k) functions of all families by name, the plain ones first; the resonances share one."""
+    """(M, k) functions of all families by name, products with their factors, the plain ones first; the resonances share one."""
     out: dict[str, list[Array]] = {}
     for name, X in dictionaries(inputs):
         out.setdefault(name, []).append(X)
+    for name, X in factors(inputs).items():
+        if name in out:
+            out[name].append(X)
     return {name: np.concatenate(parts, axis=1) for name, parts in out.items()}
 
 
@@ -50,6 +53,16 @@ class Functions:
         """Of some families, whitened as a channel's noise wants it."""
         columns = {n: self.bench.noise.whiten(self.columns[n], channel)[self.rows] for n in names}
         return Sums(columns, self.folds, self._white.setdefault(channel, {}))
+
+    def level(self, parts: dict[str, Array], channel: int, white_rest: Array) -> float:
+        """The constant beside functions with coefficients (k,), by name, in what is left of a whitened rest (n,).
+
+        The model's own was fitted where nothing else stood for what has no name, by weights that call it slow noise: it is off.
+        """
+        said = sum(self.columns[n] @ theta for n, theta in parts.items())
+        both = np.stack([np.ones(len(self.bench.rows)), said], axis=-1)
+        one, white = self.bench.noise.whiten(both, channel)[self.rows].T
+        return float(one @ (white_rest - white) / (one @ one))
 
 
 @dataclass(frozen=True)

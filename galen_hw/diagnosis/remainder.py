@@ -40,7 +40,7 @@ class Remainder:
     Args:
         inputs: of the recording that it was learnt on.
         parts: per channel, names of the families and the coefficient of each of their functions.
-        offsets: per channel, the mean of their sum over the rows that it was learnt on.
+        offsets: per channel, the mean of their sum over the rows that it was learnt on, less the constant beside them.
         gain: fall of the whitened sum of squares on blocks left out, all channels together.
         crossed: (M, C) prediction of each row that it was learnt on from other blocks, 0 elsewhere.
         trees: per channel, what is the other half of a mean with the sum of the parts.
@@ -107,9 +107,10 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
         best = _best(functions, names, c, rest[functions.rows, c], white[functions.rows, c])
         if best.chosen:
             parts[c] = best.coefficients()
-            crossed[functions.rows, c] = best.crossed() * bench.noise.sigma[c]
+            level = functions.level(parts[c], c, white[functions.rows, c])
+            crossed[functions.rows, c] = best.crossed() * bench.noise.sigma[c] + level
             # The functions of another recording are not less their mean on this one.
-            offsets[c] = float(sum(functions.means[n] @ t for n, t in parts[c].items()))
+            offsets[c] = float(sum(functions.means[n] @ t for n, t in parts[c].items())) - level
             gain += best.white_gain
     return Remainder(functions.inputs, parts, offsets, gain, crossed) if parts else None
 

@@ -6,17 +6,20 @@ from typing import Final
 import numpy as np
 
 from galen_hw.diagnosis import adequacy, trees
+from galen_hw.diagnosis.elsewhere import left_elsewhere
 from galen_hw.diagnosis.final import MERIT, Model, merit
 from galen_hw.diagnosis.inner_products import Functions
 from galen_hw.diagnosis.judge import Judged, earned, judge_remainder
 from galen_hw.diagnosis.remainder import Remainder, learn
 from galen_hw.diagnosis.split import FLEXIBLE
 from galen_hw.diagnosis.touches import foretold, touches_of
-from galen_hw.diagnosis.verdict import strong
+from galen_hw.diagnosis.verdict import beyond, strong
 from galen_hw.physics.scene import Scene
 
 YIELDING: Final = (*FLEXIBLE, "contact")
 """Effects that bend far enough to take part of what has no name."""
+POWERS: Final = ("joint_offset", "compliance", "hardening")
+"""Effects that go with a power of a joint's load."""
 
 
 def left_by(models: Sequence[Model], generic: list[adequacy.Family]) -> list[list[adequacy.Left]]:
@@ -33,6 +36,15 @@ def left_by(models: Sequence[Model], generic: list[adequacy.Family]) -> list[lis
 def might_yield(model: Model) -> bool:
     """Whether a model believes in something that bends far enough to be part of what has no name."""
     return bool(_yielding(model))
+
+
+def left_of_another(model: Model, holdout: Scene, judged: Judged) -> list[adequacy.Left]:
+    """What a model leaves of another recording, worth saying: asked where names bend, and wherever it does not hold there."""
+    missed, bends = {one.channel for one in beyond(judged, model, untouched=True)}, might_yield(model)
+    if not missed and not bends:
+        return []
+    left = strong(left_elsewhere(model, holdout, judged), judged, model.bench)
+    return [one for one in left if bends or one.channel in missed]
 
 
 def predict_unnamed(
@@ -102,4 +114,18 @@ def _yielding(model: Model) -> list[set[int]]:
         if h.effect is not None and h.effect.KEY in YIELDING:
             kinds.setdefault(h.effect.KEY, set()).add(id(h))
     every = set[int]().union(*kinds.values())
-    return [every, *kinds.values()] if len(kinds) > 1 else list(kinds.values())
+    flexible = [every, *kinds.values()] if len(kinds) > 1 else list(kinds.values())
+    return [*flexible, *_polynomials(model)]
+
+
+def _polynomials(model: Model) -> list[set[int]]:
+    """Effects that are together a polynomial of one joint's load, joint by joint: each is a law, their sum bends as one likes.
+
+    None of them is refused alone, for the others then miss what it took off them.
+    """
+    joints: dict[str, set[int]] = {}
+    for h in model.effects:
+        if h.effect is not None and h.effect.KEY in POWERS:
+            for joint in h.effect.joints:
+                joints.setdefault(joint, set()).add(id(h))
+    return [alike for alike in joints.values() if len(alike) > 1]
