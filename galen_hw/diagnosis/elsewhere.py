@@ -24,7 +24,8 @@ def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[adequacy.
     """What a model leaves above the noise of another recording, strongest first, by the noise of the first.
 
     To be asked of models with flexible names: these may follow one motion by what the next one does not have, and there generic
-    functions find what they left out. Of other models it would mostly be told that an effect was too weak to be seen at first.
+    functions find what they left out. Of other models it would mostly be told that an effect was too weak to be seen at first,
+    which is worth saying only where they are far off there.
     What the model's own parameters, learnt anew, would take is no structure but their error. Nothing is asked where something
     belongs to moments and is fitted to each recording anew: what such a fit leaves proves nothing. The rows of contacts are left
     out there, and the others speak.

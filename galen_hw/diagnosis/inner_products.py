@@ -55,7 +55,7 @@ class Functions:
         return Sums(columns, self.folds, self._white.setdefault(channel, {}))
 
     def level(self, parts: dict[str, Array], channel: int, white_rest: Array) -> float:
-        """The constant beside functions with coefficients (k,), by name, in what is left of a whitened rest (n,).
+        """The constant, in the channel's unit, beside functions with coefficients (k,), by name, for a whitened rest (n,).
 
         The model's own was fitted where nothing else stood for what has no name, by weights that call it slow noise: it is off.
         """
