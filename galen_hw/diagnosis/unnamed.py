@@ -108,7 +108,7 @@ def _explained(model: Model, rest: list[adequacy.Left], functions: Functions) ->
 
 
 def _yielding(model: Model) -> list[set[int]]:
-    """Sets of effects that might be no more than part of what has no name: all flexible ones together, kind by kind, polynomials."""
+    """Sets of effects that may be no more than part of what has no name: all flexible ones, each kind, polynomials."""
     kinds: dict[str, set[int]] = {}
     for h in model.effects:
         if h.effect is not None and h.effect.KEY in YIELDING:
