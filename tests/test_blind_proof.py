@@ -6,14 +6,20 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from galen_hw import spatial
+from galen_hw.diagnosis.engine import diagnose
+from galen_hw.diagnosis.guards import quiet
 from galen_hw.kinematics import GalenRobot, UrdfRobot
+from galen_hw.physics.scene import Scene
+from galen_hw.physics.table import scene_of
+from galen_hw.recording import read_recording
+from galen_hw.tools.diagnose_input import observations_of
 
 pytest.importorskip("mujoco", reason="the generator needs MuJoCo: pip install mujoco")
 
-from galen_hw.tools.blind_proof import judge, real, report, score, seal, tables
+from galen_hw.tools.blind_proof import judge, real, report, rivals, score, seal, tables
 from galen_hw.tools.blind_proof.generator import arm, build, galen, look_alikes, motion, signal, wrench
 from galen_hw.tools.blind_proof.generator.case import Case, Injected
 from galen_hw.tools.blind_proof.generator.plan import plan
@@ -251,6 +257,18 @@ def test_scores_know_right_from_wrong() -> None:
     assert score.score(outside, verdict("unknown", kind="unexplained")).right
     assert not score.score(outside, verdict("gain")).right
     assert not score.score(null, {"exit": 1, "said": "Traceback", "seconds": 1.0, "json": None}).right
+
+
+@pytest.mark.parametrize("group", ["wrench", "position"])
+def test_tool_and_rivals_are_judged_on_the_same_rows(group: str, tmp_path: Path) -> None:
+    """The tool leaves out as many of the ends as its rates need, of joints without their encoders' noise."""
+    build.build(Case("c", 5, group, "null", duration_s=20.0), tmp_path / "c")
+
+    def scene(run: str) -> Scene:
+        return scene_of(observations_of(read_recording(tmp_path / "c" / run)))
+
+    good = diagnose(scene("train"), holdout=scene("test")).judged.good
+    assert_array_equal(good, rivals.judged_rows(quiet(scene("test"))))
 
 
 @pytest.mark.slow

@@ -174,7 +174,7 @@ def _rival_table(rivals: list[dict[str, Any]], cases: dict[str, Scored], picture
     names = [n for n in rivals[0] if n not in tables.OWN]
     lines = [
         "## Rivals on the same held-out runs\n",
-        "Held-out error over the error of the true formula (1 is perfect), the first and the last second left out.\n",
+        "Held-out error over the error of the true formula (1 is perfect), on the rows that the tool is judged on.\n",
         "All begin from the same simulation, of the recorded joints.\n",
     ]
     lines += ["| | median | 90 % | beaten by the tool in |", "| --- | --- | --- | --- |"]
