@@ -14,6 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 from sklearn.ensemble import HistGradientBoostingRegressor
+from threadpoolctl import threadpool_limits
 
 from galen_hw.diagnosis.guards import quiet
 from galen_hw.physics.scene import Scene
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 LAGS = (1, 2, 4, 8, 16, 32, 64)
 
 
+# One core a case: beside another case the threads of the trees wait for one another for longer than they compute.
+@threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
 def errors(folder: Path, channels: list[str]) -> dict[str, list[float]]:
     """Held-out rms of each rival a channel (c,), in the channel's unit.
 
