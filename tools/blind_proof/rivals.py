@@ -52,7 +52,8 @@ def errors(folder: Path, channels: list[str]) -> dict[str, list[float]]:
 def judged_rows(scene: Scene) -> NDArray[np.bool_]:
     """(N,) rows of the second run that the tool is judged on, where no effect is of a moment.
 
-    On others the noise alone decides between two that are the true formula to four digits.
+    On others the noise alone decides between two that are the true formula to four digits. Where the tool finds a late stream it
+    leaves out the first rows too, as many as it is late by.
     """
     return ~scene.ends
 
