@@ -1,0 +1,33 @@
+"""What must hold before anything is fitted: cells and clocks, units, the model, frames and signs, load and zeroing.
+
+`PREMISES` is the table, in the order in which they are asked. To add one: a file with a class, and a line here.
+"""
+
+from functools import cache
+from importlib import import_module
+from typing import Final
+
+from galen_hw.physics.observations import Observations
+from galen_hw.premises.base import Action, Claim, Examination, Premise, Remark, Stage, examine
+
+PREMISES: Final = (
+)
+"""Modules and classes, in order."""
+
+
+@cache
+def premises() -> tuple[Premise, ...]:
+    """Return one object of every class of the table."""
+    found = []
+    for path in PREMISES:
+        module, _, name = path.rpartition(".")
+        found.append(getattr(import_module(f"galen_hw.premises.{module}"), name)())
+    return tuple(found)
+
+
+def examined(seen: Observations, *, repair: bool = True) -> Examination:
+    """Ask every premise of the table about a recording; see `base.examine`."""
+    return examine(seen, premises(), repair=repair)
+
+
+__all__ = ["PREMISES", "Action", "Claim", "Examination", "Observations", "Premise", "Remark", "Stage", "examined", "premises"]
