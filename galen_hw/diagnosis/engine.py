@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from galen_hw.diagnosis import adequacy, glitches, trees
 from galen_hw.diagnosis.bench import Bench, Hypothesis
+from galen_hw.diagnosis.claimed import add_claims, claim_before
 from galen_hw.diagnosis.clock_offset import far_off
 from galen_hw.diagnosis.confusion import confusions
 from galen_hw.diagnosis.experiment import next_experiment
@@ -31,6 +32,8 @@ from galen_hw.physics.effect import Columns, Downstream, Effect
 from galen_hw.physics.event_effects import Contact, Glitches
 from galen_hw.physics.scene import Scene
 from galen_hw.physics.sensor_effects import Drift
+from galen_hw.physics.table import scene_of
+from galen_hw.premises import Examination, examined
 from galen_hw.spatial import Array
 
 PARTS = 6
@@ -68,6 +71,7 @@ def diagnose(
     share: float = 0.3,
     seed: int = 0,
     progress: Progress | None = None,
+    repair: bool = True,
 ) -> Work:
     """Locate, name, model and judge.
 
@@ -77,16 +81,19 @@ def diagnose(
         holdout: a second recording to be judged on; else `share` of contiguous blocks is set aside.
         seed: of the choice of blocks.
         progress: told how far the work is.
+        repair: put right what is certain (`premises`); else the same is refused.
 
     Raises:
         UsageError: the recording cannot be compared at all.
     """
     tell = progress or _silent
     tell("checking the recording", 0.0)
-    premise = premises(scene)
+    examination, raw = examined(scene.observations, repair=repair), holdout or scene
+    premise = premises(scene if examination.observations is scene.observations else scene_of(examination.observations))
+    premise.take(examination)
     scene = premise.scene
     held = 0.0 if holdout is not None else share
-    holdout = None if holdout is None else held_out(holdout, premise.notes)
+    holdout = None if holdout is None else held_out(_alike(holdout, examination, repair=repair), premise.notes)
     bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, COARSE)
     glitch = glitches.marked(bench)
     coarse.leave_out(bench.spoilt)
@@ -130,10 +137,25 @@ def diagnose(
         model, judged, left = predict_unnamed(generic, model, holdout, judged, left)
     if not left and holdout is not None and not premise.wrong:
         left = left_of_another(model, holdout, judged)
+    after = claim_before(judged, raw) if examination.claims else judged.before
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
-    diagnosis.holdout = judged.name
+    diagnosis.holdout, diagnosis.premises = judged.name, [one.to_json() for one in examination.remarks]
+    if examination.claims:
+        rows = int(np.min(bench.noise.independent(int(bench.judged.sum() or bench.train.sum()))))
+        add_claims(diagnosis, examination, judged, after, max(rows, 1))
+        diagnosis.verdict = verdict_of(diagnosis.findings, left, premise)
     tell("done", 1.0)
     return Work(bench, selection, model, judged, left, diagnosis)
+
+
+def _alike(holdout: Scene, examination: Examination, *, repair: bool) -> Scene:
+    """Another recording of the same machine, repaired by itself but for what the machine is: that is as in the first."""
+    ours, theirs = examination.observations.belief, holdout.observations.belief
+    zeroed = theirs.zeroed_rotation if theirs.zeroed_rotation is None else theirs.zeroed_rotation @ ours.sensor_turn
+    belief = replace(theirs, sensor_turn=ours.sensor_turn, gravity=ours.gravity, tool=ours.tool, zeroed_rotation=zeroed)
+    same = replace(holdout.observations, belief=belief) if examination.claims else holdout.observations
+    found = examined(same, repair=repair).observations
+    return holdout if found is holdout.observations else scene_of(found)
 
 
 @dataclass(frozen=True)

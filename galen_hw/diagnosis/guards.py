@@ -13,6 +13,7 @@ from galen_hw.physics.scene import Scene
 from galen_hw.physics.scene_pose import QUATERNION
 from galen_hw.physics.smoothing import at_rest, denoised
 from galen_hw.physics.table import scene_of
+from galen_hw.premises import Action, Examination
 from galen_hw.spatial import Array
 
 FEWEST: Final = 8
@@ -45,6 +46,16 @@ class Premise:
     notes: list[str] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
     channels: list[str] = field(default_factory=list)
+
+    def take(self, examination: Examination) -> None:
+        """Take up what the premises say of the recording; what they claim as physics becomes a finding instead of a note."""
+        first = [r for r in examination.remarks if r.action is not Action.REFUSED and r.claim is None]
+        self.notes[:0] = [r.line for r in first] + [r.line for r in examination.refused]
+        if examination.refused:
+            # What is refused is the cause; what later checks see are its consequences.
+            self.notes = [line for line in self.notes if line not in self.wrong]
+            self.wrong = [r.line for r in examination.refused]
+            self.channels = [c for r in examination.refused for c in r.columns]
 
     def refuse(self, channel: str, line: str) -> None:
         """A line that makes every finding worthless."""

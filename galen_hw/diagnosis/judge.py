@@ -82,13 +82,14 @@ class Judged:
             return 0.0
         if key in self.at_home:
             return self.at_home[key]
-        return self._share(self.without[key] - self.after)
+        return self.share(self.without[key] - self.after)
 
     def unnamed_gain(self) -> float:
         """The same of what is predicted without a name."""
-        return 0.0 if self.unnamed is None else self._share(self.after - self.unnamed)
+        return 0.0 if self.unnamed is None else self.share(self.after - self.unnamed)
 
-    def _share(self, lost: Array) -> float:
+    def share(self, lost: Array) -> float:
+        """Return the share of the held-out excess, channels weighed by their noise, that mean squares (C,) are."""
         excess = float(np.sum(np.maximum(self.before - self.floor, 0.0) / self.floor))
         return float(np.clip(np.sum(lost / self.floor) / excess, -1.0, 1.0)) if excess > 0 else 0.0
 

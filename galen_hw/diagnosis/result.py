@@ -54,7 +54,8 @@ class Finding:
 class Diagnosis:
     """Everything that is known in the end.
 
-    Besides what is specified: `notes` (one line each), `terms` (the saved model) and the channels' `units`.
+    Besides what is specified: `notes` (one line each), `premises` (what was noted, repaired or refused before anything was
+    fitted), `terms` (the saved model) and the channels' `units`.
     """
 
     recording: str
@@ -68,6 +69,7 @@ class Diagnosis:
     fit: dict[str, dict[str, float]]
     next_experiment: str
     notes: list[str] = field(default_factory=list)
+    premises: list[dict[str, Any]] = field(default_factory=list)
     terms: list[dict[str, Any]] = field(default_factory=list)
     units: dict[str, str] = field(default_factory=dict)
 
@@ -83,6 +85,7 @@ class Diagnosis:
             "findings": [asdict(finding) for finding in self.findings],
             "fit": self.fit,
             "next_experiment": self.next_experiment,
+            "premises": self.premises,
         }
         return {key: _finite(value) for key, value in answer.items()}
 

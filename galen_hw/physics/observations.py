@@ -20,6 +20,7 @@ class Belief:
 
     Args:
         robot: kinematics and dynamics; None where the recording names none.
+        sensor_turn: (3, 3) by which the sensor is turned on its link, in its own axes.
         tool: the tool as a body; its mass may be 0 where nothing is known.
         tip: (3,) tool tip in the sensor frame, m.
         tip_rotation: (3, 3) tip to sensor: the axes whose orientation is tracked.
@@ -37,6 +38,7 @@ class Belief:
     """
 
     robot: Robot | None = None
+    sensor_turn: Array = field(default_factory=lambda: np.eye(3))
     tool: Body = field(default_factory=Body)
     tip: Array = field(default_factory=lambda: np.zeros(3))
     tip_rotation: Array = field(default_factory=lambda: np.eye(3))

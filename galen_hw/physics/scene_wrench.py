@@ -36,8 +36,17 @@ class WrenchScene(Scene):
         """(N, 4, 4) sensor pose in the base; without joints the origin is left at zero."""
         robot = self.belief.robot
         if robot is not None and np.isfinite(self.q).all():
-            return robot.sensor_pose(self.q)
-        return transform(rotation_from_quaternion(self.observations.matrix(*ORIENTATION)), np.zeros(3))
+            return self._seated(robot.sensor_pose(self.q))
+        return self._seated(transform(rotation_from_quaternion(self.observations.matrix(*ORIENTATION)), np.zeros(3)))
+
+    def _seated(self, T: Array) -> Array:
+        """Poses (N, 4, 4) of the sensor as it is turned on its link."""
+        turn = self.belief.sensor_turn
+        if np.array_equal(turn, np.eye(3)):
+            return T
+        T = T.copy()
+        T[:, :3, :3] = T[:, :3, :3] @ turn
+        return T
 
     @once
     def sensor_in(self, joint: str) -> Array:
@@ -71,7 +80,11 @@ class WrenchScene(Scene):
         robot, zeros = self.belief.robot, np.zeros((len(self), 3))
         if robot is None or not self._jointed:
             return self.sensed or Motion(self.T, zeros, zeros, zeros)
-        return robot.sensor_motion(self.q, *self.rates)
+        return self._seated_motion(robot.sensor_motion(self.q, *self.rates))
+
+    def _seated_motion(self, motion: Motion) -> Motion:
+        """How the sensor moves as it is turned on its link: in base axes nothing but its orientation is another."""
+        return replace(motion, T=self._seated(motion.T))
 
     @cached_property
     def ends(self) -> NDArray[np.bool_]:
@@ -201,9 +214,9 @@ class WrenchScene(Scene):
             return None
         q, dq, ddq = self._stretched(joint, offset, scale)
         if self.belief.dynamic:
-            return self._moving(robot.sensor_motion(q, dq, ddq))
+            return self._moving(self._seated_motion(robot.sensor_motion(q, dq, ddq)))
         zeros = np.zeros((len(q), 3))
-        return self._moving(Motion(robot.sensor_pose(q), zeros, zeros, zeros))
+        return self._moving(Motion(self._seated(robot.sensor_pose(q)), zeros, zeros, zeros))
 
     def reseated(self, turn: Array) -> Array:
         """(N, 6) change, exactly, if the sensor is turned on its flange by a rotation vector (3,) in its own axes."""

@@ -10,8 +10,7 @@ from typing import Final
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Claim, Examination, Premise, Remark, Stage, examine
 
-PREMISES: Final = (
-)
+PREMISES: Final = ("wrench_frames.WrenchFrames",)
 """Modules and classes, in order."""
 
 

@@ -1,0 +1,33 @@
+"""When a premise is believed to be broken: all levels in one place, with their reasons."""
+
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """Holds the levels of decision.
+
+    All are shares or angles far from what small effects do (a gain of some per cent, a mounting of some degrees, a tool of
+    twice its weight), so that none separates two kinds of physics: they separate slips of a pen from physics.
+
+    Args:
+        small_turn: unexplained share of a vector signal up to which the named axes are right: sin^2 of 13 degrees.
+        least_turn: rad; a smaller turn is left to the effects, which are linear about zero.
+        gross_left: unexplained share that a believed other reading may leave at most.
+        gross_gain: times the unexplained share of the columns as named that it may leave at most.
+        as_good: times the least unexplained share within which a simpler reading is preferred.
+        most_rows: evenly chosen rows on which a motion's axes are looked at first: it takes a hundredth of a second.
+        fewest_vectors: rows on which a rotation is solved at least; below, too many rotations fit.
+    """
+
+    small_turn: float = 0.05
+    least_turn: float = 0.2
+    gross_left: float = 0.1
+    gross_gain: float = 0.25
+    as_good: float = 2.0
+    fewest_vectors: int = 6
+    most_rows: int = 600
+
+
+CRITERIA: Final = Criteria()

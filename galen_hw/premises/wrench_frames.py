@@ -1,0 +1,253 @@
+"""Frames and signs of a wrench and of the sensor's orientation: solved as rotations, of any size and either handedness."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Final
+
+import numpy as np
+
+from galen_hw.physics.observations import Observations
+from galen_hw.physics.table import scene_of
+from galen_hw.premises.base import Action, Claim, Remark, Stage
+from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.rotations import angle_of, as_axes, as_turn, nearest_axes, signed_permutations, similarity
+from galen_hw.premises.wrench_reading import (
+    FORCE,
+    ORIENTATION,
+    TORQUE,
+    Reading,
+    any_gravity,
+    at_rest,
+    comparable,
+    lever_fit,
+    readings,
+    reread,
+    turn_sensor,
+    turn_wrench,
+)
+from galen_hw.spatial import Array, rotation_log
+
+IDENTITY: Final = np.eye(3)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A reading that meets the force, and the axes Q (3, 3) in which it does."""
+
+    reading: Reading
+    Q: Array
+    unexplained: float
+    kind: str
+
+
+class WrenchFrames:
+    """Tests that force and torque are in the sensor's axes with the sign of the specification, under the gravity that is named.
+
+    A weight turns against the sensor as R^T g does. Where that, times a mass, plus a constant, misses most of what the force
+    does, other readings of the columns are tried, the simplest first: another order of the quaternions, axes of the base, a
+    turned or mirrored set of axes (Procrustes, either determinant), gravity along another direction. One is believed only where
+    it meets the force far better than what is named, and nearly completely: an unknown push can imitate none of them.
+    """
+
+    KEY: ClassVar[str] = "wrench_frames"
+    STAGE: ClassVar[Stage] = Stage.FRAMES
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield at most one remark on force and torque together."""
+        if seen.predict != "wrench" or not all(name in seen.columns for name in (*FORCE, *TORQUE)):
+            return
+        found = self._found(at_rest(comparable(seen, CRITERIA.most_rows)))
+        if found is None and seen.belief.dynamic and seen.time is not None:
+            # What accelerates the tool may be the larger part of the force.
+            found = self._found(comparable(seen))
+        if found is None:
+            return
+        remark = self._of_gravity(seen, found) if found.kind == "gravity" else self._of_axes(seen, found)
+        if remark is not None:
+            yield remark
+
+    def _found(self, seen: Observations) -> _Found | None:
+        """The reading to believe; None where none can be: too few rows, one direction alone, or other forces everywhere."""
+        if len(seen) < CRITERIA.fewest_vectors:
+            return None
+        usable = list(readings(seen))
+        plain = usable[0].plain
+        if plain.rank < 2:
+            return None
+        if _is_named(plain.Q) and plain.unexplained <= CRITERIA.small_turn:
+            return _Found(usable[0], IDENTITY, plain.unexplained, "plain")
+        return _best(usable, plain.unexplained if _is_named(plain.Q) else np.inf)
+
+    def _of_gravity(self, seen: Observations, found: _Found) -> Remark:
+        weight, _ = any_gravity(_rotations(found.reading.seen), found.reading.force)
+        size = float(np.linalg.norm(seen.belief.gravity))
+        gravity = size * weight / np.linalg.norm(weight)
+        turn = _between(seen.belief.gravity, gravity)
+        direction = ", ".join(f"{g:.2f}" for g in gravity)
+        what = (
+            f"gravity points along ({direction}) m/s^2 in the base, {np.degrees(np.linalg.norm(turn)):.1f} deg from what is named"
+        )
+        parameters = {f"tilt_{a}": (float(turn[k]), 0.0, "rad") for k, a in enumerate("xy")}
+        claim = Claim(
+            "base_tilt",
+            parameters,
+            FORCE + TORQUE,
+            terms=({"effect": "base_tilt", "parameters": {"axis": "xy", **{k: v[0] for k, v in parameters.items()}}},),
+        )
+        repaired = replace(seen, belief=replace(seen.belief, gravity=gravity))
+        todo = f'"gravity": [{direction}] in recording.json'
+        return Remark(self.KEY, what, todo, (*FORCE, *TORQUE), Action.REPAIRED, repaired, claim)
+
+    def _of_axes(self, seen: Observations, found: _Found) -> Remark | None:
+        """What the force's axes say, and what the torque's do beside them."""
+        says = [found.reading.says] if found.reading.says else []
+        seen = reread(seen, found.reading.says) if says else seen
+        Q = found.Q
+        axes, away = nearest_axes(Q)
+        mirrored = np.linalg.det(Q) < 0.0
+        torque_axes, kept_tool = _torque_axes(found.reading.seen, Q)
+        if not mirrored and angle_of(Q) <= CRITERIA.least_turn and np.array_equal(torque_axes, Q):
+            return self._repaired(seen, says)
+        alike = np.allclose(torque_axes, Q)
+        if not mirrored and alike:
+            if says:
+                return self._repaired(seen, [*says, f"the sensor is turned by {as_turn(Q.T)} on its link"], turn=Q.T)
+            return self._mounting(seen, Q.T, tool_turns=not kept_tool)
+        if angle_of(axes.T @ Q) > CRITERIA.least_turn or away > CRITERIA.least_turn:
+            says.append(f"the axes of the force are {'mirrored and ' if mirrored else ''}turned")
+            line = "; ".join(says)
+            return Remark(self.KEY, line, "write the wrench in the sensor's right-handed axes", (*FORCE, *TORQUE), Action.REFUSED)
+        torque_axes = axes if alike else torque_axes
+        says += _axes_say(axes, torque_axes)
+        return self._repaired(turn_wrench(seen, axes.T, torque_axes.T), says)
+
+    def _repaired(self, seen: Observations, says: list[str], turn: Array | None = None) -> Remark | None:
+        if not says:
+            return None
+        columns = (*FORCE, *TORQUE) if not says[0].startswith("the quaternion") else ORIENTATION
+        seen = seen if turn is None else turn_sensor(seen, turn)
+        return Remark(self.KEY, "; ".join(says), "", columns, Action.REPAIRED, seen)
+
+    def _mounting(self, seen: Observations, turn: Array, *, tool_turns: bool) -> Remark:
+        vector = rotation_log(turn)
+        parameters = {f"turn_{a}": (float(v), 0.0, "rad") for a, v in zip("xyz", vector, strict=True)}
+        part = "turn" if tool_turns else "turn_alone"
+        term = {"effect": "sensor_mounting", "parameters": {"part": part, **{k: v[0] for k, v in parameters.items()}}}
+        what = f"the sensor is turned by {as_turn(turn)} on its link"
+        repaired = turn_sensor(seen, turn)
+        if not tool_turns:
+            tool = repaired.belief.tool
+            turned = replace(tool, com=turn.T @ tool.com, inertia=turn.T @ tool.inertia @ turn)
+            repaired = replace(repaired, belief=replace(repaired.belief, tool=turned))
+        claim = Claim("sensor_mounting", parameters, (*FORCE, *TORQUE), terms=(term,))
+        todo = "turn the sensor's link in the robot's model by it"
+        return Remark(self.KEY, what, todo, (*FORCE, *TORQUE), Action.REPAIRED, repaired, claim)
+
+
+def _is_named(Q: Array) -> bool:
+    return bool(Q[0, 0] > 0.0)
+
+
+def _best(usable: list[Reading], plain: float) -> _Found | None:
+    """The simplest reading that meets the force nearly completely and far better than the columns as named."""
+    options: list[_Found] = []
+    for reading in usable:
+        if reading.plain.unexplained < 1.0 and _is_named(reading.plain.Q) and reading.says:
+            options.append(_Found(reading, IDENTITY, reading.plain.unexplained, "plain"))
+    for determinant in (1, -1):
+        one = usable[0].turned(determinant)
+        options.append(_Found(usable[0], one.Q, one.unexplained, "turned"))
+    weight, unexplained = any_gravity(_rotations(usable[0].seen), usable[0].force)
+    options.insert(len(options) - 1, _Found(usable[0], IDENTITY, unexplained, "gravity"))
+    for reading in usable[1:]:
+        for determinant in (1, -1):
+            one = reading.turned(determinant)
+            options.append(_Found(reading, one.Q, one.unexplained, "turned"))
+    good = [o for o in options if o.unexplained <= min(CRITERIA.gross_left, CRITERIA.gross_gain * plain)]
+    if not good:
+        return None
+    least = min(o.unexplained for o in good)
+    return next(o for o in good if o.unexplained <= CRITERIA.as_good * least)
+
+
+def _rotations(seen: Observations) -> Array:
+    return np.asarray(scene_of(seen).R)  # type: ignore[attr-defined]
+
+
+def _between(a: Array, b: Array) -> Array:
+    """(3,) least rotation vector that takes the direction of a to that of b."""
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    axis = np.cross(a, b)
+    sine, cosine = float(np.linalg.norm(axis)), float(a @ b)
+    if sine < 1e-9:
+        other = np.eye(3)[int(np.argmin(np.abs(a)))]
+        axis, sine = np.cross(a, other), float(np.linalg.norm(np.cross(a, other)))
+        return np.asarray(axis / sine * np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return np.asarray(axis / sine * np.arctan2(sine, cosine))
+
+
+def _torque_axes(seen: Observations, Q: Array) -> tuple[Array, bool]:
+    """Axes (3, 3) of the torque beside a force in axes Q, and whether the tool stayed where it was when the sensor turned.
+
+    Where the tool is known, its moment says the sign too; where not, any lever does, and the torque is taken to be as the force
+    unless another set of axes meets it far better.
+    """
+    scene = scene_of(seen)
+    force, torque = seen.matrix(*FORCE) @ Q, seen.matrix(*TORQUE)
+    tool = scene.belief.tool
+    known = tool.mass > 0.0 and bool(np.any(tool.com)) and seen.simulation is None
+    if known:
+        expected = scene.simulated[:, 3:]
+        com = tool.com
+        turns = np.cross(com, scene.simulated[:, :3] @ Q.T)
+        options = [(Q, _left(turns, torque), False), (Q, _left(expected @ Q.T, torque), True)]
+        options += [(P, _left(expected @ P.T, torque), True) for P in _others(Q)]
+    else:
+        options = [(P, lever_fit(force, torque @ P)[1], False) for P in (Q, *_others(Q))]
+    enough = min(CRITERIA.gross_left, CRITERIA.gross_gain * options[0][1])
+    better = [o for o in options[1:] if o[1] <= enough]
+    if options[0][1] <= CRITERIA.gross_left or not better:
+        if known and options[1][1] < options[0][1]:
+            return Q, True
+        return Q, False
+    least = min(o[1] for o in better)
+    best = next(o for o in better if o[1] <= CRITERIA.as_good * least)
+    return best[0], best[2]
+
+
+def _others(Q: Array) -> list[Array]:
+    """Other axes that a torque may have beside a force in axes Q: the named ones, turned round, and any order and sign."""
+    return [P for P in (IDENTITY, -Q, -IDENTITY, *signed_permutations()) if not np.allclose(P, Q)]
+
+
+def _left(expected: Array, measured: Array) -> float:
+    """Unexplained share of measured (N, 3) by expected times a scale that is not negative, and a constant."""
+    x, y = expected - expected.mean(axis=0), measured - measured.mean(axis=0)
+    scale = max(float(np.sum(x * y)) / max(float(np.sum(x**2)), 1e-300), 0.0)
+    return float(np.sum((y - scale * x) ** 2) / max(float(np.sum(y**2)), 1e-300))
+
+
+def _axes_say(force: Array, torque: Array) -> list[str]:
+    """Force and torque axes in words."""
+    if np.array_equal(force, torque):
+        if np.array_equal(force, -IDENTITY):
+            return ["force and torque have the opposite sign (reaction instead of action)"]
+        return [f"wrench: {as_axes(force)} of the sensor{_handed(force)}"]
+    out = []
+    for name, P in (("wrench.force", force), ("wrench.torque", torque)):
+        if np.array_equal(P, IDENTITY):
+            continue
+        if np.array_equal(P, -IDENTITY):
+            out.append(f"{name} has the opposite sign (reaction instead of action)")
+        else:
+            out.append(f"{name}: {as_axes(P)} of the sensor{_handed(P)}")
+    return out
+
+
+def _handed(P: Array) -> str:
+    mirrored = [a for k, a in enumerate("xyz") if P[k, k] < 0.0]
+    if np.linalg.det(P) > 0.0:
+        return ""
+    if len(mirrored) == 1 and np.count_nonzero(np.diag(P)) == 3:
+        return f"; {mirrored[0]} is mirrored: left-handed axes"
+    return ": left-handed axes"
