@@ -1,5 +1,6 @@
 """From a recording, continuous or already averaged, to the static poses that a calibration is fitted to."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,9 +10,11 @@ from galen_hw.identification.poses import Mask, Poses
 from galen_hw.identification.still import average, still_spans
 from galen_hw.kinematics import GalenRobot, Robot, UrdfRobot
 from galen_hw.physics.rigid import Body
+from galen_hw.premises import Remark
 from galen_hw.recording import WRENCH, Recording
 from galen_hw.recording.recording import SENSOR_ORIENTATION
 from galen_hw.spatial import Array, quaternion_from_rotation, rotation_from_quaternion
+from galen_hw.tools.examined import examine_recording
 
 SAME_ORIENTATION = 0.005
 """rad between two visits of one pose."""
@@ -22,44 +25,59 @@ STD = tuple(f"covariate.std.{name.removeprefix('wrench.')}" for name in WRENCH)
 
 @dataclass(frozen=True)
 class Found:
-    """Poses of a recording and how they were found, one note a line."""
+    """Poses of a recording and how they were found, one note a line; `terms` of a tool's file that its premises claim."""
 
     poses: Poses
     notes: tuple[str, ...]
     robot: Robot | None
     joints: Array
+    premises: tuple[Remark, ...] = ()
+
+    @property
+    def terms(self) -> tuple[Mapping[str, object], ...]:
+        """Return what was solved before the fit and must be applied live as well: a sensor that is turned on its link."""
+        claims = [r.claim for r in self.premises if r.claim is not None]
+        return tuple(term for c in claims if c.effect == "sensor_mounting" for term in c.terms)
 
 
-def poses_of(recording: Recording, robot: Robot | None = None) -> Found:
-    """The static poses of a recording.
+def poses_of(recording: Recording, robot: Robot | None = None, *, repair: bool = True) -> Found:
+    """Return the static poses of a recording, once its premises hold.
 
     Args:
         recording: with a raw wrench, and joints of a known robot or the sensor's orientation.
         robot: used instead of the one that the recording names.
+        repair: put right what is certain (`galen_hw.premises`); else the same is refused.
 
     Raises:
-        UsageError: no wrench, no orientation, or nothing ever rests.
+        UsageError: no wrench, no orientation, a premise that refuses the recording, or nothing ever rests.
     """
     where = str(recording.path)
     if not recording.has(*WRENCH):
         missing = next(name for name in WRENCH if name not in recording.columns)
         raise UsageError(f"there is no column {missing}", where=where, todo="a calibration needs the raw wrench")
     robot = robot or _robot(recording)
+    # Before any premise looks at it: what has no orientation at all is refused in plain words.
+    _orientation(recording, robot, _joints(recording, robot))
+    examined = examine_recording(recording, "wrench", repair=repair)
+    recording = examined.recording
     joints = _joints(recording, robot)
-    R = _orientation(recording, robot, joints)
+    R = _orientation(recording, robot, joints) @ examined.sensor_turn
     good: Mask = np.asarray(np.isfinite(np.column_stack([recording.wrench, R.reshape(-1, 9)])).all(axis=1))
-    notes = [f"{int((~good).sum())} rows without wrench or orientation are left out"] if not good.all() else []
+    notes = list(examined.notes)
+    notes += [f"{int((~good).sum())} rows without wrench or orientation are left out"] if not good.all() else []
     averaged = _is_averaged(recording)
     poses = _rows(recording, R, good) if averaged else _spans(recording, R, joints, good)
     if len(poses) == 0:
         raise UsageError("nothing ever rests in it", where=where, todo="hold each pose for half a second at least")
     if not averaged:
         notes.append(f"{len(poses)} poses at rest were found in {len(recording)} samples")
-    poses = replace(poses, zero=_zero(recording, robot), gravity=np.array(recording.info.gravity))
+    zero = _zero(recording, robot)
+    zero = None if zero is None else zero @ examined.sensor_turn
+    poses = replace(poses, zero=zero, gravity=np.array(recording.info.gravity))
     if recording.info.bias_body is not None:
         known = recording.info.bias_body
         poses = replace(poses, bias_body=Body(known.mass, np.array(known.com)))
-    return Found(poses, tuple(notes), robot, joints)
+    return Found(poses, tuple(notes), robot, joints, examined.examination.remarks)
 
 
 def _robot(recording: Recording) -> Robot | None:
