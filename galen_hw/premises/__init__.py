@@ -10,7 +10,22 @@ from typing import Final
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Claim, Examination, Premise, Remark, Stage, examine
 
-PREMISES: Final = ("wrench_frames.WrenchFrames",)
+PREMISES: Final = (
+    "cells.LostValues",
+    "sampling.OuterJoin",
+    "clock.ClockUnit",
+    "clock.ClockSteps",
+    "cells.DoubledRows",
+    "cells.PoseRows",
+    "clock.RoundedClock",
+    "joints.WrappedJoints",
+    "clock.ClockRate",
+    "sampling.Staircase",
+    "joints.PositionUnits",
+    "joints.VelocityColumns",
+    "joints.SignMagnitude",
+    "wrench_frames.WrenchFrames",
+)
 """Modules and classes, in order."""
 
 

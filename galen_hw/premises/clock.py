@@ -1,0 +1,237 @@
+"""The clock: its unit, its steps, stamps that were rounded, and whether it runs as the motion says."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import ClassVar, Final
+
+import numpy as np
+
+from galen_hw.physics.observations import Observations
+from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.cells import rows_in
+from galen_hw.spatial import Array
+
+UNITS: Final = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+PERIODS_S: Final = (2e-5, 0.4)
+"""Shortest and longest time between rows of a recorded motion: 50 kHz, 2.5 Hz."""
+SMOOTH: Final = 0.02
+"""Mean squared step from row to row over the variance, of a joint that moves smoothly."""
+STEP: Final = 5.0
+"""Times the median step of time, either way, from which on a clock was set."""
+LONGEST_GAP_S: Final = 0.5
+"""A step forth up to this is a gap like any other."""
+
+
+def moving(seen: Observations) -> list[Array]:
+    """Return the columns (N,) that say how the machine moves: joints' positions, else the sensor's orientation or the pose."""
+    groups = (
+        [n for n in seen.columns if n.startswith("joint.") and n.endswith((".position", ".command"))],
+        [n for n in seen.columns if n.startswith("sensor.orientation.")],
+        [n for n in seen.columns if n.startswith("pose.position.")],
+    )
+    names = next((group for group in groups if group), [])
+    columns = [np.asarray(seen.columns[n])[np.isfinite(seen.columns[n])] for n in names]
+    return [c for c in columns if len(c) > 2 and np.ptp(c) > 0.0]
+
+
+def smooth(seen: Observations) -> bool:
+    """Return whether any of what moves does so smoothly from row to row: rows are samples of a motion, not poses."""
+    return any(float(np.mean(np.diff(q) ** 2)) < SMOOTH * float(np.var(q)) for q in moving(seen))
+
+
+class ClockUnit:
+    """Tests whether time is in seconds: rows of a smooth motion are milliseconds apart, not seconds."""
+
+    KEY: ClassVar[str] = "clock_unit"
+    STAGE: ClassVar[Stage] = Stage.CELLS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark: repaired where one unit alone is possible, or the velocities tell it."""
+        time = seen.time
+        if time is None or len(time) < 50:
+            return
+        steps = np.diff(time)
+        # Stamps of whole seconds stand still more often than not: over the whole recording they advance all the same.
+        step = float(np.ptp(time)) / (len(time) - 1) if np.median(steps) == 0.0 else float(np.median(steps[steps > 0.0]))
+        if step < PERIODS_S[1] or not smooth(seen):
+            return
+        by_speed = speed_scale(seen)
+        if by_speed is not None:
+            near = [(u, f) for u, f in UNITS.items() if abs(np.log(by_speed * f)) < 0.1]
+        else:
+            near = [(u, f) for u, f in UNITS.items() if PERIODS_S[0] <= step / f <= PERIODS_S[1]]
+        text = f"time advances by {step:.6g} a row while the joints move smoothly"
+        whole = by_speed is None and step == 1.0 and np.all(steps == 1.0)
+        if len(near) != 1 or whole:
+            todo = "give seconds" + (" (it may be a row number)" if whole else "")
+            yield Remark(self.KEY, f"{text}: it is not in seconds (is it in ms?)", todo, ("time",), Action.REFUSED)
+            return
+        unit, factor = near[0]
+        repaired = with_columns(seen, {"time": time / factor})
+        yield Remark(self.KEY, f"{text}: it is in {unit}", "", ("time",), Action.REPAIRED, repaired)
+
+
+def speed_scale(seen: Observations) -> float | None:
+    """Return the median over joints of (change of position per unit of time) over measured velocity; None: nothing moves or tells.
+
+    1 where clock and velocities agree, 1e-3 where time is in ms.
+    """
+    time = seen.time
+    if time is None:
+        return None
+    found = []
+    for name in seen.columns:
+        if not (name.startswith("joint.") and name.endswith(".velocity")):
+            continue
+        q, v = seen.columns.get(name.replace(".velocity", ".position")), seen.columns[name]
+        if q is None:
+            continue
+        one = _scale(seen, q, v)
+        if one is not None:
+            found.append(one)
+    return float(np.median(found)) if found else None
+
+
+def travelled(seen: Observations, q: Array, v: Array) -> tuple[Array, Array] | None:
+    """Return the changes of a position q (N,) over some rows each, and the same by its velocity v (N,), at most 200 of them.
+
+    Over many rows a motion is far above the noise of its readings, and stamps that jitter are evened out. None: too few rows.
+    """
+    time = seen.time
+    if time is None:
+        return None
+    inside = np.diff(time) > 0.0
+    for part in seen.segments[1:]:
+        inside[part.start - 1] = False
+    inside &= np.isfinite(np.diff(q)) & np.isfinite(v[1:]) & np.isfinite(v[:-1])
+    if inside.sum() < 20:
+        return None
+    change, told = np.diff(q)[inside], (0.5 * (v[1:] + v[:-1]) * np.diff(time))[inside]
+    width = max(len(change) // 200, 1)
+    count = len(change) // width * width
+    first, second = (x[:count].reshape(-1, width).sum(axis=1) for x in (change, told))
+    return first, second
+
+
+def _scale(seen: Observations, q: Array, v: Array) -> float | None:
+    """Change of position per time over velocity; None where the two are not one signal."""
+    found = travelled(seen, q, v)
+    if found is None:
+        return None
+    moved, told = found
+    if np.std(moved) == 0.0 or np.std(told) == 0.0 or np.corrcoef(moved, told)[0, 1] < 0.9:
+        return None
+    return float(np.sum(moved * told) / np.sum(told**2))
+
+
+class ClockSteps:
+    """Tests for a clock that was set back or forth while recording: rows are in order, their stamps are not."""
+
+    KEY: ClassVar[str] = "clock_steps"
+    STAGE: ClassVar[Stage] = Stage.CELLS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark; a new segment begins at each step, and time goes on from there."""
+        time = seen.time
+        if time is None or len(time) < 8 or not smooth(seen):
+            return
+        steps = np.diff(time)
+        edges = np.zeros(len(steps), dtype=bool)
+        for part in seen.segments[1:]:
+            edges[part.start - 1] = True
+        usual = float(np.median(steps[(steps > 0.0) & ~edges])) if np.any((steps > 0.0) & ~edges) else 0.0
+        back = (steps < -STEP * usual) & ~edges
+        if not usual or not back.any() or back.sum() > 0.01 * len(time):
+            return
+        shift = np.zeros(len(time))
+        shift[1:] = np.cumsum(np.where(back, usual - steps, 0.0))
+        segment = np.concatenate([[0], np.cumsum(back | edges)]).astype(float)
+        rows = np.flatnonzero(back) + 1
+        first = f"{abs(steps[rows[0] - 1]):.4g} s at row {rows[0] + 1}"
+        more = f" and {len(rows) - 1} more times" if len(rows) > 1 else ""
+        what = f"the clock steps back by {first}{more}: a new segment begins there, and no motion is taken across it"
+        repaired = with_columns(seen, {"time": time + shift, "segment": segment})
+        yield Remark(self.KEY, what, "", ("time",), Action.REPAIRED, repaired)
+
+
+class RoundedClock:
+    """Tests for stamps that were rounded (whole seconds, a spreadsheet's digits) more coarsely than rows follow each other."""
+
+    KEY: ClassVar[str] = "rounded_clock"
+    STAGE: ClassVar[Stage] = Stage.CELLS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark; rows are spread evenly, which is within the rounding of every stamp."""
+        time = seen.time
+        if time is None or len(time) < 50 or not smooth(seen):
+            return
+        spread = time.copy()
+        rounded, worst = 0, 0.0
+        for part in seen.segments:
+            t = time[part]
+            if len(t) < 20 or np.any(np.diff(t) < 0.0):
+                continue
+            repeats = float(np.mean(np.diff(t) == 0.0))
+            if repeats < 0.1:
+                continue
+            row = np.arange(len(t), dtype=float)
+            quantum = float(np.min(np.diff(t)[np.diff(t) > 0.0], initial=np.inf))
+            slope, start = _even(row, t, quantum)
+            even = start + slope * row
+            if slope > 0.0 and np.max(np.abs(even - t - 0.5 * quantum * _floored(even, t))) <= 1.5 * quantum:
+                spread[part], rounded, worst = even, rounded + len(t), max(worst, quantum)
+        if not rounded:
+            return
+        what = f"stamps of {rows_in(rounded, len(time))} are rounded to {worst:.3g} s, coarser than rows follow: rows are spread evenly"
+        yield Remark(self.KEY, what, "", ("time",), Action.REPAIRED, with_columns(seen, {"time": spread}))
+
+
+def _even(row: Array, t: Array, quantum: float) -> tuple[float, float]:
+    """Slope and start of evenly spaced times by the rows at which the stamp changes, which are exact to one row."""
+    change = np.flatnonzero(np.diff(t) > 0.0) + 1
+    if len(change) < 3:
+        slope = float(np.ptp(t)) / max(len(t) - 1, 1)
+        return slope, float(t[0])
+    fit = np.polyfit(row[change] - 0.5, t[change], 1)
+    del quantum
+    return float(fit[0]), float(fit[1])
+
+
+def _floored(even: Array, t: Array) -> float:
+    """1 where stamps lie below the even times on average (cut off), 0 where about them (rounded)."""
+    return 1.0 if float(np.mean(even - t)) > 0.0 else 0.0
+
+
+class ClockRate:
+    """Tests whether the clock runs as positions and measured velocities say: all joints alike, a factor that is not 1."""
+
+    KEY: ClassVar[str] = "clock_rate"
+    STAGE: ClassVar[Stage] = Stage.CELLS
+    OFF: ClassVar[float] = 0.05
+    """A velocity filter's gain error is less."""
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark; the clock is repaired where several joints agree."""
+        time = seen.time
+        if time is None or len(time) < 50 or not smooth(seen):
+            return
+        found = []
+        for name in [n for n in seen.columns if n.startswith("joint.") and n.endswith(".velocity")]:
+            q = seen.columns.get(name.replace(".velocity", ".position"))
+            one = None if q is None else _scale(seen, q, seen.columns[name])
+            if one is not None:
+                found.append(one)
+        if len(found) < 2:
+            return
+        scale = float(np.median(found))
+        if abs(np.log(scale)) < self.OFF or np.max(np.abs(np.log(np.array(found) / scale))) > self.OFF:
+            return
+        if scale > 10.0 or scale < 0.1:
+            return  # a unit of the velocities, or of the positions: theirs to say
+        what = f"the clock runs at {1.0 / scale:.4g} times the rate that positions and velocities of {len(found)} joints agree on"
+        yield Remark(self.KEY, what, "", ("time",), Action.REPAIRED, replace_time(seen, time * scale))
+
+
+def replace_time(seen: Observations, time: Array) -> Observations:
+    """Return the recording on another clock (N,), s."""
+    return replace(seen, columns=dict(seen.columns) | {"time": time})

@@ -1,0 +1,234 @@
+"""Joints: angles that wrap, columns of velocity that are none, positions in degrees, millimetres or counts."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import ClassVar, Final
+
+import numpy as np
+
+from galen_hw.physics.observations import Observations
+from galen_hw.premises.base import Action, Remark, Stage, with_columns, without_columns
+from galen_hw.premises.clock import travelled
+from galen_hw.spatial import Array
+
+TURN: Final = 2.0 * np.pi
+WRAPS: Final = {"rad": TURN, "degrees": 360.0}
+ANGLES: Final = {"degrees": 180.0 / np.pi, "revolutions": 1.0 / TURN, "mrad": 1e3}
+SURELY_MOVED: Final = 50.0
+"""Times the noise of a reading that a joint must have gone before its velocities are doubted."""
+FEWEST_JUMPS: Final = 3
+"""Passages through zero from which on a jump is a sign."""
+LEAST_MOTION: Final = 0.02
+"""rad or m, the same of an encoder without noise."""
+LENGTHS: Final = {"mm": 1e3, "cm": 1e2, "um": 1e6}
+
+
+def joint_columns(seen: Observations, kind: str) -> list[str]:
+    """Return the columns `joint.NAME.kind`."""
+    return [n for n in seen.columns if n.startswith("joint.") and n.endswith(f".{kind}")]
+
+
+class WrappedJoints:
+    """Tests for angles that jump by a whole turn from one row to the next: wrapped to one turn."""
+
+    KEY: ClassVar[str] = "wrapped_joints"
+    STAGE: ClassVar[Stage] = Stage.CELLS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark; the angles are unwrapped within their segments."""
+        if seen.time is None:
+            return
+        columns, jumps = {}, 0
+        for name in [*joint_columns(seen, "position"), *joint_columns(seen, "command")]:
+            values = seen.columns[name]
+            there = np.isfinite(values)
+            if there.sum() < 8:
+                continue
+            q = values[there]
+            step = np.abs(np.diff(q))
+            usual = float(np.quantile(step, 0.95))
+            for turn in WRAPS.values():
+                wraps = np.abs(step - turn) < max(0.05 * turn, 2.0 * usual)
+                if wraps.any() and usual < 0.1 * turn and np.ptp(q) < 1.01 * turn:
+                    fixed = values.copy()
+                    fixed[there] = np.unwrap(q, period=turn)
+                    columns[name], jumps = fixed, jumps + int(wraps.sum())
+                    break
+        if columns:
+            names = ", ".join(columns)
+            what = f"{names} wrap{'s' if len(columns) == 1 else ''} by a whole turn {jumps} times: unwrapped"
+            yield Remark(self.KEY, what, "", tuple(columns), Action.REPAIRED, with_columns(seen, columns))
+
+
+class VelocityColumns:
+    """Tests measured velocities against the change of positions: all zero, turned round, in other units, of another joint.
+
+    They are never needed: positions say how the arm moves. What contradicts them is left out.
+    """
+
+    KEY: ClassVar[str] = "velocity_columns"
+    STAGE: ClassVar[Stage] = Stage.UNITS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark for each way in which velocities are wrong; their columns go."""
+        if seen.time is None or len(seen) < 20:
+            return
+        why: dict[str, list[str]] = {}
+        for name in joint_columns(seen, "velocity"):
+            q = seen.columns.get(name.replace(".velocity", ".position"))
+            says = None if q is None else _wrong(seen, q, seen.columns[name])
+            if says:
+                why.setdefault(says, []).append(name)
+        for says, names in why.items():
+            seen = without_columns(seen, names)
+            what = f"{', '.join(names)}: {says}; left out, the positions say how the arm moves"
+            yield Remark(self.KEY, what, "", tuple(names), Action.REPAIRED, seen)
+
+
+def _wrong(seen: Observations, q: Array, v: Array) -> str:
+    """What is wrong with velocities v (N,) beside positions q (N,); empty where nothing is, or the joint hardly moves."""
+    found = travelled(seen, q, v)
+    if found is None:
+        return ""
+    change, told = found
+    there = q[np.isfinite(q)]
+    noise = float(np.median(np.abs(np.diff(there, n=2))))
+    if np.ptp(there) < max(SURELY_MOVED * noise, LEAST_MOTION):
+        return ""
+    if not np.any(told):
+        return "all zero while the position moves"
+    if np.std(told) == 0.0 or np.std(change) == 0.0:
+        return ""
+    correlation = float(np.corrcoef(change, told)[0, 1])
+    scale = float(np.sum(told * change) / np.sum(change**2))
+    if abs(correlation) < 0.5:
+        return "not the change of the position"
+    if correlation < -0.9:
+        return "the opposite sign of the position's change"
+    if correlation > 0.9 and not 0.2 < scale < 5.0:
+        return f"{scale:.3g} times the position's change (is it in degrees or mm?)"
+    return ""
+
+
+class PositionUnits:
+    """Tests joint positions against the robot's limits: degrees, revolutions or millimetres, for the whole group at once."""
+
+    KEY: ClassVar[str] = "position_units"
+    STAGE: ClassVar[Stage] = Stage.UNITS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark for revolute joints and one for prismatic ones; repaired where one unit alone fits all limits."""
+        robot = seen.belief.robot
+        if robot is None:
+            yield from self._by_size(seen)
+            return
+        # A prismatic joint's limits are metres, mostly below one: told apart by what the robot itself says.
+        for slides, units in ((False, ANGLES), (True, LENGTHS)):
+            joints = [k for k, name in enumerate(robot.joint_names) if _slides(robot, k) is slides]
+            names = [f"joint.{robot.joint_names[k]}.position" for k in joints]
+            present = [(n, k) for n, k in zip(names, joints, strict=True) if n in seen.columns]
+            beyond = [(n, k) for n, k in present if _beyond(seen.columns[n], robot.lower[k], robot.upper[k]) > 0.5]
+            if not beyond:
+                continue
+            fitting = [
+                (unit, f)
+                for unit, f in units.items()
+                if f > 1.0 and all(_beyond(seen.columns[n] / f, robot.lower[k], robot.upper[k]) <= 0.05 for n, k in present)
+            ]
+            name, k = beyond[0]
+            reach = float(seen.columns[name][np.nanargmax(np.abs(seen.columns[name]))])
+            what = f"{name} reaches {reach:.4g}, far beyond the joint's limits of {robot.lower[k]:.3g} to {robot.upper[k]:.3g}"
+            if len(fitting) == 1 and _moves(seen, present, fitting[0][1]):
+                unit, f = fitting[0]
+                kinds = ("position", "velocity", "command")
+                joint = [robot.joint_names[k] for _, k in present]
+                columns = {
+                    c: seen.columns[c] / f for j in joint for kind in kinds if (c := f"joint.{j}.{kind}") in seen.columns
+                }
+                text = f"{what}: joints are in {unit}"
+                seen = with_columns(seen, columns)
+                yield Remark(self.KEY, text, "", tuple(columns), Action.REPAIRED, seen)
+            else:
+                hint = "mm" if slides else "degrees"
+                yield Remark(self.KEY, f"{what}: is it in {hint}?", "give rad and m", (name,), Action.REFUSED)
+
+    def _by_size(self, seen: Observations) -> Iterator[Remark]:
+        """Without a robot nobody knows a limit: only what no joint reaches is said."""
+        for name in joint_columns(seen, "position"):
+            values = seen.columns[name]
+            if seen.predict in ("wrench",) and np.isfinite(values).any() and float(np.nanmax(np.abs(values))) > 4.0 * TURN:
+                what = f"{name} reaches {float(np.nanmax(np.abs(values))):.4g}: is it in degrees or mm?"
+                yield Remark(self.KEY, what, "give rad and m", (name,))
+
+
+def _slides(robot: object, k: int) -> bool:
+    """Whether joint k of a robot is prismatic."""
+    kinds = getattr(robot, "prismatic", None)
+    if kinds is not None:
+        return bool(kinds[k])
+    name = robot.joint_names[k]  # type: ignore[attr-defined]
+    return str(name).startswith("carriage")
+
+
+def _beyond(values: Array, low: float, high: float) -> float:
+    """How far values go beyond limits, as a share of their span; 0 where there are none."""
+    there = values[np.isfinite(values)]
+    span = high - low
+    if not len(there) or not np.isfinite(span) or span <= 0.0:
+        return 0.0
+    return max(float(there.max()) - high, low - float(there.min()), 0.0) / span
+
+
+def _moves(seen: Observations, present: list[tuple[str, int]], factor: float) -> bool:
+    """Whether the joints would still move by a degree or a millimetre in the other unit."""
+    return max(float(np.nanmax(seen.columns[n]) - np.nanmin(seen.columns[n])) / factor for n, _ in present) > 1e-3
+
+
+class SignMagnitude:
+    """Tests for integers that were read as unsigned: sign and magnitude, or two's complement, by what continuity says.
+
+    A value that passes through zero jumps by the sign's bit (or by twice that) and goes on: with the bit taken as the sign it
+    does not jump at all.
+    """
+
+    KEY: ClassVar[str] = "unsigned_integers"
+    STAGE: ClassVar[Stage] = Stage.UNITS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark; the columns get their signs."""
+        if seen.time is None:
+            return
+        columns, how = {}, ""
+        names = [n for n in seen.columns if n.startswith(("joint.", "wrench."))]
+        for name in names:
+            found = _signed(seen.columns[name])
+            if found is not None:
+                columns[name], how = found
+        if columns:
+            what = f"{', '.join(columns)} jump{'s' if len(columns) == 1 else ''} by {how} where the value passes zero"
+            yield Remark(self.KEY, what, "", tuple(columns), Action.REPAIRED, replace(seen, columns=dict(seen.columns) | columns))
+
+
+def _signed(values: Array) -> tuple[Array, str] | None:
+    """The values with their signs, and in words what was read as unsigned; None where nothing was."""
+    there = np.isfinite(values)
+    v = values[there]
+    if len(v) < 40 or v.min() < 0.0 or v.max() == 0.0:
+        return None
+    steps = np.abs(np.diff(v))
+    levels = np.unique(v)
+    quantum = float(np.min(np.diff(levels))) if len(levels) > 2 else 0.0
+    for bit in range(6, 32):
+        base = quantum * 2.0**bit
+        jumps = int(np.sum(steps > 0.5 * base))
+        if not 0.9 * base < v.max() < 2.0 * base or v.min() > 0.5 * base or not FEWEST_JUMPS <= jumps < 0.2 * len(steps):
+            continue
+        for says, signed in (
+            (f"the sign's bit ({base:.6g}: sign and magnitude, read as unsigned)", np.where(v > 0.999 * base, base - v, v)),
+            (f"{2.0 * base:.6g} (two's complement, read as unsigned)", np.where(v > 0.999 * base, v - 2.0 * base, v)),
+        ):
+            if not np.any(np.abs(np.diff(signed)) > 0.5 * base):
+                out = values.copy()
+                out[there] = signed
+                return out, says
+    return None

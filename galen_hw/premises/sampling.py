@@ -1,0 +1,138 @@
+"""How columns were brought together: two topics on rows of their own, a slow topic held on the rows of a fast one."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import ClassVar, Final
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from galen_hw.physics.observations import Observations
+from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.cells import Mask, rows_in
+from galen_hw.premises.clock import smooth
+from galen_hw.spatial import Array
+
+APART: Final = 0.02
+"""Share of rows on which both of two joined groups may stand without the join being one by rows."""
+GAP: Final = 5.0
+"""Median steps of a topic beyond which nothing is interpolated: a gap."""
+
+COMPARED: Final = {
+    "wrench": ("wrench.",),
+    "pose": ("pose.",),
+    "targets": ("target.",),
+    "effort": ("joint.", ".effort"),
+    "position": ("joint.", ".position"),
+}
+
+
+def compared_names(seen: Observations) -> list[str]:
+    """Return the columns of the compared group."""
+    keys = COMPARED[seen.predict]
+    return [n for n in seen.columns if n.startswith(keys[0]) and (len(keys) < 2 or n.endswith(keys[1]))]
+
+
+def driver_names(seen: Observations) -> list[str]:
+    """Return the columns that the simulation is driven by: joints, orientation, applied force."""
+    compared = set(compared_names(seen))
+    kinds = (".position", ".velocity", ".command", ".effort")
+    return [
+        n
+        for n in seen.columns
+        if n not in compared
+        and ((n.startswith("joint.") and n.endswith(kinds)) or n.startswith(("sensor.orientation.", "applied.force.", "imu.")))
+    ]
+
+
+class OuterJoin:
+    """Tests for two topics that were joined on rows of their own: where one has cells the other has none."""
+
+    KEY: ClassVar[str] = "outer_join"
+    STAGE: ClassVar[Stage] = Stage.CELLS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark; what drives is interpolated to the rows of what is compared."""
+        time = seen.time
+        theirs, ours = driver_names(seen), compared_names(seen)
+        if time is None or not theirs or not ours:
+            return
+        driven = np.isfinite(seen.matrix(*theirs)).any(axis=1)
+        measured = np.isfinite(seen.matrix(*ours)).any(axis=1)
+        both, total = int((driven & measured).sum()), len(seen)
+        if both > APART * total or driven.sum() < 20 or measured.sum() < 20 or np.any(np.diff(time) < 0.0):
+            return
+        columns = {name: values[measured] for name, values in seen.columns.items()}
+        for name in theirs:
+            columns[name] = _between(time, seen.columns[name], time[measured])
+        rate = [1.0 / float(np.median(np.diff(time[rows]))) for rows in (driven, measured)]
+        what = (
+            f"joints ({int(driven.sum())} rows, {rate[0]:.3g} Hz) and {ours[0].split('.')[0]} ({int(measured.sum())} rows, "
+            f"{rate[1]:.3g} Hz) stand on rows of their own, as of a join of two topics: joints are resampled to the rows of the other"
+        )
+        taken = seen.taken(measured)
+        yield Remark(self.KEY, what, "", tuple(theirs), Action.REPAIRED, replace(taken, columns=columns))
+
+
+def _between(time: Array, values: Array, at: Array) -> Array:
+    """Values at other times, monotone between the measured ones; NaN outside them and across gaps."""
+    there = np.isfinite(values)
+    if there.sum() < 4:
+        return np.full(len(at), np.nan)
+    t, v = time[there], values[there]
+    keep = np.diff(t, prepend=-np.inf) > 0.0
+    t, v = t[keep], v[keep]
+    out = np.asarray(PchipInterpolator(t, v, extrapolate=False)(at))
+    after = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
+    wide = t[after] - t[after - 1] > GAP * float(np.median(np.diff(t)))
+    return np.where(wide & ~np.isin(at, t), np.nan, out)
+
+
+class Staircase:
+    """Tests for joint positions that are held for several rows while what is compared changes in each: a slower topic."""
+
+    KEY: ClassVar[str] = "staircase"
+    STAGE: ClassVar[Stage] = Stage.CELLS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark; positions are interpolated between the rows at which they change."""
+        names = [n for n in driver_names(seen) if n.endswith(".position") or n.startswith("sensor.orientation.")]
+        if seen.time is None or seen.predict == "position" or not names or len(seen) < 40:
+            return
+        values = seen.matrix(*names)
+        if not np.isfinite(values).all():
+            return
+        moves = values[:, np.ptp(values, axis=0) > 0.0]
+        ours = seen.matrix(*compared_names(seen))
+        changes = np.any(np.diff(moves, axis=0) != 0.0, axis=1)
+        live = np.any(np.diff(ours, axis=0) != 0.0, axis=1)
+        held = _rows_held(changes)
+        if held is None or np.mean(live[~changes]) < 0.9 or not _moves_throughout(moves, changes):
+            return
+        fresh = np.concatenate([[True], changes])
+        columns = {n: _between(seen.time, np.where(fresh, seen.columns[n], np.nan), seen.time) for n in names}
+        what = f"joint positions are held for {held} rows each: a slower topic, interpolated between the rows at which they change"
+        repaired = with_columns(seen, columns)
+        last = int(np.flatnonzero(fresh)[-1])
+        yield Remark(self.KEY, what, "", tuple(names), Action.REPAIRED, repaired.taken(np.arange(len(seen)) <= last))
+
+
+def _rows_held(changes: Mask) -> int | None:
+    """How many rows a position stands, where nearly all do so alike; None where positions change with every row."""
+    at = np.flatnonzero(changes)
+    if len(at) < 10:
+        return None
+    lengths = np.diff(at)
+    usual = int(np.median(lengths))
+    return usual if usual >= 2 and np.mean(np.abs(lengths - usual) <= 1) > 0.9 else None
+
+
+def _moves_throughout(moves: Array, changes: Mask) -> bool:
+    """Whether steps are those of a motion that went on meanwhile: smooth when the held rows are left out."""
+    fresh = moves[np.concatenate([[True], changes])]
+    return len(fresh) > 10 and bool(
+        any(float(np.mean(np.diff(q) ** 2)) < 0.1 * float(np.var(q)) for q in fresh.T)
+    )
+
+
+__all__ = ["OuterJoin", "Staircase", "compared_names", "driver_names", "rows_in", "smooth"]
