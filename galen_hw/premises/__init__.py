@@ -24,7 +24,13 @@ PREMISES: Final = (
     "joints.PositionUnits",
     "joints.VelocityColumns",
     "joints.SignMagnitude",
+    "units.ToolSize",
     "wrench_frames.WrenchFrames",
+    "units.WrenchUnits",
+    "units.EffortUnits",
+    "pose_frames.PoseFrames",
+    "pose_frames.TargetFrames",
+    "load.LoadChange",
 )
 """Modules and classes, in order."""
 

@@ -17,7 +17,15 @@ class Criteria:
         gross_left: unexplained share that a believed other reading may leave at most.
         gross_gain: times the unexplained share of the columns as named that it may leave at most.
         as_good: times the least unexplained share within which a simpler reading is preferred.
+        half: the same as `gross_gain` of a first look that has weight alone in its model.
+        noise_alone: mean squared residual over the noise up to which there is nothing to split.
+        fewest_split: rows on which two loads are told from one at least.
+        same_factor: log ratio within which a scale is that of a unit: a sensor's gain error and a tool's weight on a kitchen scale.
+        least_factor: times, either way, that a gain, a payload or a friction does not change a whole signal.
+        longest_lever: m; no tool of a wrist sensor has its centre of mass further away.
+        one_signal: correlation from which two signals are one in another scale.
         most_rows: evenly chosen rows on which a motion's axes are looked at first: it takes a hundredth of a second.
+        stretch: rows in one piece of which efforts' units are asked.
         fewest_vectors: rows on which a rotation is solved at least; below, too many rotations fit.
     """
 
@@ -27,7 +35,15 @@ class Criteria:
     gross_gain: float = 0.25
     as_good: float = 2.0
     fewest_vectors: int = 6
-    most_rows: int = 600
+    fewest_split: int = 10
+    half: float = 0.5
+    noise_alone: float = 1.5
+    same_factor: float = 0.03
+    least_factor: float = 3.0
+    longest_lever: float = 2.5
+    one_signal: float = 0.95
+    most_rows: int = 400
+    stretch: int = 800
 
 
 CRITERIA: Final = Criteria()

@@ -6,6 +6,7 @@ from typing import ClassVar, Final
 
 import numpy as np
 
+from galen_hw.kinematics import Robot, UrdfRobot
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns, without_columns
 from galen_hw.premises.clock import travelled
@@ -161,13 +162,11 @@ class PositionUnits:
                 yield Remark(self.KEY, what, "give rad and m", (name,))
 
 
-def _slides(robot: object, k: int) -> bool:
+def _slides(robot: Robot, k: int) -> bool:
     """Whether joint k of a robot is prismatic."""
-    kinds = getattr(robot, "prismatic", None)
-    if kinds is not None:
-        return bool(kinds[k])
-    name = robot.joint_names[k]  # type: ignore[attr-defined]
-    return str(name).startswith("carriage")
+    if isinstance(robot, UrdfRobot):
+        return bool(robot.model.joints[k + 1].shortname().startswith("JointModelP"))
+    return robot.joint_names[k].startswith("carriage")
 
 
 def _beyond(values: Array, low: float, high: float) -> float:

@@ -1,0 +1,214 @@
+"""What hangs on the sensor, and what it was zeroed with, stays so while a recording lasts."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from galen_hw.physics.observations import Observations
+from galen_hw.physics.table import scene_of
+from galen_hw.premises.base import Action, Claim, Remark, Stage, with_columns
+from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.wrench_reading import FORCE, TORQUE, at_rest, comparable
+from galen_hw.spatial import Array
+
+BODY = 4
+"""Mass and first moment: what weight alone shows of a body."""
+
+
+@dataclass(frozen=True)
+class _Split:
+    """Two fits on either side of a row.
+
+    Args:
+        row: the first of the second part, of the rows looked at.
+        kind: "load" or "zero".
+        change: (4,) of mass and first moment, or (6,) of the offset.
+        std: of these.
+        gain: mean squared residual without the split over that with it.
+    """
+
+    row: int
+    kind: str
+    change: Array
+    std: Array
+    gain: float
+
+
+class LoadChange:
+    """Tests whether the tool's weight, or the sensor's zero, is another one from some row on.
+
+    Two fits against one: bodies and offsets by least squares on either side of every row (cumulated normal equations), whitened
+    by what the better fit leaves. A jump is told from a slow drift by being better than a straight line of the offsets.
+    """
+
+    KEY: ClassVar[str] = "load_change"
+    STAGE: ClassVar[Stage] = Stage.LOAD
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield at most one remark; in a motion a picked-up part is repaired and claimed, in poses it is refused."""
+        if seen.predict != "wrench" or seen.simulation is not None or not all(n in seen.columns for n in (*FORCE, *TORQUE)):
+            return
+        some = at_rest(comparable(seen, CRITERIA.most_rows))
+        if len(some) < CRITERIA.fewest_split:
+            return
+        scene = scene_of(some)
+        port = scene.body_port()
+        if port is None:
+            return
+        moving = seen.belief.dynamic and seen.time is not None
+        split = _best_split(scene.measured - scene.simulated, port, CRITERIA.half if moving else CRITERIA.gross_gain)
+        if split is not None and moving:
+            # Weight alone has shown where to look; with what accelerates the load, the fit must be nearly complete.
+            whole = comparable(seen)
+            rows = np.linspace(0, len(whole) - 1, min(len(whole), CRITERIA.most_rows)).astype(int)
+            scene = scene_of(whole)
+            port = scene.body_port()
+            assert port is not None, "there was one at rest"
+            split = _best_split((scene.measured - scene.simulated)[rows], port[rows], CRITERIA.gross_gain)
+        if split is None:
+            return
+        where, at = _moment(seen, some, split.row)
+        if split.kind == "zero":
+            if seen.time is not None:
+                return  # a step of the offset has a name of its own, and the search finds its moment
+            sizes = ", ".join(f"{c:.3g}" for c in split.change)
+            what = f"the sensor was zeroed anew {where}: its offset jumps by ({sizes}) N, N m"
+            yield Remark(self.KEY, what, "split the recording there", (*FORCE, *TORQUE), Action.REFUSED)
+            return
+        mass = float(split.change[0])
+        what = f"{'picked up' if mass > 0.0 else 'put down'} {where}: the load changes by {mass:+.4g} +- {split.std[0]:.2g} kg"
+        if seen.time is None or seen.belief.tool.mass <= 0.0:
+            yield Remark(self.KEY, what, "split the recording there, one tool a part", (*FORCE, *TORQUE), Action.REFUSED)
+            return
+        yield self._claimed(seen, split, at, what)
+
+    def _claimed(self, seen: Observations, split: _Split, at: float, what: str) -> Remark:
+        """The recording without what the change adds from its moment on."""
+        time = seen.time
+        assert time is not None, "claimed only of motions"
+        port = scene_of(seen).body_port()
+        assert port is not None, "wrenches have one"
+        change, std, at = _refined(seen, port, split, at)
+        after = (time >= at)[:, None]
+        wrench = seen.matrix(*FORCE, *TORQUE) - np.where(after, port[:, :, :BODY] @ change, 0.0)
+        mass = float(change[0])
+        com = change[1:] / mass
+        parameters = {"mass": (mass, float(std[0]), "kg"), "moment": (at, 0.0, "s")}
+        parameters |= {f"com_{a}": (float(com[k]), float(std[1 + k] / abs(mass)), "m") for k, a in enumerate("xyz")}
+        claim = Claim("payload", parameters, (*FORCE, *TORQUE))
+        repaired = with_columns(seen, dict(zip((*FORCE, *TORQUE), wrench.T, strict=True)))
+        text = f"the load changes by {mass:+.4g} +- {std[0]:.2g} kg from {at:.4g} s on"
+        del what
+        return Remark(self.KEY, text, "record each load by itself", (*FORCE, *TORQUE), Action.REPAIRED, repaired, claim)
+
+
+def _refined(seen: Observations, port: Array, split: _Split, at: float) -> tuple[Array, Array, float]:
+    """Change (4,), its standard deviations and the moment, on all rows with their acceleration."""
+    time = seen.time
+    assert time is not None, "claimed only of motions"
+    y = seen.matrix(*FORCE, *TORQUE)
+    good = np.isfinite(y).all(axis=1) & np.isfinite(port).all(axis=(1, 2))
+    base = np.concatenate([np.tile(np.eye(6), (len(seen), 1, 1)), port[:, :, :BODY]], axis=2)
+    step = float(np.ptp(time)) / CRITERIA.most_rows
+    width = max(2.0 * step, 1e-9)
+    candidates = time[good & (np.abs(time - at) <= width)]
+    candidates = candidates[:: max(len(candidates) // 60, 1)] if len(candidates) else np.array([at])
+    rest = y[good] - base[good] @ np.linalg.lstsq(base[good].reshape(-1, 10), y[good].reshape(-1), rcond=None)[0]
+    sigma = np.maximum(np.std(rest, axis=0), 1e-12)
+    best: tuple[float, float, Array, Array] | None = None
+    for t in candidates:
+        X = np.concatenate([base, np.where((time >= t)[:, None, None], port[:, :, :BODY], 0.0)], axis=2)[good]
+        A, b = (X / sigma[:, None]).reshape(-1, 14), (y[good] / sigma).reshape(-1)
+        theta = np.linalg.lstsq(A, b, rcond=None)[0]
+        left = b - A @ theta
+        cost = float(left @ left)
+        if best is None or cost < best[0]:
+            covariance = np.linalg.pinv(A.T @ A) * cost / max(len(b) - 14, 1)
+            best = (cost, float(t), theta[10:], np.sqrt(np.diag(covariance)[10:]))
+    assert best is not None, "there is at least one candidate"
+    del split
+    return best[2], best[3], best[1]
+
+
+def _moment(seen: Observations, some: Observations, row: int) -> tuple[str, float]:
+    """Where a split is, in words, and its time (s) or row."""
+    if some.time is None:
+        return f"before pose {row + 1}", float(row)
+    return f"at {some.time[row]:.4g} s", float(some.time[row])
+
+
+def _best_split(y: Array, port: Array, gain: float) -> _Split | None:
+    """The split that is far better than one fit and than a drift; None where there is none.
+
+    Args:
+        y: (N, 6) measured less simulated.
+        port: (N, 6, 10) reading by inertial parameters.
+        gain: share of the squared residual of one fit, or of one that drifts, that it may leave at most.
+    """
+    n = len(y)
+    base = np.concatenate([np.tile(np.eye(6), (n, 1, 1)), port[:, :, :BODY]], axis=2)
+    sigma = np.maximum(_scatter(base, y), 1e-9)
+    A, b = base / sigma[:, None], y / sigma
+    whole = _cost(A.reshape(-1, 10), b.reshape(-1))
+    ramp = np.linspace(-0.5, 0.5, n)[:, None, None] * A[:, :, :6]
+    drifting = _cost(np.concatenate([A, ramp], axis=2).reshape(-1, 16), b.reshape(-1))
+    if whole < CRITERIA.noise_alone * b.size:
+        return None
+    best: _Split | None = None
+    cost = np.inf
+    for kind, columns in (("zero", slice(0, 6)), ("load", slice(6, 10))):
+        row, left = _scan(A, b, columns)
+        if left < cost:
+            cost, best = left, _fitted(A, b, columns, row, kind, whole)
+    if best is None or cost > gain * min(whole, drifting) or not np.any(np.abs(best.change) > 6.0 * best.std):
+        return None
+    if best.kind == "load" and abs(best.change[0]) < 6.0 * best.std[0]:
+        return None
+    return best
+
+
+def _scatter(base: Array, y: Array) -> Array:
+    """(6,) noise of each channel from differences of neighbouring rows' residuals."""
+    rest = y - base @ np.linalg.lstsq(base.reshape(-1, 10), y.reshape(-1), rcond=None)[0]
+    return np.asarray(np.median(np.abs(np.diff(rest, axis=0)), axis=0) / 0.95)
+
+
+def _cost(X: Array, b: Array) -> float:
+    left = b - X @ np.linalg.lstsq(X, b, rcond=None)[0]
+    return float(left @ left)
+
+
+def _scan(A: Array, b: Array, columns: slice) -> tuple[int, float]:
+    """The best first row, and its squared residual, of fits with some columns (6, k) free anew from it on.
+
+    By cumulated normal equations: every row costs one small solution, whatever the length of the recording.
+    """
+    part = A[:, :, columns]
+    n, p, k = len(A), A.shape[2], part.shape[2]
+    G, h, total = np.einsum("nci,ncj->ij", A, A), np.einsum("nci,nc->i", A, b), float(np.sum(b**2))
+    cross = np.cumsum(np.einsum("nci,ncj->nij", A, part)[::-1], axis=0)[::-1]
+    own = np.cumsum(np.einsum("nci,ncj->nij", part, part)[::-1], axis=0)[::-1]
+    right = np.cumsum(np.einsum("nci,nc->ni", part, b)[::-1], axis=0)[::-1]
+    least = CRITERIA.fewest_split // 2
+    rows = np.arange(least, n - least)
+    M = np.empty((len(rows), p + k, p + k))
+    M[:, :p, :p], M[:, :p, p:], M[:, p:, :p], M[:, p:, p:] = G, cross[rows], np.swapaxes(cross[rows], 1, 2), own[rows]
+    M += 1e-10 * np.trace(G) / p * np.eye(p + k)
+    v = np.concatenate([np.tile(h, (len(rows), 1)), right[rows]], axis=1)
+    left = total - np.einsum("ni,ni->n", v, np.linalg.solve(M, v[:, :, None])[:, :, 0])
+    best = int(np.argmin(left))
+    return int(rows[best]), float(left[best])
+
+
+def _fitted(A: Array, b: Array, columns: slice, row: int, kind: str, whole: float) -> _Split:
+    part = np.where((np.arange(len(A)) >= row)[:, None, None], A[:, :, columns], 0.0)
+    X, y = np.concatenate([A, part], axis=2).reshape(-1, A.shape[2] + part.shape[2]), b.reshape(-1)
+    theta = np.linalg.lstsq(X, y, rcond=None)[0]
+    left = y - X @ theta
+    cost = float(left @ left)
+    covariance = np.linalg.pinv(X.T @ X) * cost / max(len(y) - X.shape[1], 1)
+    at = slice(A.shape[2], None)
+    return _Split(row, kind, theta[at], np.sqrt(np.diag(covariance)[at]), whole / max(cost, 1e-300))
+

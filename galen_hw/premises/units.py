@@ -1,0 +1,241 @@
+"""Units of what is compared: wrenches, efforts and the tool's own numbers, judged by the simulation for whole groups at once."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, Final
+
+import numpy as np
+
+from galen_hw.physics.observations import Observations
+from galen_hw.physics.table import scene_of
+from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.rotations import scaled
+from galen_hw.premises.wrench_reading import FORCE, TORQUE, at_rest, comparable, lever_fit, readings
+from galen_hw.spatial import Array
+
+FORCES: Final = {
+    "N": 1.0,
+    "kgf": 1.0 / 9.80665,
+    "lbf": 1.0 / 4.4482216,
+    "ozf": 16.0 / 4.4482216,
+    "gf": 1000.0 / 9.80665,
+    "mN": 1e3,
+    "cN": 1e2,
+    "dN": 10.0,
+    "daN": 0.1,
+    "kN": 1e-3,
+}
+TORQUES: Final = {
+    "N m": 1.0,
+    "N mm": 1e3,
+    "N cm": 1e2,
+    "mN m": 1e3,
+    "kgf m": 1.0 / 9.80665,
+    "kgf cm": 100.0 / 9.80665,
+    "kgf mm": 1e3 / 9.80665,
+    "lbf in": 1.0 / 0.112984829,
+    "lbf ft": 1.0 / 1.355817948,
+    "ozf in": 16.0 / 0.112984829,
+    "gf cm": 1e5 / 9.80665,
+    "kN m": 1e-3,
+}
+"""Of each unit in a newton or newton metre (NIST SP 811)."""
+
+
+def units_of(scale: float, table: dict[str, float]) -> list[str]:
+    """Return the units of a table that a scale against SI may be, SI itself left out."""
+    return [u for u, f in table.items() if abs(np.log(scale / f)) < CRITERIA.same_factor and abs(np.log(f)) > CRITERIA.same_factor]
+
+
+class ToolSize:
+    """Tests the tool's own numbers: no tool is metres long."""
+
+    KEY: ClassVar[str] = "tool_size"
+    STAGE: ClassVar[Stage] = Stage.UNITS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield a remark for a centre of mass or a tip that lies metres off."""
+        for what, place in (("com", seen.belief.tool.com), ("tip", seen.belief.tip)):
+            if (size := float(np.linalg.norm(place))) > CRITERIA.longest_lever:
+                says = f"tool.{what} lies {size:.4g} m from the sensor: is it in mm?"
+                yield Remark(self.KEY, says, "give metres in recording.json", (), Action.REFUSED)
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """What a wrench says of the tool that hangs on it.
+
+    Args:
+        mass: kg; com: (3,) m, by force and torque as recorded.
+        force_scale, torque_scale: measured over believed; 0 where the tool is not known.
+    """
+
+    mass: float
+    com: Array
+    force_scale: float
+    torque_scale: float
+
+
+class WrenchUnits:
+    """Tests a wrench's units by the tool that recording.json names, and by the lever that no tool has.
+
+    Factors are those of units, for force and torque together. They are certain where what they leave aside cannot be: a centre of
+    mass metres away. A tool of a tenth of the named weight is possible: then both are said, and nothing is fitted.
+    """
+
+    KEY: ClassVar[str] = "wrench_units"
+    STAGE: ClassVar[Stage] = Stage.FRAMES
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield at most one remark for single columns, then one for the whole wrench."""
+        if seen.predict != "wrench" or not all(name in seen.columns for name in (*FORCE, *TORQUE)):
+            return
+        some = at_rest(comparable(seen, CRITERIA.most_rows))
+        if len(some) < CRITERIA.fewest_vectors:
+            return
+        for remark in self._single(seen, some):
+            yield remark
+            if remark.repaired is None:
+                return
+            seen, some = remark.repaired, at_rest(comparable(remark.repaired, CRITERIA.most_rows))
+        weighed = _weighed(some)
+        if weighed is not None:
+            yield from self._whole(seen, weighed)
+
+    def _single(self, seen: Observations, some: Observations) -> Iterator[Remark]:
+        """Columns that are not in the unit of the other two of their group."""
+        expected = next(iter(readings(some))).expected
+        groups = [(FORCE, expected, FORCES)]
+        if some.belief.tool.mass > 0.0 and some.simulation is None:
+            groups.append((TORQUE, scene_of(some).simulated[:, 3:], TORQUES))
+        for names, x, table in groups:
+            scales = [_scale(x[:, k], some.columns[name]) for k, name in enumerate(names)]
+            known = [k for k, s in enumerate(scales) if s is not None and s > 0.0]
+            if len(known) < 3:
+                continue
+            values = np.array([float(s) for s in scales if s is not None])
+            for k in known:
+                others = np.delete(values, k)
+                ratio = float(values[k] / np.mean(others))
+                alike = abs(np.log(others[0] / others[1])) < CRITERIA.same_factor * 2.0
+                if not alike or 1.0 / CRITERIA.least_factor < ratio < CRITERIA.least_factor:
+                    continue
+                what = f"{names[k]} is {ratio:.4g} times as large as its simulation where the other two axes are {np.mean(others):.3g}"
+                units = units_of(ratio, table)
+                if not units:
+                    yield Remark(self.KEY, f"{what}: in another unit?", "give N and N m", (names[k],), Action.REFUSED)
+                    return
+                factor = table[units[0]]
+                seen = with_columns(seen, {names[k]: seen.columns[names[k]] / factor})
+                yield Remark(self.KEY, f"{what}: it is in {' or '.join(units)}", "", (names[k],), Action.REPAIRED, seen)
+
+    def _whole(self, seen: Observations, weighed: _Weighed) -> Iterator[Remark]:
+        lever = float(np.linalg.norm(weighed.com))
+        named = weighed.force_scale > 0.0
+        forces = units_of(weighed.force_scale, FORCES) if named else []
+        torques = units_of(weighed.torque_scale, TORQUES) if named and weighed.torque_scale > 0.0 else []
+        off = named and not 1.0 / CRITERIA.least_factor < weighed.force_scale < CRITERIA.least_factor
+        bent = named and weighed.torque_scale > 0.0
+        bent = bent and not 1.0 / CRITERIA.least_factor < weighed.torque_scale < CRITERIA.least_factor
+        columns = (*FORCE, *TORQUE)
+        if lever > CRITERIA.longest_lever:
+            text = f"the torque says that the centre of mass lies {lever:.3g} m away"
+            if named and (forces or not off) and torques:
+                yield self._in_units(seen, text, forces if off else [], torques)
+                return
+            units = [u for u, f in TORQUES.items() if f > 1.0 and 1e-3 < lever / f < 1.0]
+            hint = "is it in N mm?" if "N mm" in units else "it is not in N m"
+            yield Remark(self.KEY, f"wrench.torque is {lever:.3g} m times the force: {hint}", "give N m", TORQUE, Action.REFUSED)
+        elif off or bent:
+            mass = seen.belief.tool.mass
+            says = [f"the tool weighs {weighed.mass:.4g} kg where recording.json names {mass:.4g} kg ({weighed.force_scale:.3g} times)"]
+            if bent and not off:
+                says = [f"the torque is {weighed.torque_scale:.3g} times what the named tool has"]
+            names = [f"force in {u}" for u in forces if off] + [f"torque in {u}" for u in torques if bent]
+            hint = f"{says[0]}: {'is the ' + ', the '.join(names) + '?' if names else 'another tool, or other units?'}"
+            yield Remark(self.KEY, hint, "give N and N m, or name the tool that hangs there", columns, Action.REFUSED)
+
+    def _in_units(self, seen: Observations, text: str, forces: list[str], torques: list[str]) -> Remark:
+        columns = {name: seen.columns[name] / TORQUES[torques[0]] for name in TORQUE}
+        columns |= {name: seen.columns[name] / FORCES[forces[0]] for name in FORCE if forces}
+        what = f"{text}: torque is in {' or '.join(torques)}" + (f", force in {' or '.join(forces)}" if forces else "")
+        return Remark(self.KEY, what, "", (*FORCE, *TORQUE) if forces else TORQUE, Action.REPAIRED, with_columns(seen, columns))
+
+
+def _weighed(some: Observations) -> _Weighed | None:
+    """What hangs on the sensor by the wrench; None where gravity is not most of what it reads."""
+    one = next(iter(readings(some)))
+    plain = one.plain
+    if plain.rank < 2 or plain.unexplained > CRITERIA.gross_left or plain.Q[0, 0] < 0.0 or some.simulation is not None:
+        return None
+    torque = some.matrix(*TORQUE)
+    com, _ = lever_fit(one.force, torque)
+    tool = some.belief.tool
+    mass = sum(body.mass for body in some.belief.hanging)
+    if tool.mass <= 0.0:
+        return _Weighed(plain.scale, com, 0.0, 0.0)
+    expected = scene_of(some).simulated[:, 3:]
+    turned = scaled(expected, torque)
+    fits = turned.unexplained <= CRITERIA.gross_left and turned.Q[0, 0] > 0.0 and turned.rank >= 2
+    return _Weighed(plain.scale, com, plain.scale / mass, turned.scale if fits else 0.0)
+
+
+def _scale(x: Array, y: Array) -> float | None:
+    """Least squares y = scale x + constant where the two are one signal; None where they are not."""
+    if np.std(x) == 0.0 or np.std(y) == 0.0 or abs(float(np.corrcoef(x, y)[0, 1])) < CRITERIA.one_signal:
+        return None
+    return float(np.cov(y, x)[0, 1] / np.var(x, ddof=1))
+
+
+class EffortUnits:
+    """Tests joint efforts against what the rigid model needs: a factor of every joint that no load and no friction has."""
+
+    KEY: ClassVar[str] = "effort_units"
+    STAGE: ClassVar[Stage] = Stage.FRAMES
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield at most one remark for all joints."""
+        if seen.predict != "effort" or len(seen) < 50:
+            return
+        # A stretch without gaps: what accelerates the arm is part of what the model needs.
+        scene = scene_of(seen.taken(slice(0, CRITERIA.stretch)))
+        if not scene.clock or not np.isfinite(scene.q).all():
+            return
+        found = [(name, _slope(scene.simulated[:, c], scene.measured[:, c], _speed(scene, name))) for c, name in enumerate(scene.channels)]
+        known = [(name, s) for name, s in found if s is not None]
+        if not known or len(known) < 0.5 * len(found):
+            return
+        slopes = np.array([s for _, s in known])
+        low, high = 1.0 / CRITERIA.least_factor, CRITERIA.least_factor
+        if not (np.all(slopes > high) or np.all((slopes < low) & (slopes > 0.0))):
+            return
+        names = tuple(name for name, _ in known)
+        each = ", ".join(f"{name.split('.', 1)[1].rsplit('.', 1)[0]} {s:.3g}" for name, s in known)
+        equal = float(np.max(np.abs(np.log(slopes / np.median(slopes))))) < CRITERIA.same_factor
+        units = units_of(float(np.median(slopes)), TORQUES) if equal else []
+        hint = f"are they in {' or '.join(units)}?" if units else "per mille of a rated torque, mA or counts?"
+        what = f"efforts are not in N m: times what the model needs, {each}; {hint}"
+        yield Remark(self.KEY, what, "give N m: times the rated torque, or the torque constant, of each motor", names, Action.REFUSED)
+
+
+def _speed(scene: object, channel: str) -> Array:
+    joint = channel.split(".", 1)[1].rsplit(".", 1)[0]
+    return np.asarray(scene.rates[0][:, scene.joint_index(joint)])  # type: ignore[attr-defined]
+
+
+def _slope(expected: Array, measured: Array, speed: Array) -> float | None:
+    """Slope of measured over expected beside friction of any size; None where the model's effort cannot be told from that."""
+    good = np.isfinite(expected) & np.isfinite(measured) & np.isfinite(speed)
+    if good.sum() < 50 or np.std(expected[good]) == 0.0:
+        return None
+    x, y, v = expected[good], measured[good], speed[good]
+    small = 0.05 * max(float(np.std(v)), 1e-12)
+    others = np.column_stack([np.ones_like(v), np.tanh(v / small), v])
+    own = x - others @ np.linalg.lstsq(others, x, rcond=None)[0]
+    rest = y - others @ np.linalg.lstsq(others, y, rcond=None)[0]
+    if np.std(own) < 0.05 * np.std(x) or np.std(rest) == 0.0:
+        return None
+    if float(np.corrcoef(own, rest)[0, 1]) < 0.8:
+        return None
+    return float(np.sum(own * rest) / np.sum(own**2))
