@@ -214,20 +214,39 @@ def milliseconds(c: Columns) -> None:
     c["time"] = 1000.0 * c["time"]
 
 
-def milliseconds_alone(c: Columns) -> None:
-    c["time"] = 1000.0 * c["time"]
-
-
-WRONG: dict[Callable[[Columns], None], str] = {
-    swapped: "wrench.force: x, y, z read like y, x, z of the simulation",
-    wrong_sign: "wrench.force: x, y, z read like -x, -y, -z",
-    newton_millimetres: "is it in N mm?",
-    degrees: "far beyond the joint's limits",
-    dead_channel: "wrench.force.y stands still at 0.25 while its simulation moves",
-    degrees_per_second: "joint.roll.velocity is 57",
-    milliseconds: "or time in ms?",
-    milliseconds_alone: "time advances by 100 s a row while the joints move smoothly: is it in ms?",
+REPAIRED: dict[Callable[[Columns], None], str] = {
+    swapped: "wrench.force: x, y, z read like y, x, z of the sensor: left-handed axes; repaired",
+    wrong_sign: "force and torque have the opposite sign (reaction instead of action); repaired",
+    newton_millimetres: "torque is in N mm",
+    degrees: "joints are in degrees; repaired",
+    degrees_per_second: "joint.roll.velocity: 57.3 times the position's change",
+    milliseconds: "it is in ms; repaired",
 }
+WRONG: dict[Callable[[Columns], None], str] = {
+    dead_channel: "wrench.force.y stands still at 0.25 while its simulation moves",
+}
+
+
+@pytest.mark.parametrize("spoil", REPAIRED, ids=lambda f: f.__name__)
+def test_a_certain_mistake_is_repaired_and_said(spoil, tmp_path, capsys):
+    """Exit status 0: the same recording as without the mistake; the note names the mistake."""
+    columns = recording()
+    spoil(columns)
+    status, answer = diagnose(write(tmp_path / "run", columns, INFO))
+    assert (status, answer["verdict"], answer["findings"]) == (0, "agrees", [])
+    assert REPAIRED[spoil] in capsys.readouterr().out
+    assert [p["action"] for p in answer["premises"]] == ["repaired"]
+
+
+@pytest.mark.parametrize("spoil", REPAIRED, ids=lambda f: f.__name__)
+def test_without_repair_the_same_mistake_is_refused(spoil, tmp_path, capsys):
+    """Exit status 1, unexplained, the cause in one line, `unknown` the only finding."""
+    columns = recording()
+    spoil(columns)
+    status, answer = diagnose(write(tmp_path / "run", columns, INFO), "--no-repair")
+    assert (status, answer["verdict"]) == (1, "unexplained")
+    assert [f["effect"] for f in answer["findings"]] == ["unknown"]
+    assert REPAIRED[spoil].removesuffix("; repaired") in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("spoil", WRONG, ids=lambda f: f.__name__)

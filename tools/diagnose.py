@@ -51,6 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="OUT.json",
         help="write the tool's file with the terms found, for galen-hw tool import; without a tool the terms alone",
     )
+    parser.add_argument(
+        "--no-repair", action="store_true", help="refuse what would be put right in memory: units, axes, clocks"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the blocks that are set aside")
     parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, for many recordings")
     parser.epilog = "example: galen-hw diagnose run.mcap --report report.html --save-model retractor+cable.json"
@@ -161,12 +164,21 @@ def one(paths: list[Path], args: argparse.Namespace, progress: Progress | None =
         todo = "judge on a recording that compares the same channels"
         raise UsageError(f"does not compare the channels of {paths[0]}", where=f"--holdout {judges[0]}", todo=todo)
     name = ", ".join(map(str, paths))
-    work = diagnose(scene, name=name, holdout=holdout, share=share, seed=args.seed, progress=progress)
+    work = diagnose(
+        scene, name=name, holdout=holdout, share=share, seed=args.seed, progress=progress, repair=not args.no_repair
+    )
     work.diagnosis.units = dict(zip(scene.channels, scene.units, strict=True))
-    work.diagnosis.notes[:0] = notes
+    concerned = [name for remark in work.diagnosis.premises for name in remark["columns"]]
+    work.diagnosis.notes[:0] = [line for line in notes if not _said_better(line, concerned)]
     if holdout is not None:
         work.diagnosis.holdout = ", ".join(map(str, judges))
     return work, recordings[0]
+
+
+def _said_better(line: str, columns: list[str]) -> bool:
+    """Whether a line of the reader is about cells of which a premise has said what they are."""
+    name = line.partition(":")[0].partition(",")[0].strip()
+    return any(column.startswith(name) for column in columns)
 
 
 def _holdout(given: list[str]) -> tuple[float, list[Path]]:

@@ -48,11 +48,11 @@ def examine_recording(recording: Recording, group: Group, *, repair: bool = True
     if found.refused:
         first = found.refused[0]
         more = f" (and {len(found.refused) - 1} more)" if len(found.refused) > 1 else ""
-        raise UsageError(f"{first.what}{more}", where=str(recording.path), todo=first.todo or "put it right in the file")
+        raise UsageError(
+            f"{first.what}{more}", where=str(recording.path), todo=first.todo or "put it right in the file"
+        )
     belief = found.observations.belief
     gravity = tuple(float(g) for g in belief.gravity)
     columns = dict(found.observations.columns)
-    repaired = replace(
-        recording, columns=columns, info=recording.info.model_copy(update={"gravity": gravity})
-    )
+    repaired = replace(recording, columns=columns, info=recording.info.model_copy(update={"gravity": gravity}))
     return Examined(repaired, found, belief.sensor_turn)

@@ -2,8 +2,12 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from galen_hw.errors import EXIT_OK
+
+if TYPE_CHECKING:
+    from galen_hw.recording import Recording
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,6 +27,16 @@ def run(args: argparse.Namespace) -> int:
     recording = read_recording(args.folder)
     write_mcap(recording, args.file, encoding=args.encoding, overwrite=args.force)
     print(f"{args.file}: {len(recording)} rows, {len(recording.columns)} columns")
-    for warning in recording.warnings:
-        print(f"  {warning}")
+    for line in (*recording.warnings, *_premises(recording)):
+        print(f"  {line}")
     return EXIT_OK
+
+
+def _premises(recording: "Recording") -> list[str]:
+    """What the premises say of what is compared; the file holds the cells as they were."""
+    from galen_hw.premises import examined
+    from galen_hw.tools.diagnose_input import observations_of
+
+    if recording.info.predict is None:
+        return []
+    return [remark.what for remark in examined(observations_of(recording)).remarks]

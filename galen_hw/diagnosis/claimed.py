@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.judge import Judged
 from galen_hw.diagnosis.result import Diagnosis, Finding, Value
 from galen_hw.physics.scene import Scene
@@ -30,15 +31,18 @@ def claim_before(judged: Judged, raw: Scene) -> Array:
     return after
 
 
-def add_claims(diagnosis: Diagnosis, examination: Examination, judged: Judged, after: Array, rows: int) -> None:
-    """Put the claims of an examination first among the findings and into the saved terms.
+def add_claims(diagnosis: Diagnosis, examination: Examination, judged: Judged, after: Array, bench: Bench) -> bool:
+    """Put the claims of an examination first among the findings and into the saved terms; return whether there are any.
 
     Args:
         diagnosis: is changed.
         judged: with the errors of the unrepaired recording, see `claim_before`.
         after: errors (C,) after the claims alone.
-        rows: independent rows behind the errors, at least 1.
+        bench: whose noise says how many rows are independent.
     """
+    rows = (
+        int(np.min(bench.noise.independent(int(bench.judged.sum() or bench.train.sum())))) if examination.claims else 0
+    )
     for remark in examination.remarks:
         claim = remark.claim
         if claim is None or remark.repaired is None:
@@ -48,7 +52,7 @@ def add_claims(diagnosis: Diagnosis, examination: Examination, judged: Judged, a
         if same is not None:
             diagnosis.findings.remove(same)
             parameters = composed(claim, same.parameters)
-        score = 0.5 * rows * float(np.sum(np.log(np.maximum(judged.before / after, 1.0))))
+        score = 0.5 * max(rows, 1) * float(np.sum(np.log(np.maximum(judged.before / after, 1.0))))
         evidence = {
             "heldout_gain": judged.share(judged.before - after),
             "score": score,
@@ -61,6 +65,7 @@ def add_claims(diagnosis: Diagnosis, examination: Examination, judged: Judged, a
         )
         diagnosis.findings.insert(0, finding)
         diagnosis.terms[:0] = [dict(term) for term in claim.terms]
+    return bool(examination.claims)
 
 
 def composed(claim: Claim, more: Mapping[str, Value]) -> dict[str, Value]:

@@ -89,8 +89,7 @@ def diagnose(
     tell = progress or _silent
     tell("checking the recording", 0.0)
     examination, raw = examined(scene.observations, repair=repair), holdout or scene
-    premise = premises(scene if examination.observations is scene.observations else scene_of(examination.observations))
-    premise.take(examination)
+    premise = _comparable(scene, examination)
     scene = premise.scene
     held = 0.0 if holdout is not None else share
     holdout = None if holdout is None else held_out(_alike(holdout, examination, repair=repair), premise.notes)
@@ -137,15 +136,19 @@ def diagnose(
         model, judged, left = predict_unnamed(generic, model, holdout, judged, left)
     if not left and holdout is not None and not premise.wrong:
         left = left_of_another(model, holdout, judged)
-    after = claim_before(judged, raw) if examination.claims else judged.before
+    after = claim_before(judged, raw, examination)
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
-    diagnosis.holdout, diagnosis.premises = judged.name, [one.to_json() for one in examination.remarks]
-    if examination.claims:
-        rows = int(np.min(bench.noise.independent(int(bench.judged.sum() or bench.train.sum()))))
-        add_claims(diagnosis, examination, judged, after, max(rows, 1))
+    if add_claims(diagnosis, examination, judged, after, bench):
         diagnosis.verdict = verdict_of(diagnosis.findings, left, premise)
     tell("done", 1.0)
     return Work(bench, selection, model, judged, left, diagnosis)
+
+
+def _comparable(scene: Scene, examination: Examination) -> Premise:
+    """The recording as repaired, without the rows that cannot be compared, and what was said of it."""
+    out = premises(scene if examination.observations is scene.observations else scene_of(examination.observations))
+    out.take(examination)
+    return out
 
 
 def _alike(holdout: Scene, examination: Examination, *, repair: bool) -> Scene:

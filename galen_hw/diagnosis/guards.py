@@ -64,13 +64,11 @@ class Premise:
 
 
 def premises(scene: Scene) -> Premise:
-    """Leaves out rows that cannot be compared and looks for wrong axes, signs, units and clocks.
+    """Leave out rows that cannot be compared; axes, signs, units and clocks were looked at before (`galen_hw.premises`).
 
     Raises:
         UsageError: no channel, nothing to simulate from, a clock that is none, or too few rows to compare.
     """
-    from galen_hw.diagnosis import mixups
-
     if not scene.channels:
         group = scene.observations.predict
         raise UsageError(f"no column of the group {group!r} is there to compare", where="recording", todo="see predict")
@@ -78,11 +76,7 @@ def premises(scene: Scene) -> Premise:
     out = Premise(scene)
     for step in (_measured, _ordered, _parted, _driven):
         out.scene = step(out.scene, out.notes)
-    mixups.clock(out)
-    mixups.bodies(out)
-    mixups.joints(out)
     out.scene = _complete(out.scene, out.notes, out.wrong)
-    mixups.channels(out)
     out.scene = quiet(out.scene)
     if out.scene.clock and len(out.scene) < SHORT:
         out.notes.append(f"only {len(out.scene)} rows: too short to tell any but gross effects")

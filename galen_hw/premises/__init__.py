@@ -25,9 +25,11 @@ PREMISES: Final = (
     "joints.VelocityColumns",
     "joints.SignMagnitude",
     "units.ToolSize",
+    "channels.DeadChannels",
     "wrench_frames.WrenchFrames",
     "units.WrenchUnits",
     "units.EffortUnits",
+    "channels.JointSigns",
     "pose_frames.PoseFrames",
     "pose_frames.TargetFrames",
     "load.LoadChange",
@@ -50,4 +52,15 @@ def examined(seen: Observations, *, repair: bool = True) -> Examination:
     return examine(seen, premises(), repair=repair)
 
 
-__all__ = ["PREMISES", "Action", "Claim", "Examination", "Observations", "Premise", "Remark", "Stage", "examined", "premises"]
+__all__ = [
+    "PREMISES",
+    "Action",
+    "Claim",
+    "Examination",
+    "Observations",
+    "Premise",
+    "Remark",
+    "Stage",
+    "examined",
+    "premises",
+]

@@ -140,10 +140,8 @@ def examine(seen: Observations, premises: Sequence[Premise], *, repair: bool = T
     for premise in premises:
         if refused is not None and premise.STAGE is not refused:
             break
-        for remark in premise.examine(seen):
-            if remark.repaired is not None and not repair and remark.action is Action.REPAIRED:
-                todo = remark.todo or "put it right in the file, or leave out --no-repair"
-                remark = replace(remark, action=Action.REFUSED, todo=todo, repaired=None, claim=None)
+        for found in premise.examine(seen):
+            remark = found if repair else _unrepaired(found)
             if remark.action is Action.REPAIRED:
                 assert remark.repaired is not None, "a repair comes with what was repaired"
                 seen = remark.repaired
@@ -151,6 +149,14 @@ def examine(seen: Observations, premises: Sequence[Premise], *, repair: bool = T
                 refused = premise.STAGE
             remarks.append(remark)
     return Examination(seen, tuple(remarks))
+
+
+def _unrepaired(remark: Remark) -> Remark:
+    """The same remark, refusing what it would have repaired."""
+    if remark.action is not Action.REPAIRED:
+        return remark
+    todo = remark.todo or "put it right in the file, or leave out --no-repair"
+    return replace(remark, action=Action.REFUSED, todo=todo, repaired=None, claim=None)
 
 
 def with_columns(seen: Observations, columns: Mapping[str, Array]) -> Observations:

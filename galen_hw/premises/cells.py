@@ -55,7 +55,9 @@ class LostValues:
                     for name in group:
                         columns[name] = np.where(lost_rows, np.nan, columns[name])
                     names += group
-                    said.append(f"{rows_in(int(lost_rows.sum()), len(seen))} of {group[0].rsplit('.', 2)[0]} read {what}")
+                    said.append(
+                        f"{rows_in(int(lost_rows.sum()), len(seen))} of {group[0].rsplit('.', 2)[0]} read {what}"
+                    )
                     values = np.stack([columns[name] for name in group], axis=1)
         if names:
             what = f"{'; '.join(said)}: taken as not measured"
@@ -179,7 +181,8 @@ def pose_bounds(seen: Observations) -> list[int]:
     names = [
         n
         for n in seen.columns
-        if n.endswith(".position") and n.startswith("joint.") or n.startswith(("sensor.orientation.", "applied.force."))
+        if (n.endswith(".position") and n.startswith("joint."))
+        or n.startswith(("sensor.orientation.", "applied.force."))
     ]
     names += [n for n in seen.columns if n in ("segment", "covariate.tool", "covariate.pose", "covariate.verify")]
     if not names:

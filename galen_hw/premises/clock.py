@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import ClassVar, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns
@@ -14,12 +15,14 @@ from galen_hw.spatial import Array
 UNITS: Final = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 PERIODS_S: Final = (2e-5, 0.4)
 """Shortest and longest time between rows of a recorded motion: 50 kHz, 2.5 Hz."""
+SPEEDS: Final = (1e-4, 30.0)
+"""Slowest and fastest motion of a machine that was worth recording, rms rad/s or m/s."""
 SMOOTH: Final = 0.02
 """Mean squared step from row to row over the variance, of a joint that moves smoothly."""
 STEP: Final = 5.0
 """Times the median step of time, either way, from which on a clock was set."""
-LONGEST_GAP_S: Final = 0.5
-"""A step forth up to this is a gap like any other."""
+ALONE: Final = 3
+"""Stamps in a row that are off by themselves, and no clock that was set."""
 
 
 def moving(seen: Observations) -> list[Array]:
@@ -52,14 +55,20 @@ class ClockUnit:
             return
         steps = np.diff(time)
         # Stamps of whole seconds stand still more often than not: over the whole recording they advance all the same.
-        step = float(np.ptp(time)) / (len(time) - 1) if np.median(steps) == 0.0 else float(np.median(steps[steps > 0.0]))
+        step = (
+            float(np.ptp(time)) / (len(time) - 1) if np.median(steps) == 0.0 else float(np.median(steps[steps > 0.0]))
+        )
         if step < PERIODS_S[1] or not smooth(seen):
             return
         by_speed = speed_scale(seen)
         if by_speed is not None:
             near = [(u, f) for u, f in UNITS.items() if abs(np.log(by_speed * f)) < 0.1]
         else:
-            near = [(u, f) for u, f in UNITS.items() if PERIODS_S[0] <= step / f <= PERIODS_S[1]]
+            near = [
+                (u, f)
+                for u, f in UNITS.items()
+                if PERIODS_S[0] <= step / f <= PERIODS_S[1] and _possible(seen, step / f)
+            ]
         text = f"time advances by {step:.6g} a row while the joints move smoothly"
         whole = by_speed is None and step == 1.0 and np.all(steps == 1.0)
         if len(near) != 1 or whole:
@@ -71,8 +80,14 @@ class ClockUnit:
         yield Remark(self.KEY, f"{text}: it is in {unit}", "", ("time",), Action.REPAIRED, repaired)
 
 
+def _possible(seen: Observations, period: float) -> bool:
+    """Whether machines move as fast as this one would with so many seconds between rows."""
+    fastest = max(float(np.sqrt(np.mean(np.diff(q) ** 2))) for q in moving(seen)) / period
+    return SPEEDS[0] <= fastest <= SPEEDS[1]
+
+
 def speed_scale(seen: Observations) -> float | None:
-    """Return the median over joints of (change of position per unit of time) over measured velocity; None: nothing moves or tells.
+    """Return the median over joints of (change of position per time) over measured velocity; None: nothing tells.
 
     1 where clock and velocities agree, 1e-3 where time is in ms.
     """
@@ -140,7 +155,7 @@ class ClockSteps:
         for part in seen.segments[1:]:
             edges[part.start - 1] = True
         usual = float(np.median(steps[(steps > 0.0) & ~edges])) if np.any((steps > 0.0) & ~edges) else 0.0
-        back = (steps < -STEP * usual) & ~edges
+        back = (steps < -STEP * usual) & ~edges & _lasting(time)
         if not usual or not back.any() or back.sum() > 0.01 * len(time):
             return
         shift = np.zeros(len(time))
@@ -152,6 +167,18 @@ class ClockSteps:
         what = f"the clock steps back by {first}{more}: a new segment begins there, and no motion is taken across it"
         repaired = with_columns(seen, {"time": time + shift, "segment": segment})
         yield Remark(self.KEY, what, "", ("time",), Action.REPAIRED, repaired)
+
+
+def _lasting(time: Array) -> NDArray[np.bool_]:
+    """(N - 1,) steps after which stamps stay behind: not a stamp or three by themselves that are off."""
+    out = np.ones(len(time) - 1, dtype=bool)
+    for k in range(1, ALONE + 1):
+        before, after = np.full(len(out), -np.inf), np.full(len(out), np.inf)
+        before[k:] = time[: len(out) - k]
+        after[: len(out) - k] = time[k + 1 :]
+        # One of the next is ahead of the last one again, or one before the last is behind the next.
+        out &= ~((after > time[:-1]) & np.isfinite(after)) & ~((before < time[1:]) & np.isfinite(before))
+    return out
 
 
 class RoundedClock:
@@ -182,7 +209,8 @@ class RoundedClock:
                 spread[part], rounded, worst = even, rounded + len(t), max(worst, quantum)
         if not rounded:
             return
-        what = f"stamps of {rows_in(rounded, len(time))} are rounded to {worst:.3g} s, coarser than rows follow: rows are spread evenly"
+        what = f"stamps of {rows_in(rounded, len(time))} are rounded to {worst:.3g} s, coarser than rows follow"
+        what += ": rows are spread evenly"
         yield Remark(self.KEY, what, "", ("time",), Action.REPAIRED, with_columns(seen, {"time": spread}))
 
 

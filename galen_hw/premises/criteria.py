@@ -20,7 +20,7 @@ class Criteria:
         half: the same as `gross_gain` of a first look that has weight alone in its model.
         noise_alone: mean squared residual over the noise up to which there is nothing to split.
         fewest_split: rows on which two loads are told from one at least.
-        same_factor: log ratio within which a scale is that of a unit: a sensor's gain error and a tool's weight on a kitchen scale.
+        same_factor: log ratio within which a scale is that of a unit: a sensor's gain error.
         least_factor: times, either way, that a gain, a payload or a friction does not change a whole signal.
         longest_lever: m; no tool of a wrist sensor has its centre of mass further away.
         one_signal: correlation from which two signals are one in another scale.

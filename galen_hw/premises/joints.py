@@ -100,6 +100,11 @@ def _wrong(seen: Observations, q: Array, v: Array) -> str:
         return "all zero while the position moves"
     if np.std(told) == 0.0 or np.std(change) == 0.0:
         return ""
+    return _unlike(change, told)
+
+
+def _unlike(change: Array, told: Array) -> str:
+    """How two signals differ that should be one; empty where they do not."""
     correlation = float(np.corrcoef(change, told)[0, 1])
     scale = float(np.sum(told * change) / np.sum(change**2))
     if abs(correlation) < 0.5:
@@ -134,7 +139,8 @@ class PositionUnits:
             fitting = [
                 (unit, f)
                 for unit, f in units.items()
-                if f > 1.0 and all(_beyond(seen.columns[n] / f, robot.lower[k], robot.upper[k]) <= 0.05 for n, k in present)
+                if f > 1.0
+                and all(_beyond(seen.columns[n] / f, robot.lower[k], robot.upper[k]) <= 0.05 for n, k in present)
             ]
             name, k = beyond[0]
             reach = float(seen.columns[name][np.nanargmax(np.abs(seen.columns[name]))])
@@ -144,7 +150,10 @@ class PositionUnits:
                 kinds = ("position", "velocity", "command")
                 joint = [robot.joint_names[k] for _, k in present]
                 columns = {
-                    c: seen.columns[c] / f for j in joint for kind in kinds if (c := f"joint.{j}.{kind}") in seen.columns
+                    c: seen.columns[c] / f
+                    for j in joint
+                    for kind in kinds
+                    if (c := f"joint.{j}.{kind}") in seen.columns
                 }
                 text = f"{what}: joints are in {unit}"
                 seen = with_columns(seen, columns)
@@ -157,7 +166,7 @@ class PositionUnits:
         """Without a robot nobody knows a limit: only what no joint reaches is said."""
         for name in joint_columns(seen, "position"):
             values = seen.columns[name]
-            if seen.predict in ("wrench",) and np.isfinite(values).any() and float(np.nanmax(np.abs(values))) > 4.0 * TURN:
+            if seen.predict == "wrench" and np.isfinite(values).any() and float(np.nanmax(np.abs(values))) > 4.0 * TURN:
                 what = f"{name} reaches {float(np.nanmax(np.abs(values))):.4g}: is it in degrees or mm?"
                 yield Remark(self.KEY, what, "give rad and m", (name,))
 
@@ -205,7 +214,9 @@ class SignMagnitude:
                 columns[name], how = found
         if columns:
             what = f"{', '.join(columns)} jump{'s' if len(columns) == 1 else ''} by {how} where the value passes zero"
-            yield Remark(self.KEY, what, "", tuple(columns), Action.REPAIRED, replace(seen, columns=dict(seen.columns) | columns))
+            yield Remark(
+                self.KEY, what, "", tuple(columns), Action.REPAIRED, replace(seen, columns=dict(seen.columns) | columns)
+            )
 
 
 def _signed(values: Array) -> tuple[Array, str] | None:
@@ -220,10 +231,17 @@ def _signed(values: Array) -> tuple[Array, str] | None:
     for bit in range(6, 32):
         base = quantum * 2.0**bit
         jumps = int(np.sum(steps > 0.5 * base))
-        if not 0.9 * base < v.max() < 2.0 * base or v.min() > 0.5 * base or not FEWEST_JUMPS <= jumps < 0.2 * len(steps):
+        if (
+            not 0.9 * base < v.max() < 2.0 * base
+            or v.min() > 0.5 * base
+            or not FEWEST_JUMPS <= jumps < 0.2 * len(steps)
+        ):
             continue
         for says, signed in (
-            (f"the sign's bit ({base:.6g}: sign and magnitude, read as unsigned)", np.where(v > 0.999 * base, base - v, v)),
+            (
+                f"the sign's bit ({base:.6g}: sign and magnitude, read as unsigned)",
+                np.where(v > 0.999 * base, base - v, v),
+            ),
             (f"{2.0 * base:.6g} (two's complement, read as unsigned)", np.where(v > 0.999 * base, v - 2.0 * base, v)),
         ):
             if not np.any(np.abs(np.diff(signed)) > 0.5 * base):

@@ -48,28 +48,16 @@ class LoadChange:
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield at most one remark; in a motion a picked-up part is repaired and claimed, in poses it is refused."""
-        if seen.predict != "wrench" or seen.simulation is not None or not all(n in seen.columns for n in (*FORCE, *TORQUE)):
+        if (
+            seen.predict != "wrench"
+            or seen.simulation is not None
+            or not all(n in seen.columns for n in (*FORCE, *TORQUE))
+        ):
             return
-        some = at_rest(comparable(seen, CRITERIA.most_rows))
-        if len(some) < CRITERIA.fewest_split:
-            return
-        scene = scene_of(some)
-        port = scene.body_port()
-        if port is None:
-            return
-        moving = seen.belief.dynamic and seen.time is not None
-        split = _best_split(scene.measured - scene.simulated, port, CRITERIA.half if moving else CRITERIA.gross_gain)
-        if split is not None and moving:
-            # Weight alone has shown where to look; with what accelerates the load, the fit must be nearly complete.
-            whole = comparable(seen)
-            rows = np.linspace(0, len(whole) - 1, min(len(whole), CRITERIA.most_rows)).astype(int)
-            scene = scene_of(whole)
-            port = scene.body_port()
-            assert port is not None, "there was one at rest"
-            split = _best_split((scene.measured - scene.simulated)[rows], port[rows], CRITERIA.gross_gain)
+        split, some = self._split(seen)
         if split is None:
             return
-        where, at = _moment(seen, some, split.row)
+        where, at = _moment(some, split.row)
         if split.kind == "zero":
             if seen.time is not None:
                 return  # a step of the offset has a name of its own, and the search finds its moment
@@ -80,59 +68,78 @@ class LoadChange:
         mass = float(split.change[0])
         what = f"{'picked up' if mass > 0.0 else 'put down'} {where}: the load changes by {mass:+.4g} +- {split.std[0]:.2g} kg"
         if seen.time is None or seen.belief.tool.mass <= 0.0:
-            yield Remark(self.KEY, what, "split the recording there, one tool a part", (*FORCE, *TORQUE), Action.REFUSED)
+            yield Remark(
+                self.KEY, what, "split the recording there, one tool a part", (*FORCE, *TORQUE), Action.REFUSED
+            )
             return
-        yield self._claimed(seen, split, at, what)
+        yield self._claimed(seen, at)
 
-    def _claimed(self, seen: Observations, split: _Split, at: float, what: str) -> Remark:
+    def _split(self, seen: Observations) -> tuple[_Split | None, Observations]:
+        """The split to believe, and the rows that its row counts in."""
+        some = at_rest(comparable(seen, CRITERIA.most_rows))
+        scene = scene_of(some)
+        port = scene.body_port() if len(some) >= CRITERIA.fewest_split else None
+        if port is None:
+            return None, some
+        moving = seen.belief.dynamic and seen.time is not None
+        split = _best_split(scene.measured - scene.simulated, port, CRITERIA.half if moving else CRITERIA.gross_gain)
+        if split is None or not moving:
+            return split, some
+        # Weight alone has shown where to look; with what accelerates the load, the fit must be nearly complete.
+        whole = comparable(seen)
+        rows = np.linspace(0, len(whole) - 1, min(len(whole), CRITERIA.most_rows)).astype(int)
+        scene = scene_of(whole)
+        port = scene.body_port()
+        assert port is not None, "there was one at rest"
+        return _best_split((scene.measured - scene.simulated)[rows], port[rows], CRITERIA.gross_gain), some
+
+    def _claimed(self, seen: Observations, at: float) -> Remark:
         """The recording without what the change adds from its moment on."""
         time = seen.time
         assert time is not None, "claimed only of motions"
         port = scene_of(seen).body_port()
         assert port is not None, "wrenches have one"
-        change, std, at = _refined(seen, port, split, at)
+        change, std, at = _refined(seen, port, at)
         after = (time >= at)[:, None]
-        wrench = seen.matrix(*FORCE, *TORQUE) - np.where(after, port[:, :, :BODY] @ change, 0.0)
+        wrench = seen.matrix(*FORCE, *TORQUE) - np.where(after, port @ change, 0.0)
         mass = float(change[0])
-        com = change[1:] / mass
+        com = change[1:BODY] / mass
         parameters = {"mass": (mass, float(std[0]), "kg"), "moment": (at, 0.0, "s")}
         parameters |= {f"com_{a}": (float(com[k]), float(std[1 + k] / abs(mass)), "m") for k, a in enumerate("xyz")}
         claim = Claim("payload", parameters, (*FORCE, *TORQUE))
         repaired = with_columns(seen, dict(zip((*FORCE, *TORQUE), wrench.T, strict=True)))
         text = f"the load changes by {mass:+.4g} +- {std[0]:.2g} kg from {at:.4g} s on"
-        del what
         return Remark(self.KEY, text, "record each load by itself", (*FORCE, *TORQUE), Action.REPAIRED, repaired, claim)
 
 
-def _refined(seen: Observations, port: Array, split: _Split, at: float) -> tuple[Array, Array, float]:
-    """Change (4,), its standard deviations and the moment, on all rows with their acceleration."""
+def _refined(seen: Observations, port: Array, at: float) -> tuple[Array, Array, float]:
+    """Change (10,) of the inertial parameters, its standard deviations and the moment, on all rows with their acceleration."""
     time = seen.time
     assert time is not None, "claimed only of motions"
     y = seen.matrix(*FORCE, *TORQUE)
     good = np.isfinite(y).all(axis=1) & np.isfinite(port).all(axis=(1, 2))
-    base = np.concatenate([np.tile(np.eye(6), (len(seen), 1, 1)), port[:, :, :BODY]], axis=2)
-    step = float(np.ptp(time)) / CRITERIA.most_rows
-    width = max(2.0 * step, 1e-9)
-    candidates = time[good & (np.abs(time - at) <= width)]
-    candidates = candidates[:: max(len(candidates) // 60, 1)] if len(candidates) else np.array([at])
-    rest = y[good] - base[good] @ np.linalg.lstsq(base[good].reshape(-1, 10), y[good].reshape(-1), rcond=None)[0]
-    sigma = np.maximum(np.std(rest, axis=0), 1e-12)
+    step = max(2.0 * float(np.ptp(time)) / CRITERIA.most_rows, 1e-9)
+    candidates = time[good & (np.abs(time - at) <= step)]
+    base = np.concatenate([np.tile(np.eye(6), (int(good.sum()), 1, 1)), port[good]], axis=2)
+    sigma = np.maximum(_scatter(base, y[good]), 1e-12)
+    white, b = base / sigma[:, None], (y[good] / sigma).reshape(-1)
+    width = base.shape[2]
     best: tuple[float, float, Array, Array] | None = None
-    for t in candidates:
-        X = np.concatenate([base, np.where((time >= t)[:, None, None], port[:, :, :BODY], 0.0)], axis=2)[good]
-        A, b = (X / sigma[:, None]).reshape(-1, 14), (y[good] / sigma).reshape(-1)
-        theta = np.linalg.lstsq(A, b, rcond=None)[0]
-        left = b - A @ theta
+    for t in candidates[:: max(len(candidates) // 100, 1)]:
+        after = np.where((time[good] >= t)[:, None, None], white[:, :, 6:], 0.0)
+        X = np.concatenate([white, after], axis=2).reshape(-1, width + port.shape[2])
+        # Inertia that the motion does not show stays where it is.
+        theta, _, rank, _ = np.linalg.lstsq(X, b, rcond=1e-6)
+        left = b - X @ theta
         cost = float(left @ left)
         if best is None or cost < best[0]:
-            covariance = np.linalg.pinv(A.T @ A) * cost / max(len(b) - 14, 1)
-            best = (cost, float(t), theta[10:], np.sqrt(np.diag(covariance)[10:]))
+            covariance = np.linalg.pinv(X.T @ X, rcond=1e-12, hermitian=True) * cost / max(len(b) - int(rank), 1)
+            best = (cost, float(t), theta[width:], np.sqrt(np.maximum(np.diag(covariance)[width:], 0.0)))
     assert best is not None, "there is at least one candidate"
-    del split
     return best[2], best[3], best[1]
 
 
-def _moment(seen: Observations, some: Observations, row: int) -> tuple[str, float]:
+def _moment(some: Observations, row: int) -> tuple[str, float]:
     """Where a split is, in words, and its time (s) or row."""
     if some.time is None:
         return f"before pose {row + 1}", float(row)
@@ -170,8 +177,8 @@ def _best_split(y: Array, port: Array, gain: float) -> _Split | None:
 
 
 def _scatter(base: Array, y: Array) -> Array:
-    """(6,) noise of each channel from differences of neighbouring rows' residuals."""
-    rest = y - base @ np.linalg.lstsq(base.reshape(-1, 10), y.reshape(-1), rcond=None)[0]
+    """(6,) noise of each channel from differences of neighbouring rows' residuals, base (N, 6, k)."""
+    rest = y - base @ np.linalg.lstsq(base.reshape(-1, base.shape[2]), y.reshape(-1), rcond=1e-6)[0]
     return np.asarray(np.median(np.abs(np.diff(rest, axis=0)), axis=0) / 0.95)
 
 
@@ -211,4 +218,3 @@ def _fitted(A: Array, b: Array, columns: slice, row: int, kind: str, whole: floa
     covariance = np.linalg.pinv(X.T @ X) * cost / max(len(y) - X.shape[1], 1)
     at = slice(A.shape[2], None)
     return _Split(row, kind, theta[at], np.sqrt(np.diag(covariance)[at]), whole / max(cost, 1e-300))
-

@@ -92,7 +92,12 @@ class PoseFrames:
             return
         expected = _poses(scene_of(some))
         x, y, z, w = (some.columns[name] for name in QUATERNION)
-        tries = {"": (x, y, z, w), "have w first": (y, z, w, x), "are inverted": (-x, -y, -z, w), "have w first and are inverted": (-y, -z, -w, x)}
+        tries = {
+            "": (x, y, z, w),
+            "have w first": (y, z, w, x),
+            "are inverted": (-x, -y, -z, w),
+            "have w first and are inverted": (-y, -z, -w, x),
+        }
         misses = {}
         for says, quaternion in tries.items():
             R = rotation_from_quaternion(np.stack(quaternion, axis=1))
@@ -103,7 +108,9 @@ class PoseFrames:
         turn, left = misses[""]
         best = min(tries, key=lambda says: misses[says][1])
         if best and misses[best][1] < 0.25 * left and misses[best][1] < 0.25 * spread:
-            order = {"": (0, 1, 2, 3), "have w first": (1, 2, 3, 0), "are inverted": (0, 1, 2, 3)}.get(best, (1, 2, 3, 0))
+            order = {"": (0, 1, 2, 3), "have w first": (1, 2, 3, 0), "are inverted": (0, 1, 2, 3)}.get(
+                best, (1, 2, 3, 0)
+            )
             values = seen.matrix(*QUATERNION)[:, order]
             if "inverted" in best:
                 values = values * np.array([-1.0, -1.0, -1.0, 1.0])
@@ -121,7 +128,15 @@ class PoseFrames:
         belief = replace(seen.belief, tip_rotation=seen.belief.tip_rotation @ turn)
         what = f"the tracked body is turned by {as_turn(turn)} on its link"
         claim = Claim("sensor_mounting", parameters, QUATERNION[:3], terms=(term,))
-        return Remark(self.KEY, what, "turn the tip's link in the model by it", QUATERNION, Action.REPAIRED, replace(seen, belief=belief), claim)
+        return Remark(
+            self.KEY,
+            what,
+            "turn the tip's link in the model by it",
+            QUATERNION,
+            Action.REPAIRED,
+            replace(seen, belief=belief),
+            claim,
+        )
 
 
 def _axes(expected: Array, measured: Array, plain: Similarity | None) -> Similarity | None:

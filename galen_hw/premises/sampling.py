@@ -41,7 +41,10 @@ def driver_names(seen: Observations) -> list[str]:
         n
         for n in seen.columns
         if n not in compared
-        and ((n.startswith("joint.") and n.endswith(kinds)) or n.startswith(("sensor.orientation.", "applied.force.", "imu.")))
+        and (
+            (n.startswith("joint.") and n.endswith(kinds))
+            or n.startswith(("sensor.orientation.", "applied.force.", "imu."))
+        )
     ]
 
 
@@ -68,7 +71,7 @@ class OuterJoin:
         rate = [1.0 / float(np.median(np.diff(time[rows]))) for rows in (driven, measured)]
         what = (
             f"joints ({int(driven.sum())} rows, {rate[0]:.3g} Hz) and {ours[0].split('.')[0]} ({int(measured.sum())} rows, "
-            f"{rate[1]:.3g} Hz) stand on rows of their own, as of a join of two topics: joints are resampled to the rows of the other"
+            f"{rate[1]:.3g} Hz) stand on rows of their own, as of a join of two topics: joints are resampled to the others' rows"
         )
         taken = seen.taken(measured)
         yield Remark(self.KEY, what, "", tuple(theirs), Action.REPAIRED, replace(taken, columns=columns))
@@ -111,7 +114,9 @@ class Staircase:
             return
         fresh = np.concatenate([[True], changes])
         columns = {n: _between(seen.time, np.where(fresh, seen.columns[n], np.nan), seen.time) for n in names}
-        what = f"joint positions are held for {held} rows each: a slower topic, interpolated between the rows at which they change"
+        what = (
+            f"joint positions are held for {held} rows each (a slower topic): interpolated between the rows that change"
+        )
         repaired = with_columns(seen, columns)
         last = int(np.flatnonzero(fresh)[-1])
         yield Remark(self.KEY, what, "", tuple(names), Action.REPAIRED, repaired.taken(np.arange(len(seen)) <= last))
@@ -130,9 +135,7 @@ def _rows_held(changes: Mask) -> int | None:
 def _moves_throughout(moves: Array, changes: Mask) -> bool:
     """Whether steps are those of a motion that went on meanwhile: smooth when the held rows are left out."""
     fresh = moves[np.concatenate([[True], changes])]
-    return len(fresh) > 10 and bool(
-        any(float(np.mean(np.diff(q) ** 2)) < 0.1 * float(np.var(q)) for q in fresh.T)
-    )
+    return len(fresh) > 10 and bool(any(float(np.mean(np.diff(q) ** 2)) < 0.1 * float(np.var(q)) for q in fresh.T))
 
 
 __all__ = ["OuterJoin", "Staircase", "compared_names", "driver_names", "rows_in", "smooth"]

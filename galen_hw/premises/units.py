@@ -45,7 +45,11 @@ TORQUES: Final = {
 
 def units_of(scale: float, table: dict[str, float]) -> list[str]:
     """Return the units of a table that a scale against SI may be, SI itself left out."""
-    return [u for u, f in table.items() if abs(np.log(scale / f)) < CRITERIA.same_factor and abs(np.log(f)) > CRITERIA.same_factor]
+    return [
+        u
+        for u, f in table.items()
+        if abs(np.log(scale / f)) < CRITERIA.same_factor and abs(np.log(f)) > CRITERIA.same_factor
+    ]
 
 
 class ToolSize:
@@ -121,7 +125,7 @@ class WrenchUnits:
                 alike = abs(np.log(others[0] / others[1])) < CRITERIA.same_factor * 2.0
                 if not alike or 1.0 / CRITERIA.least_factor < ratio < CRITERIA.least_factor:
                     continue
-                what = f"{names[k]} is {ratio:.4g} times as large as its simulation where the other two axes are {np.mean(others):.3g}"
+                what = f"{names[k]} is {values[k]:.4g} times its simulation, the other two axes {np.mean(others):.3g} times"
                 units = units_of(ratio, table)
                 if not units:
                     yield Remark(self.KEY, f"{what}: in another unit?", "give N and N m", (names[k],), Action.REFUSED)
@@ -146,10 +150,14 @@ class WrenchUnits:
                 return
             units = [u for u, f in TORQUES.items() if f > 1.0 and 1e-3 < lever / f < 1.0]
             hint = "is it in N mm?" if "N mm" in units else "it is not in N m"
-            yield Remark(self.KEY, f"wrench.torque is {lever:.3g} m times the force: {hint}", "give N m", TORQUE, Action.REFUSED)
+            yield Remark(
+                self.KEY, f"wrench.torque is {lever:.3g} m times the force: {hint}", "give N m", TORQUE, Action.REFUSED
+            )
         elif off or bent:
             mass = seen.belief.tool.mass
-            says = [f"the tool weighs {weighed.mass:.4g} kg where recording.json names {mass:.4g} kg ({weighed.force_scale:.3g} times)"]
+            says = [
+                f"the tool weighs {weighed.mass:.4g} kg, {weighed.force_scale:.3g} times the {mass:.4g} kg that are named"
+            ]
             if bent and not off:
                 says = [f"the torque is {weighed.torque_scale:.3g} times what the named tool has"]
             names = [f"force in {u}" for u in forces if off] + [f"torque in {u}" for u in torques if bent]
@@ -160,7 +168,9 @@ class WrenchUnits:
         columns = {name: seen.columns[name] / TORQUES[torques[0]] for name in TORQUE}
         columns |= {name: seen.columns[name] / FORCES[forces[0]] for name in FORCE if forces}
         what = f"{text}: torque is in {' or '.join(torques)}" + (f", force in {' or '.join(forces)}" if forces else "")
-        return Remark(self.KEY, what, "", (*FORCE, *TORQUE) if forces else TORQUE, Action.REPAIRED, with_columns(seen, columns))
+        return Remark(
+            self.KEY, what, "", (*FORCE, *TORQUE) if forces else TORQUE, Action.REPAIRED, with_columns(seen, columns)
+        )
 
 
 def _weighed(some: Observations) -> _Weighed | None:
@@ -202,7 +212,10 @@ class EffortUnits:
         scene = scene_of(seen.taken(slice(0, CRITERIA.stretch)))
         if not scene.clock or not np.isfinite(scene.q).all():
             return
-        found = [(name, _slope(scene.simulated[:, c], scene.measured[:, c], _speed(scene, name))) for c, name in enumerate(scene.channels)]
+        found = [
+            (name, _slope(scene.simulated[:, c], scene.measured[:, c], _speed(scene, name)))
+            for c, name in enumerate(scene.channels)
+        ]
         known = [(name, s) for name, s in found if s is not None]
         if not known or len(known) < 0.5 * len(found):
             return
@@ -216,7 +229,13 @@ class EffortUnits:
         units = units_of(float(np.median(slopes)), TORQUES) if equal else []
         hint = f"are they in {' or '.join(units)}?" if units else "per mille of a rated torque, mA or counts?"
         what = f"efforts are not in N m: times what the model needs, {each}; {hint}"
-        yield Remark(self.KEY, what, "give N m: times the rated torque, or the torque constant, of each motor", names, Action.REFUSED)
+        yield Remark(
+            self.KEY,
+            what,
+            "give N m: times the rated torque, or the torque constant, of each motor",
+            names,
+            Action.REFUSED,
+        )
 
 
 def _speed(scene: object, channel: str) -> Array:

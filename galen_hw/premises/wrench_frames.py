@@ -10,7 +10,7 @@ from galen_hw.physics.observations import Observations
 from galen_hw.physics.table import scene_of
 from galen_hw.premises.base import Action, Claim, Remark, Stage
 from galen_hw.premises.criteria import CRITERIA
-from galen_hw.premises.rotations import angle_of, as_axes, as_turn, nearest_axes, signed_permutations, similarity
+from galen_hw.premises.rotations import angle_of, as_axes, as_turn, nearest_axes, signed_permutations
 from galen_hw.premises.wrench_reading import (
     FORCE,
     ORIENTATION,
@@ -84,9 +84,8 @@ class WrenchFrames:
         gravity = size * weight / np.linalg.norm(weight)
         turn = _between(seen.belief.gravity, gravity)
         direction = ", ".join(f"{g:.2f}" for g in gravity)
-        what = (
-            f"gravity points along ({direction}) m/s^2 in the base, {np.degrees(np.linalg.norm(turn)):.1f} deg from what is named"
-        )
+        angle = np.degrees(np.linalg.norm(turn))
+        what = f"gravity points along ({direction}) m/s^2 in the base, {angle:.1f} deg from what is named"
         parameters = {f"tilt_{a}": (float(turn[k]), 0.0, "rad") for k, a in enumerate("xy")}
         claim = Claim(
             "base_tilt",
@@ -116,7 +115,9 @@ class WrenchFrames:
         if angle_of(axes.T @ Q) > CRITERIA.least_turn or away > CRITERIA.least_turn:
             says.append(f"the axes of the force are {'mirrored and ' if mirrored else ''}turned")
             line = "; ".join(says)
-            return Remark(self.KEY, line, "write the wrench in the sensor's right-handed axes", (*FORCE, *TORQUE), Action.REFUSED)
+            return Remark(
+                self.KEY, line, "write the wrench in the sensor's right-handed axes", (*FORCE, *TORQUE), Action.REFUSED
+            )
         torque_axes = axes if alike else torque_axes
         says += _axes_say(axes, torque_axes)
         return self._repaired(turn_wrench(seen, axes.T, torque_axes.T), says)
@@ -150,14 +151,12 @@ def _is_named(Q: Array) -> bool:
 
 def _best(usable: list[Reading], plain: float) -> _Found | None:
     """The simplest reading that meets the force nearly completely and far better than the columns as named."""
-    options: list[_Found] = []
-    for reading in usable:
-        if reading.plain.unexplained < 1.0 and _is_named(reading.plain.Q) and reading.says:
-            options.append(_Found(reading, IDENTITY, reading.plain.unexplained, "plain"))
+    others = [r for r in usable[1:] if r.plain.unexplained < 1.0 and _is_named(r.plain.Q)]
+    options = [_Found(reading, IDENTITY, reading.plain.unexplained, "plain") for reading in others]
     for determinant in (1, -1):
         one = usable[0].turned(determinant)
         options.append(_Found(usable[0], one.Q, one.unexplained, "turned"))
-    weight, unexplained = any_gravity(_rotations(usable[0].seen), usable[0].force)
+    _weight, unexplained = any_gravity(_rotations(usable[0].seen), usable[0].force)
     options.insert(len(options) - 1, _Found(usable[0], IDENTITY, unexplained, "gravity"))
     for reading in usable[1:]:
         for determinant in (1, -1):

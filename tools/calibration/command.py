@@ -5,20 +5,21 @@ import json
 import re
 import sys
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, GalenError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from matplotlib.figure import Figure
     from rich.console import Console
 
     from galen_hw.config.paths import Addresses
     from galen_hw.config.tool_file import ToolFile
+    from galen_hw.premises import Remark
     from galen_hw.recording import Recording
     from galen_hw.tools.calibration.check import LiveCheck
     from galen_hw.tools.calibration.result import Result, Setting
@@ -32,6 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--from", dest="recording", metavar="RECORDING", type=Path, help="fit a recording, move nothing"
     )
     parser.add_argument("--yes", action="store_true", help="accept without asking (scripts)")
+    parser.add_argument(
+        "--no-repair", action="store_true", help="with --from: refuse what would be put right: units, axes, clocks"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.add_argument("--report", metavar="DIR", type=Path, help="write figures and report.html there")
     parser.add_argument("--poses", metavar="TILTSxROLLS", help="positions per swept axis, e.g. 7x8; ranges stay")
@@ -78,9 +82,10 @@ def _from_recording(args: argparse.Namespace, console: "Console") -> int:
     from galen_hw.config.paths import state_dir
     from galen_hw.config.tool_file import ToolFile
     from galen_hw.config.tool_store import ToolStore
+    from galen_hw.identification.sense import contradictions
     from galen_hw.recording import read_recording
     from galen_hw.tools.calibration.poses import poses_of
-    from galen_hw.tools.calibration.result import analyse, tool_file
+    from galen_hw.tools.calibration.result import analyse, tool_file, with_terms
 
     recording = read_recording(args.recording)
     store = ToolStore(state_dir())
@@ -92,9 +97,13 @@ def _from_recording(args: argparse.Namespace, console: "Console") -> int:
         nominal = store.nominal(name)
     else:
         nominal = ToolFile(name=name, tip=(named.tip if named and named.tip else None) or (0.0, 0.0, 0.0))
-    found = poses_of(recording)
+    found = poses_of(recording, repair=not args.no_repair)
     result = analyse(name, found.poses, str(args.recording), found.notes)
-    return _conclude(_Session(args, console, store), result, tool_file(result, nominal, _setting(recording)))
+    if named is not None:
+        more = tuple(contradictions(result.estimate, named.mass, named.com))
+        result = replace(result, remarks=(*result.remarks, *more))
+    tool = tool_file(result, with_terms(nominal, found.terms), _setting(recording))
+    return _conclude(_Session(args, console, store), result, tool, found.premises)
 
 
 def _setting(recording: "Recording") -> "Setting":
@@ -143,7 +152,7 @@ def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") 
     from galen_hw.config.tool_store import ToolStore
     from galen_hw.recording import read_recording
     from galen_hw.tools.calibration.poses import poses_of
-    from galen_hw.tools.calibration.result import analyse, tool_file
+    from galen_hw.tools.calibration.result import analyse, tool_file, with_terms
     from galen_hw.tools.calibration.sweep import by_hand, by_virtual_hand, run_sweep
 
     with CommandClient(addresses.command) as client:
@@ -165,7 +174,8 @@ def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") 
     found = poses_of(recording)
     result = analyse(args.tool, found.poses, str(folder), found.notes)
     session = _Session(args, console, store, addresses)
-    return _conclude(session, result, tool_file(result, nominal, _setting(recording)))
+    tool = tool_file(result, with_terms(nominal, found.terms), _setting(recording))
+    return _conclude(session, result, tool, found.premises)
 
 
 def _can_be_fitted(tool: str, folder: Path) -> bool:
@@ -211,7 +221,7 @@ class _Session:
     addresses: "Addresses | None" = None
 
 
-def _conclude(session: _Session, result: "Result", tool: "ToolFile") -> int:
+def _conclude(session: _Session, result: "Result", tool: "ToolFile", premises: "Sequence[Remark]" = ()) -> int:
     """Show, ask, save, select, check, report."""
     from galen_hw.tools.calibration.screen import check_table, show_accepted, show_result
 
@@ -234,7 +244,8 @@ def _conclude(session: _Session, result: "Result", tool: "ToolFile") -> int:
     wanted = args.report is not None or not args.json
     page = _report(session, result, tool, check, accepted=accepted) if wanted else None
     if args.json:
-        print(json.dumps(_as_json(result, tool, check, page, accepted=accepted)))
+        answer = _as_json(result, tool, check, page, accepted=accepted)
+        print(json.dumps(answer | {"premises": [remark.to_json() for remark in premises]}))
     passed = accepted and (check is None or check.passed) and (page is not None or not wanted)
     return EXIT_OK if passed else EXIT_FOUND
 

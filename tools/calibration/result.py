@@ -1,6 +1,7 @@
 """A calibration from poses to a tool's file: fit, verification, remarks for people."""
 
 import datetime as dt
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from galen_hw.identification.excitation import Excitation, require_excitation, r
 from galen_hw.identification.fit import Fit, span_of
 from galen_hw.identification.model import Model
 from galen_hw.identification.poses import Poses
+from galen_hw.identification.sense import require_sense
 from galen_hw.spatial import Array
 from galen_hw.tools.calibration.remarks import remarks
 from galen_hw.version import VERSION
@@ -98,7 +100,10 @@ def analyse(name: str, poses: Poses, where: str, notes: tuple[str, ...] = ()) ->
     judged = free if comparison.recommended == "zeroing" else comparison.best
     assert judged.estimate is not None
     require_precision(judged.estimate, where)
-    result = Result(name, poses, comparison, found, _verify(poses, comparison.best), ())
+    verification = _verify(poses, comparison.best)
+    assert comparison.best.fit is not None
+    require_sense(judged.estimate, comparison.best.fit.weight, verification.before, verification.after, where)
+    result = Result(name, poses, comparison, found, verification, ())
     return replace(result, remarks=(*notes, *remarks(result)))
 
 
@@ -182,6 +187,16 @@ def tool_file(result: Result, nominal: ToolFile, setting: Setting) -> ToolFile:
         return ToolFile.model_validate(data)
     except ValidationError as error:
         raise one_line(error, setting.sweep) from error
+
+
+def with_terms(nominal: ToolFile, terms: Sequence[Mapping[str, object]]) -> ToolFile:
+    """Return a tool's file with terms that were solved before the fit, in the place of older ones of the same effects."""
+    if not terms:
+        return nominal
+    new = {str(term["effect"]) for term in terms}
+    kept = [t.model_dump() for t in nominal.terms if t.effect not in new]
+    data = nominal.model_dump(by_alias=True, exclude_none=True) | {"terms": [*kept, *(dict(t) for t in terms)]}
+    return ToolFile.model_validate(data)
 
 
 def _bias_body(result: Result) -> BiasBody | None:

@@ -1,16 +1,20 @@
 """Deflection recordings for the fit: read, checked one by one, told apart by configuration and day, split."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from galen_hw.errors import UsageError
 from galen_hw.identification.deflection.data import DeflectionSet, check
 from galen_hw.recording import Recording, read_recording
-from galen_hw.tools.diagnose_input import observations_of
+from galen_hw.tools.examined import examine_recording
+
+if TYPE_CHECKING:
+    from galen_hw.physics.observations import Group
 
 SAME_M, SAME_RAD = 0.02, 0.05
 SAME_TIP_M = 1e-4
@@ -39,8 +43,12 @@ def read_sets(paths: Sequence[Path]) -> tuple[list[DeflectionSet], dict[str, str
             continue
         tool = "" if recording.info.tool is None else recording.info.tool.name
         name = path.name if path.is_dir() else path.stem
+        group: Group = recording.info.predict or "pose"
+        found = examine_recording(recording, group)
+        for line in found.notes:
+            print(f"{name}: {line}", file=sys.stderr)
         made = DeflectionSet.of(
-            name, observations_of(recording), configuration=str(extra.get("configuration", "")), tool=tool
+            name, found.examination.observations, configuration=str(extra.get("configuration", "")), tool=tool
         )
         days[name] = str(extra.get("session", ""))
         virtual[name] = recording.info.virtual

@@ -1,0 +1,93 @@
+"""Compared channels against their simulation: dead ones, and joints that read with the other sign or each other's value."""
+
+from collections.abc import Iterator
+from typing import ClassVar, Final
+
+import numpy as np
+
+from galen_hw.physics.observations import Observations
+from galen_hw.physics.scene import Scene
+from galen_hw.physics.table import scene_of
+from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.sampling import compared_names
+from galen_hw.spatial import Array
+
+DEAD: Final = 0.05
+"""Of the liveliest simulated channel of its unit: a channel that should move so much cannot stand still."""
+
+
+def compared(seen: Observations) -> Scene | None:
+    """Return the scene of an evenly chosen part of the rows that can be compared; None where there are hardly any."""
+    names = compared_names(seen)
+    robot = seen.belief.robot
+    driven = [] if robot is None else [n for j in robot.joint_names if (n := f"joint.{j}.position") in seen.columns]
+    rows = np.flatnonzero(np.isfinite(seen.matrix(*names, *driven)).all(axis=1))
+    if not names or len(rows) < CRITERIA.fewest_vectors:
+        return None
+    # In one piece: what accelerates is part of the simulation.
+    some = seen.taken(rows[: CRITERIA.stretch])
+    if robot is not None and len(driven) < len(robot.joint_names) and seen.predict != "position":
+        return None
+    return scene_of(some)
+
+
+class DeadChannels:
+    """Tests for compared channels that stand still while their simulation moves."""
+
+    KEY: ClassVar[str] = "dead_channels"
+    STAGE: ClassVar[Stage] = Stage.FRAMES
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield a remark for each channel that stands still."""
+        still = [n for n in compared_names(seen) if np.nanmax(seen.columns[n]) == np.nanmin(seen.columns[n])]
+        scene = compared(seen) if still else None
+        if scene is None:
+            return
+        moves = np.ptp(scene.simulated, axis=0)
+        for name in still:
+            if name not in scene.channels:
+                continue
+            c = scene.channels.index(name)
+            kin = [d for d, unit in enumerate(scene.units) if unit == scene.units[c]]
+            if moves[c] > DEAD * max(moves[d] for d in kin):
+                value = float(seen.columns[name][0])
+                what = (
+                    f"{name} stands still at {value:.4g} while its simulation moves by {moves[c]:.3g} {scene.units[c]}"
+                )
+                yield Remark(self.KEY, what, "the channel is dead: leave its column out", (name,), Action.REFUSED)
+            else:
+                yield Remark(self.KEY, f"{name} is constant: the channel may be dead", "", (name,))
+
+
+class JointSigns:
+    """Tests efforts and positions of joints: the opposite sign of the simulation, or another joint's value."""
+
+    KEY: ClassVar[str] = "joint_signs"
+    STAGE: ClassVar[Stage] = Stage.FRAMES
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield a remark for each joint, or pair of joints; repaired where nothing else can be meant."""
+        if seen.predict not in ("effort", "position"):
+            return
+        scene = compared(seen)
+        if scene is None or len(scene) < 50 or not np.isfinite(scene.simulated).all():
+            return
+        scales = np.array([[_scale(y, s) for s in scene.simulated.T] for y in scene.measured.T])
+        for c, name in enumerate(scene.channels):
+            if scales[c, c] < 0.0:
+                seen = with_columns(seen, {name: -seen.columns[name]})
+                what = f"{name} reads with the opposite sign of its simulation"
+                yield Remark(self.KEY, what, "", (name,), Action.REPAIRED, seen)
+            for d in range(c):
+                other = scene.channels[d]
+                if scales[c, d] * scales[d, c] != 0.0 and scales[c, c] == scales[d, d] == 0.0:
+                    what = f"{name} reads like {other} and the other way round: are they swapped?"
+                    yield Remark(self.KEY, what, "give each joint its own column", (name, other), Action.REFUSED)
+
+
+def _scale(y: Array, x: Array) -> float:
+    """Slope of y (N,) over x (N,) where the two are one signal; 0 where they are not."""
+    if np.std(x) == 0.0 or np.std(y) == 0.0 or abs(float(np.corrcoef(y, x)[0, 1])) < CRITERIA.one_signal:
+        return 0.0
+    return float(np.cov(y, x)[0, 1] / np.var(x, ddof=1))
