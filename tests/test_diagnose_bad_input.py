@@ -86,7 +86,8 @@ def too_short(c: Columns, i: dict[str, Any]) -> None:
 
 
 def backwards(c: Columns, i: dict[str, Any]) -> None:
-    c["time"] = np.concatenate([c["time"][: ROWS // 2], c["time"][: ROWS // 2] + 0.5])
+    order = np.random.default_rng(0).permutation(ROWS)
+    c.update({name: values[order] for name, values in c.items()})
 
 
 def standing(c: Columns, i: dict[str, Any]) -> None:
@@ -216,7 +217,7 @@ def milliseconds(c: Columns) -> None:
 
 REPAIRED: dict[Callable[[Columns], None], str] = {
     swapped: "wrench.force: x, y, z read like y, x, z of the sensor: left-handed axes; repaired",
-    wrong_sign: "force and torque have the opposite sign (reaction instead of action); repaired",
+    wrong_sign: "force and torque have the opposite sign (reaction instead of action), or the robot hangs upside down; repaired",
     newton_millimetres: "torque is in N mm",
     degrees: "joints are in degrees; repaired",
     degrees_per_second: "joint.roll.velocity: 57.3 times the position's change",

@@ -19,14 +19,17 @@ def mean_square(scene: Scene) -> Array:
     return np.asarray(np.var(residual, axis=0) if scene.belief.bias_free else np.mean(residual**2, axis=0))
 
 
-def claim_before(judged: Judged, raw: Scene) -> Array:
+def claim_before(judged: Judged, raw: Scene, examination: Examination) -> Array:
     """Set the errors before all to those of the recording as it came, and return the errors (C,) after the claims alone.
 
     Args:
         judged: of the model on what was held out; its shares are then of the whole excess.
         raw: what was held out, unrepaired; the recording itself where nothing else was.
+        examination: whose claims these are; without any nothing changes.
     """
     after = judged.before
+    if not examination.claims:
+        return after
     judged.before = np.maximum(mean_square(raw), after)
     return after
 
@@ -40,6 +43,7 @@ def add_claims(diagnosis: Diagnosis, examination: Examination, judged: Judged, a
         after: errors (C,) after the claims alone.
         bench: whose noise says how many rows are independent.
     """
+    diagnosis.holdout, diagnosis.premises = judged.name, [one.to_json() for one in examination.remarks]
     rows = (
         int(np.min(bench.noise.independent(int(bench.judged.sum() or bench.train.sum())))) if examination.claims else 0
     )

@@ -12,13 +12,12 @@ class Criteria:
     twice its weight), so that none separates two kinds of physics: they separate slips of a pen from physics.
 
     Args:
-        small_turn: unexplained share of a vector signal up to which the named axes are right: sin^2 of 13 degrees.
+        small_turn: unexplained share of a vector signal up to which the named axes are right: two thirds of sin^2 of 10 degrees.
         least_turn: rad; a smaller turn is left to the effects, which are linear about zero.
         gross_left: unexplained share that a believed other reading may leave at most.
         gross_gain: times the unexplained share of the columns as named that it may leave at most.
         as_good: times the least unexplained share within which a simpler reading is preferred.
         half: the same as `gross_gain` of a first look that has weight alone in its model.
-        noise_alone: mean squared residual over the noise up to which there is nothing to split.
         fewest_split: rows on which two loads are told from one at least.
         same_factor: log ratio within which a scale is that of a unit: a sensor's gain error.
         least_factor: times, either way, that a gain, a payload or a friction does not change a whole signal.
@@ -29,7 +28,7 @@ class Criteria:
         fewest_vectors: rows on which a rotation is solved at least; below, too many rotations fit.
     """
 
-    small_turn: float = 0.05
+    small_turn: float = 0.02
     least_turn: float = 0.2
     gross_left: float = 0.1
     gross_gain: float = 0.25
@@ -37,7 +36,6 @@ class Criteria:
     fewest_vectors: int = 6
     fewest_split: int = 10
     half: float = 0.5
-    noise_alone: float = 1.5
     same_factor: float = 0.03
     least_factor: float = 3.0
     longest_lever: float = 2.5

@@ -227,7 +227,11 @@ def _signed(values: Array) -> tuple[Array, str] | None:
         return None
     steps = np.abs(np.diff(v))
     levels = np.unique(v)
-    quantum = float(np.min(np.diff(levels))) if len(levels) > 2 else 0.0
+    # Counts times a scale differ in their last bits.
+    gaps = np.diff(levels)
+    quantum = float(np.min(gaps[gaps > 1e-7 * v.max()], initial=np.inf))
+    if not np.isfinite(quantum):
+        return None
     for bit in range(6, 32):
         base = quantum * 2.0**bit
         jumps = int(np.sum(steps > 0.5 * base))

@@ -15,6 +15,9 @@ from galen_hw.spatial import Array
 
 BODY = 4
 """Mass and first moment: what weight alone shows of a body."""
+KINDS = (("zero", slice(0, 6)), ("load", slice(6, 6 + BODY)))
+SURE = 6.0
+"""Standard errors of a change that is believed, of some hundred rows at which it was looked for."""
 
 
 @dataclass(frozen=True)
@@ -26,14 +29,15 @@ class _Split:
         kind: "load" or "zero".
         change: (4,) of mass and first moment, or (6,) of the offset.
         std: of these.
-        gain: mean squared residual without the split over that with it.
+        cost: squared residual, whitened; left: (6,) its rms in each channel.
     """
 
     row: int
     kind: str
     change: Array
     std: Array
-    gain: float
+    cost: float
+    left: Array
 
 
 class LoadChange:
@@ -121,7 +125,7 @@ def _refined(seen: Observations, port: Array, at: float) -> tuple[Array, Array, 
     step = max(2.0 * float(np.ptp(time)) / CRITERIA.most_rows, 1e-9)
     candidates = time[good & (np.abs(time - at) <= step)]
     base = np.concatenate([np.tile(np.eye(6), (int(good.sum()), 1, 1)), port[good]], axis=2)
-    sigma = np.maximum(_scatter(base, y[good]), 1e-12)
+    sigma = _spread(base.reshape(-1, base.shape[2]), y[good])
     white, b = base / sigma[:, None], (y[good] / sigma).reshape(-1)
     width = base.shape[2]
     best: tuple[float, float, Array, Array] | None = None
@@ -154,32 +158,35 @@ def _best_split(y: Array, port: Array, gain: float) -> _Split | None:
         port: (N, 6, 10) reading by inertial parameters.
         gain: share of the squared residual of one fit, or of one that drifts, that it may leave at most.
     """
-    n = len(y)
-    base = np.concatenate([np.tile(np.eye(6), (n, 1, 1)), port[:, :, :BODY]], axis=2)
-    sigma = np.maximum(_scatter(base, y), 1e-9)
+    base = np.concatenate([np.tile(np.eye(6), (len(y), 1, 1)), port[:, :, :BODY]], axis=2)
+    best, sigma = None, _spread(base.reshape(-1, 10), y)
+    for _ in range(2):
+        # First by what one fit leaves, then by what the better of the two leaves: channels have their own noise.
+        best = _scanned(base / sigma[:, None], y / sigma)
+        sigma = np.maximum(best.left * sigma, 1e-9 * np.abs(y).max())
     A, b = base / sigma[:, None], y / sigma
+    assert best is not None, "there is always a best row"
+    ramp = np.linspace(-0.5, 0.5, len(y))[:, None, None] * A[:, :, :6]
     whole = _cost(A.reshape(-1, 10), b.reshape(-1))
-    ramp = np.linspace(-0.5, 0.5, n)[:, None, None] * A[:, :, :6]
     drifting = _cost(np.concatenate([A, ramp], axis=2).reshape(-1, 16), b.reshape(-1))
-    if whole < CRITERIA.noise_alone * b.size:
+    split = _scanned(A, b)
+    sure = np.abs(split.change) > SURE * split.std
+    if split.cost > gain * min(whole, drifting) or not (sure[0] if split.kind == "load" else sure.any()):
         return None
-    best: _Split | None = None
-    cost = np.inf
-    for kind, columns in (("zero", slice(0, 6)), ("load", slice(6, 10))):
-        row, left = _scan(A, b, columns)
-        if left < cost:
-            cost, best = left, _fitted(A, b, columns, row, kind, whole)
-    if best is None or cost > gain * min(whole, drifting) or not np.any(np.abs(best.change) > 6.0 * best.std):
-        return None
-    if best.kind == "load" and abs(best.change[0]) < 6.0 * best.std[0]:
-        return None
-    return best
+    return split
 
 
-def _scatter(base: Array, y: Array) -> Array:
-    """(6,) noise of each channel from differences of neighbouring rows' residuals, base (N, 6, k)."""
-    rest = y - base @ np.linalg.lstsq(base.reshape(-1, base.shape[2]), y.reshape(-1), rcond=1e-6)[0]
-    return np.asarray(np.median(np.abs(np.diff(rest, axis=0)), axis=0) / 0.95)
+def _scanned(A: Array, b: Array) -> _Split:
+    """The best row for either kind of change, of whitened A (N, 6, 10) and b (N, 6)."""
+    found = [(_scan(A, b, columns), kind, columns) for kind, columns in KINDS]
+    (row, _), kind, columns = min(found, key=lambda one: one[0][1])
+    return _fitted(A, b, columns, row, kind)
+
+
+def _spread(X: Array, y: Array) -> Array:
+    """(6,) rms of what a fit of y (N, 6) by X (6 N, k) leaves in each channel."""
+    left = y - (X @ np.linalg.lstsq(X, y.reshape(-1), rcond=1e-9)[0]).reshape(-1, 6)
+    return np.maximum(np.sqrt(np.mean(left**2, axis=0)), 1e-12)
 
 
 def _cost(X: Array, b: Array) -> float:
@@ -209,7 +216,7 @@ def _scan(A: Array, b: Array, columns: slice) -> tuple[int, float]:
     return int(rows[best]), float(left[best])
 
 
-def _fitted(A: Array, b: Array, columns: slice, row: int, kind: str, whole: float) -> _Split:
+def _fitted(A: Array, b: Array, columns: slice, row: int, kind: str) -> _Split:
     part = np.where((np.arange(len(A)) >= row)[:, None, None], A[:, :, columns], 0.0)
     X, y = np.concatenate([A, part], axis=2).reshape(-1, A.shape[2] + part.shape[2]), b.reshape(-1)
     theta = np.linalg.lstsq(X, y, rcond=None)[0]
@@ -217,4 +224,5 @@ def _fitted(A: Array, b: Array, columns: slice, row: int, kind: str, whole: floa
     cost = float(left @ left)
     covariance = np.linalg.pinv(X.T @ X) * cost / max(len(y) - X.shape[1], 1)
     at = slice(A.shape[2], None)
-    return _Split(row, kind, theta[at], np.sqrt(np.diag(covariance)[at]), whole / max(cost, 1e-300))
+    spread = np.sqrt(np.mean(left.reshape(-1, 6) ** 2, axis=0))
+    return _Split(row, kind, theta[at], np.sqrt(np.diag(covariance)[at]), cost, spread)

@@ -74,8 +74,9 @@ class WrenchFrames:
         plain = usable[0].plain
         if plain.rank < 2:
             return None
-        if _is_named(plain.Q) and plain.unexplained <= CRITERIA.small_turn:
-            return _Found(usable[0], IDENTITY, plain.unexplained, "plain")
+        if plain.unexplained <= CRITERIA.small_turn:
+            # Turned round as a whole: a sign, which for the force alone is as gravity that points up.
+            return _Found(usable[0], plain.Q, plain.unexplained, "plain")
         return _best(usable, plain.unexplained if _is_named(plain.Q) else np.inf)
 
     def _of_gravity(self, seen: Observations, found: _Found) -> Remark:
@@ -230,7 +231,7 @@ def _axes_say(force: Array, torque: Array) -> list[str]:
     """Force and torque axes in words."""
     if np.array_equal(force, torque):
         if np.array_equal(force, -IDENTITY):
-            return ["force and torque have the opposite sign (reaction instead of action)"]
+            return ["force and torque have the opposite sign (reaction instead of action), or the robot hangs upside down"]
         return [f"wrench: {as_axes(force)} of the sensor{_handed(force)}"]
     out = []
     for name, P in (("wrench.force", force), ("wrench.torque", torque)):
