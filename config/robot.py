@@ -5,19 +5,25 @@ import hashlib
 import numpy as np
 
 from galen_hw.config.schema import Config, RobotSection
+from galen_hw.errors import UsageError
 from galen_hw.kinematics import GalenRobot, LinearDelta, Robot, UrdfRobot
+from galen_hw.premises.model import sensor_problems
 
 
 def build_robot(config: Config) -> Robot:
-    """The Galen with the configured geometry, or the configured URDF.
+    """The Galen with the configured geometry, or the configured URDF with the joints that move the sensor in the base.
 
     Raises:
-        UsageError: the URDF cannot be read, or a link is not in it.
+        UsageError: the URDF cannot be read, a link is not in it, or nobody says which of several ends the sensor's is.
     """
     robot = config.robot
     gravity = np.asarray(robot.gravity_m_per_s2)
     if robot.urdf is not None:
-        return UrdfRobot(robot.urdf, sensor_link=robot.sensor_link, base_link=robot.base_link, gravity=gravity)
+        whole = UrdfRobot(robot.urdf, sensor_link=robot.sensor_link, base_link=robot.base_link, gravity=gravity)
+        for problem in sensor_problems(whole, named=robot.sensor_link is not None):
+            if problem.severity == "refuse":
+                raise UsageError(problem.what, where=problem.where, todo=problem.todo)
+        return whole.keeping(whole.moving())
     return _galen(robot, gravity)
 
 

@@ -235,6 +235,36 @@ def test_check_builds_the_robot(tmp_path: Path, text: str, said: str) -> None:
         assert "roll, tilt" in str(found["robot"]["text"])
 
 
+ELSEWHERE = """<robot name="arm"><link name="base"/><link name="upper"/><link name="sensor"/>
+<joint name="shoulder_pan" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/></joint>
+<joint name="mount" type="fixed"><parent link="upper"/><child link="sensor"/></joint></robot>"""
+
+
+def test_joints_that_no_motor_has_are_said_by_check_and_by_the_daemon(tmp_path: Path) -> None:
+    """The motors' joints are the Galen's, the URDF's are others: nothing could be compensated, and nothing is started."""
+    (tmp_path / "robot.urdf").write_text(ELSEWHERE)
+    (tmp_path / "galen.toml").write_text(
+        f'robot = {{ urdf = "{tmp_path}/robot.urdf", sensor_link = "sensor" }}\n'
+        '[devices.motors]\ndriver = "galil_dmc"\ntransport = { url = "/dev/serial/by-id/none" }\n'
+    )
+    environ = os.environ | {"GALEN_HW_STATE": str(tmp_path / "state")}
+
+    def cli(*words: str) -> "subprocess.CompletedProcess[str]":
+        more = ["--config", str(tmp_path / "galen.toml"), "--dir", str(tmp_path / "run")]
+        command = [sys.executable, "-m", "galen_hw.cli", *words, *more]
+        return subprocess.run(command, env=environ, capture_output=True, text=True, timeout=60, check=False)
+
+    said = "no motor has the joint shoulder_pan; name them alike: there are some for carriage1, carriage2"
+    looked = cli("check")
+    assert looked.returncode == 2
+    assert f"problem joints: {said}" in looked.stdout
+    assert "note model: " in looked.stdout
+    assert "no mass" in looked.stdout
+    ended = cli("run")
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert f"robot galen: {said}" in ended.stderr
+
+
 def test_check_names_a_device_that_nothing_uses_and_a_state_that_cannot_be_kept(tmp_path: Path) -> None:
     """`motorz` is noted with what was meant; a file where the state's folder or one below it should be is a problem."""
     with daemon_tree(tmp_path) as tree:

@@ -207,7 +207,9 @@ def test_the_order_of_a_quaternion_is_found(spoil: Callable[[np.ndarray], np.nda
     found = examined(seen(spoilt))
     assert says in found.remarks[0].what
     back = matrix(dict(found.observations.columns), QUATERNION)
-    assert np.allclose(Rotation.from_quat(back).as_matrix(), Rotation.from_quat(matrix(original, QUATERNION)).as_matrix())
+    assert np.allclose(
+        Rotation.from_quat(back).as_matrix(), Rotation.from_quat(matrix(original, QUATERNION)).as_matrix()
+    )
 
 
 @settings(max_examples=20, deadline=None)
@@ -386,7 +388,7 @@ def joints(n: int = 4000) -> Observations:
     [
         (lambda v: 0.0 * v, "all zero"),
         (lambda v: -v, "opposite sign"),
-        (lambda v: np.degrees(v), "57.3 times"),
+        (np.degrees, "57.3 times"),
         (lambda v: np.random.default_rng(1).normal(size=len(v)), "not the change"),
     ],
 )
@@ -466,7 +468,9 @@ def test_a_sensor_zeroed_anew_between_poses_is_refused_with_the_pose():
     """Its offset jumps; two fits stand on either side."""
     columns = static(40)
     late = np.arange(40) >= 22
-    columns |= {n: columns[n] + late * v for n, v in zip(FORCE + TORQUE, (2.0, -1.0, 3.0, 0.05, 0.0, 0.02), strict=True)}
+    columns |= {
+        n: columns[n] + late * v for n, v in zip(FORCE + TORQUE, (2.0, -1.0, 3.0, 0.05, 0.0, 0.02), strict=True)
+    }
     (remark,) = examined(seen(columns)).refused
     assert "zeroed anew before pose 23" in remark.what
 

@@ -53,7 +53,12 @@ def run(args: argparse.Namespace) -> int:
     devices = Finding("devices", source, below=[check_device(n, looked_at, seen[n]) for n in seen])
     devices.below += [*check_names(setup.devices), *found]
     serial = next((s.serial_number for s in seen.values() if s.serial_number), "")
-    parts = [check_settings(path, problems), check_robot(document), devices, check_tools(setup, state_dir(), serial)]
+    parts = [
+        check_settings(path, problems),
+        check_robot(document, setup),
+        devices,
+        check_tools(setup, state_dir(), serial),
+    ]
     root = Finding("galen-hw check", below=[*parts, check_machine(setup, state_dir())])
     _print(root, as_json=args.json)
     return exit_status(root)

@@ -20,6 +20,7 @@ from galen_hw.recording import Recording, read_recording
 from galen_hw.tools.diagnose_input import observations_of
 from galen_hw.tools.diagnose_screen import counting, show, working
 from galen_hw.tools.diagnose_tool import model_to_save, tool_named, with_tool
+from galen_hw.tools.recorded_robot import model_notes
 
 STDOUT: Final = "-"
 
@@ -197,10 +198,15 @@ def _joined(recordings: list[Recording], paths: list[Path]) -> tuple[Observation
     """The recordings as one, and what is odd about each."""
     _same_machine(recordings, paths)
     names = [str(path) for path in paths]
-    observations, begins = joined([observations_of(recording) for recording in recordings], names)
+    each = [observations_of(recording) for recording in recordings]
+    odd = [
+        [*r.warnings, *model_notes(r, one.belief.robot, r.info.predict)]
+        for r, one in zip(recordings, each, strict=True)
+    ]
+    observations, begins = joined(each, names)
     if len(paths) == 1:
-        return observations, list(recordings[0].warnings)
-    notes = [f"{name}: {line}" for name, r in zip(names, recordings, strict=True) for line in r.warnings]
+        return observations, odd[0]
+    notes = [f"{name}: {line}" for name, lines in zip(names, odd, strict=True) for line in lines]
     clock = "at {:.2f} s" if observations.time is not None else "with row {:.0f}"
     return observations, [*notes, *(f"{n} begins {clock.format(b)}" for n, b in zip(names, begins, strict=True))]
 

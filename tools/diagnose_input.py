@@ -1,20 +1,18 @@
 """From a recording to what the effects read: columns, simulation, and what the simulation believes."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from galen_hw.errors import UsageError
-from galen_hw.kinematics import GalenRobot, Robot, UrdfRobot
+from galen_hw.kinematics import Robot, UrdfRobot
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.rigid import Body
 from galen_hw.recording import Recording
 from galen_hw.spatial import Array, rotation_from_quaternion
 from galen_hw.tools.diagnose_tool import terms_of
+from galen_hw.tools.recorded_robot import IN_JOINTS, robot_of, zeroed_joints, zeroed_names
 
-IN_JOINTS = ("effort", "position")
-"""Groups in which the arm itself bears what hangs on its sensor; the URDF holds its links already."""
 FIXED = 1e-3
 """Of a pose, in m and in parts of a turn's matrix: what moves less stands still."""
 ASKED = 200
@@ -67,7 +65,7 @@ def _matched(recording: Recording, simulation: Recording) -> dict[str, Array]:
 
 def _belief(recording: Recording) -> Belief:
     info = recording.info
-    robot = _robot(recording)
+    robot = robot_of(recording, info.predict)
     tool, bias = info.tool, info.bias_body
     tip, tip_rotation = _tip(recording, robot)
     belief = Belief(
@@ -77,7 +75,7 @@ def _belief(recording: Recording) -> Belief:
         tip_rotation=tip_rotation,
         bias_body=None if bias is None else _body(bias.mass, bias.com, bias.inertia),
         zeroed_rotation=_zeroed(recording, robot),
-        zeroed_joints=_zeroed_joints(recording, robot),
+        zeroed_joints=zeroed_joints(recording, robot),
         gravity=np.array(info.gravity),
         bias_free=info.model.bias == "free",
         dynamic=info.model.dynamics == "rigid",
@@ -150,23 +148,8 @@ def _body(mass: float | None, com: tuple[float, ...] | None, inertia: tuple[tupl
     )
 
 
-def _robot(recording: Recording) -> Robot | None:
-    info = recording.info
-    if info.robot is None:
-        return None
-    if info.robot == "galen":
-        return GalenRobot(gravity=np.array(info.gravity))
-    urdf = recording.urdf
-    if isinstance(urdf, Path) and not urdf.is_file():
-        raise UsageError("the robot's file is not there", where=str(urdf), todo="put the URDF beside the recording")
-    assert urdf is not None, "a robot that is named has a file"
-    sensor = info.sensor_link or info.tip_link
-    return UrdfRobot(urdf, sensor_link=sensor, base_link=info.base_link, gravity=np.array(info.gravity))
-
-
 def _zeroed(recording: Recording, robot: Robot | None) -> Array | None:
-    names = () if robot is None else tuple(robot.joint_names)
-    quaternion = recording.info.zeroed_quaternion(names)
+    quaternion = recording.info.zeroed_quaternion(zeroed_names(robot))
     if quaternion is not None:
         return rotation_from_quaternion(quaternion)
     if robot is None and recording.info.zeroed_at is not None and recording.info.bias_body is not None:
@@ -175,10 +158,5 @@ def _zeroed(recording: Recording, robot: Robot | None) -> Array | None:
             f"{recording.path}/recording.json: zeroed_at",
         )
         raise UsageError(what, where=where, todo="give the sensor's orientation there as a quaternion x y z w")
-    joints = _zeroed_joints(recording, robot)
+    joints = zeroed_joints(recording, robot)
     return None if joints is None or robot is None else np.asarray(robot.sensor_pose(joints)[0, :3, :3])
-
-
-def _zeroed_joints(recording: Recording, robot: Robot | None) -> Array | None:
-    joints = None if robot is None else recording.info.zeroed_joints(tuple(robot.joint_names))
-    return None if joints is None else np.array(joints)

@@ -62,7 +62,8 @@ def robot_of(file: "McapFile") -> "Robot":
     urdf = file.attachments.get(file.metadata.get("robot_file") or file.metadata.get("robot", ""))
     if urdf:
         known = file.metadata.get
-        return UrdfRobot(urdf, sensor_link=known("sensor_link") or None, base_link=known("base_link") or None)
+        whole = UrdfRobot(urdf, sensor_link=known("sensor_link") or None, base_link=known("base_link") or None)
+        return whole.keeping(whole.moving())
     settings = file.attachments.get("galen.toml")
     if not settings:
         return GalenRobot()

@@ -19,6 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM, SIGHUP or Ctrl-C, or until the parent ends."""
     from galen_hw.config.paths import make_runtime, runtime_dir, state_dir
+    from galen_hw.daemon.machine import must_fit
     from galen_hw.daemon.supervisor import Supervisor, install_signals
     from galen_hw.daemon.tables import TABLES, read_setup
     from galen_hw.daemon.virtual import virtual_setup
@@ -29,6 +30,7 @@ def run(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         if args.virtual:
             setup = stack.enter_context(virtual_setup(setup, TABLES, addresses.virtual))
+        must_fit(setup)
         supervisor = Supervisor(
             setup,
             TABLES,

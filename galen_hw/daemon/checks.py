@@ -20,6 +20,7 @@ from galen_hw.config.robot import build_robot
 from galen_hw.config.schema import Config, RobotSection
 from galen_hw.config.tool_store import ToolStore, binding_problems
 from galen_hw.daemon.layout import MOTORS, SENSOR, TRACKER
+from galen_hw.daemon.machine import joint_problems, robot_notes
 from galen_hw.daemon.probe import QUIET_TOPICS, Seen, nominal_hz
 from galen_hw.errors import EXIT_FOUND, EXIT_HARDWARE, EXIT_OK, EXIT_USAGE, UsageError
 from galen_hw.messages import TOPICS
@@ -78,8 +79,11 @@ def check_settings(path: Path, problems: list[Problem]) -> Finding:
     return Finding("settings", str(path), below=below)
 
 
-def check_robot(document: dict[str, Any]) -> Finding:
-    """The robot of a settings file, built as the daemon builds it: a URDF and its links are read, not just named."""
+def check_robot(document: dict[str, Any], setup: Setup) -> Finding:
+    """The robot of a settings file, built as the daemon builds it: a URDF and its links are read, not just named.
+
+    Below it: joints that no motor has, and what is odd about the model.
+    """
     try:
         section = RobotSection.model_validate(document.get("robot", {}))
         robot = build_robot(Config.model_construct(robot=section))
@@ -88,7 +92,10 @@ def check_robot(document: dict[str, Any]) -> Finding:
     except UsageError as error:
         text = f"{error.where}: {error.what}" if error.where else error.what
         return Finding("robot", text, PROBLEM, error.todo, EXIT_USAGE)
-    return Finding("robot", f"{section.name}: {', '.join(robot.joint_names)}")
+    found = [Finding("joints", p.what, PROBLEM, p.todo, EXIT_USAGE) for p in joint_problems(robot, setup)]
+    # The daemon weighs no links: what they lack matters to a diagnosis of efforts alone.
+    found += [Finding("model", f"{p.where}: {p.what}", NOTE, p.todo) for p in robot_notes(robot, setup)]
+    return Finding("robot", f"{section.name}: {', '.join(robot.joint_names)}", below=found)
 
 
 def check_names(names: Iterable[str]) -> list[Finding]:

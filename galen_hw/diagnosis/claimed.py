@@ -34,8 +34,8 @@ def claim_before(judged: Judged, raw: Scene, examination: Examination) -> Array:
     return after
 
 
-def add_claims(diagnosis: Diagnosis, examination: Examination, judged: Judged, after: Array, bench: Bench) -> bool:
-    """Put the claims of an examination first among the findings and into the saved terms; return whether there are any.
+def add_claims(diagnosis: Diagnosis, examination: Examination, judged: Judged, after: Array, bench: Bench) -> None:
+    """Put the claims of an examination first among the findings and into the saved terms.
 
     Args:
         diagnosis: is changed.
@@ -69,7 +69,6 @@ def add_claims(diagnosis: Diagnosis, examination: Examination, judged: Judged, a
         )
         diagnosis.findings.insert(0, finding)
         diagnosis.terms[:0] = [dict(term) for term in claim.terms]
-    return bool(examination.claims)
 
 
 def composed(claim: Claim, more: Mapping[str, Value]) -> dict[str, Value]:

@@ -93,9 +93,7 @@ def diagnose(
     scene = premise.scene
     held = 0.0 if holdout is not None else share
     holdout = None if holdout is None else held_out(_alike(holdout, examination, repair=repair), premise.notes)
-    bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, COARSE)
-    glitch = glitches.marked(bench)
-    coarse.leave_out(bench.spoilt)
+    bench, coarse, glitch = _benches(scene, held, seed)
     tell("simulating every effect", 0.1)
     effects = library(bench)
     columns, coarser = _columns(effects, bench, coarse)
@@ -138,10 +136,18 @@ def diagnose(
         left = left_of_another(model, holdout, judged)
     after = claim_before(judged, raw, examination)
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
-    if add_claims(diagnosis, examination, judged, after, bench):
-        diagnosis.verdict = verdict_of(diagnosis.findings, left, premise)
+    add_claims(diagnosis, examination, judged, after, bench)
+    diagnosis.verdict = verdict_of(diagnosis.findings, left, premise) if examination.claims else diagnosis.verdict
     tell("done", 1.0)
     return Work(bench, selection, model, judged, left, diagnosis)
+
+
+def _benches(scene: Scene, held: float, seed: int) -> tuple[Bench, Bench, list[Glitches]]:
+    """The data of the search, those of the first look, and the isolated samples that both leave out."""
+    bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, COARSE)
+    glitch = glitches.marked(bench)
+    coarse.leave_out(bench.spoilt)
+    return bench, coarse, glitch
 
 
 def _comparable(scene: Scene, examination: Examination) -> Premise:

@@ -47,10 +47,7 @@ class Variable:
 def joint_units(scene: Scene, joint: str) -> tuple[str, str]:
     """Units of a joint's position and load: m and N where it slides, rad and N m where it turns."""
     robot = scene.belief.robot
-    if isinstance(robot, UrdfRobot):
-        slides = robot.model.joints[scene.joint_index(joint) + 1].shortname().startswith("JointModelP")
-    else:
-        slides = joint.startswith("carriage")
+    slides = robot.slides(joint) if isinstance(robot, UrdfRobot) else joint.startswith("carriage")
     return ("m", "N") if slides else ("rad", "N m")
 
 

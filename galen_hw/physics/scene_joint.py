@@ -45,8 +45,7 @@ class JointScene(Scene):
         robot = self.belief.robot
         if not isinstance(robot, UrdfRobot):
             return channel.startswith("joint.carriage")
-        model = robot.model.joints[self.joint_index(_joint(channel)) + 1]
-        return bool(model.shortname().startswith("JointModelP"))
+        return robot.slides(_joint(channel))
 
     def channel_of(self, joint: str) -> int | None:
         """Place of a joint's channel; None where it is not compared."""
@@ -194,16 +193,15 @@ class EffortScene(JointScene):
 
     @once
     def body_port(self) -> Array | None:
-        """Efforts per inertial parameter of the last link (pinocchio's order)."""
+        """Efforts per inertial parameter of the link at the sensor (pinocchio's order); None where nothing moves it."""
         robot = self._urdf()
-        if robot is None:
+        if robot is None or robot.carrier is None:
             return None
         dq, ddq = self.rates
-        full = self._coarse(lambda rows: robot.dynamics_regressor(self.q[rows], dq[rows], ddq[rows])[:, :, -10:])
-        return self._along(full)
+        return self._along(self._coarse(lambda rows: robot.load_regressor(self.q[rows], dq[rows], ddq[rows])))
 
     def with_body(self, body: Array) -> Self | None:
-        """The last link is another one."""
+        """The link at the sensor is another one."""
         robot = self._urdf()
         other = None if robot is None else robot.with_load(body)
         return None if other is None else self._otherwise(belief=replace(self.belief, robot=other))

@@ -50,11 +50,11 @@ def forget(scene: Any) -> None:
 
 
 def frames(scene: Any) -> list[tuple[str, Array, Array]]:
-    """Revolute joints: name, frame (N, 4, 4) just before the joint turns, axis (3,) in that frame."""
+    """Joints that turn the sensor: name, frame (N, 4, 4) in the base just before the joint turns, axis (3,) in that frame."""
     robot = scene.belief.robot
     if isinstance(robot, GalenRobot):
         return _galen_frames(robot, scene.q)
-    return _urdf_frames(robot, scene.q) if isinstance(robot, UrdfRobot) else []
+    return robot.turning_frames(scene.q) if isinstance(robot, UrdfRobot) else []
 
 
 def _galen_frames(robot: GalenRobot, q: Array) -> list[tuple[str, Array, Array]]:
@@ -63,23 +63,6 @@ def _galen_frames(robot: GalenRobot, q: Array) -> list[tuple[str, Array, Array]]
     tilt[:, :3, :3] = rotation_about(0, q[:, 3])
     tilt[:, :3, 3] = roll[:, :3, 3] + tilt[:, :3, :3] @ np.asarray(robot.roll_to_tilt)
     return [("roll", roll, np.eye(3)[0]), ("tilt", tilt, np.eye(3)[1])]
-
-
-def _urdf_frames(robot: UrdfRobot, q: Array) -> list[tuple[str, Array, Array]]:
-    import pinocchio as pin
-
-    model, data, out = robot.model, robot.model.createData(), []
-    before = np.empty((model.njoints, len(q), 4, 4))
-    for i, row in enumerate(q):
-        pin.forwardKinematics(model, data, row)
-        for j in range(1, model.njoints):
-            before[j, i] = (data.oMi[model.parents[j]] * model.jointPlacements[j]).homogeneous
-    for j, name in enumerate(robot.joint_names, start=1):
-        S = model.joints[j].createData().S if hasattr(model.joints[j].createData(), "S") else None
-        axis = np.zeros(3) if S is None else np.asarray(S).reshape(6)[3:]
-        if np.any(axis):
-            out.append((name, before[j], axis))
-    return out
 
 
 def axis_screws(scene: Any) -> list[tuple[str, str, list[Array]]]:

@@ -186,7 +186,7 @@ def _scanned(A: Array, b: Array) -> _Split:
 def _spread(X: Array, y: Array) -> Array:
     """(6,) rms of what a fit of y (N, 6) by X (6 N, k) leaves in each channel."""
     left = y - (X @ np.linalg.lstsq(X, y.reshape(-1), rcond=1e-9)[0]).reshape(-1, 6)
-    return np.maximum(np.sqrt(np.mean(left**2, axis=0)), 1e-12)
+    return np.asarray(np.maximum(np.sqrt(np.mean(left**2, axis=0)), 1e-12))
 
 
 def _cost(X: Array, b: Array) -> float:

@@ -231,7 +231,9 @@ def _axes_say(force: Array, torque: Array) -> list[str]:
     """Force and torque axes in words."""
     if np.array_equal(force, torque):
         if np.array_equal(force, -IDENTITY):
-            return ["force and torque have the opposite sign (reaction instead of action), or the robot hangs upside down"]
+            return [
+                "force and torque have the opposite sign (reaction instead of action), or the robot hangs upside down"
+            ]
         return [f"wrench: {as_axes(force)} of the sensor{_handed(force)}"]
     out = []
     for name, P in (("wrench.force", force), ("wrench.torque", torque)):

@@ -8,13 +8,14 @@ import numpy as np
 from galen_hw.errors import UsageError
 from galen_hw.identification.poses import Mask, Poses
 from galen_hw.identification.still import average, still_spans
-from galen_hw.kinematics import GalenRobot, Robot, UrdfRobot
+from galen_hw.kinematics import Robot
 from galen_hw.physics.rigid import Body
 from galen_hw.premises import Remark
 from galen_hw.recording import WRENCH, Recording
 from galen_hw.recording.recording import SENSOR_ORIENTATION
 from galen_hw.spatial import Array, quaternion_from_rotation, rotation_from_quaternion
 from galen_hw.tools.examined import examine_recording
+from galen_hw.tools.recorded_robot import model_notes, robot_of, zeroed_joints, zeroed_names
 
 SAME_ORIENTATION = 0.005
 """rad between two visits of one pose."""
@@ -55,15 +56,17 @@ def poses_of(recording: Recording, robot: Robot | None = None, *, repair: bool =
     if not recording.has(*WRENCH):
         missing = next(name for name in WRENCH if name not in recording.columns)
         raise UsageError(f"there is no column {missing}", where=where, todo="a calibration needs the raw wrench")
-    robot = robot or _robot(recording)
+    robot = robot or robot_of(recording, "wrench")
     # Before any premise looks at it: what has no orientation at all is refused in plain words.
-    _orientation(recording, robot, _joints(recording, robot))
+    joints = _joints(recording, robot)
+    _orientation(recording, robot, joints)
+    about_model = model_notes(recording, robot if joints.shape[1] else None, "wrench")
     examined = examine_recording(recording, "wrench", repair=repair)
     recording = examined.recording
     joints = _joints(recording, robot)
     R = _orientation(recording, robot, joints) @ examined.sensor_turn
     good: Mask = np.asarray(np.isfinite(np.column_stack([recording.wrench, R.reshape(-1, 9)])).all(axis=1))
-    notes = list(examined.notes)
+    notes = [*about_model, *examined.notes]
     notes += [f"{int((~good).sum())} rows without wrench or orientation are left out"] if not good.all() else []
     averaged = _is_averaged(recording)
     poses = _rows(recording, R, good) if averaged else _spans(recording, R, joints, good)
@@ -78,16 +81,6 @@ def poses_of(recording: Recording, robot: Robot | None = None, *, repair: bool =
         known = recording.info.bias_body
         poses = replace(poses, bias_body=Body(known.mass, np.array(known.com)))
     return Found(poses, tuple(notes), robot, joints, examined.examination.remarks)
-
-
-def _robot(recording: Recording) -> Robot | None:
-    name = recording.info.robot
-    if name is None:
-        return None
-    if name == "galen":
-        return GalenRobot(gravity=np.array(recording.info.gravity))
-    info = recording.info
-    return UrdfRobot(recording.path / name, sensor_link=info.sensor_link, base_link=info.base_link)
 
 
 def _joints(recording: Recording, robot: Robot | None) -> Array:
@@ -181,9 +174,8 @@ def _visits(R: Array) -> Mask:
 
 def _zero(recording: Recording, robot: Robot | None) -> Array | None:
     """(3, 3) orientation in which the sensor was zeroed."""
-    names = () if robot is None else robot.joint_names
-    joints = recording.info.zeroed_joints(names)
+    joints = zeroed_joints(recording, robot)
     if joints is not None and robot is not None:
-        return np.asarray(robot.sensor_pose(np.array(joints))[0, :3, :3])
-    quaternion = recording.info.zeroed_quaternion(names)
+        return np.asarray(robot.sensor_pose(joints)[0, :3, :3])
+    quaternion = recording.info.zeroed_quaternion(zeroed_names(robot))
     return None if quaternion is None else rotation_from_quaternion(quaternion)
