@@ -46,7 +46,9 @@ def section(cases: Sequence[Scored], seed: int, commit: str, given: Sequence[tup
         right = sum(good for _, good, _ in given)
         met = "yes" if right == len(given) else "**no**"
         lines.append(f"| recordings that were handed over: right | {len(given)} of {len(given)} | {right} | {met} |")
-    lines += ["", *failures(cases), *_kinds(cases)]
+    warned = sum(c.warned for c in cases)
+    lines += ["", f"A warning of numpy reached the screen in {warned} answers.\n"] if warned else [""]
+    lines += [*failures(cases), *_kinds(cases)]
     if given:
         lines += ["### Handed over\n", "| recording | right | answer |", "| --- | --- | --- |"]
         lines += [f"| {name} | {'yes' if good else '**no**'} | {_cell(said)} |" for name, good, said in given]

@@ -49,6 +49,11 @@ class Scored:
     short: str = ""
 
     @property
+    def warned(self) -> bool:
+        """A warning of Python or numpy reached the screen."""
+        return bool(re.search(r"\w*Warning: ", self.asked["err"]))
+
+    @property
     def right(self) -> bool:
         """Named, and nothing wrong beside it."""
         return self.named and not self.wrong
@@ -68,7 +73,7 @@ def score(truth: dict[str, Any], both: dict[str, Answer]) -> Scored:
         beside = wrong(truth, out.control, frozenset(), _known(truth, out.control), named=False, repaired=False)
         out.beside = [w for w in out.wrong if w.split(" ")[0] in {b.split(" ")[0] for b in beside}]
     answered = out.asked["exit"] in {0, 1} and out.asked["json"] is not None
-    quiet = kind.silent and answered and not out.wrong and _as_good(truth, out.asked)
+    quiet = kind.silent and answered and not out.wrong and _as_good(truth, out.asked) and _as_sharp(both)
     out.named = (spelled or quiet) and not failed(out.asked)
     out.spoken = spoken(out.control)
     out.short = short(out.asked)
@@ -94,6 +99,15 @@ def _as_good(truth: dict[str, Any], asked: Answer) -> bool:
         return True
     found = {f["effect"] for f in findings(asked)}
     return bool(found) if truth["effects"] else asked["json"].get("verdict") == "agrees"
+
+
+BLUNT = 3.0
+
+
+def _as_sharp(both: dict[str, Answer]) -> bool:
+    """No channel is called so many times as noisy as without the mistake: who calls everything noise agrees with all."""
+    floors = [((both[what]["json"] or {}).get("fit") or {}).get("noise_floor") or {} for what in ("asked", "control")]
+    return all(floors[0].get(c, x) <= BLUNT * x for c, x in floors[1].items())
 
 
 def wrong(
@@ -171,7 +185,9 @@ def premises(answer: Answer) -> list[dict[str, Any]]:
 def lines_said(answer: Answer) -> list[str]:
     """What an answer says of the recording itself: its refusal, premises, remarks and notes, a line each."""
     given = answer["json"] or {}
-    out = [line.strip() for line in answer["err"].splitlines() if line.strip()]
+    # A warning of a library, and the line of code under it, are no words of the program's.
+    err = re.sub(r"^.*Warning: .*\n(?:  .*\n?)?", "", answer["err"], flags=re.MULTILINE)
+    out = [line.strip() for line in err.splitlines() if line.strip()]
     for premise in premises(answer):
         columns = " ".join(map(str, premise.get("columns") or []))
         out.append(" ".join(str(premise.get(k, "")) for k in ("premise", "what", "todo")) + " " + columns)

@@ -115,7 +115,7 @@ MASSLESS = (
     r"\bno (?:mass|inertial|inertia)|without (?:mass|inertial)|<inertial>"
     r"|mass(?:es)?.{0,60}(?:zero|\b0\b|missing|lack)|(?:zero|missing|lacks?).{0,60}(?:mass|inertial)"
 )
-LINK = r"sensor_?link|\b(?:ft_sensor|ft_link|FT|tool0)\b.{0,80}\b(?:no|not|in)\b"
+LINK = r"sensor_?link|no link|\b(?:ft_sensor|ft_link|FT|tool0)\b.{0,80}\b(?:no|not|in)\b"
 HEAVY = r"mass(?:es)?.{0,160}(?:gram|\bg\b|tonne|times|power|unit|1000|heav|light|kg)"
 LARGE = r"inertia.{0,160}(?:mm|times|power|unit|1000|size|radius|big|large|body|possible)"
 NO_BODY = r"triangle|inertia.{0,120}(?:no body|possible|negative|positive|physical)|no (?:real )?body"
