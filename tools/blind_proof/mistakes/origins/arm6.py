@@ -189,9 +189,8 @@ def _sensed(arm: Arm, load: Load, p: Path) -> Array:
 LOSS = np.array([4.0, 5.0, 3.0, 1.0, 0.8, 0.5])
 
 
-def effort(rng: np.random.Generator, needs: frozenset[str]) -> Recording:
-    """Joint efforts along a path: exactly the URDF's, or with dry friction besides."""
-    arm, p = draw(rng), path(rng, int(rng.integers(600, 1000)), 50.0)
+def efforts(arm: Arm, p: Path) -> Array:
+    """Joint efforts (N, 6) that the path needs, without friction and without a tool."""
     model = mujoco.MjModel.from_xml_string(mjcf(arm, None))
     data = mujoco.MjData(model)
     out = np.empty((len(p.t), 6))
@@ -199,6 +198,13 @@ def effort(rng: np.random.Generator, needs: frozenset[str]) -> Recording:
         data.qpos[:], data.qvel[:], data.qacc[:] = p.q[i], p.dq[i], p.ddq[i]
         mujoco.mj_inverse(model, data)
         out[i] = data.qfrc_inverse
+    return out
+
+
+def effort(rng: np.random.Generator, needs: frozenset[str]) -> Recording:
+    """Joint efforts along a path: exactly the URDF's, or with dry friction besides."""
+    arm, p = draw(rng), path(rng, int(rng.integers(600, 1000)), 50.0)
+    out = efforts(arm, p)
     loss = LOSS * rng.uniform(0.6, 1.4, 6) * (rng.random() < 0.4)
     out += loss * np.tanh(p.dq / 0.004)
     out += rng.normal(size=out.shape) * [0.15, 0.15, 0.1, 0.03, 0.03, 0.02]
