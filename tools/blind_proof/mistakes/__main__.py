@@ -69,6 +69,9 @@ def _arguments() -> argparse.Namespace:
     )
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--patience", type=float, default=ask.PATIENCE_S, help="seconds that an answer may take")
+    parser.add_argument(
+        "--no-control", action="store_true", help="leave out the recordings without a mistake (to develop)"
+    )
     parser.add_argument("--list", action="store_true", help="list the kinds")
     return parser.parse_args()
 
@@ -81,7 +84,8 @@ def _judged(seed: int, args: argparse.Namespace, folder: Path) -> list[Scored]:
         made = pool.map(build, planned, [folder / c.name for c in planned])
         cases = list(track(made, total=len(planned), description="generating"))
     sealed = seal.seal(cases, folder)
-    verdicts = ask.answers(folder, [(c.name, c.command) for c in cases], args.workers, args.patience)
+    asked = [(c.name, c.command) for c in cases]
+    verdicts = ask.answers(folder, asked, args.workers, args.patience, control=not args.no_control)
     truth = seal.unseal(sealed, folder, verdicts)
     return [score(t, json.loads(v.read_text())) for t, v in zip(truth, verdicts, strict=True)]
 

@@ -18,8 +18,16 @@ PATIENCE_S = 600.0
 """After which a recording of half a minute counts as one without an answer."""
 
 
-def answers(folder: Path, cases: list[tuple[str, str]], workers: int, patience_s: float = PATIENCE_S) -> list[Path]:
-    """One file a case, {"asked": answer, "control": answer}; `cases` are (name, command). Those that are there stay."""
+NOT_ASKED: dict[str, Any] = {"exit": 0, "out": "", "err": "", "seconds": 0.0, "json": {}}
+
+
+def answers(
+    folder: Path, cases: list[tuple[str, str]], workers: int, patience_s: float = PATIENCE_S, *, control: bool = True
+) -> list[Path]:
+    """One file a case, {"asked": answer, "control": answer}; `cases` are (name, command). Those that are there stay.
+
+    `control`: whether the recording without the mistake is asked too; if not, what would be said of it is unknown.
+    """
     out = folder / "verdicts"
     out.mkdir(parents=True, exist_ok=True)
     paths = [out / f"{name}.json" for name, _ in cases]
@@ -29,7 +37,9 @@ def answers(folder: Path, cases: list[tuple[str, str]], workers: int, patience_s
         def one(case: tuple[str, str], path: Path) -> None:
             name, command = case
             if not path.exists():
-                both = {what: ask(command, folder / name / what, patience_s) for what in (ASKED, CONTROL)}
+                both = {CONTROL: NOT_ASKED}
+                for what in (ASKED, CONTROL) if control else (ASKED,):
+                    both[what] = ask(command, folder / name / what, patience_s)
                 part = path.with_suffix(".part")
                 part.write_text(json.dumps(both))
                 part.replace(path)
@@ -46,6 +56,7 @@ def ask(command: str, recording: Path, patience_s: float = PATIENCE_S) -> dict[s
         words = {
             "diagnose": ["diagnose", str(recording), "--json", str(written)],
             "calibrate": ["calibrate", "--from", str(recording), "--yes", "--json"],
+            "deflection": ["deflection", "fit", str(recording), "--no-save", "--json"],
         }[command]
         # A tool store of its own: nothing that was calibrated before may speak in this answer.
         env = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "GALEN_HW_STATE": scratch}
@@ -63,7 +74,7 @@ def ask(command: str, recording: Path, patience_s: float = PATIENCE_S) -> dict[s
             said = f"no answer after {patience_s:g} s"
             return {"exit": 124, "out": "", "err": said, "seconds": patience_s, "json": None}
         answer = written.read_text() if written.exists() else ""
-    if command == "calibrate" and done.stdout.lstrip().startswith("{"):
+    if command != "diagnose" and done.stdout.lstrip().startswith("{"):
         answer = done.stdout
     return {
         "exit": done.returncode,

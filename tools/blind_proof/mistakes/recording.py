@@ -48,6 +48,7 @@ class Recording:
         load: true mass and centre of mass of a static set.
         turn: (N, 3, 3) from sensor to base, where the maker knows it.
         clean: (N, 6) the wrench of the load without offsets and noise, where the maker knows it.
+        parts: how many recordings one after the other it is, each of which becomes a folder.
         coulomb: greatest dry friction of a joint in truth, N m; None where it is not known.
     """
 
@@ -61,6 +62,7 @@ class Recording:
     turn: Array | None = None
     clean: Array | None = None
     coulomb: float | None = None
+    parts: int = 1
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
@@ -105,6 +107,9 @@ class Recording:
     def write(self, folder: Path) -> Path:
         """The folder as a user has it; numbers to nine digits, clocks to all of theirs."""
         folder.mkdir(parents=True, exist_ok=True)
+        if self.parts > 1:
+            self._write_parts(folder)
+            return folder
         cells = [[_cell(v, exact=n == "time") for v in values] for n, values in self.columns.items()]
         lines = [",".join(self.columns), *(",".join(row) for row in zip(*cells, strict=True))]
         (folder / "recording.csv").write_text("\n".join(lines) + "\n")
@@ -114,6 +119,14 @@ class Recording:
         if self.simulation is not None:
             self.simulation.write(folder / "simulation")
         return folder
+
+    def _write_parts(self, folder: Path) -> None:
+        rows = len(self) // self.parts
+        for k in range(self.parts):
+            one = self.copy()
+            one.parts = 1
+            one.rows(slice(k * rows, (k + 1) * rows))
+            one.write(folder / f"set{k + 1}")
 
 
 def _cell(value: float, *, exact: bool) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from galen_hw.tools.blind_proof.mistakes.kinds import KINDS
+from galen_hw.tools.blind_proof.mistakes.origins import REAL
 
 Answer = dict[str, Any]
 
@@ -69,7 +70,9 @@ def score(truth: dict[str, Any], both: dict[str, Answer]) -> Scored:
     spelled = any(kind.names(line) for line in [*said, " ".join(said)]) or bool(kind.effects & set(found))
     repaired = any(p.get("action") == "repaired" for p in premises(out.asked))
     out.wrong = wrong(truth, out.asked, kind.effects, _known(truth, out.control), named=spelled, repaired=repaired)
-    if out.control["json"] is not None:
+    if truth["command"] == "deflection":
+        out.wrong = [] if spelled and not repaired else _worse(out.asked, out.control)
+    elif out.control["json"]:
         beside = wrong(truth, out.control, frozenset(), _known(truth, out.control), named=False, repaired=False)
         out.beside = [w for w in out.wrong if w.split(" ")[0] in {b.split(" ")[0] for b in beside}]
     answered = out.asked["exit"] in {0, 1} and out.asked["json"] is not None
@@ -83,7 +86,7 @@ def score(truth: dict[str, Any], both: dict[str, Answer]) -> Scored:
 def _known(truth: dict[str, Any], control: Answer) -> set[str]:
     """Effects that are in the recording without the mistake; of a real one nobody knows all, its own answer stands."""
     known = set(truth["effects"])
-    if not truth["family"].startswith(("proof", "arm6", "static")):
+    if truth["family"] in REAL:
         known |= {f["effect"] for f in findings(control)}
     for pair in ALIKE:
         if known & pair:
@@ -95,7 +98,7 @@ def _as_good(truth: dict[str, Any], asked: Answer) -> bool:
     """The answer finds what is there, as it would without the mistake."""
     if truth["command"] == "calibrate":
         return bool(asked["json"].get("accepted"))
-    if not truth["family"].startswith(("proof", "arm6")):
+    if truth["command"] == "deflection" or truth["family"] in REAL:
         return True
     found = {f["effect"] for f in findings(asked)}
     return bool(found) if truth["effects"] else asked["json"].get("verdict") == "agrees"
@@ -120,7 +123,7 @@ def wrong(
     repaired: bool,
 ) -> list[str]:
     """What an answer says with confidence and is not so, each in a few words."""
-    if answer["json"] is None:
+    if not answer["json"]:
         return []
     if truth["command"] == "calibrate":
         # Who asks "is it in kgf?" has not said that the number is right; who repaired it has.
@@ -133,6 +136,22 @@ def wrong(
         elif off := _wrong_number(truth, finding, known):
             out.append(off)
     return out
+
+
+MISSED = 1.5
+
+
+def _worse(asked: Answer, control: Answer) -> list[str]:
+    """A deflection model that is recommended though it misses so many times as much as without the mistake."""
+    told = [a["json"] or {} for a in (asked, control)]
+    if any(t.get("recommended") not in t.get("models", {}) for t in told):
+        return []
+    errors = [max(t["models"][t["recommended"]]["rmse_m"].values(), default=0.0) for t in told]
+    return (
+        [f"recommended with {1e3 * errors[0]:.3g} mm for {1e3 * errors[1]:.3g}"]
+        if errors[0] > MISSED * errors[1]
+        else []
+    )
 
 
 def _wrong_load(truth: dict[str, Any], answer: dict[str, Any], *, named: bool) -> list[str]:
@@ -185,26 +204,27 @@ def premises(answer: Answer) -> list[dict[str, Any]]:
 def lines_said(answer: Answer) -> list[str]:
     """What an answer says of the recording itself: its refusal, premises, remarks and notes, a line each."""
     given = answer["json"] or {}
-    # A warning of a library, and the line of code under it, are no words of the program's.
-    err = re.sub(r"^.*Warning: .*\n(?:  .*\n?)?", "", answer["err"], flags=re.MULTILINE)
-    out = [line.strip() for line in err.splitlines() if line.strip()]
+    out = [line for stream in ("err", "out") for line in _remarks(answer[stream])]
     for premise in premises(answer):
         columns = " ".join(map(str, premise.get("columns") or []))
         out.append(" ".join(str(premise.get(k, "")) for k in ("premise", "what", "todo")) + " " + columns)
-    for key in ("remarks", "notes"):
+    for key in ("remarks", "notes", "doubts"):
         out += [str(line) for line in given.get(key) or []]
-    inside = False
-    for line in answer["out"].splitlines():
-        head = line.strip().split(" ")[0] if line.strip() else ""
-        inside = head in {"note", "premise", "!"} or (inside and line.startswith("         "))
-        if inside:
-            out.append(line.strip())
     return [line for line in out if not STANDING.search(line)]
+
+
+REMARK = re.compile(r"^ *(?:galen-hw |note |premises? |repaired |refused |! ?)")
+"""How a line of the screen begins that speaks of the recording; tables of what was fitted do not."""
+
+
+def _remarks(text: str) -> list[str]:
+    """Lines of a screen that speak of the recording."""
+    return [line.strip() for line in text.splitlines() if REMARK.match(line)]
 
 
 def _bare(line: str) -> str:
     """A line without its numbers: what is said of the recording without a mistake too is no answer to the mistake."""
-    return re.sub(r"[\d.+\-e]+", "#", line)
+    return " ".join(re.sub(r"[\d.+\-e]+", "#", line).split())
 
 
 def failed(answer: Answer) -> bool:
@@ -229,6 +249,10 @@ def short(answer: Answer) -> str:
     if "verdict" in given:
         found = "+".join(f["effect"] for f in findings(answer)) or "no finding"
         return f"{given['verdict']}, {found}" + (f"; {spoke}" if spoke else "")
+    if "models" in given:
+        return f"recommends {given.get('recommended')}: {given.get('reason', '')[:120]}" + (
+            f"; {spoke}" if spoke else ""
+        )
     tool = given.get("tool") or {}
     taken = "accepted" if given.get("accepted") else "not accepted"
     return f"{taken}, {1e3 * float(tool.get('mass') or 0):.1f} g" + (f"; {spoke}" if spoke else "")

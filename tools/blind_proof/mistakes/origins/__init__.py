@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from galen_hw.tools.blind_proof.generator.build import UnreachableError
-from galen_hw.tools.blind_proof.mistakes.origins import arm6, proof, real, static
+from galen_hw.tools.blind_proof.mistakes.origins import arm6, proof, pushed, real, static
 from galen_hw.tools.blind_proof.mistakes.recording import Recording
 
 Maker = Callable[[np.random.Generator, frozenset[str]], Recording]
@@ -18,6 +18,7 @@ FAMILIES: dict[str, Maker] = {
     "arm6-effort": arm6.effort,
     "arm6-pose": arm6.pose,
     "arm6-targets": arm6.targets,
+    "pushed": pushed.make,
     **{name: partial(real.make, name) for name in real.REALS},
 }
 REAL = frozenset(real.REALS)
