@@ -21,7 +21,7 @@ from galen_hw.tools.blind_proof.mistakes.kinds import KINDS
 from galen_hw.tools.blind_proof.mistakes.kinds.cells import BAD_FLOAT
 from galen_hw.tools.blind_proof.mistakes.origins import arm6
 from galen_hw.tools.blind_proof.mistakes.recording import FORCE, POINT, SENSOR, TORQUE, TURN, Load, Recording
-from galen_hw.tools.blind_proof.mistakes.score import score
+from galen_hw.tools.blind_proof.mistakes.score import lines_said, score
 
 UNCHANGED = {"raw_rows"}
 """Right as they are: the mistake would be to take each row for a pose."""
@@ -51,7 +51,11 @@ def test_every_kind_changes_a_right_recording_that_is_still_a_table(key: str, tm
     assert len({len(v) for v in asked.columns.values()}) == 1
     right.write(tmp_path / "right")
     asked.write(tmp_path / "asked")
-    text = [{p.name: p.read_text() for p in (tmp_path / d).iterdir() if p.is_file()} for d in ("right", "asked")]
+    text = [
+        {str(p.relative_to(tmp_path / d)): p.read_text() for p in (tmp_path / d).rglob("*") if p.is_file()}
+        for d in ("right", "asked")
+    ]
+    assert text[0]
     assert (text[0] == text[1]) == (key in UNCHANGED)
 
 
@@ -259,6 +263,31 @@ def test_an_accepted_mass_has_to_be_true() -> None:
     assert judged(calibration(0.85, com, premises=(premise("the wrench is in kgf"),))) == (True, False)
     assert judged(calibration(0.95, com, premises=(premise("the wrench is in kgf"),))) == (True, True)
     assert judged(calibration(0.85, (0.012, -0.004, -0.06))) == (False, True)
+
+
+def test_a_deflection_model_must_not_miss_more_than_without_the_mistake() -> None:
+    """Recommended with a thousand times the error; a remark that names the cause makes it no claim."""
+
+    def fitted(error: float, *doubts: str) -> dict[str, Any]:
+        told = {"recommended": "m", "models": {"m": {"rmse_m": {"new configuration": error}}}, "doubts": list(doubts)}
+        return {"exit": 0, "out": "", "err": "", "seconds": 1.0, "json": told}
+
+    case = truth("deflection_pose_unit", "pushed")
+    silent = score(case, {"asked": fitted(0.12), "control": fitted(1.2e-4)})
+    assert silent.wrong == ["recommended with 120 mm for 0.12"]
+    assert score(case, {"asked": fitted(0.12, "the pose is in mm"), "control": fitted(1.2e-4)}).right
+
+
+def test_a_table_on_the_screen_is_no_remark() -> None:
+    """Candidates of a fit bear the names of causes; a remark begins as one."""
+    answer = calibration(0.85, (0.012, -0.004, 0.061)) | {
+        "err": "    + sensor mounting   13  849.9\n > + tilt of gravity\n"
+    }
+    assert lines_said(answer) == []
+    assert lines_said(answer | {"err": " ! the wrench is mirrored\n"}) == ["! the wrench is mirrored"]
+    warned = answer | {"err": "/x/y.py:4: RuntimeWarning: overflow\n  note = a / b\n"}
+    assert score(truth("mirrored"), {"asked": warned, "control": AGREES}).warned
+    assert lines_said(warned) == []
 
 
 def test_a_premise_that_speaks_of_nothing_is_counted() -> None:

@@ -218,7 +218,8 @@ REMARK = re.compile(r"^ *(?:galen-hw |note |premises? |repaired |refused |! ?)")
 
 
 def _remarks(text: str) -> list[str]:
-    """Lines of a screen that speak of the recording."""
+    """Lines of a screen that speak of the recording; a warning of a library, with its line of code, does not."""
+    text = re.sub(r"^.*Warning: .*\n(?:  .*\n?)?", "", text, flags=re.MULTILINE)
     return [line.strip() for line in text.splitlines() if REMARK.match(line)]
 
 
