@@ -163,7 +163,7 @@ KINDS = (
         "diagnose",
         POSES,
         lost_held,
-        (LOST + "|held|repeat|frozen|stuck|same value",),
+        (LOST + r"|\bheld\b(?! out)|repeat|frozen|stuck|same value",),
         silent=True,
         effects=frozenset({"glitches"}),
     ),
@@ -204,7 +204,7 @@ KINDS = (
         "diagnose",
         MOVING,
         staircase,
-        (r"staircase|held|hold|repeat|slower|rate|same value|steps",),
+        (r"staircase|\bheld\b(?! out)|\bhold|repeat|slower|\brates?\b|same value|\bsteps\b",),
         effects=frozenset({"time_delay", "lag"}),
     ),
     Kind(

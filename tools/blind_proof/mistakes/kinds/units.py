@@ -34,7 +34,10 @@ WRENCHES = (
     Unit("kN and kN m", 1e-3, 1e-3, r"kN|kilo|1000|power of ten"),
     Unit("gram-force", 1e3 / G, 1e3 / G, r"gf|gram|9\.8"),
 )
-UNIT = r"\bunits?\b|\bin (?:N ?mm|kgf|lbf|mm|deg|counts|mA|per ?mille|degrees)\b|power of ten|times (?:the|too)"
+UNIT = (
+    r"\bunits?\b|\bin (?:N ?mm|kgf|lbf|mm|deg|counts|mA|per ?mille|degrees)\b|power of ten"
+    r"|times (?:as|too) (?:large|small|big|great|high)"
+)
 
 
 def wrench_unit(rec: Recording, rng: Rng) -> Made:
