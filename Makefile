@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip install --quiet --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test inject-test loop-test lint wheel-test bench proof clean
+.PHONY: help install demo test inject-test loop-test lint wheel-test bench proof mistakes clean
 
 help:
 	@echo "make demo    calibrate a tool on the virtual robot and compensate live, with figures in demo-output/"
@@ -18,6 +18,7 @@ help:
 	@echo "make lint    style, types, layers"
 	@echo "make bench   the benchmarks, written to docs/benchmarks.md (about 15 minutes)"
 	@echo "make proof   the blind proof of the diagnosis, written to docs/proof.md (long)"
+	@echo "make mistakes  300 recordings with one ordinary mistake each, a section of docs/proof.md (long)"
 
 $(BASE): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -67,6 +68,10 @@ bench: $(STAMP)
 proof: $(STAMP)
 	@$(PIP) 'torch>=2.4' mujoco 'pysindy>=2.0'
 	$(BIN)/python -m galen_hw.tools.blind_proof --write docs/proof.md
+
+mistakes: $(STAMP)
+	@$(PIP) mujoco
+	$(BIN)/python -m galen_hw.tools.blind_proof.mistakes --write docs/proof.md
 
 clean:
 	rm -rf $(VENV) build dist demo-output proof-output *.egg-info

@@ -1,12 +1,12 @@
 """Findings that were solved exactly before the search: a sensor turned by any angle, gravity along any direction."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.judge import Judged
-from galen_hw.diagnosis.result import Diagnosis, Finding, Value
+from galen_hw.diagnosis.result import Diagnosis, Finding, Value, Verdict
 from galen_hw.physics.scene import Scene
 from galen_hw.premises import Claim, Examination
 from galen_hw.spatial import Array, rotation_exp, rotation_log
@@ -34,7 +34,14 @@ def claim_before(judged: Judged, raw: Scene, examination: Examination) -> Array:
     return after
 
 
-def add_claims(diagnosis: Diagnosis, examination: Examination, judged: Judged, after: Array, bench: Bench) -> None:
+def add_claims(
+    diagnosis: Diagnosis,
+    examination: Examination,
+    judged: Judged,
+    after: Array,
+    bench: Bench,
+    verdict: Callable[[list[Finding]], Verdict],
+) -> None:
     """Put the claims of an examination first among the findings and into the saved terms.
 
     Args:
@@ -42,6 +49,7 @@ def add_claims(diagnosis: Diagnosis, examination: Examination, judged: Judged, a
         judged: with the errors of the unrepaired recording, see `claim_before`.
         after: errors (C,) after the claims alone.
         bench: whose noise says how many rows are independent.
+        verdict: of findings.
     """
     diagnosis.holdout, diagnosis.premises = judged.name, [one.to_json() for one in examination.remarks]
     rows = (
@@ -69,6 +77,7 @@ def add_claims(diagnosis: Diagnosis, examination: Examination, judged: Judged, a
         )
         diagnosis.findings.insert(0, finding)
         diagnosis.terms[:0] = [dict(term) for term in claim.terms]
+        diagnosis.verdict = verdict(diagnosis.findings)
 
 
 def composed(claim: Claim, more: Mapping[str, Value]) -> dict[str, Value]:

@@ -136,8 +136,7 @@ def diagnose(
         left = left_of_another(model, holdout, judged)
     after = claim_before(judged, raw, examination)
     diagnosis = _said(model, selection, judged, left, premise, glitch, name)
-    add_claims(diagnosis, examination, judged, after, bench)
-    diagnosis.verdict = verdict_of(diagnosis.findings, left, premise) if examination.claims else diagnosis.verdict
+    add_claims(diagnosis, examination, judged, after, bench, lambda found: verdict_of(found, left, premise))
     tell("done", 1.0)
     return Work(bench, selection, model, judged, left, diagnosis)
 

@@ -9,7 +9,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from galen_hw.tools.blind_proof import tables
+from galen_hw.tools.blind_proof import sections, tables
 from galen_hw.tools.blind_proof.generator.case import SNR_LEVELS
 from galen_hw.tools.blind_proof.score import Scored
 
@@ -52,6 +52,8 @@ def write(
         _rival_table(rivals, {c.truth["name"]: c for c in cases}, pictures),
         "\n".join(recordings),
     ]
+    # The section that another command writes stays.
+    parts.append(sections.kept(path, sections.MISTAKES))
     path.write_text("\n".join(p for p in parts if p))
     return [f"{f.what}: promised {f.promised}, reached {f.reached}" for f in promised if not f.good]
 

@@ -3,13 +3,19 @@
 import hashlib
 import json
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-from galen_hw.tools.blind_proof.generator.case import Case
+from typing import Any, Protocol
 
 
-def truth_text(cases: list[Case]) -> str:
+class Truth(Protocol):
+    """A case, as plain values."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """What is sealed of it."""
+
+
+def truth_text(cases: Sequence[Truth]) -> str:
     """The truth in one canonical text."""
     return json.dumps([case.as_dict() for case in cases], sort_keys=True, default=float)
 
@@ -19,7 +25,7 @@ def digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def seal(cases: list[Case], folder: Path) -> str:
+def seal(cases: Sequence[Truth], folder: Path) -> str:
     """Write the digest; the truth itself stays in memory.
 
     Raises:
