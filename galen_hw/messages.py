@@ -36,6 +36,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
         seq: counts up by one per topic and source; a gap is a loss.
         valid: the producer vouches for the content.
         source: who says so (device or service name of the configuration).
+        robot: name of the configured robot; virtual: there is no hardware. The daemon writes both into what it publishes.
     """
 
     timestamp: float
@@ -43,6 +44,8 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
     seq: int
     valid: bool = False
     source: str = ""
+    robot: str = ""
+    virtual: bool = False
 
 
 class WrenchRaw(Message, frozen=True, kw_only=True):
@@ -296,15 +299,4 @@ def encode(message: msgspec.Struct) -> bytes:
     return _ENCODER.encode(message)
 
 
-def decode(topic: str, payload: bytes) -> Message:
-    """The message of a payload.
-
-    Raises:
-        KeyError: the topic is not in the table.
-        msgspec.ValidationError: the payload is not that topic's message.
-    """
-    return _DECODERS[topic].decode(payload)
-
-
 _ENCODER: Final = msgspec.msgpack.Encoder()
-_DECODERS: Final = {name: msgspec.msgpack.Decoder(topic.message) for name, topic in TOPICS.items()}

@@ -316,6 +316,8 @@ def test_unit_file_asks_systemd_for_what_the_daemon_does() -> None:
     assert service["KillMode"] == "mixed"
     assert (service["RuntimeDirectory"], service["StateDirectory"]) == ("galen-hw", "galen-hw")
     assert service["RestartPreventExitStatus"] == "2"
+    # One process that is out of memory is ended alone: the supervisor starts it again.
+    assert (service["LimitNOFILE"], service["MemoryMax"], service["OOMPolicy"]) == ("4096", "2G", "continue")
     assert {"AF_UNIX", "AF_INET", "AF_CAN"} <= set(service["RestrictAddressFamilies"].split())
 
 

@@ -62,8 +62,10 @@ def _ask_daemon(runtime: Path | None, target: str, name: str, arguments: dict[st
     from galen_hw.bus import CommandClient
     from galen_hw.config.paths import Addresses, client_runtime_dir
     from galen_hw.errors import HardwareError
+    from galen_hw.permission import require_permission
 
     addresses = Addresses(runtime or client_runtime_dir())
+    require_permission(addresses.runtime / "command")
     if not (addresses.runtime / "command").exists():
         return {}
     with CommandClient(addresses.command) as client:
