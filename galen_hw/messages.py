@@ -9,6 +9,8 @@ from typing import Any, Final
 
 import msgspec
 
+from galen_hw.errors import CommandRejectedError
+
 
 class Vector3(msgspec.Struct, frozen=True):
     """Three components along x, y, z."""
@@ -240,6 +242,16 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     args: dict[str, Any] = {}
     version: int = 1
+
+    def require_only(self, *known: str) -> None:
+        """Refuse arguments that the command does not take: a misspelt one must not mean the default of the right one.
+
+        Raises:
+            CommandRejectedError: there are others than `known`.
+        """
+        if unknown := sorted(self.args.keys() - set(known)):
+            todo = f"it takes {', '.join(known)}" if known else "it takes no arguments"
+            raise CommandRejectedError(f"{self.name} takes no {', '.join(unknown)}", where=self.target, todo=todo)
 
 
 class CommandError(msgspec.Struct, frozen=True, kw_only=True):

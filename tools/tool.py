@@ -127,7 +127,8 @@ def _select(args: argparse.Namespace, store: "ToolStore") -> int:
             raise UsageError(f"tool {name!r} was never calibrated", where="tool select", todo=todo)
         store = replace(store, virtual=tool.origin.virtual)
     live = _ask_daemon(args.dir, "compensation", "select_tool", {"tool": name})
-    store.select(name)
+    if not live:  # The daemon has kept it, where it may write and an operator perhaps not.
+        store.select(name)
     daemon = "a virtual one" if store.virtual else "it"
     where = "the daemon uses it now" if live else f"no daemon runs: taken up when {daemon} starts"
     return _done(args, {"selected": name}, f"selected {name or 'no tool'}; {where}")
