@@ -46,6 +46,21 @@ def require_permission(path: Path) -> None:
     raise UsageError(f"you may not connect to this daemon, {what}", where=str(closed), todo=todo)
 
 
+def require_writable(folder: Path, command: str) -> None:
+    """Return if this user may make files in a folder, or in what is there of the way to it.
+
+    Args:
+        command: what to start as the folder's owner otherwise.
+
+    Raises:
+        UsageError: not this user.
+    """
+    there = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    if not os.access(there, os.W_OK | os.X_OK):
+        owner = _name_of_user(there.stat().st_uid)
+        raise UsageError("you may not write there", where=str(there), todo=f"as its owner: sudo -u {owner} {command}")
+
+
 def _name_of_user(uid: int) -> str:
     try:
         return pwd.getpwuid(uid).pw_name

@@ -135,6 +135,17 @@ def test_the_process_has_bounds_of_its_own(running: Tree) -> None:
     assert (folder / "oom_score_adj").read_text().strip() == "1000"
 
 
+def test_no_process_has_descriptors_that_select_of_a_library_does_not_take(running: Tree) -> None:
+    """pyserial and python-can wait with `select`: with a raised limit, clients could bring them to end the process."""
+    pids = running.call("daemon", "info")["processes"]
+    lines = [
+        next(line for line in Path(f"/proc/{pids[name]}/limits").read_text().splitlines() if "open files" in line)
+        for name in ("core", "motion")
+    ]
+
+    assert all(int(line[26:].split()[0]) <= 1024 for line in lines)
+
+
 def test_waiting_works_above_the_descriptors_that_select_takes() -> None:
     """`select` refuses a descriptor above 1023, which many clients can bring about: the loops go on all the same."""
     import fcntl

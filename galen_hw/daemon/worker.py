@@ -29,6 +29,7 @@ from galen_hw.waiting import readable
 BEAT_NS: Final = NS_PER_S // 10
 STATUS_NS: Final = NS_PER_S
 REST_WITHIN_S: Final = 2.0
+MOST_DESCRIPTORS: Final = 1024
 MAIN_TOPICS: Final = ("wrench/compensated", "wrench/raw")
 log = logging.getLogger("galen-hw")
 
@@ -231,6 +232,9 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         # They may reach the whole group; the supervisor alone says who ends when, by ending the lifeline.
         signal.signal(number, signal.SIG_IGN)
+    # Libraries below (pyserial, python-can) wait with `select`, which takes no descriptor from 1024 on: none may come to be.
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(soft, MOST_DESCRIPTORS), hard))
     orders = msgspec.json.decode(_read_line(sys.stdin.fileno()), type=Orders)
     below_core = PRIORITY_BELOW_CORE.get(orders.name)
     priority = int(orders.document.get("daemon", {}).get("realtime_priority", DaemonSection().realtime_priority))
