@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from galen_hw.errors import HardwareError, UsageError
+from galen_hw.permission import require_permission
 
 SERVICE_RUNTIME: Final = Path("/run/galen-hw")
 SITE_CONFIG: Final = Path("/etc/galen-hw/galen.toml")
@@ -72,7 +73,9 @@ class Addresses:
 
         Raises:
             HardwareError: nobody does: no daemon runs, or it uses another directory.
+            UsageError: this user may not connect to it.
         """
+        require_permission(self.runtime / "command")
         with socket.socket(socket.AF_UNIX) as probe, suppress(OSError):  # what else is wrong, the client will meet
             probe.settimeout(ANSWER_S)
             try:
@@ -98,9 +101,21 @@ def runtime_dir(environ: Mapping[str, str] = os.environ) -> Path:
 def client_runtime_dir(environ: Mapping[str, str] = os.environ) -> Path:
     """Directory where a client looks for a daemon: the user's own if one has been started there, else the service's."""
     own = runtime_dir(environ)
-    if environ.get("GALEN_HW_RUNTIME") or (own / "command").exists() or not (SERVICE_RUNTIME / "command").exists():
+    if (
+        environ.get("GALEN_HW_RUNTIME")
+        or _may_be_there(own / "command")
+        or not _may_be_there(SERVICE_RUNTIME / "command")
+    ):
         return own
     return SERVICE_RUNTIME
+
+
+def _may_be_there(path: Path) -> bool:
+    """Whether a file is there, or may be where this user may not look."""
+    try:
+        return path.exists()
+    except PermissionError:
+        return True
 
 
 def state_dir(environ: Mapping[str, str] = os.environ) -> Path:
@@ -122,13 +137,13 @@ def config_path(given: str | None, environ: Mapping[str, str] = os.environ) -> P
 
 
 def make_runtime(path: Path) -> Addresses:
-    """Create the runtime directory, for its owner and group only.
+    """Create the runtime directory, for its owner only; one that is there already stays open to its group.
 
     Raises:
         UsageError: it cannot be made, belongs to someone else, is open to others, or is too deep for a socket.
     """
     try:
-        path.mkdir(mode=0o750, parents=True, exist_ok=True)
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = path.stat()
     except OSError as error:
         raise UsageError(

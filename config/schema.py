@@ -27,6 +27,7 @@ def _within_a_turn(value: float) -> float:
 
 Radians = Annotated[float, AfterValidator(_within_a_turn)]
 """An angle of at most one turn; what is beyond is degrees by mistake."""
+LARGEST_PORT = 65535
 NAME_PATTERN = r"^[a-z][a-z0-9_]*$"
 
 
@@ -107,9 +108,12 @@ class BusSection(Section):
     @field_validator("viewers")
     @classmethod
     def _loopback(cls, value: str) -> str:
-        host = value.removeprefix("tcp://").rpartition(":")[0].strip("[]")
+        host, _, port = value.removeprefix("tcp://").rpartition(":")
+        host = host.strip("[]")
         if value and not (value.startswith("tcp://") and _is_loopback(host)):
             raise ValueError("viewers may connect from this machine only (tcp://127.0.0.1:PORT; use ssh -L from afar)")
+        if value and not (port.isascii() and port.isdigit() and int(port[:6]) <= LARGEST_PORT):
+            raise ValueError(f"{port!r} is no port: 1 to {LARGEST_PORT}, or 0 for any free one")
         return value
 
 

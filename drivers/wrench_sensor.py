@@ -160,6 +160,7 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
         self._give_up("the sensor was stopped")
 
     def _restart(self, request: Request, now_ns: int) -> list[Output]:
+        request.require_only()
         if self._phase is Phase.OFF or self._restart_id is not None:
             raise CommandRejectedError("it is stopped or being restarted", where=self.name)
         self._give_up("the sensor is being restarted")

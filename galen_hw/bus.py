@@ -8,21 +8,23 @@ import itertools
 import time
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-import msgspec
 import zmq
 
+from galen_hw.decoding import LARGEST_REQUEST, UnreadableError, decode_message, decode_reply, limit
 from galen_hw.errors import CommandRejectedError, GalenError, HardwareError, UsageError
-from galen_hw.messages import TOPICS, CommandError, Message, Reply, Request, decode, encode
+from galen_hw.messages import TOPICS, CommandError, Message, Reply, Request, encode
+from galen_hw.permission import require_permission
 
-PROTOCOL_VERSION: Final = 1
 QUEUE_LENGTH: Final = 5000
 """Messages kept for one slow subscriber: about two seconds of everything at 1 kHz, then it loses."""
 
-_REPLY: Final = msgspec.msgpack.Decoder(Reply)
-_REQUEST: Final = msgspec.msgpack.Decoder(Request)
+LARGEST_SUBSCRIPTION: Final = 256
+"""Bytes of what a subscriber may ask of a publisher: topics are shorter."""
 TOPIC_BYTES: Final = {name: name.encode() for name in TOPICS}
 _FIRST: Final = int(zmq.SNDMORE) | int(zmq.NOBLOCK)
 _LAST: Final = int(zmq.NOBLOCK)
@@ -36,6 +38,7 @@ class _Socket:
     def __init__(self, kind: int, context: zmq.Context[Any] | None) -> None:
         self.socket = (context or zmq.Context.instance()).socket(kind)
         self.socket.setsockopt(zmq.LINGER, 0)
+        limit(self.socket)
 
     def close(self) -> None:
         """Close the socket; closing twice is fine."""
@@ -51,17 +54,36 @@ class _Socket:
 
 
 class Publisher(_Socket):
-    """The sending end of the bus, bound to each of `addresses`; sending never waits.
+    """The sending end of the bus, bound to each of `addresses` (see `bind` for `mode`); sending never waits.
 
     Raises:
         HardwareError: an address is in use or not possible.
     """
 
-    def __init__(self, *addresses: str, queue: int = QUEUE_LENGTH, context: zmq.Context[Any] | None = None) -> None:
+    def __init__(
+        self,
+        *addresses: str,
+        queue: int = QUEUE_LENGTH,
+        mode: int | None = None,
+        context: zmq.Context[Any] | None = None,
+    ) -> None:
         super().__init__(zmq.PUB, context)
+        limit(self.socket, LARGEST_SUBSCRIPTION)
         self.socket.setsockopt(zmq.SNDHWM, queue)
         for address in addresses:
-            bind(self.socket, address)
+            bind(self.socket, address, mode)
+
+    def offer(self, address: str) -> str:
+        """Bind a TCP address as well, or a free port of the same host where that is taken; what was bound.
+
+        Raises:
+            HardwareError: no port of the host can be bound.
+        """
+        try:
+            self.socket.bind(address)
+        except zmq.ZMQError:
+            bind(self.socket, f"{address.rpartition(':')[0]}:*")
+        return str(self.socket.getsockopt(zmq.LAST_ENDPOINT).decode())
 
     def publish(self, topic: str, message: Message) -> None:
         """Send one message to whoever listens."""
@@ -80,6 +102,9 @@ class Subscriber(_Socket):
         address: of the bus, e.g. `Addresses(client_runtime_dir()).bus`.
         topics: names or beginnings of names ("wrench/"); everything if empty.
         queue: messages kept while this end is busy; more are lost (and counted in `lost`).
+
+    Raises:
+        UsageError: this user may not connect there.
     """
 
     def __init__(
@@ -90,6 +115,7 @@ class Subscriber(_Socket):
         queue: int = QUEUE_LENGTH,
         context: zmq.Context[Any] | None = None,
     ) -> None:
+        _require_permission(address)
         super().__init__(zmq.SUB, context)
         self.socket.setsockopt(zmq.RCVHWM, queue)
         self.socket.setsockopt(zmq.RECONNECT_IVL, 20)
@@ -111,10 +137,9 @@ class Subscriber(_Socket):
             frames = self.receive_bytes(timeout_s)
             if frames is None:
                 return None
-            topic = frames[0].decode(errors="replace")
             try:
-                message = decode(topic, frames[1])
-            except (KeyError, msgspec.DecodeError):
+                topic, message = decode_message(*frames)
+            except UnreadableError:
                 self.unreadable += 1
                 if deadline is not None:
                     timeout_s = max(0.0, deadline - time.monotonic())
@@ -151,9 +176,13 @@ class CommandClient(_Socket):
 
     Args:
         address: e.g. `Addresses(client_runtime_dir()).command`.
+
+    Raises:
+        UsageError: this user may not command that daemon.
     """
 
     def __init__(self, address: str, *, context: zmq.Context[Any] | None = None) -> None:
+        _require_permission(address)
         super().__init__(zmq.DEALER, context)
         self.address = address
         self.socket.connect(address)
@@ -178,15 +207,17 @@ class CommandClient(_Socket):
 
         Raises:
             HardwareError: no answer in time.
+            UsageError: what cannot be sent.
         """
-        self.socket.send_multipart([b"", encode(request)])
+        self.socket.send_multipart([b"", _packed(request)])
         deadline = time.monotonic() + timeout_s
         while (left := deadline - time.monotonic()) > 0:
             if self.socket.poll(int(1000 * left) + 1):
-                reply = _REPLY.decode(self.socket.recv_multipart()[-1])
-                # A reply that came too late for an earlier call is passed over here.
-                if reply.id == request.id:
-                    return reply
+                # A reply that came too late for an earlier call is passed over here, and so is what is none.
+                with suppress(UnreadableError):
+                    reply = decode_reply(self.socket.recv_multipart()[-1])
+                    if reply.id == request.id:
+                        return reply
         raise HardwareError(
             f"no answer within {timeout_s:g} s to {request.target} {request.name}",
             where=self.address.removeprefix("ipc://"),
@@ -212,45 +243,48 @@ def command_error(error: GalenError, kind: str = "") -> CommandError:
     return CommandError(kind=kind or by_type, what=error.what, where=error.where, todo=error.todo)
 
 
-def decode_request(payload: bytes) -> Request | CommandError:
-    """A request, or why it is none: not a map of this protocol, or another version of it."""
-    try:
-        request = _REQUEST.decode(payload)
-    except msgspec.DecodeError as error:
-        return CommandError(
-            kind="invalid", what=f"not a request ({error})", todo="send a msgpack map: id, target, name, args"
-        )
-    if request.version != PROTOCOL_VERSION:
-        what = f"protocol version {request.version}, this daemon speaks {PROTOCOL_VERSION}"
-        return CommandError(kind="invalid", what=what, todo="use the same version on both ends")
-    return request
-
-
-def decode_reply(payload: bytes) -> Reply:
-    """A reply.
-
-    Raises:
-        msgspec.DecodeError: it is none.
-    """
-    return _REPLY.decode(payload)
-
-
 def new_id() -> str:
     """An identity for a request that no other client makes."""
     return f"{uuid.uuid4().hex[:8]}-{next(_ids)}"
 
 
-def bind(socket: zmq.Socket[Any], address: str) -> None:
+def _packed(request: Request) -> bytes:
+    """A request's bytes.
+
+    Raises:
+        UsageError: numbers, text or nesting that do not travel, or too much of it.
+    """
+    try:
+        frame = encode(request)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise UsageError(f"cannot be sent ({error})", where=f"{request.target} {request.name}") from None
+    if len(frame) > LARGEST_REQUEST:
+        what = f"{len(frame)} bytes are more than a request may have ({LARGEST_REQUEST})"
+        raise UsageError(what, where=f"{request.target} {request.name}")
+    return frame
+
+
+def _require_permission(address: str) -> None:
+    if address.startswith("ipc://"):
+        require_permission(Path(address.removeprefix("ipc://")))
+
+
+def bind(socket: zmq.Socket[Any], address: str, mode: int | None = None) -> None:
     """Bind, or close the socket and say in one line why not.
+
+    Args:
+        mode: permissions of an ipc socket's file, whatever the umask: who may write to it may connect.
 
     Raises:
         HardwareError: in use, no permission, not an address.
     """
     try:
         socket.bind(address)
-    except zmq.ZMQError as error:
+        if mode is not None:
+            Path(address.removeprefix("ipc://")).chmod(mode)
+    except (zmq.ZMQError, OSError) as error:
         socket.close()
-        todo = "is another daemon running? change [bus] in the configuration or stop it"
+        todo = "is another daemon running there? stop it, or use another directory or port"
         raise HardwareError(f"cannot bind ({error.strerror})", where=address, todo=todo) from None
 
 

@@ -9,6 +9,8 @@ from typing import Any, Final
 
 import msgspec
 
+from galen_hw.errors import CommandRejectedError
+
 
 class Vector3(msgspec.Struct, frozen=True):
     """Three components along x, y, z."""
@@ -36,6 +38,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
         seq: counts up by one per topic and source; a gap is a loss.
         valid: the producer vouches for the content.
         source: who says so (device or service name of the configuration).
+        robot: name of the configured robot; virtual: there is no hardware. The daemon writes both into what it publishes.
     """
 
     timestamp: float
@@ -43,6 +46,8 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
     seq: int
     valid: bool = False
     source: str = ""
+    robot: str = ""
+    virtual: bool = False
 
 
 class WrenchRaw(Message, frozen=True, kw_only=True):
@@ -238,6 +243,16 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
     args: dict[str, Any] = {}
     version: int = 1
 
+    def require_only(self, *known: str) -> None:
+        """Refuse arguments that the command does not take: a misspelt one must not mean the default of the right one.
+
+        Raises:
+            CommandRejectedError: there are others than `known`.
+        """
+        if unknown := sorted(self.args.keys() - set(known)):
+            todo = f"it takes {', '.join(known)}" if known else "it takes no arguments"
+            raise CommandRejectedError(f"{self.name} takes no {', '.join(unknown)}", where=self.target, todo=todo)
+
 
 class CommandError(msgspec.Struct, frozen=True, kw_only=True):
     """Why a command was not carried out; `kind` is "rejected", "unknown", "invalid", "timeout" or "fault"."""
@@ -296,15 +311,4 @@ def encode(message: msgspec.Struct) -> bytes:
     return _ENCODER.encode(message)
 
 
-def decode(topic: str, payload: bytes) -> Message:
-    """The message of a payload.
-
-    Raises:
-        KeyError: the topic is not in the table.
-        msgspec.ValidationError: the payload is not that topic's message.
-    """
-    return _DECODERS[topic].decode(payload)
-
-
 _ENCODER: Final = msgspec.msgpack.Encoder()
-_DECODERS: Final = {name: msgspec.msgpack.Decoder(topic.message) for name, topic in TOPICS.items()}

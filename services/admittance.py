@@ -197,9 +197,10 @@ class AdmittanceService(Service):
         enabled = request.args.get("enabled")
         if request.name != "set_enabled" or not isinstance(enabled, bool):
             raise CommandRejectedError("not a command", where=self.name, todo="set_enabled enabled=true or false")
-        if not enabled:
+        if not enabled:  # Whatever else the request holds: off is off.
             self._enabled, self._reason = False, "switched off"
             return [*self._rest(), Reply(id=request.id)]
+        request.require_only("enabled")
         if not self._context.virtual:
             todo = "start the daemon with --virtual"
             raise CommandRejectedError(

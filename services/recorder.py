@@ -73,11 +73,13 @@ class RecorderService(Service):
         """
         del now_ns
         if request.name == "start":
+            request.require_only("file", "topics")
             if self._session is not None:
                 raise CommandRejectedError("recording already", where=str(self._path), todo="stop it first")
             self._start(request.args)
             return [Reply(id=request.id, result={"file": str(self._path)})]
         if request.name == "stop":
+            request.require_only()
             if self._session is None:
                 raise CommandRejectedError("nothing is being recorded", where=self.name, todo="start first")
             messages = self._session.messages

@@ -98,6 +98,7 @@ class Tree:
     motors: Wire = field(default_factory=Wire)
     process: "subprocess.Popen[str] | None" = None
     viewers: str = ""
+    said: str = ""
 
     @property
     def addresses(self) -> Addresses:
@@ -170,6 +171,7 @@ realtime_priority = 0
         if not line.startswith("ready"):
             assert process.stderr is not None
             raise AssertionError(f"not ready: {line!r} {process.stderr.read()}")
+        self.said = line
         return process
 
     def call(self, target: str, name: str, timeout_s: float = 10.0, **args: Any) -> dict[str, Any]:

@@ -12,7 +12,8 @@ import zmq
 from hypothesis import given
 from hypothesis import strategies as st
 
-from galen_hw.bus import CommandClient, Publisher, Subscriber, command_error, command_exception, decode_request
+from galen_hw.bus import CommandClient, Publisher, Subscriber, command_error, command_exception
+from galen_hw.decoding import decode_request
 from galen_hw.errors import CommandRejectedError, GalenError, HardwareError, UsageError
 from galen_hw.messages import TOPICS, CommandError, Reply, Request, Vector3, WrenchRaw, encode
 

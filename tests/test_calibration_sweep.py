@@ -15,8 +15,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from calibration_plant import Plant
 
-from galen_hw.bus import command_error, decode_request
+from galen_hw.bus import command_error
 from galen_hw.config.paths import Addresses
+from galen_hw.decoding import decode_request
 from galen_hw.drivers.virtual.truth import BIAS_BODY, TOOLS
 from galen_hw.errors import CommandRejectedError
 from galen_hw.kinematics import GalenRobot

@@ -278,6 +278,10 @@ def test_a_tare_without_samples_ends_with_a_reason(tmp_path: Path) -> None:
         (ask("set_contact", x=0.0, y=140.0, z=0.0), CommandRejectedError, "metres"),
         (ask("set_contact", x=0.0, y=float("nan"), z=0.0), CommandRejectedError, "metres"),
         (ask("dance"), CommandRejectedError, "no command 'dance'"),
+        (ask("select_tool"), CommandRejectedError, "name or null"),
+        (ask("select_tool", tol=None), CommandRejectedError, "select_tool takes no tol; it takes tool"),
+        (ask("untare", now=True), CommandRejectedError, "untare takes no now; it takes no arguments"),
+        (ask("set_enabled", enabled=False, quickly=1), CommandRejectedError, "takes no quickly"),
     ],
 )
 def test_an_impossible_command_says_why_and_changes_nothing(
@@ -289,6 +293,24 @@ def test_an_impossible_command_says_why_and_changes_nothing(
         service.request(request_, 0)  # type: ignore[arg-type]
     for each in (service, twin):
         feed(each, joints(MS, np.zeros(5), np.zeros(5)))
+    assert [encode(o[1]) for o in feed(service, raw(2 * MS, np.ones(6)))] == [
+        encode(o[1]) for o in feed(twin, raw(2 * MS, np.ones(6)))
+    ]
+
+
+@pytest.mark.parametrize("tool", [None, "retractor"])
+def test_a_selection_that_cannot_be_kept_is_refused_and_changes_nothing(tmp_path: Path, tool: str | None) -> None:
+    """A folder that cannot be written (here: another one has the file's place): the tool in hand and its tare stay."""
+    service, twin = (service_at(tmp_path / name, tool_file()) for name in ("a", "b"))
+    for each in (service, twin):
+        feed(each, joints(MS, np.zeros(5), np.zeros(5)))
+        each.request(ask("set_contact", x=0.1, y=0.0, z=0.0), 0)
+    selected = tmp_path / "a" / "tools" / "selected.json"
+    selected.unlink()
+    selected.mkdir()
+    with pytest.raises(UsageError, match="cannot be written"):
+        service.request(ask("select_tool", tool=tool), 0)
+
     assert [encode(o[1]) for o in feed(service, raw(2 * MS, np.ones(6)))] == [
         encode(o[1]) for o in feed(twin, raw(2 * MS, np.ones(6)))
     ]

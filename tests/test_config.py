@@ -202,6 +202,10 @@ def test_good_file_becomes_a_setup() -> None:
             GOOD + '[bus]\nviewers = "tcp://0.0.0.0:9872"',
             "8: bus.viewers: viewers may connect from this machine only",
         ),
+        (
+            GOOD + '[bus]\nviewers = "tcp://127.0.0.1:98720"',
+            "8: bus.viewers: '98720' is no port: 1 to 65535, or 0 for any free one",
+        ),
         ("", "1: devices: this key is missing; e.g. at the top of the file: devices.ft = {"),
     ],
 )
@@ -386,7 +390,7 @@ def test_runtime_directory_without_any_variable_is_the_users_own() -> None:
 
 def test_runtime_directory_is_private_and_short_enough(tmp_path: Path) -> None:
     """Not writable by others, not too deep for a socket; each refusal is one line."""
-    assert (make_runtime(tmp_path / "a").runtime.stat().st_mode & 0o777) == 0o750
+    assert (make_runtime(tmp_path / "a").runtime.stat().st_mode & 0o777) == 0o700
     open_to_all = tmp_path / "b"
     open_to_all.mkdir()
     open_to_all.chmod(0o777)

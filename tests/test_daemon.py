@@ -20,14 +20,12 @@ from tests.daemon_tree import Tree, Wire, alive, daemon_tree, within
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tree]:
     """A daemon that stays up for the tests that only look and ask."""
-    with daemon_tree(tmp_path_factory.mktemp("d")) as tree, socket.create_server(("127.0.0.1", 0)) as probe:
-        port = probe.getsockname()[1]
-        probe.close()
+    with daemon_tree(tmp_path_factory.mktemp("d")) as tree:
         tree.write_config("command_timeout_s = 1.0")
         config = tree.folder / "galen.toml"
-        config.write_text(config.read_text().replace('viewers = ""', f'viewers = "tcp://127.0.0.1:{port}"'))
+        config.write_text(config.read_text().replace('viewers = ""', 'viewers = "tcp://127.0.0.1:0"'))
         tree.start_ready()
-        tree.viewers = f"tcp://127.0.0.1:{port}"
+        tree.viewers = str(tree.call("daemon", "info")["viewers"])
         yield tree
 
 
@@ -144,15 +142,23 @@ def test_second_daemon_in_the_directory_is_refused(running: Tree) -> None:
     assert running.call("daemon", "info")["ready"]
 
 
-def test_second_daemon_elsewhere_runs_without_the_viewers_copy(running: Tree, tree: Tree) -> None:
-    """Another robot's viewers hold the port: that is said in a line, and the robot runs all the same."""
+def test_second_daemon_elsewhere_has_viewers_at_a_free_port(running: Tree, tree: Tree) -> None:
+    """Another robot's viewers hold the port: a free one is taken, said, told in `info`, and both can be looked at."""
     config = tree.folder / "galen.toml"
     config.write_text(config.read_text().replace('viewers = ""', f'viewers = "{running.viewers}"'))
     tree.start_ready()
+    own = str(tree.call("daemon", "info")["viewers"])
+    with Subscriber(own, ["wrench/"]) as second, Subscriber(running.viewers, ["wrench/"]) as first:
+        assert second.receive(10.0) is not None
+        assert first.receive(10.0) is not None
     status, stderr = tree.end()
 
+    assert own.startswith("tcp://127.0.0.1:")
+    assert own != running.viewers
     assert status == 0
-    assert f"no copy of the bus for viewers at {running.viewers}" in stderr
+    assert (
+        f"viewers: {running.viewers}: Address already in use (another daemon's?); this daemon's are at {own}" in stderr
+    )
 
 
 def test_sigterm_rests_the_robot_first_and_leaves_nothing(tree: Tree) -> None:

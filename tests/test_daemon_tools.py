@@ -144,7 +144,18 @@ def test_arguments_of_a_command(words: list[str], expected: dict[str, object]) -
 
 
 @pytest.mark.parametrize(
-    "words", [["x"], ["=1"], ["x=1", "x=2"], ["a=1", "a.b=2"], ["a.b=1", "a=2"], ["x=NaN"], ["a..b=1"]]
+    "words",
+    [
+        ["x"],
+        ["=1"],
+        ["x=1", "x=2"],
+        ["a=1", "a.b=2"],
+        ["a.b=1", "a=2"],
+        ["x=NaN"],
+        ["a..b=1"],
+        ["x=1e999"],
+        ["x=" + "[" * 5000],
+    ],
 )
 def test_impossible_arguments_are_refused(words: list[str]) -> None:
     """Nothing is guessed, and no command carries NaN."""
@@ -346,6 +357,8 @@ def test_unit_file_asks_systemd_for_what_the_daemon_does() -> None:
     assert service["KillMode"] == "mixed"
     assert (service["RuntimeDirectory"], service["StateDirectory"]) == ("galen-hw", "galen-hw")
     assert service["RestartPreventExitStatus"] == "2"
+    # One process that is out of memory is ended alone: the supervisor starts it again.
+    assert (service["LimitNOFILE"], service["MemoryMax"], service["OOMPolicy"]) == ("4096", "2G", "continue")
     assert {"AF_UNIX", "AF_INET", "AF_CAN"} <= set(service["RestrictAddressFamilies"].split())
 
 

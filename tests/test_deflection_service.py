@@ -205,6 +205,20 @@ def test_the_toggle_stops_it_and_reload_takes_a_new_generation(tmp_path: Path) -
         store.rollback("arm")
 
 
+def test_a_refused_reload_leaves_the_model_in_use(tmp_path: Path) -> None:
+    """A damaged file: said, and the pose goes on being corrected with what was read before."""
+    service = service_at(tmp_path)
+    feed(service, joints(MS, Q, np.zeros(5)))
+    first = corrected(service, 2 * MS, (3.0, 0.0, 0.0))
+    (DeflectionStore(tmp_path).folder / "arm.json").write_text("{", encoding="utf-8")
+    with pytest.raises(UsageError):
+        service.request(Request(id="1", target="deflection", name="reload"), 0)
+    again = corrected(service, 3 * MS, (3.0, 0.0, 0.0))
+
+    assert again.valid
+    assert again.model == first.model
+
+
 @pytest.mark.parametrize("more", [{"valid": False}, {"enabled": False}, {"torque": Vector3(float("nan"), 0.0, 0.0)}])
 def test_an_unusable_wrench_leaves_the_memory_alone(tmp_path: Path, more: dict[str, Any]) -> None:
     """Not valid, not compensated or not a number: not valid, and the next good sample is as if it had not been."""

@@ -1,7 +1,10 @@
 """Replay: what the services made of the recorded messages is made again, bit for bit, and what differs is found."""
 
 import random
+import re
+import socket
 from collections.abc import Iterator
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -248,3 +251,19 @@ def test_messages_of_the_service_are_what_the_tests_feed(tmp_path: Path) -> None
     assert all(m.valid for m in out[2:])
     assert np.abs([six(m) for m in out if m.source == "compensation"][4:]).max() < 0.3
     assert messages([]) == []
+
+
+def test_a_replay_beside_a_daemon_is_published_at_a_free_port(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The viewers' usual port is taken, by this test or by a daemon of this machine: another one is, and it is printed."""
+    path = record(tmp_path / "run.mcap", live(tmp_path / "state", seconds=0.05))
+    capsys.readouterr()
+    with ExitStack() as stack:
+        with suppress(OSError):
+            stack.enter_context(socket.create_server(("127.0.0.1", 9872)))
+        assert main(["replay", str(path), "--publish", "--speed", "100", "--dir", str(tmp_path / "bus")]) == 0
+
+    found = re.search(r" and tcp://127\.0\.0\.1:(\d+); Ctrl-C ends it", capsys.readouterr().out)
+    assert found is not None
+    assert int(found[1]) not in (0, 9872)

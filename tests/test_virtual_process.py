@@ -78,6 +78,20 @@ def test_the_wrong_bit_rate_hears_nothing(robot):
         assert bus.recv(0.1) is None
 
 
+@pytest.mark.parametrize(
+    "frames", [[b"\x81\xa2do\xa1\xff"], [b"\x91" * 1000 + b"\xc0"], [b"\xc1"], [b"", b"", b"x"], [b""]]
+)
+def test_no_frame_ends_the_virtual_robot(robot, frames):
+    """Text that is not UTF-8, deep nesting, nonsense, several frames: refused in words, and the next request is answered."""
+    with zmq.Context.instance().socket(zmq.REQ) as client:
+        client.setsockopt(zmq.LINGER, 0)
+        client.connect(f"ipc://{robot.folder / 'control'}")
+        client.send_multipart(frames)
+        assert client.poll(10_000)
+        assert b"error" in client.recv()
+    assert robot.control.state()["load"]
+
+
 def test_the_control_socket_changes_the_world(robot):
     """Push, guide, drift, cable, thermal, compliance, noise, fault, estop, contact, power cycle; state tells."""
     control = robot.control

@@ -86,13 +86,24 @@ def _look(
             return setup, listen_to_daemon(addresses, info, setup), f"through the daemon in {addresses.runtime}", []
         return setup, probe_devices(setup), "opened one by one; no daemon runs", []
     except GalenError as error:
-        return setup, {}, "", [Finding("virtual robot", str(error), PROBLEM, error.todo, error.exit_code)]
+        return (
+            setup,
+            {},
+            "",
+            [Finding("virtual robot" if args.virtual else "daemon", str(error), PROBLEM, error.todo, error.exit_code)],
+        )
 
 
 def _running(addresses: "Addresses") -> dict[str, object] | None:
-    """What the daemon of a runtime directory says of itself; None without one."""
-    from galen_hw.bus import CommandClient
+    """What the daemon of a runtime directory says of itself; None without one.
 
+    Raises:
+        UsageError: this user may not ask it; its wires are not to be opened beside it.
+    """
+    from galen_hw.bus import CommandClient
+    from galen_hw.permission import require_permission
+
+    require_permission(addresses.runtime / "command")
     if not (addresses.runtime / "command").exists():
         return None
     try:

@@ -4,7 +4,7 @@ import argparse
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from galen_hw.errors import UsageError
 
@@ -65,13 +65,20 @@ def parse_arguments(words: list[str]) -> dict[str, Any]:
 def _value(text: str) -> Any:
     """JSON where it is JSON (numbers, true, null, lists, maps), else the word itself."""
     try:
-        value = json.loads(text, parse_constant=_refuse)
+        value = json.loads(text, parse_constant=_refuse, parse_float=_finite)
     except ValueError:
         return text
+    except RecursionError:
+        raise UsageError("nested too deep", where=f"{text[:20]!r}...", todo="give fewer brackets") from None
     return value
 
 
-def _refuse(constant: str) -> Any:
+def _finite(number: str) -> float:
+    value = float(number)
+    return value if math.isfinite(value) else _refuse(number)
+
+
+def _refuse(constant: str) -> NoReturn:
     raise UsageError("not a number that can be commanded", where=constant, todo="give a finite one")
 
 

@@ -134,6 +134,7 @@ def publish(logged: "list[Logged]", args: argparse.Namespace) -> int:
     from galen_hw.bus import Publisher
     from galen_hw.config.paths import VIEWERS_ADDRESS, make_runtime, runtime_dir
     from galen_hw.messages import TOPICS
+    from galen_hw.permission import socket_mode
 
     if not 0.0 < args.speed <= 1000.0:
         raise UsageError("must be above 0 and at most 1000", where="--speed", todo="e.g. --speed 1")
@@ -143,9 +144,10 @@ def publish(logged: "list[Logged]", args: argparse.Namespace) -> int:
         raise UsageError("a daemon publishes here", where=str(addresses.runtime), todo=todo)
     known = [item for item in logged if item.topic in TOPICS]
     with ExitStack() as stack:
-        bus = stack.enter_context(Publisher(addresses.bus, VIEWERS_ADDRESS))
+        bus = stack.enter_context(Publisher(addresses.bus, mode=socket_mode(addresses.runtime)))
         stack.callback((addresses.runtime / "bus.pub").unlink, missing_ok=True)
-        print(f"publishing {len(known)} messages at {addresses.bus} and {VIEWERS_ADDRESS}; Ctrl-C ends it", flush=True)
+        viewers = bus.offer(VIEWERS_ADDRESS)
+        print(f"publishing {len(known)} messages at {addresses.bus} and {viewers}; Ctrl-C ends it", flush=True)
         begin, first = time.monotonic(), known[0].log_ns if known else 0
         for item in known:
             ahead = (item.log_ns - first) * 1e-9 / args.speed - (time.monotonic() - begin)

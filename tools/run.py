@@ -36,12 +36,12 @@ def run(args: argparse.Namespace) -> int:
             TABLES,
             addresses,
             state_dir(),
-            on_ready=lambda text: _say_ready(text, addresses.bus),
+            on_ready=lambda text, viewers: _say_ready(text, addresses.bus, viewers),
             parent_pid=args.parent_pid,
         )
         install_signals(supervisor)
         return supervisor.run()
 
 
-def _say_ready(summary: str, bus: str) -> None:
-    print(f"ready: {summary}; bus at {bus}", flush=True)
+def _say_ready(summary: str, bus: str, viewers: str) -> None:
+    print(f"ready: {summary}; bus at {bus}{f', viewers at {viewers}' if viewers else ''}", flush=True)

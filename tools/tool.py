@@ -62,8 +62,10 @@ def _ask_daemon(runtime: Path | None, target: str, name: str, arguments: dict[st
     from galen_hw.bus import CommandClient
     from galen_hw.config.paths import Addresses, client_runtime_dir
     from galen_hw.errors import HardwareError
+    from galen_hw.permission import require_permission
 
     addresses = Addresses(runtime or client_runtime_dir())
+    require_permission(addresses.runtime / "command")
     if not (addresses.runtime / "command").exists():
         return {}
     with CommandClient(addresses.command) as client:
@@ -125,7 +127,8 @@ def _select(args: argparse.Namespace, store: "ToolStore") -> int:
             raise UsageError(f"tool {name!r} was never calibrated", where="tool select", todo=todo)
         store = replace(store, virtual=tool.origin.virtual)
     live = _ask_daemon(args.dir, "compensation", "select_tool", {"tool": name})
-    store.select(name)
+    if not live:  # The daemon has kept it, where it may write and an operator perhaps not.
+        store.select(name)
     daemon = "a virtual one" if store.virtual else "it"
     where = "the daemon uses it now" if live else f"no daemon runs: taken up when {daemon} starts"
     return _done(args, {"selected": name}, f"selected {name or 'no tool'}; {where}")

@@ -59,6 +59,7 @@ class HostBias:
         Raises:
             CommandRejectedError: zeroing is under way.
         """
+        request.require_only()
         self._refuse_if_active()
         self.lose()
         return [Reply(id=request.id)]

@@ -60,6 +60,7 @@ class DeviceBias:
         Raises:
             CommandRejectedError: no samples, or zeroing is under way.
         """
+        request.require_only()
         self._refuse(ready=ready)
         self.zeroings = 0
         return [command(self.settings.receiver_id, Command.SET_BIAS, 0)], [Reply(id=request.id)]

@@ -154,8 +154,8 @@ class VirtualProcess:
         """ZeroMQ's descriptor tells of changes only: take all there is."""
         while int(self._control.get(zmq.EVENTS)) & zmq.POLLIN:
             try:
-                request = msgspec.msgpack.decode(self._control.recv())
-            except msgspec.DecodeError:
+                request = msgspec.msgpack.decode(self._control.recv_multipart()[-1])
+            except (msgspec.DecodeError, ValueError, RecursionError):  # ValueError: text that is not UTF-8
                 request = None
             self._control.send(msgspec.msgpack.encode(self.commands.carry_out(request)))
 

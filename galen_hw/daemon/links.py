@@ -1,15 +1,18 @@
 """The ZeroMQ ends of one process: `core` owns the bus, the others push to it and hear it as subscribers do."""
 
-import logging
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import msgspec
 import zmq
+from msgspec.structs import replace
 
-from galen_hw.bus import Publisher, bind, receive_all
+from galen_hw.bus import TOPIC_BYTES, Publisher, bind, receive_all
 from galen_hw.config.paths import Addresses
+from galen_hw.decoding import limit
 from galen_hw.messages import Message, Reply, Request, encode
+from galen_hw.permission import OWN, socket_mode
 
 INWARD_QUEUE: Final = 2000
 BATCH: Final = 64
@@ -17,9 +20,7 @@ BATCH: Final = 64
 BEAT: Final = b"beat"
 REQUEST: Final = b"request"
 REPLY: Final = b"reply"
-log = logging.getLogger("galen-hw")
-
-_BEATS: Final = msgspec.msgpack.Encoder()
+KNOWN: Final = frozenset(TOPIC_BYTES.values())
 
 
 class DeviceState(msgspec.Struct, frozen=True):
@@ -70,6 +71,7 @@ class _Control(Inlet):
 
     def __init__(self, name: str, addresses: Addresses) -> None:
         socket: zmq.Socket[Any] = zmq.Context.instance().socket(zmq.DEALER)
+        limit(socket)
         socket.setsockopt(zmq.IDENTITY, name.encode())
         socket.setsockopt(zmq.LINGER, 200)
         socket.connect(addresses.control)
@@ -84,13 +86,25 @@ class _Control(Inlet):
             return
 
 
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Which robot a message is of; see `Message`. Devices and services do not know, so it is written where they publish."""
+
+    robot: str
+    virtual: bool
+
+
 class _Link:
     """What every process has: what comes in from the others, and the line to the supervisor."""
 
-    def __init__(self, name: str, addresses: Addresses, inward: "zmq.Socket[Any]") -> None:
+    def __init__(self, name: str, addresses: Addresses, origin: Origin, inward: "zmq.Socket[Any]") -> None:
         self.inlet = Inlet(inward)
         self.control = _Control(name, addresses)
-        self.dropped = 0
+        self.dropped = self.unreadable = 0
+        self._robot, self._virtual = origin.robot, origin.virtual
+
+    def _signed(self, message: Message) -> Message:
+        return replace(message, robot=self._robot, virtual=self._virtual)
 
     def request(self, request: Request) -> None:
         """Send a request to whoever owns its target."""
@@ -111,37 +125,33 @@ class _Link:
 
 
 class CoreLink(_Link):
-    """The link of `core`: binds the bus and the viewers' copy, and passes on what the others push.
+    """The link of `core`: binds the bus, and passes on what the others push.
 
     Raises:
         HardwareError: an address cannot be bound.
     """
 
-    def __init__(self, name: str, addresses: Addresses, viewers: str, queue: int) -> None:
-        self._publisher = Publisher(addresses.bus, queue=queue)
-        self.viewers = viewers if viewers and self._offer_viewers(viewers) else ""
+    def __init__(self, name: str, addresses: Addresses, origin: Origin, queue: int) -> None:
+        self._publisher = Publisher(addresses.bus, queue=queue, mode=socket_mode(addresses.runtime))
         inward: zmq.Socket[Any] = zmq.Context.instance().socket(zmq.PULL)
         inward.setsockopt(zmq.RCVHWM, INWARD_QUEUE)
-        bind(inward, addresses.inward)
-        super().__init__(name, addresses, inward)
-        self.publish = self._publisher.publish
+        limit(inward)
+        bind(inward, addresses.inward, OWN)
+        super().__init__(name, addresses, origin, inward)
 
-    def _offer_viewers(self, address: str) -> bool:
-        """Bind the viewers' copy as well; without it (another daemon has the port) the robot runs all the same."""
-        try:
-            self._publisher.socket.bind(address)
-        except zmq.ZMQError as error:
-            log.warning("no copy of the bus for viewers at %s: %s", address, error.strerror)
-            return False
-        return True
+    def publish(self, topic: str, message: Message) -> None:
+        """Put a message on the bus."""
+        self._publisher.publish(topic, self._signed(message))
 
     def messages(self, ready: Sequence[int]) -> list[tuple[bytes, bytes]]:
         """What the other processes have published since; passed on to the bus already."""
         found = []
         for frames in self.inlet.take(ready):
-            if len(frames) == 2:
+            if len(frames) == 2 and frames[0] in KNOWN:
                 self._publisher.publish_bytes(frames[0], frames[1])
                 found.append((frames[0], frames[1]))
+            else:
+                self.unreadable += 1
         return found
 
     def close(self) -> None:
@@ -153,7 +163,7 @@ class CoreLink(_Link):
 class EdgeLink(_Link):
     """The link of the other processes: pushes to `core`, subscribes to what its services take."""
 
-    def __init__(self, name: str, addresses: Addresses, topics: Iterable[str]) -> None:
+    def __init__(self, name: str, addresses: Addresses, origin: Origin, topics: Iterable[str]) -> None:
         context: zmq.Context[zmq.Socket[bytes]] = zmq.Context.instance()
         self._outward: zmq.Socket[Any] = context.socket(zmq.PUSH)
         # Nothing waits for a core that is away: what is old by the time it is back helps nobody.
@@ -163,16 +173,17 @@ class EdgeLink(_Link):
         self._outward.setsockopt(zmq.RECONNECT_IVL, 20)
         self._outward.connect(addresses.inward)
         bus: zmq.Socket[Any] = context.socket(zmq.SUB)
+        limit(bus)
         bus.setsockopt(zmq.RECONNECT_IVL, 20)
         for topic in topics:
             bus.setsockopt(zmq.SUBSCRIBE, topic.encode())
         bus.connect(addresses.bus)
-        super().__init__(name, addresses, bus)
+        super().__init__(name, addresses, origin, bus)
 
     def publish(self, topic: str, message: Message) -> None:
         """Push a message to the bus; dropped and counted when `core` does not take it."""
         try:
-            self._outward.send_multipart([topic.encode(), encode(message)], zmq.NOBLOCK)
+            self._outward.send_multipart([topic.encode(), encode(self._signed(message))], zmq.NOBLOCK)
         except zmq.Again:
             self.dropped += 1
 

@@ -1,6 +1,5 @@
 """Looks at devices without a daemon (opens each wire for some seconds), or at a running daemon through its bus."""
 
-import select
 import time
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -13,6 +12,7 @@ from galen_hw.daemon.orders import build_port
 from galen_hw.daemon.port import Port, Waker
 from galen_hw.daemon.realtime import sharpen_timers
 from galen_hw.messages import Fault, Message, Status, WrenchRaw
+from galen_hw.waiting import readable
 
 READY_WITHIN_S: Final = 6.0
 MEASURE_S: Final = 2.0
@@ -112,7 +112,7 @@ def _drive(ports: dict[str, Port], seen: dict[str, Seen], waker: Waker, seconds:
             return
         fds = [waker.fd, *(p.fd for p in ports.values() if p.fd is not None)]
         wake = min((p.wakeup_ns for p in ports.values()), default=0) / 1e9 - now
-        ready = select.select(fds, (), (), min(max(0.0, wake), until - now))[0]
+        ready = readable(fds, min(max(0.0, wake), until - now))
         if waker.fd in ready:
             waker.clear()
         for name, port in ports.items():

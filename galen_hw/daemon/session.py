@@ -1,7 +1,6 @@
 """A daemon of one's own for the time of a command: what `--virtual` means for commands that need a running daemon."""
 
 import os
-import select
 import signal
 import subprocess
 import sys
@@ -16,6 +15,7 @@ from typing import Final, NoReturn
 
 from galen_hw.config.paths import Addresses
 from galen_hw.errors import GalenError, HardwareError
+from galen_hw.waiting import readable
 
 READY_WITHIN_S: Final = 150.0
 END_WITHIN_S: Final = 20.0
@@ -100,7 +100,7 @@ def _wait_ready(process: "subprocess.Popen[bytes]") -> None:
     assert process.stdout is not None
     until = time.monotonic() + READY_WITHIN_S
     while (left := until - time.monotonic()) > 0:
-        if select.select([process.stdout], (), (), left)[0]:
+        if readable([process.stdout.fileno()], left):
             line = process.stdout.readline()
             if line.startswith(b"ready"):
                 return

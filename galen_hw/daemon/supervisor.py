@@ -3,7 +3,6 @@
 import contextlib
 import logging
 import os
-import select
 import signal
 import subprocess
 import sys
@@ -27,9 +26,11 @@ from galen_hw.daemon.notify import Notifier
 from galen_hw.daemon.orders import Orders
 from galen_hw.daemon.port import Waker
 from galen_hw.daemon.readiness import Readiness
+from galen_hw.daemon.viewers import Viewers
 from galen_hw.errors import EXIT_FOUND, EXIT_HARDWARE, EXIT_OK, EXIT_USAGE, HardwareError
 from galen_hw.messages import TOPICS
 from galen_hw.version import VERSION
+from galen_hw.waiting import readable
 
 TURN_S: Final = 0.05
 REST_WITHIN_S: Final = 6.0
@@ -57,7 +58,7 @@ class Supervisor:
         setup: checked settings; tables: what they may name.
         addresses: of this daemon, in a runtime directory that exists.
         state_dir: where services keep what they have learnt.
-        on_ready: called once, when samples flow.
+        on_ready: called once, when samples flow, with a summary and the viewers' address (empty for none).
         parent_pid: end with that process.
 
     Raises:
@@ -70,7 +71,7 @@ class Supervisor:
         tables: Tables,
         addresses: Addresses,
         state_dir: Path,
-        on_ready: Callable[[str], None] = lambda _: None,
+        on_ready: Callable[[str, str], None] = lambda *_: None,
         parent_pid: int | None = None,
     ) -> None:
         self._parent = _watch(parent_pid)
@@ -80,12 +81,13 @@ class Supervisor:
         self._time_base = TimeBase.now()
         self._processes = {name: _Process(share) for name, share in lay_out(setup).items()}
         owners = {t: n for n, p in self._processes.items() for t in (*p.share.devices, *p.share.services)}
-        self._broker = Broker(addresses, owners, setup.config.daemon.command_timeout_s, self._info)
+        section = setup.config.daemon
+        self._broker = Broker(addresses, owners, self._processes, section.command_timeout_s, self._info)
+        self._viewers = Viewers(setup.config.bus.viewers, addresses, setup.config.bus.queue_messages)
         self._notifier = Notifier()
         self._waker = Waker()
         self._stopping = False
         self._is_ready = False
-        section = setup.config.daemon
         optional = {name: device.optional for name, device in setup.devices.items()}
         self._readiness = Readiness(optional, section.start_timeout_s, section.optional_wait_s, time.monotonic())
 
@@ -136,7 +138,7 @@ class Supervisor:
     def _wait(self) -> None:
         fds = [self._waker.fd, *(s.FD for s in self._broker.sockets), *([self._parent] if self._parent else [])]
         pending = any(int(s.EVENTS) & 1 for s in self._broker.sockets)
-        ready = select.select(fds, (), (), 0.0 if pending else TURN_S)[0]
+        ready = readable(fds, 0.0 if pending else TURN_S)
         if self._waker.fd in ready:
             self._waker.clear()
         if self._parent in ready:
@@ -145,6 +147,7 @@ class Supervisor:
     def _look_after(self) -> int:
         """Start again what has died or gone silent; an exit status when it is hopeless."""
         now = time.monotonic()
+        self._viewers.step(now)
         for name, process in self._processes.items():
             if process.popen is None:
                 if now >= process.start_at:
@@ -193,7 +196,7 @@ class Supervisor:
         if verdict.ready:
             self._is_ready = True
             self._notifier.ready()
-            self._on_ready(self._summary())
+            self._on_ready(self._summary(), self._viewers.address)
         return EXIT_OK
 
     def _flows(self) -> bool:
@@ -236,9 +239,11 @@ class Supervisor:
             "virtual": self._setup.virtual,
             "ready": self._is_ready,
             "bus": self._addresses.bus,
-            "viewers": self._setup.config.bus.viewers,
+            "viewers": self._viewers.address,
             "state_dir": str(self._state_dir),
-            "processes": {n: p.popen.pid if p.popen else 0 for n, p in self._processes.items()},
+            "processes": {n: p.popen.pid if p.popen else 0 for n, p in self._processes.items()}
+            | ({"viewers": self._viewers.pid} if self._viewers.address else {}),
+            "unreadable_frames": self._broker.unreadable,
             "devices": {n: msgspec.to_builtins(s) for n, s in self._device_states().items()},
             "services": list(self._setup.services),
             "topics": list(TOPICS),
@@ -259,6 +264,7 @@ class Supervisor:
                 except subprocess.TimeoutExpired:
                     popen.kill()
                     popen.wait()
+        self._viewers.close()
         self._broker.close()
         self._waker.close()
         if self._parent:

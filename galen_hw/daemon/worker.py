@@ -3,7 +3,6 @@
 import logging
 import os
 import resource
-import select
 import signal
 import sys
 import time
@@ -12,26 +11,27 @@ from typing import Final
 
 import msgspec
 
-from galen_hw.bus import decode_reply
 from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.config.paths import Addresses
 from galen_hw.config.schema import DaemonSection
 from galen_hw.daemon.host import Host
 from galen_hw.daemon.keep import Keeper
 from galen_hw.daemon.layout import CORE, PRIORITY_BELOW_CORE
-from galen_hw.daemon.links import REPLY, REQUEST, Beat, CoreLink, DeviceState, EdgeLink
+from galen_hw.daemon.links import REPLY, REQUEST, Beat, CoreLink, DeviceState, EdgeLink, Origin
 from galen_hw.daemon.orders import Orders, build_port, build_services
 from galen_hw.daemon.port import Port, Waker
 from galen_hw.daemon.realtime import GarbageKeeper, raise_priority, sharpen_timers
+from galen_hw.decoding import LARGEST_MESSAGE, UnreadableError, decode_message, decode_reply, decode_request
 from galen_hw.errors import EXIT_OK, GalenError
-from galen_hw.messages import Request, Status, decode
+from galen_hw.messages import CommandError, Status
+from galen_hw.waiting import readable
 
 BEAT_NS: Final = NS_PER_S // 10
 STATUS_NS: Final = NS_PER_S
 REST_WITHIN_S: Final = 2.0
+MOST_DESCRIPTORS: Final = 1024
 MAIN_TOPICS: Final = ("wrench/compensated", "wrench/raw")
 log = logging.getLogger("galen-hw")
-_REQUEST_DECODER: Final = msgspec.msgpack.Decoder(Request)
 
 
 class Worker:
@@ -54,13 +54,15 @@ class Worker:
         ports = {n: build_port(d, self._time_base, self._waker) for n, d in self._setup.devices.items()}
         addresses = Addresses(Path(orders.runtime))
         topics = {t for s in services.values() for t in s.consumes}
-        bus = self._setup.config.bus
+        origin = Origin(self._setup.config.robot.name, orders.virtual)
         self._link: CoreLink | EdgeLink = (
-            CoreLink(orders.name, addresses, bus.viewers, bus.queue_messages)
+            CoreLink(orders.name, addresses, origin, self._setup.config.bus.queue_messages)
             if orders.name == CORE
-            else EdgeLink(orders.name, addresses, topics)
+            else EdgeLink(orders.name, addresses, origin, topics)
         )
         self.host = Host(orders.name, ports, services, self._link, clock=time.monotonic_ns, on_done=self._keep)
+        self._consumed = {topic.encode() for topic in self.host.consumed}
+        self._unreadable = 0
         self._ports = list(ports.values())
         self._own_fds = [lifeline, self._waker.fd, self._link.control.fd]
         patience_s = min((s.patience_s for s in services.values() if s.consumes), default=0.0)
@@ -111,27 +113,32 @@ class Worker:
     def _wait(self, until_ns: int) -> list[int]:
         fds = [*self._own_fds, *[p.fd for p in self._ports if p.fd is not None]]
         if self._link.inlet.pending or self._link.control.pending:
-            return select.select(fds, (), (), 0.0)[0]
+            return readable(fds, 0.0)
         timeout = (until_ns - time.monotonic_ns()) / NS_PER_S
-        return select.select(fds, (), (), max(0.0, timeout))[0]
+        return readable(fds, max(0.0, timeout))
 
     def _hear(self, topic: bytes, payload: bytes) -> None:
-        name = topic.decode(errors="replace")
-        if name not in self.host.consumed:
+        if topic not in self._consumed:
             return
         try:
-            message = decode(name, payload)
-        except (KeyError, msgspec.DecodeError):
-            return
-        self.host.from_bus(name, message)
+            self.host.from_bus(*decode_message(topic, payload))
+        except UnreadableError:
+            self._unreadable += 1
 
     def _listen(self, ready: list[int]) -> None:
         for frames in self._link.control.take(ready):
             kind, payload = frames[0], frames[-1]
-            if kind == REQUEST:
-                self.host.from_outside(_REQUEST_DECODER.decode(payload))
-            elif kind == REPLY:
-                self.host.reply_from_outside(decode_reply(payload))
+            try:
+                if kind == REPLY:
+                    self.host.reply_from_outside(decode_reply(payload))
+                elif kind == REQUEST and not isinstance(
+                    request := decode_request(payload, LARGEST_MESSAGE), CommandError
+                ):
+                    self.host.from_outside(request)
+                else:
+                    self._unreadable += 1
+            except UnreadableError:
+                self._unreadable += 1
 
     def _look_at_lifeline(self, ready: list[int]) -> None:
         if self._waker.fd in ready:
@@ -167,7 +174,12 @@ class Worker:
         share = (used - self._used_s) / max(1e-9, (now - self._used_at_ns) / NS_PER_S)
         self._used_s, self._used_at_ns = used, now
         self._status_seq += 1
-        counters = {"turns": self._turns, "dropped": self._link.dropped, **_wire_counters(self.host.ports)}
+        counters = {
+            "turns": self._turns,
+            "dropped": self._link.dropped,
+            "unreadable": self._unreadable + self._link.unreadable,
+            **_wire_counters(self.host.ports),
+        }
         counters |= {f"published {topic}": n for topic, n in self.host.published.items()}
         states = [p.state for p in self._ports]
         self._link.publish(
@@ -194,7 +206,7 @@ class Worker:
         until = time.monotonic() + REST_WITHIN_S
         while self.host.moving and time.monotonic() < until:
             fds = [fd for p in self._ports if (fd := p.fd) is not None]
-            ready = select.select(fds, (), (), 0.02)[0]
+            ready = readable(fds, 0.02)
             for port in self._ports:
                 self.host.take(port.step(readable=port.fd in ready))
         for name, service in self.host.services.items():
@@ -220,6 +232,9 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         # They may reach the whole group; the supervisor alone says who ends when, by ending the lifeline.
         signal.signal(number, signal.SIG_IGN)
+    # Libraries below (pyserial, python-can) wait with `select`, which takes no descriptor from 1024 on: none may come to be.
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(soft, MOST_DESCRIPTORS), hard))
     orders = msgspec.json.decode(_read_line(sys.stdin.fileno()), type=Orders)
     below_core = PRIORITY_BELOW_CORE.get(orders.name)
     priority = int(orders.document.get("daemon", {}).get("realtime_priority", DaemonSection().realtime_priority))

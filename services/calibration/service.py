@@ -81,6 +81,8 @@ class CalibrationService(Service):
             return self._start(request, now_ns)
         run = self._run
         owner = str(request.args.get("owner", ""))
+        if request.name in ("heartbeat", "resume"):  # A stop is obeyed whatever else it holds.
+            request.require_only("owner")
         if request.name == "heartbeat":
             if self._owner in ("", owner):
                 self._heartbeat_ns = now_ns

@@ -13,7 +13,15 @@ from galen_hw.services.compensation.settings import CompensationSettings
 from galen_hw.services.compensation.tare import Tare
 from galen_hw.services.service import Output
 
-COMMANDS: Final = ("select_tool", "set_enabled", "tare", "untare", "set_contact", "reload")
+COMMANDS: Final = {
+    # command: the arguments that it takes
+    "select_tool": ("tool",),
+    "set_enabled": ("enabled",),
+    "tare": (),
+    "untare": (),
+    "set_contact": ("x", "y", "z"),
+    "reload": (),
+}
 FARTHEST_CONTACT_M: Final = 2.0
 
 
@@ -50,8 +58,11 @@ class CompensationCommands:
             UsageError: no such tool, or impossible arguments.
         """
         args, name = request.args, request.name
+        if name not in COMMANDS:
+            raise CommandRejectedError(f"no command {name!r}", where=self.name, todo=f"one of: {', '.join(COMMANDS)}")
+        request.require_only(*COMMANDS[name])
         if name == "select_tool":
-            return [Reply(id=request.id, result=self._select(args.get("tool")))]
+            return [Reply(id=request.id, result=self._select(args.get("tool", ...)))]
         if name == "reload":
             return [Reply(id=request.id, result=self._reload())]
         if name == "tare":
@@ -60,10 +71,8 @@ class CompensationCommands:
             self._correction.set(tare=ZERO)
         elif name == "set_enabled":
             self._correction.set(enabled=_flag(args.get("enabled")))
-        elif name == "set_contact":
-            self._correction.set(contact=(_metres(args, "x"), _metres(args, "y"), _metres(args, "z")))
         else:
-            raise CommandRejectedError(f"no command {name!r}", where=self.name, todo=f"one of: {', '.join(COMMANDS)}")
+            self._correction.set(contact=(_metres(args, "x"), _metres(args, "y"), _metres(args, "z")))
         return [Reply(id=request.id)]
 
     def use(self, tool: str) -> None:
@@ -73,6 +82,11 @@ class CompensationCommands:
             CommandRejectedError: never calibrated, or on another sensor or robot.
             UsageError: no such tool.
         """
+        self._correction.use(self._usable(tool))
+        self.problem = ""
+
+    def _usable(self, tool: str) -> ToolFile:
+        """The tool in use of this name, if it is one of this hardware; nothing is changed yet."""
         file = self._store.load(tool)
         if not file.calibrated:
             todo, here = f"galen-hw calibrate --tool {tool}", " on a virtual robot" if self._store.virtual else ""
@@ -81,23 +95,21 @@ class CompensationCommands:
         if problems:
             todo = f"galen-hw calibrate --tool {tool}"
             raise CommandRejectedError(f"tool {tool!r} {' and '.join(problems)}", where=self.name, todo=todo)
-        self._correction.use(file)
-        self.problem = ""
+        return file
 
     def _binding_problems(self, file: ToolFile) -> list[str]:
         return binding_problems(file, sensor_serial=self.serial, robot=self._robot, virtual=self._store.virtual)
 
     def _select(self, tool: object) -> dict[str, Any]:
         if tool is not None and not isinstance(tool, str):
-            raise CommandRejectedError("tool must be a name or null", where=self.name)
-        if tool is None:
-            self._correction.use(None)
-            self.problem = ""
-        else:
-            self.use(tool)
+            raise CommandRejectedError("tool must be a name or null", where=self.name, todo='send {"tool": "NAME"}')
+        file = None if tool is None else self._usable(tool)
+        # First what can be refused (a disk that is full or may not be written), then what changes the wrench.
+        self._store.select(tool)
+        self._correction.use(file)
+        self.problem = ""
         # A tare belongs to the tool that was in hand.
         self._correction.set(tare=ZERO)
-        self._store.select(tool)
         return self._identity()
 
     def _reload(self) -> dict[str, Any]:

@@ -13,6 +13,8 @@ from math import isnan
 from pathlib import Path
 from typing import Any, Final
 
+from msgspec.structs import replace
+
 from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.kinematics import Robot
 from galen_hw.messages import CompensationState, JointsState, Message, WrenchCompensated, WrenchRaw, encode
@@ -119,6 +121,8 @@ def verify(recorded: Recorded, service: CompensationService) -> Verdict:
             continue
         outputs = service.compensate(raw)
         computed = next(o[1] for o in outputs if isinstance(o, tuple) and o[0] == "wrench/compensated")
+        # Which robot it was, the daemon wrote where it was published.
+        computed = replace(computed, robot=message.robot, virtual=message.virtual)
         if encode(computed) != encode(message):
             difference = _first_difference(message, computed)
             if feeder.forgot and feeder.remembers and difference.field in ("force", "torque"):

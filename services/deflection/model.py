@@ -50,18 +50,18 @@ class ServedModel:
         """Read the model again.
 
         Raises:
-            UsageError: its file is damaged.
+            UsageError: its file is damaged; the model that was read before stays.
         """
-        store = DeflectionStore(self._context.state_dir)
-        self.file = self.stream = None
+        store, found, stream = DeflectionStore(self._context.state_dir), None, None
         name = self._chosen or store.selected()
         if name is not None:
             # Fitting and its numerics take a second to import: a service without a model does not wait for them.
             from galen_hw.identification.deflection.table import model_of
 
-            file = store.load(name)
-            std = np.array(file.std) if file.std else None
-            self.stream, self.file = model_of(file.model, file.values).stream(std), file
+            found = store.load(name)
+            std = np.array(found.std) if found.std else None
+            stream = model_of(found.model, found.values).stream(std)
+        self.file, self.stream = found, stream
         self._bind()
 
     def take_tool(self, name: str) -> None:

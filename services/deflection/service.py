@@ -160,6 +160,7 @@ class DeflectionService(Service):
         """
         del now_ns
         if request.name == "set_enabled":
+            request.require_only("enabled")
             enabled = request.args.get("enabled")
             if not isinstance(enabled, bool):
                 raise CommandRejectedError("enabled must be true or false", todo='send {"enabled": true}')
@@ -167,6 +168,7 @@ class DeflectionService(Service):
                 self._served.stream.gap()  # What happened while it was off is not known.
             self._enabled = enabled
         elif request.name == "reload":
+            request.require_only()
             self._served.load()
             self._place = None
         else:

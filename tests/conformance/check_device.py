@@ -195,6 +195,16 @@ def check_unknown_request_is_rejected(case: Case) -> None:
     assert run.sent == []
 
 
+def check_unknown_arguments_are_rejected(case: Case) -> None:
+    """No command is carried out with an argument that it does not take: a misspelt one would mean a default."""
+    for name in ("zero", "unzero", "restart", "move_jp", "servo_jv", "enable", "disable", "clear_fault"):
+        run = case.run().start().seconds(3.0)
+        sent = len(run.sent)
+        with pytest.raises(CommandRejectedError, match=r"\w"):
+            run.device.request(Request(id="1", target="dut", name=name, args={"no_such_argument": 1}), run.now_ns)
+        assert len(run.sent) == sent
+
+
 def check_silence_becomes_a_fault(case: Case) -> None:
     """A peer that never answers: a fault that says what, where and what to do, at most once a second; never ready."""
     run = case.run(answered=False).start().seconds(20.0)

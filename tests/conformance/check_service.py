@@ -119,6 +119,20 @@ def check_survives_any_request(case: Case) -> None:
     fuzz()
 
 
+def check_unknown_arguments_are_refused(case: Case) -> None:
+    """No command is carried out with an argument that it does not take, for a misspelt one would mean a default.
+
+    But a stop and a switching off: who wants that gets it.
+    """
+    for name in _command_words(case.cls):
+        with case.service() as service:
+            before = service.snapshot()
+            request = Request(id="1", target=case.name, name=name, args={"enabled": True, "no_such_argument": 1})
+            if name != "stop":
+                assert answer(service, request, START_NS) == [], name
+                assert service.snapshot() == before
+
+
 def check_survives_any_reply(case: Case) -> None:
     """Answers that it never asked for, and errors, are taken."""
     with case.service() as service:
@@ -151,6 +165,7 @@ CHECKS = (
     check_deterministic,
     check_unknown_request_is_refused,
     check_survives_any_request,
+    check_unknown_arguments_are_refused,
     check_survives_any_reply,
     check_snapshot_round_trip,
     check_foreign_snapshots_are_refused,

@@ -150,6 +150,7 @@ def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") 
     """Sweep on the robot, then as from a recording, then the check."""
     from galen_hw.bus import CommandClient
     from galen_hw.config.tool_store import ToolStore
+    from galen_hw.permission import require_writable
     from galen_hw.recording import read_recording
     from galen_hw.tools.calibration.poses import poses_of
     from galen_hw.tools.calibration.result import analyse, tool_file, with_terms
@@ -160,6 +161,8 @@ def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") 
     virtual = bool(info["virtual"])
     store = ToolStore(Path(info["state_dir"]), virtual=virtual)
     nominal = store.load(args.tool)
+    # Not at the end of a sweep: what was found would be kept there.
+    require_writable(store.path(args.tool, 1).parent, f"galen-hw calibrate --tool {args.tool}")
     operator = (
         by_virtual_hand(console, args.tool, addresses.virtual)
         if virtual

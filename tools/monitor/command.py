@@ -38,36 +38,61 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("must be between 0 and 3600", where="--seconds", todo="e.g. --seconds 2")
     addresses = Addresses(args.dir or client_runtime_dir())
     addresses.require_daemon()
-    about = "" if args.json else _about(addresses)
     with Subscriber(addresses.bus) as subscriber:
-        view = View()
+        view, daemon = View(), _Daemon(addresses, ask=not args.json)
         if args.once:
             view.listen(subscriber, args.seconds)
             if not view.topics and not args.json:
                 bus, todo = addresses.bus.removeprefix("ipc://"), "galen-hw check names what is wrong"
                 print(f"galen-hw monitor: {bus}: nothing heard for {args.seconds:g} s; {todo}", file=sys.stderr)
                 return EXIT_FOUND
-            _print_once(view, subscriber, about, as_json=args.json)
+            _print_once(view, subscriber, daemon, as_json=args.json)
             return EXIT_OK if view.topics else EXIT_FOUND
         if args.json:
             while True:
                 view.listen(subscriber, 1.0)
-                print(json.dumps(view.as_json(subscriber.lost)), flush=True)
-        return _live(view, subscriber, about)
+                _print_once(view, subscriber, daemon, as_json=True)
+                sys.stdout.flush()
+        return _live(view, subscriber, daemon)
 
 
-def _about(addresses: "Addresses") -> str:
-    """Which daemon this is, as far as it says so."""
-    from galen_hw.bus import CommandClient
+class _Daemon:
+    """The daemon that is looked at: which it is, and whether it still runs; another may take its place.
 
-    words = [str(addresses.runtime)]
-    with suppress(GalenError), CommandClient(addresses.command) as client:
-        info = client.call("daemon", "info", timeout_s=1.0)
-        words = [f"{'virtual ' if info['virtual'] else ''}robot {info['robot']}", f"version {info['version']}", *words]
-    return ", ".join(words)
+    Args:
+        ask: have it say which it is.
+    """
+
+    def __init__(self, addresses: "Addresses", *, ask: bool) -> None:
+        self._addresses, self._ask = addresses, ask
+        self.gone = False
+        self.about = self._about()
+
+    def look(self) -> None:
+        """See whether somebody listens at its socket."""
+        try:
+            self._addresses.require_daemon()
+        except GalenError:
+            self.gone = True
+            return
+        if self.gone:
+            self.gone, self.about = False, self._about()
+
+    def _about(self) -> str:
+        """Which daemon this is, as far as it says so."""
+        from galen_hw.bus import CommandClient
+
+        words = [str(self._addresses.runtime)]
+        if not self._ask:
+            return words[0]
+        with suppress(GalenError), CommandClient(self._addresses.command) as client:
+            info = client.call("daemon", "info", timeout_s=1.0)
+            robot = f"{'virtual ' if info['virtual'] else ''}robot {info['robot']}"
+            words = [robot, f"version {info['version']}", *words]
+        return ", ".join(words)
 
 
-def _live(view: "View", subscriber: "Subscriber", about: str) -> int:
+def _live(view: "View", subscriber: "Subscriber", daemon: _Daemon) -> int:
     from rich.console import Console, Group
     from rich.live import Live
 
@@ -76,19 +101,20 @@ def _live(view: "View", subscriber: "Subscriber", about: str) -> int:
     console = Console()
     while not console.is_terminal:  # A pipe or a file keeps one screen after the other.
         view.listen(subscriber, SECONDS)
-        _print_once(view, subscriber, about, as_json=False)
+        _print_once(view, subscriber, daemon, as_json=False)
         sys.stdout.flush()
     with Live(console=console, auto_refresh=False, screen=True) as live:
         while True:
             view.listen(subscriber, 0.25)
-            live.update(
-                Group(screen(view, subscriber.lost, about, console.width), "[dim]Ctrl-C ends it[/]"), refresh=True
-            )
+            daemon.look()
+            shown = screen(view, subscriber.lost, daemon.about, console.width, gone=daemon.gone)
+            live.update(Group(shown, "[dim]Ctrl-C ends it[/]"), refresh=True)
 
 
-def _print_once(view: "View", subscriber: "Subscriber", about: str, *, as_json: bool) -> None:
+def _print_once(view: "View", subscriber: "Subscriber", daemon: _Daemon, *, as_json: bool) -> None:
+    daemon.look()
     if as_json:
-        print(json.dumps(view.as_json(subscriber.lost)))
+        print(json.dumps(view.as_json(subscriber.lost) | {"daemon": not daemon.gone}))
         return
     from rich.console import Console
 
@@ -97,4 +123,4 @@ def _print_once(view: "View", subscriber: "Subscriber", about: str, *, as_json: 
     console = Console()
     if not console.is_terminal:
         console = Console(width=WIDTH)
-    console.print(screen(view, subscriber.lost, about, console.width))
+    console.print(screen(view, subscriber.lost, daemon.about, console.width, gone=daemon.gone))

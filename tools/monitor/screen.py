@@ -13,7 +13,7 @@ from rich.rule import Rule
 from rich.table import Table
 
 from galen_hw.messages import JointsState, Pose, WrenchCompensated, WrenchRaw
-from galen_hw.tools.monitor.view import WINDOW_S, View
+from galen_hw.tools.monitor.view import WINDOW_S, View, fresh_for_s
 
 BAR_WIDTH: Final = 21
 FULL_SCALE: Final = {"force": 10.0, "torque": 1.0}
@@ -21,21 +21,24 @@ WIDE: Final = 138
 """Columns from which on two panels stand side by side."""
 COLOURS: Final = {"ready": "green", "fault": "red", "degraded": "yellow", "starting": "cyan"}
 ACCENT: Final = "deep_sky_blue3"
+GONE: Final = "the daemon has ended: nothing below is the present; galen-hw run starts it"
 
 
-def screen(view: View, lost: Mapping[str, int], about: str, width: int) -> RenderableType:
+def screen(view: View, lost: Mapping[str, int], about: str, width: int, *, gone: bool = False) -> RenderableType:
     """Everything, for a terminal of this width.
 
     Args:
-        lost: messages that never came, by topic; about: which daemon, one line.
+        lost: messages that never came, by topic; about: which daemon, one line; gone: it does not run any more.
     """
-    upper = [_topics(view, lost), _wrench(view)]
-    lower = [_joints(view), _pose(view)]
+    now = time.monotonic()
+    upper = [_topics(view, lost, now), _wrench(view, now)]
+    lower = [_joints(view, now), _pose(view, now)]
     parts: list[RenderableType] = [Rule(f"[bold]galen-hw monitor[/]  {escape(about)}", align="left", style=ACCENT)]
+    parts += [f"[bold white on red] {GONE} [/]"] if gone else []
     for panels in (upper, lower):
         found = [panel for panel in panels if panel is not None]
         parts += [_beside(found)] if width >= WIDE and len(found) > 1 else found
-    parts.append(_states(view))
+    parts.append(_states(view, now))
     return Group(*parts)
 
 
@@ -58,46 +61,56 @@ def _table(*heads: str, numbers: tuple[int, ...] = ()) -> Table:
     return table
 
 
-def _topics(view: View, lost: Mapping[str, int]) -> Panel:
-    now, now_ns = time.monotonic(), time.monotonic_ns()
+def _topics(view: View, lost: Mapping[str, int], now: float) -> Panel:
     table = _table("topic", "source", "rate Hz", "age ms", "lost", "valid", numbers=(2, 3, 4))
     for name, seen in sorted(view.topics.items()):
-        age_s, rate = (now_ns - seen.message.t_ns) / 1e9, view.rate_hz(name, now)
-        missing = lost.get(name, 0)
-        silent = not rate and name != "fault"
+        rate, age_ms, missing = view.rate_hz(name, now), 1e3 * view.age_s(name, now), lost.get(name, 0)
+        silent, old = not rate and name != "fault", view.is_old(name, now)
         table.add_row(
             f"[dim]{name}[/]" if silent else name,
             seen.message.source,
-            f"[yellow]none for {WINDOW_S:g} s[/]" if silent else f"{rate:.1f}",
-            f"{1e3 * age_s:.1f}",
+            f"[{'red' if old else 'dim'}]none for {WINDOW_S:g} s[/]" if silent else f"{rate:.1f}",
+            f"[red]{age_ms:.1f}[/]" if old else f"{age_ms:.1f}",
             f"[red]{missing}[/]" if missing else "[dim]0[/]",
-            "[green]yes[/]" if seen.message.valid else "[red]no[/]",
+            f"[red]{_old(view, name, now)}[/]" if old else "[green]yes[/]" if seen.message.valid else "[red]no[/]",
         )
-    return _panel("topics", table)
+    return _panel("topics", table, "red" if any(view.is_old(name, now) for name in view.topics) else "grey50")
 
 
-def _wrench(view: View) -> Panel | None:
+def _old(view: View, topic: str, now: float) -> str:
+    """Why a message is not the present: nothing came since, or what comes is late."""
+    late = now - view.topics[topic].heard_s <= fresh_for_s(topic)
+    return f"{'late by' if late else 'silent for'} {view.age_s(topic, now):.1f} s"
+
+
+def _title(view: View, title: str, topic: str, now: float) -> str:
+    """A panel's title; with a red remark where its numbers are old."""
+    return f"{title} [red]{_old(view, topic, now)}[/]" if view.is_old(topic, now) else title
+
+
+def _wrench(view: View, now: float) -> Panel | None:
     """Compensated (or raw) force and torque as numbers and bars, and beside it the raw reading."""
     raw, done = _message(view, "wrench/raw", WrenchRaw), _message(view, "wrench/compensated", WrenchCompensated)
     shown = done or raw
     if shown is None:
         return None
+    topic = "wrench/compensated" if done else "wrench/raw"
+    colour = "green" if shown.valid and not view.is_old(topic, now) else "red"
     table = _table("", "raw", "compensated" if done else "", "", "", numbers=(1, 2))
     for kind, unit in (("force", "N"), ("torque", "N m")):
         for axis in "xyz":
             value = getattr(getattr(shown, kind), axis)
             before = getattr(getattr(raw, kind), axis) if raw else math.nan
             text = f"[bold]{value:9.3f}[/]" if done else ""
-            colour = "green" if shown.valid else "red"
             cells = (f"{before:9.3f}", text, unit, f"[{colour}]{bar(value, FULL_SCALE[kind])}[/]")
             table.add_row(f"{kind} {axis}", *cells)
     scale = f"bars: {FULL_SCALE['force']:g} N, {FULL_SCALE['torque']:g} N m"
     by = "no tool: nothing is taken off" if not done or not done.calibration else f"with {done.calibration}"
     by += "; [red]the sensor is not zeroed[/]" if done and done.unzeroed else ""
-    return _panel("wrench", Group(table, f"[dim]{scale}; {by}[/]"), "green" if shown.valid else "red")
+    return _panel(_title(view, "wrench", topic, now), Group(table, f"[dim]{scale}; {by}[/]"), colour)
 
 
-def _joints(view: View) -> Panel | None:
+def _joints(view: View, now: float) -> Panel | None:
     state = _message(view, "joints/state", JointsState)
     if state is None:
         return None
@@ -105,7 +118,8 @@ def _joints(view: View) -> Panel | None:
     for name, position in state.position.items():
         velocity = state.velocity.get(name, math.nan)
         table.add_row(name, f"{position:.5f}", f"{velocity:.4f}", _limits(state, name))
-    return _panel("joints", table, "red" if state.estop else "grey50")
+    bad = state.estop or view.is_old("joints/state", now)
+    return _panel(_title(view, "joints", "joints/state", now), table, "red" if bad else "grey50")
 
 
 def _limits(state: JointsState, name: str) -> str:
@@ -118,7 +132,7 @@ def _limits(state: JointsState, name: str) -> str:
     return "[red]emergency stop[/]" if state.estop else ", ".join(words)
 
 
-def _pose(view: View) -> Panel | None:
+def _pose(view: View, now: float) -> Panel | None:
     """Tip as the joints tell it, and what the arm's give adds."""
     reported, corrected = _message(view, "pose/reported", Pose), _message(view, "pose/corrected", Pose)
     if reported is None:
@@ -129,28 +143,31 @@ def _pose(view: View) -> Panel | None:
         table.add_row("corrected", *(f"{1e3 * v:.2f}" for v in _xyz(corrected)), corrected.model)
         gap = [1e3 * (c - r) for c, r in zip(_xyz(corrected), _xyz(reported), strict=True)]
         table.add_row("[bold]give[/]", *(f"[bold]{v:.3f}[/]" for v in gap), f"{math.hypot(*gap):.3f} mm in all")
-    return _panel("tip in the base", table)
+    title = _title(view, "tip in the base", "pose/reported", now)
+    return _panel(title, table, "red" if view.is_old("pose/reported", now) else "grey50")
 
 
 def _xyz(pose: Pose) -> tuple[float, float, float]:
     return pose.position.x, pose.position.y, pose.position.z
 
 
-def _states(view: View) -> Panel:
+def _states(view: View, now: float) -> Panel:
     table = _table("source", "state", "detail")
     table.columns[2].no_wrap = False
-    for name, status in sorted(view.statuses.items()):
-        colour = COLOURS.get(status.state, "default")
-        table.add_row(name, f"[{colour}]{status.state}[/]", escape(status.detail))
-    worst = next((c for s, c in (("fault", "red"), ("degraded", "yellow")) if s in _all(view)), "grey50")
+    found = set()
+    for name, (status, heard_s) in sorted(view.statuses.items()):
+        silent = view.is_silent(name, now)
+        state = f"silent for {now - heard_s:.1f} s" if silent else status.state
+        found.add("fault" if silent else status.state)
+        colour = "red" if silent else COLOURS.get(status.state, "default")
+        table.add_row(
+            name, f"[{colour}]{state}[/]", f"[dim]{escape(status.detail)}[/]" if silent else escape(status.detail)
+        )
+    worst = next((c for s, c in (("fault", "red"), ("degraded", "yellow")) if s in found), "grey50")
     if not view.last_fault:
         return _panel("state", table, worst)
-    ago = time.monotonic() - view.last_fault_s
+    ago = now - view.last_fault_s
     return _panel("state", Group(table, f"[yellow]last fault, {ago:.0f} s ago[/]  {escape(view.last_fault)}"), worst)
-
-
-def _all(view: View) -> set[str]:
-    return {status.state for status in view.statuses.values()}
 
 
 def _message(view: View, topic: str, kind: type[Any]) -> Any:
