@@ -48,8 +48,8 @@ class Premise:
     channels: list[str] = field(default_factory=list)
 
     def take(self, examination: Examination) -> None:
-        """Take up what the premises say of the recording; what they claim as physics becomes a finding instead of a note."""
-        first = [r for r in examination.remarks if r.action is not Action.REFUSED and r.claim is None]
+        """Take up what the premises say of the recording; what they claim as physics becomes a finding as well."""
+        first = [r for r in examination.remarks if r.action is not Action.REFUSED]
         self.notes[:0] = [r.line for r in first] + [r.line for r in examination.refused]
         if examination.refused:
             # What is refused is the cause; what later checks see are its consequences.
