@@ -47,6 +47,7 @@ class RecorderService(Service):
     Settings: ClassVar[type[BaseModel]] = RecorderSettings
     consumes: ClassVar[tuple[str, ...]] = tuple(TOPICS)
     produces: ClassVar[tuple[str, ...]] = ("status",)
+    takes_old: ClassVar[bool] = True
 
     def __init__(self, name: str, settings: RecorderSettings, context: ServiceContext) -> None:
         self.name, self._settings, self._context = name, settings, context

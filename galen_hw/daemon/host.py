@@ -12,7 +12,7 @@ from galen_hw.bus import command_error
 from galen_hw.clock import NS_PER_S
 from galen_hw.daemon.port import Port
 from galen_hw.errors import GalenError
-from galen_hw.messages import CommandError, Fault, Message, Reply, Request
+from galen_hw.messages import CommandError, Fault, Message, Reply, Request, too_old
 from galen_hw.services.service import Service
 
 REPLY_WITHIN_NS: Final = 30 * NS_PER_S
@@ -68,6 +68,8 @@ class Host:
     ) -> None:
         self.ports, self.services = dict(ports), dict(services)
         self.published: dict[str, int] = {}
+        self.old: dict[str, int] = {}
+        """Messages beyond their topic's age limit, by topic: published as not valid, or not handed on."""
         self.faults: dict[str, Fault] = {}
         self.moving = False
         self._name, self._link, self._clock, self._on_done = name, link, clock, on_done
@@ -98,13 +100,19 @@ class Host:
             else:
                 self._forward(output, service)
 
-    def from_bus(self, topic: str, message: Message) -> None:
-        """A message from another process."""
+    def from_bus(self, topic: str, message: Message) -> bool:
+        """A message from another process; false when it was too old for a service here."""
         if message.source in self.ports or message.source in self.services:
-            return
+            return True
         now = self._clock()
-        for service in self._consumers.get(topic, ()):
+        old = too_old(topic, message.t_ns, now)
+        consumers = [s for s in self._consumers.get(topic, ()) if not old or s.takes_old]
+        for service in consumers:
             self.take(service.handle(topic, message, now), service)
+        if len(consumers) == len(self._consumers.get(topic, ())):
+            return True
+        self.old[topic] = self.old.get(topic, 0) + 1
+        return False
 
     def from_outside(self, request: Request) -> None:
         """A request from outside, for a device or service here."""
@@ -128,9 +136,12 @@ class Host:
 
     def _emit(self, topic: str, message: Message) -> None:
         # Services first: the compensated wrench leaves before the raw one has cost its send.
+        now = self._clock()
+        if message.valid and too_old(topic, message.t_ns, now):
+            message = msgspec.structs.replace(message, valid=False)
+            self.old[topic] = self.old.get(topic, 0) + 1
         consumers = self._consumers.get(topic)
         if consumers is not None:
-            now = self._clock()
             for service in consumers:
                 self.take(service.handle(topic, message, now), service)
         self._link.publish(topic, message)

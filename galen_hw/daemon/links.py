@@ -1,6 +1,7 @@
 """The ZeroMQ ends of one process: `core` owns the bus, the others push to it and hear it as subscribers do."""
 
 import logging
+import time
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
@@ -9,7 +10,7 @@ import zmq
 
 from galen_hw.bus import Publisher, bind, receive_all
 from galen_hw.config.paths import Addresses
-from galen_hw.messages import Message, Reply, Request, encode
+from galen_hw.messages import MAX_AGE_NS, Message, Reply, Request, decode, encode, too_old
 
 INWARD_QUEUE: Final = 2000
 BATCH: Final = 64
@@ -19,7 +20,8 @@ REQUEST: Final = b"request"
 REPLY: Final = b"reply"
 log = logging.getLogger("galen-hw")
 
-_BEATS: Final = msgspec.msgpack.Encoder()
+_HEADER: Final = msgspec.msgpack.Decoder(Message)
+_AGING: Final = {name.encode(): name for name in MAX_AGE_NS}
 
 
 class DeviceState(msgspec.Struct, frozen=True):
@@ -42,6 +44,20 @@ class Beat(msgspec.Struct, frozen=True):
 
     progress: int = 0
     devices: dict[str, DeviceState] = {}
+
+
+def not_older(topic: bytes, payload: bytes, now_ns: int) -> bytes:
+    """A payload as it may be published now: not valid any more when it has waited beyond its topic's age limit."""
+    name = _AGING.get(topic)
+    if name is None:
+        return payload
+    try:
+        header = _HEADER.decode(payload)
+        if not header.valid or not too_old(name, header.t_ns, now_ns):
+            return payload
+        return encode(msgspec.structs.replace(decode(name, payload), valid=False))
+    except msgspec.DecodeError:
+        return payload  # Whoever reads it counts it as unreadable.
 
 
 class Inlet:
@@ -138,10 +154,12 @@ class CoreLink(_Link):
     def messages(self, ready: Sequence[int]) -> list[tuple[bytes, bytes]]:
         """What the other processes have published since; passed on to the bus already."""
         found = []
+        now = time.monotonic_ns()
         for frames in self.inlet.take(ready):
             if len(frames) == 2:
-                self._publisher.publish_bytes(frames[0], frames[1])
-                found.append((frames[0], frames[1]))
+                topic, payload = frames[0], not_older(frames[0], frames[1], now)
+                self._publisher.publish_bytes(topic, payload)
+                found.append((topic, payload))
         return found
 
     def close(self) -> None:

@@ -7,6 +7,7 @@ import select
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -24,12 +25,14 @@ from galen_hw.daemon.orders import Orders, build_port, build_services
 from galen_hw.daemon.port import Port, Waker
 from galen_hw.daemon.realtime import GarbageKeeper, raise_priority, sharpen_timers
 from galen_hw.errors import EXIT_OK, GalenError
-from galen_hw.messages import Request, Status, decode
+from galen_hw.messages import MAX_AGE_NS, Request, Status, decode
 
 BEAT_NS: Final = NS_PER_S // 10
 STATUS_NS: Final = NS_PER_S
 REST_WITHIN_S: Final = 2.0
 MAIN_TOPICS: Final = ("wrench/compensated", "wrench/raw")
+CATCH_UP: Final = 1024
+"""Messages looked through in one turn by a process that has fallen behind; about ten milliseconds."""
 log = logging.getLogger("galen-hw")
 _REQUEST_DECODER: Final = msgspec.msgpack.Decoder(Request)
 
@@ -70,6 +73,8 @@ class Worker:
             self._own_fds.append(self._link.inlet.fd)
         self._next_beat_ns = self._next_status_ns = self._next_due_ns = 0
         self._status_seq = self._turns = 0
+        self._may_jump = orders.name != CORE and not any(s.takes_old for s in services.values())
+        self._passed_over = self._old_before = 0
         self._garbage = GarbageKeeper(self._setup.config.daemon.garbage_interval_s)
         self._used_s, self._used_at_ns = 0.0, time.monotonic_ns()
 
@@ -96,8 +101,8 @@ class Worker:
         if self._patience_ns and (now := time.monotonic_ns()) >= self._next_inlet_ns:
             self._next_inlet_ns = now + self._patience_ns
             ready.append(self._link.inlet.fd)
-        for topic, payload in self._link.messages(ready):
-            self._hear(topic, payload)
+        if heard := self._link.messages(ready):
+            self._hear_all(heard)
         self._listen(ready)
         now = time.monotonic_ns()
         if now >= self._next_due_ns:
@@ -115,15 +120,34 @@ class Worker:
         timeout = (until_ns - time.monotonic_ns()) / NS_PER_S
         return select.select(fds, (), (), max(0.0, timeout))[0]
 
-    def _hear(self, topic: bytes, payload: bytes) -> None:
+    def _hear_all(self, heard: Sequence[tuple[bytes, bytes]]) -> None:
+        """Hand messages on in their order; a process that has fallen behind goes on with the newest of each topic.
+
+        Else it would work for ever on what is just about too old, while what is new waits behind it. `core` never
+        jumps: it has passed everything on already, and what it has to do for a message is little.
+        """
+        left = list(heard)
+        while left:
+            if not self._hear(*left.pop(0)) and self._may_jump:
+                break
+        while left and self._link.inlet.pending and len(left) < CATCH_UP:
+            left += self._link.messages(())
+        newest = {topic: n for n, (topic, _) in enumerate(left)}
+        kept = [w for n, w in enumerate(left) if newest[w[0]] == n or w[0].decode(errors="replace") not in MAX_AGE_NS]
+        self._passed_over += len(left) - len(kept)
+        for topic, payload in kept:
+            self._hear(topic, payload)
+
+    def _hear(self, topic: bytes, payload: bytes) -> bool:
+        """Hand a message on; false when it was too old for that."""
         name = topic.decode(errors="replace")
         if name not in self.host.consumed:
-            return
+            return True
         try:
             message = decode(name, payload)
         except (KeyError, msgspec.DecodeError):
-            return
-        self.host.from_bus(name, message)
+            return True
+        return self.host.from_bus(name, message)
 
     def _listen(self, ready: list[int]) -> None:
         for frames in self._link.control.take(ready):
@@ -167,9 +191,15 @@ class Worker:
         share = (used - self._used_s) / max(1e-9, (now - self._used_at_ns) / NS_PER_S)
         self._used_s, self._used_at_ns = used, now
         self._status_seq += 1
-        counters = {"turns": self._turns, "dropped": self._link.dropped, **_wire_counters(self.host.ports)}
+        counters = {"turns": self._turns, "dropped": self._link.dropped, "passed over": self._passed_over}
+        counters |= _wire_counters(self.host.ports)
         counters |= {f"published {topic}": n for topic, n in self.host.published.items()}
-        states = [p.state for p in self._ports]
+        counters |= {f"too old {topic}": n for topic, n in self.host.old.items()}
+        problems = [str(p.error) for p in self._ports if p.error is not None]
+        old, self._old_before = sum(self.host.old.values()) - self._old_before, sum(self.host.old.values())
+        if old:
+            problems.append(f"{old} messages too old to be used: the computer is too slow or too busy")
+        ready = not old and all(p.state == "open" for p in self._ports)
         self._link.publish(
             "status",
             Status(
@@ -178,8 +208,8 @@ class Worker:
                 seq=self._status_seq,
                 valid=True,
                 source=f"daemon.{self._orders.name}",
-                state="ready" if all(s == "open" for s in states) else "degraded",
-                detail="; ".join(str(p.error) for p in self._ports if p.error is not None),
+                state="ready" if ready else "degraded",
+                detail="; ".join(problems),
                 counters=counters,
                 gauges={"cpu_share": share},
             ),
