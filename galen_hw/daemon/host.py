@@ -12,7 +12,7 @@ from galen_hw.bus import command_error
 from galen_hw.clock import NS_PER_S
 from galen_hw.daemon.port import Port
 from galen_hw.errors import GalenError
-from galen_hw.messages import CommandError, Fault, Message, Reply, Request, too_old
+from galen_hw.messages import CommandError, CompensationState, Fault, Message, Reply, Request, too_old
 from galen_hw.services.service import Service
 
 REPLY_WITHIN_NS: Final = 30 * NS_PER_S
@@ -38,11 +38,12 @@ class Link(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Pending:
-    """A request that has no reply yet: who asked (None: outside), under which id, until when."""
+    """A request that has no reply yet: who asked (None: outside), under which id, until when, of which device here."""
 
     service: Service | None
     id: str
     until_ns: int
+    device: str = ""
 
 
 class Host:
@@ -53,7 +54,8 @@ class Host:
         ports: devices by name; services: by name.
         link: the world outside.
         clock: monotonic nanoseconds.
-        on_done: called with a service's name when it has carried out a command (its state is worth keeping).
+        on_done: called with a service's or device's name when it has carried out a command (what it knows is worth
+            keeping).
     """
 
     def __init__(
@@ -72,6 +74,8 @@ class Host:
         """Messages beyond their topic's age limit, by topic: published as not valid, or not handed on."""
         self.faults: dict[str, Fault] = {}
         self.moving = False
+        self.tool = ""
+        """In hand, as `compensation/state` says."""
         self._name, self._link, self._clock, self._on_done = name, link, clock, on_done
         self._consumers: dict[str, tuple[Service, ...]] = {}
         for topic in {t for s in services.values() for t in s.consumes}:
@@ -116,7 +120,8 @@ class Host:
 
     def from_outside(self, request: Request) -> None:
         """A request from outside, for a device or service here."""
-        self._pending[request.id] = _Pending(None, request.id, self._clock() + 20 * REPLY_WITHIN_NS)
+        device = request.target if request.target in self.ports else ""
+        self._pending[request.id] = _Pending(None, request.id, self._clock() + 20 * REPLY_WITHIN_NS, device)
         self._carry_out(request)
 
     def reply_from_outside(self, reply: Reply) -> None:
@@ -148,13 +153,16 @@ class Host:
         self.published[topic] = self.published.get(topic, 0) + 1
         if topic == "joints/state":
             self.moving = any(message.moving.values())  # type: ignore[attr-defined]
+        elif isinstance(message, CompensationState):
+            self.tool = message.tool
         elif topic == "fault" and isinstance(message, Fault):
             self.faults[message.source] = message
 
     def _forward(self, request: Request, service: Service | None) -> None:
         """A service's request: under an id of our own, to a device or service here or to the world outside."""
         own = f"{self._name}/{next(self._ids)}"
-        self._pending[own] = _Pending(service, request.id, self._clock() + REPLY_WITHIN_NS)
+        device = request.target if request.target in self.ports else ""
+        self._pending[own] = _Pending(service, request.id, self._clock() + REPLY_WITHIN_NS, device)
         renamed = msgspec.structs.replace(request, id=own)
         if request.target in self.ports or request.target in self.services:
             self._carry_out(renamed)
@@ -186,6 +194,8 @@ class Host:
         pending = self._pending.pop(reply.id, None)
         if pending is None:
             return
+        if pending.device and reply.error is None:
+            self._on_done(pending.device)
         if pending.service is None:
             self._link.reply(reply)
         else:

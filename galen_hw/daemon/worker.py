@@ -18,7 +18,7 @@ from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.config.paths import Addresses
 from galen_hw.config.schema import DaemonSection
 from galen_hw.daemon.host import Host
-from galen_hw.daemon.keep import Keeper
+from galen_hw.daemon.keep import DeviceKeeper, Keeper
 from galen_hw.daemon.layout import CORE, PRIORITY_BELOW_CORE
 from galen_hw.daemon.links import REPLY, REQUEST, Beat, CoreLink, DeviceState, EdgeLink
 from galen_hw.daemon.orders import Orders, build_port, build_services
@@ -29,6 +29,8 @@ from galen_hw.messages import MAX_AGE_NS, Request, Status, decode
 
 BEAT_NS: Final = NS_PER_S // 10
 STATUS_NS: Final = NS_PER_S
+KEEP_EACH: Final = 20
+"""Statuses between two times that what devices know is written down."""
 REST_WITHIN_S: Final = 2.0
 MAIN_TOPICS: Final = ("wrench/compensated", "wrench/raw")
 CATCH_UP: Final = 1024
@@ -55,6 +57,9 @@ class Worker:
         self._keeper = Keeper(Path(orders.state_dir) / "services")
         services = build_services(self._setup, whole, self._time_base, Path(orders.state_dir), self._keeper)
         ports = {n: build_port(d, self._time_base, self._waker) for n, d in self._setup.devices.items()}
+        self._device_keeper = DeviceKeeper(Path(orders.state_dir) / "devices", virtual=orders.virtual)
+        for name, port in ports.items():
+            self._device_keeper.give_back(name, port.device)
         addresses = Addresses(Path(orders.runtime))
         topics = {t for s in services.values() for t in s.consumes}
         bus = self._setup.config.bus
@@ -175,6 +180,9 @@ class Worker:
         if now >= self._next_status_ns:
             self._next_status_ns = now + STATUS_NS
             self._publish_status(now)
+            if self._status_seq % KEEP_EACH == 0:
+                for name in self.host.ports:
+                    self._keep(name)
 
     def _device_state(self, name: str, port: Port) -> DeviceState:
         problem = None
@@ -216,9 +224,14 @@ class Worker:
         )
 
     def _keep(self, name: str) -> None:
-        self._keeper.keep(name, self.host.services[name].snapshot())
+        if name in self.host.services:
+            self._keeper.keep(name, self.host.services[name].snapshot())
+        if name in self.host.ports:
+            self._device_keeper.keep_device(name, self.host.ports[name].device, self.host.tool, time.monotonic_ns())
 
     def _finish(self) -> None:
+        for name in self.host.ports:
+            self._keep(name)  # Before the rest: afterwards a device does not know any more that it was there.
         for port in self._ports:
             port.rest()
         until = time.monotonic() + REST_WITHIN_S
@@ -233,6 +246,7 @@ class Worker:
         for port in self._ports:
             port.close()
         self._keeper.close()
+        self._device_keeper.close()
         self._link.close()
 
 
