@@ -57,6 +57,8 @@ class Service(ABC):
     Settings: ClassVar[type[BaseModel]]
     consumes: ClassVar[tuple[str, ...]]
     produces: ClassVar[tuple[str, ...]]
+    keep_now: bool = False
+    """Set by a service whose snapshot has become worth writing down without a command; taken back by who writes it."""
     patience_s: ClassVar[float] = 0.005
     takes_old: ClassVar[bool] = False
     name: str

@@ -133,8 +133,11 @@ class Host:
         if now_ns < self._next_tick_ns:
             return
         self._next_tick_ns = now_ns + TICK_NS
-        for service in self.services.values():
+        for name, service in self.services.items():
             self.take(service.tick(now_ns), service)
+            if service.keep_now:
+                service.keep_now = False
+                self._on_done(name)
         for id_ in [id_ for id_, pending in self._pending.items() if pending.until_ns < now_ns]:
             what = f"no answer within {REPLY_WITHIN_NS // NS_PER_S} s"
             self._deliver(Reply(id=id_, error=CommandError(kind="timeout", what=what)))

@@ -65,6 +65,7 @@ class Keeper:
             try:
                 write_atomic(self._folder / f"{item[0]}.json", item[1])
             except UsageError as error:
+                self._last.pop(item[0], None)  # The same again is tried again.
                 log.warning("what %s has learnt is not kept: %s", item[0], error)
 
 

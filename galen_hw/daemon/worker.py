@@ -241,8 +241,8 @@ class Worker:
             for port in self._ports:
                 self.host.take(port.step(readable=port.fd in ready))
         for name, service in self.host.services.items():
-            self._keep(name)
             service.close()
+            self._keep(name)
         for port in self._ports:
             port.close()
         self._keeper.close()
