@@ -7,7 +7,7 @@ lost, late, doubled, short or foreign changes no state and is counted; what the 
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Generic, TypeAlias, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from galen_hw.messages import Message, Reply, Request
 
@@ -58,6 +58,18 @@ class Device(ABC, Generic[Wire]):
     @abstractmethod
     def stop(self, now_ns: int) -> list[Wire]:
         """Bring the device to rest at once (a motor stops, a stream ends); what to send for it."""
+
+    def snapshot(self, now_ns: int) -> dict[str, Any]:
+        """State worth keeping should this process die (a zero that the host holds); empty for none."""
+        del now_ns
+        return {}
+
+    def restore(self, state: dict[str, Any], obstacle: str) -> None:
+        """Take a snapshot back before `start`, to be used once the peer shows that it is the one it belongs to.
+
+        Args:
+            obstacle: why it must not be used; that is then said, and no more.
+        """
 
     @property
     @abstractmethod

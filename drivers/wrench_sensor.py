@@ -5,11 +5,12 @@ How samples are asked for and paired, and how a sensor is zeroed, is the device'
 
 from abc import abstractmethod
 from enum import Enum, auto
-from typing import ClassVar, Generic, Literal, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
 
 from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.drivers.device import CanFrame, Device, Output
 from galen_hw.drivers.dialogue import Dialogue, DialogueError
+from galen_hw.drivers.kept_zero import Kept, KeptZero
 from galen_hw.drivers.reporting import FAR_NS, Reporter
 from galen_hw.errors import CommandRejectedError
 from galen_hw.messages import CommandError, Reply, Request
@@ -59,7 +60,7 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
         asked_rate_hz: samples that it should give a second; retry_s: pause before a failed start is tried again.
         counters: names of what is counted, "samples", "timeouts" and "restarts" among them.
         silent_todo: what to look at when it does not answer.
-        zeroing: of the device.
+        zeroing: of the device; zero_kept_s: how long the sensor may have been out of sight for a restored zero.
     """
 
     wire: ClassVar[Literal["can", "serial"]] = "can"
@@ -75,6 +76,7 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
         counters: tuple[str, ...],
         silent_todo: str,
         zeroing: Zeroing,
+        zero_kept_s: float,
     ) -> None:
         self.name = name
         self._time_base = time_base
@@ -89,6 +91,7 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
         self._flowing = False
         self._asked_rate_hz, self._retry_s, self._silent_todo = asked_rate_hz, retry_s, silent_todo
         self._zeroing = zeroing
+        self._kept_zero = KeptZero(zero_kept_s)
         self._retry_ns = FAR_NS
 
     def start(self, now_ns: int) -> None:
@@ -117,6 +120,18 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
     @abstractmethod
     def _running(self, identity: Found, now_ns: int) -> tuple[str, str]:
         """State and detail for people while samples flow."""
+
+    def restore(self, state: dict[str, Any], obstacle: str) -> None:
+        """See `Device.restore`."""
+        self._kept_zero.offer(state, obstacle)
+
+    def _zero_to_restore(self, identity: Found, count: int, now_ns: int) -> Kept | None:
+        """The zero that an earlier process has left for this sensor, with so many values; why not is told."""
+        kept, why = self._kept_zero.decide(identity.serial_number, count, now_ns)
+        if why:
+            what = f"the zero of before the restart is not used: {why}"
+            self._outbox += self._reporter.fault(now_ns, "zero", what, "zero the sensor, with no tool on")
+        return kept
 
     @property
     def _start_due_ns(self) -> int:

@@ -280,30 +280,56 @@ class Topic:
         rate_hz: nominal rate; 0 for events.
         crtk: the community's name for the same thing (Collaborative Robotics Toolkit), if any.
         doc: one line.
+        max_age_s: a message whose `t_ns` is older than that when it is published is not `valid`, and is not handed to
+            a service that acts on it; 0 for what holds until the next one, however long that takes.
     """
 
     message: type[Message]
     rate_hz: float
     crtk: str
     doc: str
+    max_age_s: float = 0.0
+
+
+STREAM_AGE_S: Final = 0.25
+"""Of whatever describes a moving arm: as long as a `servo_jv` drives the motors without being renewed."""
 
 
 TOPICS: Final[dict[str, Topic]] = {
-    "wrench/raw": Topic(WrenchRaw, 1000.0, "", "wrench as the sensor reports it, sensor frame"),
-    "wrench/compensated": Topic(WrenchCompensated, 1000.0, "measured_cf", "raw less gravity, bias and effects"),
-    "wrench/contact": Topic(WrenchCompensated, 1000.0, "contact/measured_cf", "compensated, at the contact point"),
+    "wrench/raw": Topic(WrenchRaw, 1000.0, "", "wrench as the sensor reports it, sensor frame", STREAM_AGE_S),
+    "wrench/compensated": Topic(
+        WrenchCompensated, 1000.0, "measured_cf", "raw less gravity, bias and effects", STREAM_AGE_S
+    ),
+    "wrench/contact": Topic(
+        WrenchCompensated, 1000.0, "contact/measured_cf", "compensated, at the contact point", STREAM_AGE_S
+    ),
     "compensation/state": Topic(
         CompensationState, 1.0, "", "parameters, tare and blend that make the compensated wrench"
     ),
-    "joints/state": Topic(JointsState, 40.0, "measured_js", "joint positions, velocities, efforts and axis states"),
-    "pose/reported": Topic(Pose, 40.0, "measured_cp", "tool tip by rigid kinematics"),
-    "pose/corrected": Topic(Pose, 1000.0, "corrected/measured_cp", "tool tip with the arm's give taken into account"),
-    "tracker/tool": Topic(TrackedPose, 60.0, "tracker/measured_cp", "marker on the tool, tracker frame"),
-    "tracker/reference": Topic(TrackedPose, 60.0, "tracker_reference/measured_cp", "marker on the base, tracker frame"),
+    "joints/state": Topic(
+        JointsState, 40.0, "measured_js", "joint positions, velocities, efforts and axis states", STREAM_AGE_S
+    ),
+    "pose/reported": Topic(Pose, 40.0, "measured_cp", "tool tip by rigid kinematics", STREAM_AGE_S),
+    "pose/corrected": Topic(
+        Pose, 1000.0, "corrected/measured_cp", "tool tip with the arm's give taken into account", STREAM_AGE_S
+    ),
+    "tracker/tool": Topic(TrackedPose, 60.0, "tracker/measured_cp", "marker on the tool, tracker frame", STREAM_AGE_S),
+    "tracker/reference": Topic(
+        TrackedPose, 60.0, "tracker_reference/measured_cp", "marker on the base, tracker frame", STREAM_AGE_S
+    ),
     "status": Topic(Status, 1.0, "operating_state", "state, counters and gauges of each device and service"),
     "fault": Topic(Fault, 0.0, "error", "something went wrong: what, where, what to do"),
     "calibration/progress": Topic(CalibrationProgress, 0.0, "", "where a sweep stands"),
 }
+
+
+MAX_AGE_NS: Final = {name: round(topic.max_age_s * 1e9) for name, topic in TOPICS.items() if topic.max_age_s}
+"""The age limits by topic; a topic without one is not in here."""
+
+
+def too_old(topic: str, t_ns: int, now_ns: int) -> bool:
+    """Whether a message with the stamp `t_ns` is too old at `now_ns` to be valid."""
+    return topic in MAX_AGE_NS and now_ns - t_ns > MAX_AGE_NS[topic]
 
 
 def encode(message: msgspec.Struct) -> bytes:

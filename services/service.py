@@ -51,12 +51,16 @@ class Service(ABC):
 
     `patience_s`: how long messages from other processes may wait before it is handed them, several at once: a process
     that is woken for every sample at 1 kHz costs the others their latency. 0 for at once.
+    `takes_old`: it is handed what is older than the topic's limit as well (a recorder: it was on time when published).
     """
 
     Settings: ClassVar[type[BaseModel]]
     consumes: ClassVar[tuple[str, ...]]
     produces: ClassVar[tuple[str, ...]]
+    keep_now: bool = False
+    """Set by a service whose snapshot has become worth writing down without a command; taken back by who writes it."""
     patience_s: ClassVar[float] = 0.005
+    takes_old: ClassVar[bool] = False
     name: str
 
     @abstractmethod

@@ -506,6 +506,17 @@ def test_an_unzeroed_sensor_is_not_vouched_for_until_it_is_zeroed_or_tared(tmp_p
     assert six(zeroed) == pytest.approx(np.zeros(6), abs=1e-9), "the tare went with the offset, at once"
 
 
+def test_after_a_restart_the_tool_must_be_felt_on_a_sensor_that_was_zeroed_before(tmp_path: Path) -> None:
+    """A restored zero may have been made with the tool on: its weight missing is not vouched for, its weight there is."""
+    tool, q = tool_file(bias=(0.0,) * 6), np.full(5, 0.1)
+    service = service_at(tmp_path, tool)
+    feed(service, joints(MS, q, np.zeros(5)))
+    (missing,) = messages(feed(service, raw(2 * MS, np.zeros(6), zeroings=1)))
+    assert (missing.valid, missing.tool_unseen) == (False, True)
+    (felt,) = messages(feed(service, raw(3 * MS, true_wrench(tool, q), zeroings=1)))
+    assert (felt.valid, felt.tool_unseen) == (True, False)
+
+
 def test_zeroed_with_the_tool_on_it_the_wrench_is_not_vouched_for(tmp_path: Path) -> None:
     """Its weight would be taken off twice and pass for a push, in every pose; a tare or a zero without the tool ends that."""
     tool, q, turned = tool_file(bias=(0.0,) * 6), np.full(5, 0.1), np.array([0.0, 0.0, 0.0, 1.2, 0.6])

@@ -13,7 +13,7 @@ import pytest
 
 from galen_hw.bus import CommandClient, Subscriber
 from galen_hw.errors import CommandRejectedError, HardwareError, UsageError
-from galen_hw.messages import JointsState, WrenchCompensated, WrenchRaw
+from galen_hw.messages import MAX_AGE_NS, JointsState, Status, WrenchCompensated, WrenchRaw
 from tests.daemon_tree import Tree, Wire, alive, daemon_tree, within
 
 
@@ -227,6 +227,53 @@ def test_process_that_dies_is_started_again(tree: Tree, victim: str) -> None:
         assert within(10.0, lambda: bool((m := subscriber.receive(1.0)) and m[0] == topic and m[1].t_ns > begun))
     if victim == "core":
         assert tree.motors.hear(b"STOP")
+
+
+def test_what_waited_for_a_stopped_process_is_not_valid_and_not_worked_off(tree: Tree) -> None:
+    """After a stop of the core the joints that waited for it are published as not valid; after one of the motors'
+    process, its service goes on with what is new and the process says so."""
+    tree.start_ready()
+    pids = tree.call("daemon", "info")["processes"]
+    limit_ns = MAX_AGE_NS["joints/state"]
+    with tree.subscriber("joints/state") as subscriber:
+        assert subscriber.receive(5.0)
+        begun, ended = stopped(pids["core"], 3 * limit_ns)
+        waited: list[JointsState] = []
+        while not waited or waited[-1].t_ns < ended:
+            topic, message = subscriber.receive(5.0) or ("", None)
+            assert isinstance(message, JointsState), topic
+            waited.append(message)
+    late = [m for m in waited if begun < m.t_ns < ended - limit_ns]
+    assert len(late) > 5
+    assert not any(m.valid for m in late)
+
+    with tree.subscriber("status") as subscriber:
+        before = tree.call("calibration", "heard")["heard"]
+        begun, ended = stopped(pids["motion"], 4 * limit_ns)
+        published = (ended - begun) / 1e7  # one each 10 ms
+        said: dict[str, Status] = {}
+
+        def told() -> bool:
+            if (received := subscriber.receive(1.0)) and isinstance(received[1], Status):
+                said[received[1].source] = received[1]
+            return "too old wrench/raw" in getattr(said.get("daemon.motion"), "counters", {})
+
+        assert within(10.0, told), said
+    counters = said["daemon.motion"].counters
+    assert counters["too old wrench/raw"] + counters["passed over"] > 0.5 * published
+    assert said["daemon.motion"].state == "degraded"
+    assert "too busy" in said["daemon.motion"].detail
+    assert within(5.0, lambda: tree.call("calibration", "heard")["heard"] > before + 10)
+
+
+def stopped(pid: int, for_ns: int) -> tuple[int, int]:
+    """Stop a process for so long; when it began and ended, monotonic ns."""
+    os.kill(pid, signal.SIGSTOP)
+    begun = time.monotonic_ns()
+    within(for_ns / 1e9, lambda: False)
+    ended = time.monotonic_ns()
+    os.kill(pid, signal.SIGCONT)
+    return begun, ended
 
 
 def test_wire_that_vanishes_is_opened_again(tree: Tree) -> None:

@@ -6,16 +6,29 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from galen_hw.clock import NS_PER_S, SimulatedClock, TimeBase
 from galen_hw.daemon.host import REPLY_WITHIN_NS, Host
 from galen_hw.daemon.keep import Keeper
 from galen_hw.daemon.layout import CORE, Share, lay_out
+from galen_hw.daemon.links import not_older
 from galen_hw.daemon.port import Port, Waker
 from galen_hw.drivers.transport import Transport
 from galen_hw.errors import CommandRejectedError, HardwareError
 from galen_hw.kinematics import GalenRobot
-from galen_hw.messages import JointsState, Message, Reply, Request, Status, Vector3, WrenchRaw
+from galen_hw.messages import (
+    MAX_AGE_NS,
+    JointsState,
+    Message,
+    Reply,
+    Request,
+    Status,
+    Vector3,
+    WrenchRaw,
+    decode,
+    encode,
+)
 from galen_hw.services.service import Service, ServiceContext
 from tests.daemon_parts import Calibration, Compensation, LineSensor
 
@@ -80,13 +93,13 @@ class MemoryWire(Transport[bytes]):
 
 def raw(seq: int = 1, source: str = "ft") -> WrenchRaw:
     return WrenchRaw(
-        timestamp=0.0, t_ns=seq, seq=seq, valid=True, source=source, force=Vector3(z=5.0), torque=Vector3()
+        timestamp=0.0, t_ns=NS_PER_S, seq=seq, valid=True, source=source, force=Vector3(z=5.0), torque=Vector3()
     )
 
 
 def joints(roll: float, source: str = "motors", *, moving: bool = False) -> JointsState:
     state: dict[str, Any] = {"position": {"roll": roll}, "velocity": {}, "effort": {}, "moving": {"roll": moving}}
-    return JointsState(timestamp=0.0, t_ns=1, seq=1, valid=True, source=source, **state)
+    return JointsState(timestamp=0.0, t_ns=NS_PER_S, seq=1, valid=True, source=source, **state)
 
 
 def make(*services: Service, ports: dict[str, Port] | None = None) -> tuple[Host, Outside, SimulatedClock]:
@@ -120,6 +133,54 @@ def test_message_from_the_bus_reaches_services_and_is_not_published_again() -> N
 
     assert "joints/state" not in [topic for topic, _ in outside.published]
     assert outside.published[0][1].force == Vector3(z=3.0)
+
+
+def test_what_is_too_old_when_it_is_published_is_not_valid() -> None:
+    """A sample that waited beyond its topic's limit goes out, and what was made of it, but nobody vouches for it."""
+    host, outside, clock = make(compensation())
+    clock.now_ns += MAX_AGE_NS["wrench/raw"]
+    host.take([("wrench/raw", raw())])
+    assert [message.valid for _, message in outside.published] == [True, True]
+    clock.now_ns += 1
+    host.take([("wrench/raw", raw(2))])
+
+    assert [(topic, message.valid) for topic, message in outside.published[2:]] == [
+        ("wrench/compensated", False),
+        ("wrench/raw", False),
+    ]
+    assert host.old["wrench/raw"] == 1
+
+
+def test_what_is_too_old_is_handed_to_a_recorder_alone() -> None:
+    """Joints of two seconds ago do not move the compensation; a recorder, which only writes, is given them."""
+    host, outside, clock = make(compensation())
+    clock.now_ns += 2 * NS_PER_S
+    assert not host.from_bus("joints/state", joints(2.0))
+    fresh = replace(raw(), t_ns=clock.now_ns)
+    host.take([("wrench/raw", fresh)])
+    assert outside.published[0][1].force == Vector3(z=5.0)
+    assert host.old == {"joints/state": 1}
+
+    class Writer(Compensation):
+        takes_old = True
+
+    host, outside, clock = make(Writer("compensation", Compensation.Settings(), CONTEXT))
+    clock.now_ns += 2 * NS_PER_S
+    assert host.from_bus("joints/state", joints(2.0))
+    host.take([("wrench/raw", replace(raw(), t_ns=clock.now_ns))])
+    assert outside.published[0][1].force == Vector3(z=3.0)
+
+
+def test_core_passes_on_what_waited_too_long_as_not_valid() -> None:
+    """Only `valid` changes; what is new enough, has no limit or cannot be read passes as it is."""
+    old, status = encode(joints(0.5)), encode(Status(timestamp=0.0, t_ns=1, seq=1, valid=True, state="ready"))
+    late = NS_PER_S + MAX_AGE_NS["joints/state"] + 1
+    passed = not_older(b"joints/state", old, late)
+
+    assert decode("joints/state", passed) == replace(joints(0.5), valid=False)
+    assert not_older(b"joints/state", old, late - 1) is old
+    assert not_older(b"status", status, late) is status
+    assert not_older(b"joints/state", b"\xc1", late) == b"\xc1"
 
 
 def test_own_message_that_comes_back_over_the_bus_is_not_taken_twice() -> None:

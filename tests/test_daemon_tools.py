@@ -333,14 +333,15 @@ def test_cpp_example_compiles(tmp_path: Path) -> None:
 
 
 def test_topic_page_is_the_topic_table() -> None:
-    """docs/topics.md has a row for every topic, with its message, rate, CRTK name and meaning, and no other."""
+    """docs/topics.md has a row for every topic, with its message, rate, age limit, CRTK name and meaning, and no other."""
     page = (ROOT / "docs" / "topics.md").read_text(encoding="utf-8")
     rows = [line for line in page.splitlines() if re.match(r"\| `[a-z]+(/[a-z]+)?` \| [A-Z]", line)]
     expected = []
     for name, topic in TOPICS.items():
         rate = f"{topic.rate_hz:g} Hz" if topic.rate_hz else "event"
         crtk = f"`{topic.crtk}`" if topic.crtk else ""
-        expected.append(f"| `{name}` | {topic.message.__name__} | {rate} | {crtk} | {topic.doc} |")
+        age = f"{topic.max_age_s:g} s" if topic.max_age_s else ""
+        expected.append(f"| `{name}` | {topic.message.__name__} | {rate} | {age} | {crtk} | {topic.doc} |")
 
     assert rows == expected
 

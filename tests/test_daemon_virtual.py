@@ -5,13 +5,14 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from galen_hw.bus import CommandClient, Subscriber
 from galen_hw.config.paths import DEFAULT_CONFIG, Addresses
-from galen_hw.messages import JointsState, Message
+from galen_hw.messages import JointsState, Message, Status, WrenchRaw
 from tests.daemon_tree import alive, within
 
 ROBOTOUS = """
@@ -88,6 +89,49 @@ def _roll(seen: dict[str, Message]) -> float:
     state = seen["joints/state"]
     assert isinstance(state, JointsState)
     return state.position["roll"]
+
+
+def test_core_that_is_killed_comes_back_with_the_sensors_zero(tmp_path: Path) -> None:
+    """Zeroed, then SIGKILL: the new core's samples bear the same zero from the first on, and the sensor says so."""
+    config = tmp_path / "galen.toml"
+    config.write_text(ROBOTOUS.replace("robotous_rft", "ati_netcanoem"))
+    process = galen(tmp_path, "run", "--virtual", "--config", str(config))
+    addresses = Addresses(tmp_path / "run")
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("ready")
+        with Subscriber(addresses.bus, ["wrench/raw"]) as bus, CommandClient(addresses.command) as client:
+            client.call("ft", "zero", {"samples": 50})
+            kept = tmp_path / "state" / "devices" / "ft-virtual.json"
+            assert within(10.0, lambda: kept.exists() and b'"zeroings": 1' in kept.read_bytes())
+            core = client.call("daemon", "info")["processes"]["core"]
+            os.kill(core, signal.SIGKILL)
+            assert within(20.0, lambda: client.call("daemon", "info")["processes"]["core"] not in (0, core))
+            begun = time.monotonic_ns()
+            after: list[WrenchRaw] = []
+
+            def heard() -> bool:
+                received = bus.receive(1.0)
+                if received and isinstance(received[1], WrenchRaw) and received[1].t_ns > begun:
+                    after.append(received[1])
+                return len(after) > 200
+
+            assert within(20.0, heard)
+        with Subscriber(addresses.bus, ["status"]) as bus:
+            details: dict[str, str] = {}
+
+            def told() -> bool:
+                if (received := bus.receive(1.0)) and isinstance(received[1], Status):
+                    details[received[1].source] = received[1].detail
+                return "restored after a restart" in details.get("ft", "")
+
+            assert within(10.0, told), details
+    finally:
+        process.terminate()
+        process.communicate(timeout=30)
+    assert {sample.zeroings for sample in after} == {1}
+    mean = sum(sample.force.z for sample in after) / len(after)
+    assert abs(mean) < 0.1, "the sensor's own offset is tens of newtons"
 
 
 def test_wrong_device_and_busy_port_are_one_line_each(tmp_path: Path) -> None:

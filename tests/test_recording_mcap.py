@@ -255,7 +255,7 @@ def test_topics_are_chosen_by_their_beginning() -> None:
 
 def test_the_service_records_between_start_and_stop(tmp_path: Path) -> None:
     """And says where; it starts once, and never overwrites."""
-    service = RecorderService("recorder", RecorderSettings(), ServiceContext(ROBOT, BASE, tmp_path))
+    service = RecorderService("recorder", RecorderSettings(directory=tmp_path), ServiceContext(ROBOT, BASE, tmp_path))
     service.handle(*stream(1)[1], 0)
     path = tmp_path / "run.mcap"
     start = Request(id="1", target="recorder", name="start", args={"file": str(path), "topics": ["wrench/raw"]})

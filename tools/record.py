@@ -63,7 +63,13 @@ def run(args: argparse.Namespace) -> int:
         context = session_context(Path(args.config or info.get("config") or config_path(None)))
         context["virtual"] = bool(info.get("virtual"))
         stream = stack.enter_context(open_new(path, overwrite=args.force))
-        heard = record(subscriber, Session(stream, encoding=args.encoding, **context), args.seconds)
+        session = Session(stream, encoding=args.encoding, **context)
+        try:
+            heard = record(subscriber, session, args.seconds)
+        except HardwareError:
+            if not session.messages:
+                path.unlink()
+            raise
     if not heard:
         path.unlink()
         raise HardwareError(
@@ -102,7 +108,11 @@ def _daemon_info(command: str) -> dict[str, Any]:
 
 
 def record(subscriber: "Subscriber", session: "Session", seconds: float | None) -> int:
-    """Record until told to stop; the number of messages. The file is complete at the end, whatever ended it."""
+    """Record until told to stop; the number of messages. The file is complete at the end, whatever ended it.
+
+    Raises:
+        HardwareError: the disk is full; what was written until the last second is in the file.
+    """
     stopped: list[int] = []
     before = {s: signal.signal(s, lambda number, _: stopped.append(number)) for s in (signal.SIGINT, signal.SIGTERM)}
     begin = last = time.monotonic()

@@ -3,7 +3,7 @@
 Frames are in `ati_codec`, the questions of the start in `ati_start`; `ati_sampler` says why no sample is a wrong one.
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -43,6 +43,7 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
             counters=COUNTERS,
             silent_todo=_TODO_SILENT,
             zeroing=self._bias,
+            zero_kept_s=settings.zero_kept_s,
         )
         self._fence = fence(settings)
         self._sampler = new_sampler(settings, self._fence, {}, self._counters)
@@ -101,6 +102,12 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
         self._switch_off()
         return []
 
+    def snapshot(self, now_ns: int) -> dict[str, Any]:
+        """The bias; see `Device.snapshot`."""
+        counts = [] if self._bias.counts is None else self._bias.counts.tolist()
+        serial = "" if self._identity is None else self._identity.serial_number
+        return self._kept_zero.record(serial, self._bias.zeroings, counts, now_ns, seen=self.ready)
+
     @property
     def wakeup_ns(self) -> int:
         """When `poll` wants to be called next."""
@@ -123,6 +130,8 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
             self._bias.lose()
             what = f"another sensor ({identity.serial_number}) answers: the zero is lost"
             self._outbox += self._reporter.fault(now_ns, "another sensor", what, "zero the sensor")
+        if (kept := self._zero_to_restore(identity, codec.GAUGES, now_ns)) is not None:
+            self._bias.take_up(kept.values, kept.zeroings)
         self._serial_bytes, self._matrix = identity.serial_bytes, identity.matrix[:, codec.WIRE_ORDER]
         self._use_bias()
         self._sampler = new_sampler(self._settings, self._fence, identity.answers, self._counters)
@@ -208,6 +217,8 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
     def _running(self, identity: AtiIdentity, now_ns: int) -> tuple[str, str]:
         state, trouble = self._status.state(now_ns)
         zeroed = "not zeroed" if self._bias.counts is None else "zeroed"
+        if story := self._kept_zero.story(self._bias.zeroings):
+            zeroed += f" ({story})"
         return state, "; ".join(filter(None, (trouble, identity.described, zeroed)))
 
 

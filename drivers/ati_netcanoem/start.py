@@ -33,6 +33,7 @@ class AtiSettings(BaseModel):
         counts_per_force, counts_per_torque, force_unit, torque_unit: instead of what the board says; firmware before
             3.7 cannot say: it is then 1 000 000, N and N-m.
         zero_samples: samples averaged by `zero` unless the request says otherwise.
+        zero_kept_s: a restarted daemon goes on with the zero it had if the sensor was out of its sight for no longer.
         bus_error_s: the board's CAN error bit must stay this long before it is reported (it never makes data invalid).
         verify_repeats: a sample equal to the last one bit by bit may be its double: check before it is published.
     """
@@ -55,6 +56,7 @@ class AtiSettings(BaseModel):
     force_unit: Literal["lbf", "N", "klbf", "kN", "kgf", "gf"] | None = None
     torque_unit: Literal["lbf-in", "lbf-ft", "N-m", "N-mm", "kgf-cm", "kN-m"] | None = None
     zero_samples: int = Field(default=500, ge=1, le=1_000_000)
+    zero_kept_s: float = Field(default=60.0, ge=0.0, le=86400.0)
     bus_error_s: float = Field(default=1.0, ge=0.0)
     verify_repeats: bool = True
 

@@ -68,6 +68,11 @@ class HostBias:
         """There is no bias any more: it was given up, or belonged to another sensor."""
         self.counts, self.zeroings = None, 0
 
+    def take_up(self, counts: list[float], zeroings: int) -> None:
+        """Go on with the bias of an earlier process."""
+        self.counts, self.zeroings = np.array(counts), zeroings
+        self._done = max(self._done, zeroings)
+
     def add(self, gauges: tuple[int, ...]) -> list[Output]:
         """Take a good sample; the reply once there are enough."""
         self._samples.append(gauges)

@@ -4,7 +4,7 @@ Frames are in `robotous_codec`, the questions of the start in `robotous_start`; 
 a wrong one.
 """
 
-from typing import Final
+from typing import Any, Final
 
 from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.drivers.device import CanFrame, Output
@@ -54,6 +54,7 @@ class RobotousRft(WrenchSensor[RobotousIdentity]):
             counters=COUNTERS,
             silent_todo=_TODO_SILENT,
             zeroing=self._bias,
+            zero_kept_s=0.0,
         )
         self._wires: list[CanFrame] = []
         self._silent_ns = FAR_NS
@@ -111,6 +112,16 @@ class RobotousRft(WrenchSensor[RobotousIdentity]):
         self._switch_off()
         return [codec.command(self._settings.receiver_id, Command.STOP_OUTPUT)] if was_on else []
 
+    def snapshot(self, now_ns: int) -> dict[str, Any]:
+        """That it was zeroed, to say that it is not known any more: the bias is the sensor's own, and has no read-out."""
+        serial = "" if self._identity is None else self._identity.serial_number
+        return self._kept_zero.record(serial, self._bias.zeroings, [], now_ns, seen=self.ready)
+
+    def restore(self, state: dict[str, Any], obstacle: str) -> None:
+        """See `Device.restore`: never used, since a sensor that was off meanwhile looks the same."""
+        unknown = "the sensor holds it and cannot be asked whether it still does"
+        super().restore(state, obstacle or unknown)
+
     @property
     def wakeup_ns(self) -> int:
         """When `poll` wants to be called next."""
@@ -134,6 +145,7 @@ class RobotousRft(WrenchSensor[RobotousIdentity]):
         return Dialogue(identify(self._settings), timeout_ns, self._settings.tries, due_ns=now_ns)
 
     def _identified(self, identity: RobotousIdentity, now_ns: int) -> list[CanFrame]:
+        self._zero_to_restore(identity, 0, now_ns)
         self._newton, self._newton_metre = identity.newton, identity.newton_metre
         self._pairer = self._new_pairer()
         self._silent_ns = now_ns + self._patience_ns

@@ -12,7 +12,7 @@ from galen_hw.bus import command_error
 from galen_hw.clock import NS_PER_S
 from galen_hw.daemon.port import Port
 from galen_hw.errors import GalenError
-from galen_hw.messages import CommandError, Fault, Message, Reply, Request
+from galen_hw.messages import CommandError, CompensationState, Fault, Message, Reply, Request, too_old
 from galen_hw.services.service import Service
 
 REPLY_WITHIN_NS: Final = 30 * NS_PER_S
@@ -38,11 +38,12 @@ class Link(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Pending:
-    """A request that has no reply yet: who asked (None: outside), under which id, until when."""
+    """A request that has no reply yet: who asked (None: outside), under which id, until when, of which device here."""
 
     service: Service | None
     id: str
     until_ns: int
+    device: str = ""
 
 
 class Host:
@@ -53,7 +54,8 @@ class Host:
         ports: devices by name; services: by name.
         link: the world outside.
         clock: monotonic nanoseconds.
-        on_done: called with a service's name when it has carried out a command (its state is worth keeping).
+        on_done: called with a service's or device's name when it has carried out a command (what it knows is worth
+            keeping).
     """
 
     def __init__(
@@ -68,8 +70,12 @@ class Host:
     ) -> None:
         self.ports, self.services = dict(ports), dict(services)
         self.published: dict[str, int] = {}
+        self.old: dict[str, int] = {}
+        """Messages beyond their topic's age limit, by topic: published as not valid, or not handed on."""
         self.faults: dict[str, Fault] = {}
         self.moving = False
+        self.tool = ""
+        """In hand, as `compensation/state` says."""
         self._name, self._link, self._clock, self._on_done = name, link, clock, on_done
         self._consumers: dict[str, tuple[Service, ...]] = {}
         for topic in {t for s in services.values() for t in s.consumes}:
@@ -98,17 +104,24 @@ class Host:
             else:
                 self._forward(output, service)
 
-    def from_bus(self, topic: str, message: Message) -> None:
-        """A message from another process."""
+    def from_bus(self, topic: str, message: Message) -> bool:
+        """A message from another process; false when it was too old for a service here."""
         if message.source in self.ports or message.source in self.services:
-            return
+            return True
         now = self._clock()
-        for service in self._consumers.get(topic, ()):
+        old = too_old(topic, message.t_ns, now)
+        consumers = [s for s in self._consumers.get(topic, ()) if not old or s.takes_old]
+        for service in consumers:
             self.take(service.handle(topic, message, now), service)
+        if len(consumers) == len(self._consumers.get(topic, ())):
+            return True
+        self.old[topic] = self.old.get(topic, 0) + 1
+        return False
 
     def from_outside(self, request: Request) -> None:
         """A request from outside, for a device or service here."""
-        self._pending[request.id] = _Pending(None, request.id, self._clock() + 20 * REPLY_WITHIN_NS)
+        device = request.target if request.target in self.ports else ""
+        self._pending[request.id] = _Pending(None, request.id, self._clock() + 20 * REPLY_WITHIN_NS, device)
         self._carry_out(request)
 
     def reply_from_outside(self, reply: Reply) -> None:
@@ -120,30 +133,39 @@ class Host:
         if now_ns < self._next_tick_ns:
             return
         self._next_tick_ns = now_ns + TICK_NS
-        for service in self.services.values():
+        for name, service in self.services.items():
             self.take(service.tick(now_ns), service)
+            if service.keep_now:
+                service.keep_now = False
+                self._on_done(name)
         for id_ in [id_ for id_, pending in self._pending.items() if pending.until_ns < now_ns]:
             what = f"no answer within {REPLY_WITHIN_NS // NS_PER_S} s"
             self._deliver(Reply(id=id_, error=CommandError(kind="timeout", what=what)))
 
     def _emit(self, topic: str, message: Message) -> None:
         # Services first: the compensated wrench leaves before the raw one has cost its send.
+        now = self._clock()
+        if message.valid and too_old(topic, message.t_ns, now):
+            message = msgspec.structs.replace(message, valid=False)
+            self.old[topic] = self.old.get(topic, 0) + 1
         consumers = self._consumers.get(topic)
         if consumers is not None:
-            now = self._clock()
             for service in consumers:
                 self.take(service.handle(topic, message, now), service)
         self._link.publish(topic, message)
         self.published[topic] = self.published.get(topic, 0) + 1
         if topic == "joints/state":
             self.moving = any(message.moving.values())  # type: ignore[attr-defined]
+        elif isinstance(message, CompensationState):
+            self.tool = message.tool
         elif topic == "fault" and isinstance(message, Fault):
             self.faults[message.source] = message
 
     def _forward(self, request: Request, service: Service | None) -> None:
         """A service's request: under an id of our own, to a device or service here or to the world outside."""
         own = f"{self._name}/{next(self._ids)}"
-        self._pending[own] = _Pending(service, request.id, self._clock() + REPLY_WITHIN_NS)
+        device = request.target if request.target in self.ports else ""
+        self._pending[own] = _Pending(service, request.id, self._clock() + REPLY_WITHIN_NS, device)
         renamed = msgspec.structs.replace(request, id=own)
         if request.target in self.ports or request.target in self.services:
             self._carry_out(renamed)
@@ -175,6 +197,8 @@ class Host:
         pending = self._pending.pop(reply.id, None)
         if pending is None:
             return
+        if pending.device and reply.error is None:
+            self._on_done(pending.device)
         if pending.service is None:
             self._link.reply(reply)
         else:

@@ -1,5 +1,7 @@
 """The ZeroMQ ends of one process: `core` owns the bus, the others push to it and hear it as subscribers do."""
 
+import logging
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -10,8 +12,8 @@ from msgspec.structs import replace
 
 from galen_hw.bus import TOPIC_BYTES, Publisher, bind, receive_all
 from galen_hw.config.paths import Addresses
-from galen_hw.decoding import limit
-from galen_hw.messages import Message, Reply, Request, encode
+from galen_hw.decoding import UnreadableError, decode_message, limit
+from galen_hw.messages import MAX_AGE_NS, Message, Reply, Request, encode, too_old
 from galen_hw.permission import OWN, socket_mode
 
 INWARD_QUEUE: Final = 2000
@@ -21,6 +23,10 @@ BEAT: Final = b"beat"
 REQUEST: Final = b"request"
 REPLY: Final = b"reply"
 KNOWN: Final = frozenset(TOPIC_BYTES.values())
+log = logging.getLogger("galen-hw")
+
+_HEADER: Final = msgspec.msgpack.Decoder(Message)
+_AGING: Final = {name.encode(): name for name in MAX_AGE_NS}
 
 
 class DeviceState(msgspec.Struct, frozen=True):
@@ -43,6 +49,20 @@ class Beat(msgspec.Struct, frozen=True):
 
     progress: int = 0
     devices: dict[str, DeviceState] = {}
+
+
+def not_older(topic: bytes, payload: bytes, now_ns: int) -> bytes:
+    """A payload as it may be published now: not valid any more when it has waited beyond its topic's age limit."""
+    name = _AGING.get(topic)
+    if name is None:
+        return payload
+    try:
+        header = _HEADER.decode(payload)
+        if not header.valid or not too_old(name, header.t_ns, now_ns):
+            return payload
+        return encode(replace(decode_message(topic, payload)[1], valid=False))
+    except (UnreadableError, ValueError, RecursionError):
+        return payload  # Whoever reads it counts it as unreadable.
 
 
 class Inlet:
@@ -146,10 +166,12 @@ class CoreLink(_Link):
     def messages(self, ready: Sequence[int]) -> list[tuple[bytes, bytes]]:
         """What the other processes have published since; passed on to the bus already."""
         found = []
+        now = time.monotonic_ns()
         for frames in self.inlet.take(ready):
             if len(frames) == 2 and frames[0] in KNOWN:
-                self._publisher.publish_bytes(frames[0], frames[1])
-                found.append((frames[0], frames[1]))
+                topic, payload = frames[0], not_older(frames[0], frames[1], now)
+                self._publisher.publish_bytes(topic, payload)
+                found.append((topic, payload))
             else:
                 self.unreadable += 1
         return found

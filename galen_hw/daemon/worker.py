@@ -6,6 +6,7 @@ import resource
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +16,7 @@ from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.config.paths import Addresses
 from galen_hw.config.schema import DaemonSection
 from galen_hw.daemon.host import Host
-from galen_hw.daemon.keep import Keeper
+from galen_hw.daemon.keep import DeviceKeeper, Keeper
 from galen_hw.daemon.layout import CORE, PRIORITY_BELOW_CORE
 from galen_hw.daemon.links import REPLY, REQUEST, Beat, CoreLink, DeviceState, EdgeLink, Origin
 from galen_hw.daemon.orders import Orders, build_port, build_services
@@ -23,14 +24,18 @@ from galen_hw.daemon.port import Port, Waker
 from galen_hw.daemon.realtime import GarbageKeeper, raise_priority, sharpen_timers
 from galen_hw.decoding import LARGEST_MESSAGE, UnreadableError, decode_message, decode_reply, decode_request
 from galen_hw.errors import EXIT_OK, GalenError
-from galen_hw.messages import CommandError, Status
+from galen_hw.messages import MAX_AGE_NS, CommandError, Status
 from galen_hw.waiting import readable
 
 BEAT_NS: Final = NS_PER_S // 10
 STATUS_NS: Final = NS_PER_S
+KEEP_EACH: Final = 20
+"""Statuses between two times that what devices know is written down."""
 REST_WITHIN_S: Final = 2.0
 MOST_DESCRIPTORS: Final = 1024
 MAIN_TOPICS: Final = ("wrench/compensated", "wrench/raw")
+CATCH_UP: Final = 1024
+"""Messages looked through in one turn by a process that has fallen behind; about ten milliseconds."""
 log = logging.getLogger("galen-hw")
 
 
@@ -52,6 +57,9 @@ class Worker:
         self._keeper = Keeper(Path(orders.state_dir) / "services")
         services = build_services(self._setup, whole, self._time_base, Path(orders.state_dir), self._keeper)
         ports = {n: build_port(d, self._time_base, self._waker) for n, d in self._setup.devices.items()}
+        self._device_keeper = DeviceKeeper(Path(orders.state_dir) / "devices", virtual=orders.virtual)
+        for name, port in ports.items():
+            self._device_keeper.give_back(name, port.device)
         addresses = Addresses(Path(orders.runtime))
         topics = {t for s in services.values() for t in s.consumes}
         origin = Origin(self._setup.config.robot.name, orders.virtual)
@@ -72,6 +80,8 @@ class Worker:
             self._own_fds.append(self._link.inlet.fd)
         self._next_beat_ns = self._next_status_ns = self._next_due_ns = 0
         self._status_seq = self._turns = 0
+        self._may_jump = orders.name != CORE and not any(s.takes_old for s in services.values())
+        self._passed_over = self._old_before = 0
         self._garbage = GarbageKeeper(self._setup.config.daemon.garbage_interval_s)
         self._used_s, self._used_at_ns = 0.0, time.monotonic_ns()
 
@@ -98,8 +108,8 @@ class Worker:
         if self._patience_ns and (now := time.monotonic_ns()) >= self._next_inlet_ns:
             self._next_inlet_ns = now + self._patience_ns
             ready.append(self._link.inlet.fd)
-        for topic, payload in self._link.messages(ready):
-            self._hear(topic, payload)
+        if heard := self._link.messages(ready):
+            self._hear_all(heard)
         self._listen(ready)
         now = time.monotonic_ns()
         if now >= self._next_due_ns:
@@ -117,13 +127,34 @@ class Worker:
         timeout = (until_ns - time.monotonic_ns()) / NS_PER_S
         return readable(fds, max(0.0, timeout))
 
-    def _hear(self, topic: bytes, payload: bytes) -> None:
+    def _hear_all(self, heard: Sequence[tuple[bytes, bytes]]) -> None:
+        """Hand messages on in their order; a process that has fallen behind goes on with the newest of each topic.
+
+        Else it would work for ever on what is just about too old, while what is new waits behind it. `core` never
+        jumps: it has passed everything on already, and what it has to do for a message is little.
+        """
+        left = list(heard)
+        while left:
+            if not self._hear(*left.pop(0)) and self._may_jump:
+                break
+        while left and self._link.inlet.pending and len(left) < CATCH_UP:
+            left += self._link.messages(())
+        newest = {topic: n for n, (topic, _) in enumerate(left)}
+        kept = [w for n, w in enumerate(left) if newest[w[0]] == n or w[0].decode(errors="replace") not in MAX_AGE_NS]
+        self._passed_over += len(left) - len(kept)
+        for topic, payload in kept:
+            self._hear(topic, payload)
+
+    def _hear(self, topic: bytes, payload: bytes) -> bool:
+        """Hand a message on; false when it was too old for that."""
         if topic not in self._consumed:
-            return
+            return True
         try:
-            self.host.from_bus(*decode_message(topic, payload))
+            name, message = decode_message(topic, payload)
         except UnreadableError:
             self._unreadable += 1
+            return True
+        return self.host.from_bus(name, message)
 
     def _listen(self, ready: list[int]) -> None:
         for frames in self._link.control.take(ready):
@@ -158,6 +189,9 @@ class Worker:
         if now >= self._next_status_ns:
             self._next_status_ns = now + STATUS_NS
             self._publish_status(now)
+            if self._status_seq % KEEP_EACH == 0:
+                for name in self.host.ports:
+                    self._keep(name)
 
     def _device_state(self, name: str, port: Port) -> DeviceState:
         problem = None
@@ -178,10 +212,16 @@ class Worker:
             "turns": self._turns,
             "dropped": self._link.dropped,
             "unreadable": self._unreadable + self._link.unreadable,
+            "passed over": self._passed_over,
             **_wire_counters(self.host.ports),
         }
         counters |= {f"published {topic}": n for topic, n in self.host.published.items()}
-        states = [p.state for p in self._ports]
+        counters |= {f"too old {topic}": n for topic, n in self.host.old.items()}
+        problems = [str(p.error) for p in self._ports if p.error is not None]
+        old, self._old_before = sum(self.host.old.values()) - self._old_before, sum(self.host.old.values())
+        if old:
+            problems.append(f"{old} messages too old to be used: the computer is too slow or too busy")
+        ready = not old and all(p.state == "open" for p in self._ports)
         self._link.publish(
             "status",
             Status(
@@ -190,17 +230,22 @@ class Worker:
                 seq=self._status_seq,
                 valid=True,
                 source=f"daemon.{self._orders.name}",
-                state="ready" if all(s == "open" for s in states) else "degraded",
-                detail="; ".join(str(p.error) for p in self._ports if p.error is not None),
+                state="ready" if ready else "degraded",
+                detail="; ".join(problems),
                 counters=counters,
                 gauges={"cpu_share": share},
             ),
         )
 
     def _keep(self, name: str) -> None:
-        self._keeper.keep(name, self.host.services[name].snapshot())
+        if name in self.host.services:
+            self._keeper.keep(name, self.host.services[name].snapshot())
+        if name in self.host.ports:
+            self._device_keeper.keep_device(name, self.host.ports[name].device, self.host.tool, time.monotonic_ns())
 
     def _finish(self) -> None:
+        for name in self.host.ports:
+            self._keep(name)  # Before the rest: afterwards a device does not know any more that it was there.
         for port in self._ports:
             port.rest()
         until = time.monotonic() + REST_WITHIN_S
@@ -210,11 +255,12 @@ class Worker:
             for port in self._ports:
                 self.host.take(port.step(readable=port.fd in ready))
         for name, service in self.host.services.items():
-            self._keep(name)
             service.close()
+            self._keep(name)
         for port in self._ports:
             port.close()
         self._keeper.close()
+        self._device_keeper.close()
         self._link.close()
 
 

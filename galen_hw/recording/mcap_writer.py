@@ -7,10 +7,13 @@ written as null.
 
 import json
 import os
+from contextlib import suppress
 from typing import IO, Any, Final, Literal
 
 import msgspec
-from mcap.writer import CompressionType, Writer
+from mcap.data_stream import RecordBuilder
+from mcap.records import DataEnd, Footer
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from galen_hw.messages import TOPICS, Message, encode
 from galen_hw.version import VERSION
@@ -36,6 +39,7 @@ class McapWriter:
         self._stream, self._encoding = stream, encoding
         self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library=LIBRARY)
+        self._whole_bytes = 0
         self._channels: dict[str, int] = {}
         self.counts: dict[str, int] = {}
         self.metadata({"software": LIBRARY} | (metadata or {}))
@@ -70,6 +74,26 @@ class McapWriter:
         except OSError:
             return  # a stream in memory
         os.fsync(descriptor)
+        self._whole_bytes = self._stream.tell()
+
+    def abandon(self) -> None:
+        """End a file on the disk that cannot be written any further, at the last `flush`; the stream is closed.
+
+        What the disk took of later chunks is taken back, which makes room for the end mark; without that too the file
+        is one that was cut off, and every reader that reads from the front has all of it.
+        """
+        builder = RecordBuilder()
+        DataEnd(data_section_crc=0).write(builder)
+        Footer(summary_start=0, summary_offset_start=0, summary_crc=0).write(builder)
+        end: bytes = builder.end()  # type: ignore[no-untyped-call]
+        descriptor = self._stream.fileno()
+        with suppress(OSError):
+            os.ftruncate(descriptor, self._whole_bytes)
+            if self._whole_bytes:
+                os.pwrite(descriptor, end + MCAP0_MAGIC, self._whole_bytes)
+            os.fsync(descriptor)
+        # Closed below its buffer, whose rest must not come after the end.
+        getattr(self._stream, "raw", self._stream).close()
 
     def finish(self) -> None:
         """Write the index; nothing can be added afterwards."""

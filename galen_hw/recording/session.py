@@ -2,6 +2,7 @@
 
 from typing import IO
 
+from galen_hw.errors import HardwareError
 from galen_hw.messages import CompensationState, Message, WrenchRaw
 from galen_hw.recording.mcap_writer import Encoding, McapWriter
 
@@ -15,6 +16,9 @@ class Session:
         links: base and sensor link in that URDF.
         config: text of the configuration; virtual: the robot is a virtual one.
         encoding: of the messages.
+
+    `add`, `flush` and `finish` raise HardwareError when the file cannot be written (a full disk): it is then ended and
+    closed with the messages of the last `flush`, whose number is `messages`.
     """
 
     def __init__(
@@ -30,9 +34,13 @@ class Session:
     ) -> None:
         known = {"robot": robot, "robot_file": "robot.urdf" if urdf else ""} | (links or {})
         known |= {"virtual": "true"} if virtual else {}
+        self._stream = stream
         self._writer = McapWriter(stream, encoding=encoding, metadata=known)
         self._known = dict.fromkeys(("serial_number", "calibration", "tool"), "")
         self._last: dict[tuple[str, str], int] = {}
+        self._flushed = 0
+        self.broken = False
+        """The file could not be written any further and is closed."""
         self.messages = 0
         self.lost = 0
         if urdf:
@@ -46,7 +54,17 @@ class Session:
         return self._writer.counts
 
     def add(self, topic: str, message: Message, log_ns: int) -> None:
-        """Take one message; `log_ns` is when it arrived, ns since the epoch."""
+        """Take one message; `log_ns` is when it arrived, ns since the epoch.
+
+        Raises:
+            HardwareError: the file cannot be written; see the class.
+        """
+        try:
+            self._add(topic, message, log_ns)
+        except OSError as error:
+            raise self._break(error) from None
+
+    def _add(self, topic: str, message: Message, log_ns: int) -> None:
         if isinstance(message, WrenchRaw):
             self._learn(serial_number=message.serial_number)
         elif isinstance(message, CompensationState):
@@ -67,9 +85,34 @@ class Session:
             self._writer.metadata(new)
 
     def flush(self) -> None:
-        """Put what came so far on the disk."""
-        self._writer.flush()
+        """Put what came so far on the disk.
+
+        Raises:
+            HardwareError: the file cannot be written; see the class.
+        """
+        try:
+            self._writer.flush()
+        except OSError as error:
+            raise self._break(error) from None
+        self._flushed = self.messages
 
     def finish(self) -> None:
-        """Write the index and end the file."""
-        self._writer.finish()
+        """Write the index and end the file, unless it is ended already.
+
+        Raises:
+            HardwareError: the file cannot be written; see the class.
+        """
+        if self.broken:
+            return
+        try:
+            self._writer.flush()
+            self._flushed = self.messages
+            self._writer.finish()
+        except OSError as error:
+            raise self._break(error) from None
+
+    def _break(self, error: OSError) -> HardwareError:
+        self.broken, self.messages = True, self._flushed
+        self._writer.abandon()
+        what = f"cannot be written any further ({error.strerror}); it holds {self.messages} messages and is closed"
+        return HardwareError(what, where=str(getattr(self._stream, "name", "")), todo="make room, then record again")

@@ -132,6 +132,8 @@ class CompensationService(Service):
         """The sensor's zero is not the one of the sample before: what was tared on top of that goes with it."""
         known, self._zeroings = self._zeroings is not None, zeroings
         if not known:
+            # A zero of before this process: whether the tool was on then is not known. A replay is told by its states.
+            self._correction.awaited = zeroings > 0 and self._context.virtual is not None
             return []
         self._correction.retare(ZERO)
         self._correction.awaited = zeroings > 0
