@@ -86,11 +86,12 @@ def working(what: str) -> Iterator[Callable[[str, float], None]]:
     """
     with _bar() as progress:
         task = progress.add_task(what, total=1.0)
-        said = [what]  # Not said where there is no bar: what cannot be read stays one line, its error.
+        said = [what]
 
         def told(stage: str, share: float) -> None:
             progress.update(task, description=stage, completed=min(max(share, 0.0), 1.0))
-            if stage != said[-1]:
+            # Reading and the first look are not said: what they refuse stays one line, its error.
+            if stage != said[-1] and share > 0.0:
                 said.append(stage)
                 _say(progress, stage)
 
