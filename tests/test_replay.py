@@ -1,6 +1,7 @@
 """Replay: what the services made of the recorded messages is made again, bit for bit, and what differs is found."""
 
 import random
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -248,3 +249,29 @@ def test_messages_of_the_service_are_what_the_tests_feed(tmp_path: Path) -> None
     assert all(m.valid for m in out[2:])
     assert np.abs([six(m) for m in out if m.source == "compensation"][4:]).max() < 0.3
     assert messages([]) == []
+
+
+def test_a_replay_is_published_where_the_settings_say(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The port of the settings in use is taken: the message says to change [bus], and --config does."""
+    with socket.socket() as taken, socket.socket() as free:
+        for one in (taken, free):
+            one.bind(("127.0.0.1", 0))
+        taken.listen()
+        ports = [one.getsockname()[1] for one in (taken, free)]
+        free.close()
+        path = tmp_path / "run.mcap"
+        with path.open("wb") as stream:
+            session = Session(stream)
+            session.add("wrench/raw", raw(0, [1.0] * 6, seq=0), 1)
+            session.finish()
+        files = [tmp_path / f"{port}.toml" for port in ports]
+        for file, port in zip(files, ports, strict=True):
+            file.write_text(f'[bus]\nviewers = "tcp://127.0.0.1:{port}"\n')
+        publish = ["replay", str(path), "--publish", "--dir", str(tmp_path / "rt"), "--config"]
+        assert main([*publish, str(files[0])]) == 3
+        assert f"tcp://127.0.0.1:{ports[0]}: cannot bind" in capsys.readouterr().err
+        assert main([*publish, str(files[1])]) == 0
+        assert f"tcp://127.0.0.1:{ports[1]}" in capsys.readouterr().out
+    files[0].write_text('[bus]\nviewers = "tcp://0.0.0.0:9"\n')
+    assert main([*publish, str(files[0])]) == 2
+    assert f"{files[0].name}:2: bus.viewers" in capsys.readouterr().err
