@@ -6,7 +6,7 @@ set -euo pipefail
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 python3 -m venv "$work/venv"
-"$work/venv/bin/python" -m pip install --quiet --disable-pip-version-check bota-driver==1.1.16 numpy
+"$work/venv/bin/python" -m pip install --quiet --disable-pip-version-check bota-driver==1.1.16 numpy==2.2.6
 "$work/venv/bin/python" - <<'PYTHON' | grep -v 'bota\|^$'
 import os
 import sys

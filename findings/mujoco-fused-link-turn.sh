@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# MuJoCo 3.3.7 to 3.10.0: a URDF link that is fixed to its parent is fused into it (the default for URDF) without the turn
+# MuJoCo 3.3.6 (at the latest) to 3.10.0: a URDF link that is fixed to its parent is fused into it (the default for URDF) without the turn
 # and the offset of its joint, so that its mass lies elsewhere; nothing is said. 3.2.0 and 3.11.0 put it where it belongs.
 set -euo pipefail
 work=$(mktemp -d)

@@ -230,3 +230,33 @@ def test_diagnose_names_the_file_that_was_given(tmp_path: Path, capsys: pytest.C
         assert main(["diagnose", str(given)]) == 2
         err = capsys.readouterr().err
         assert (f"{where}: predict" if where else f"{given}: recording.json: predict") in err
+
+
+@pytest.mark.parametrize(
+    ("csv", "info", "says"),
+    [
+        ("x" * 200_000 + ",b\n1,2\n", "{}", "recording.csv: the header cannot be read"),
+        ("a,b\n1,2\n1," + "x" * 200_000 + "\n", "{}", "recording.csv: not a table of numbers"),
+        ("a,b\n1,2\n1,[[[[\n", "{}", "column 'b', row 2: '[[[[' is not a number"),
+        ("a,b\n1,2\n", '{"schema": 1, "notes": ' + NESTED + "}", "recording.json: nested more than 64 deep"),
+        (
+            "a,b\n1,2\n",
+            '{"schema": 1,\n"gravity": [0, 0, -' + HUGE + "]}",
+            "recording.json, line 2: an integer of 5000",
+        ),
+        (
+            "a,b\n1,2\n",
+            '{"schema": 1, "gravity": [0, 0, -1e999]}',
+            "recording.json: gravity.2: input should be a finite",
+        ),
+    ],
+)
+def test_a_table_with_huge_or_nested_cells_is_one_line(csv: str, info: str, says: str, tmp_path: Path) -> None:
+    """In the header, in a cell, in what it belongs to."""
+    (tmp_path / "recording.csv").write_text(csv)
+    (tmp_path / "recording.json").write_text(info)
+    with pytest.raises(UsageError) as error:
+        read_recording(tmp_path)
+    assert says in str(error.value)
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 400
