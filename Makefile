@@ -62,7 +62,7 @@ lint: $(STAMP)
 # One process: it is a check of the versions, not of the machine.
 LOWEST := $(VENV)-lowest
 LOWEST_TESTS := tests/conformance $(addprefix tests/test_,$(addsuffix .py,can_transport cli deflection_fit documents foreign_mcap \
-  identification_fit kinematics recording recording_mcap serial_transport slcan_adapter tool_store))
+  kinematics recording recording_mcap serial_transport slcan_adapter tool_store))
 
 $(LOWEST)/.installed: pyproject.toml
 	@echo "setting up $(LOWEST) with the lowest versions that pyproject.toml admits"
