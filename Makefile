@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip install --quiet --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test inject-test loop-test lint wheel-test bench proof mistakes clean
+.PHONY: help install demo test inject-test loop-test lint lowest wheel-test bench proof mistakes clean
 
 help:
 	@echo "make demo    calibrate a tool on the virtual robot and compensate live, with figures in demo-output/"
@@ -16,6 +16,7 @@ help:
 	@echo "make inject-test  concealed recordings that take long to explain (eight minutes)"
 	@echo "make loop-test  a concealed cable and drift: recorded, named, saved, served, gone (minutes of a live robot)"
 	@echo "make lint    style, types, layers"
+	@echo "make lowest  what pyproject.toml promises of old versions: its lowest set in a venv of its own, and a part of the tests"
 	@echo "make bench   the benchmarks, written to docs/benchmarks.md (about 15 minutes)"
 	@echo "make proof   the blind proof of the diagnosis, written to docs/proof.md (long)"
 	@echo "make mistakes  300 recordings with one ordinary mistake each, a section of docs/proof.md (long)"
@@ -59,6 +60,21 @@ lint: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# One process: it is a check of the versions, not of the machine.
+LOWEST := $(VENV)-lowest
+LOWEST_TESTS := tests/conformance $(addprefix tests/test_,$(addsuffix .py,can_transport cli deflection_fit documents foreign_mcap \
+  kinematics recording recording_mcap serial_transport slcan_adapter tool_store))
+
+$(LOWEST)/.installed: pyproject.toml
+	@echo "setting up $(LOWEST) with the lowest versions that pyproject.toml admits"
+	@$(PYTHON) -m venv $(LOWEST)
+	@$(LOWEST)/bin/python -m pip install --quiet --quiet uv
+	@$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --editable '.[dev]'
+	@touch $@
+
+lowest: $(LOWEST)/.installed
+	$(LOWEST)/bin/python -m pytest -q $(LOWEST_TESTS)
+
 wheel-test: $(STAMP)
 	$(BIN)/python tests/wheel_check.py
 
@@ -74,4 +90,4 @@ mistakes: $(STAMP)
 	$(BIN)/python -m galen_hw.tools.blind_proof.mistakes --write docs/proof.md
 
 clean:
-	rm -rf $(VENV) build dist demo-output proof-output *.egg-info
+	rm -rf $(VENV) $(LOWEST) build dist demo-output proof-output *.egg-info

@@ -3,7 +3,6 @@
 import importlib
 import json
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from pydantic import BaseModel
 
 from galen_hw.config.problems import ConfigError, Places, Problem, check, unknown
 from galen_hw.config.schema import Config
+from galen_hw.documents import DocumentError, load_toml
 from galen_hw.errors import UsageError
 
 _BARE_TTY: Final = re.compile(r"^/dev/tty(USB|ACM)\d+$")
@@ -77,7 +77,7 @@ def read_document(path: Path) -> tuple[dict[str, Any], Places]:
     """
     try:
         text = path.read_text(encoding="utf-8")
-        return tomllib.loads(text), Places(path.name, text)
+        return load_toml(text), Places(path.name, text)
     except FileNotFoundError:
         raise UsageError("no such file", where=str(path), todo="give the settings with --config FILE") from None
     except OSError as error:
@@ -86,12 +86,9 @@ def read_document(path: Path) -> tuple[dict[str, Any], Places]:
         raise UsageError(
             "not a text file in UTF-8", where=str(path), todo="give the settings with --config FILE"
         ) from None
-    except tomllib.TOMLDecodeError as error:
-        line = re.search(r"line (\d+)", str(error))
-        where = f"{path.name}:{line[1] if line else len(text.splitlines())}"
-        raise UsageError(
-            f"not TOML ({error})", where=where, todo="see the comments of the default galen.toml"
-        ) from None
+    except DocumentError as error:
+        where = f"{path.name}:{error.line}" if error.line else path.name
+        raise UsageError(error.what, where=where, todo="see the comments of the default galen.toml") from None
 
 
 def load(path: Path, tables: Tables) -> Setup:

@@ -61,21 +61,28 @@ class Places:
     def __init__(self, file: str, text: str) -> None:
         self.file = file
         self._lines: dict[Key, int] = {}
+        self._begun: dict[Key, int] = {}  # tables that are there for what is in them: `a` of [a.b] and of a.b = 1
         table: Key = ()
         for number, line in enumerate(text.splitlines(), start=1):
             if head := _HEAD.match(line):
                 table = _split(head[1])
-                self._lines.setdefault(table, number)
+                self._add(table, number)
             elif found := _ASSIGNMENT.match(line):
                 key = (*table, *_split(found[1]))
-                self._lines.setdefault(key, number)
+                self._add(key, number)
                 for inner in _INLINE.finditer(line, found.end()):
-                    self._lines.setdefault((*key, *_split(inner[1])), number)
+                    self._add((*key, *_split(inner[1])), number)
+
+    def _add(self, key: Key, number: int) -> None:
+        self._lines.setdefault(key, number)
+        for n in range(1, len(key)):
+            self._begun.setdefault(key[:n], number)
 
     def where(self, key: Key) -> str:
         """`file:line: key`, with the line of the nearest table that is in the file."""
         names = tuple(part for part in key if isinstance(part, str))
-        line = next((self._lines[names[:n]] for n in range(len(names), 0, -1) if names[:n] in self._lines), 1)
+        known = self._begun | self._lines
+        line = next((known[names[:n]] for n in range(len(names), 0, -1) if names[:n] in known), 1)
         return f"{self.file}:{line}: {'.'.join(map(str, key))}"
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
+from galen_hw.documents import DocumentError, intact, load_json, sealed
 from galen_hw.errors import UsageError
 from galen_hw.units import STANDARD_GRAVITY
 
@@ -192,33 +193,49 @@ class ToolFile(_Part):
 
     def to_json(self) -> str:
         """The text of the file; keys whose value is not known are left out."""
-        data = self.model_dump(by_alias=True, exclude_none=True, mode="json")
-        return _pretty(data)
+        return _pretty(self._values())
+
+    def to_sealed_json(self) -> str:
+        """The text of the file with the digest of its content, as a generation is kept."""
+        return _pretty(sealed(self._values()))
+
+    def _values(self) -> dict[str, Any]:
+        return self.model_dump(by_alias=True, exclude_none=True, mode="json")
 
 
 def parse_tool(text: str, where: str) -> ToolFile:
-    """A tool's file from its text.
+    """A tool's file from its text; one with a `digest` must be what the digest was made of.
 
     Args:
         text: JSON; where: path that errors name.
 
     Raises:
-        UsageError: not JSON, another schema, a key that is not known, or a number that is impossible; one line.
+        UsageError: not JSON, another schema, a key that is not known, a number that is impossible, or another content
+            than was written; one line.
     """
+    return parse_sealed(text, where)[0]
+
+
+def parse_sealed(text: str, where: str) -> tuple[ToolFile, bool]:
+    """As `parse_tool`; and whether the text has a digest (files of 0.1 have none)."""
     try:
-        data = json.loads(text)
-    except json.JSONDecodeError as error:
-        place = f"{where}, line {error.lineno}"
-        raise UsageError(f"not JSON ({error.msg})", where=place, todo="restore it, or roll back") from error
+        data = load_json(text)
+    except DocumentError as error:
+        raise UsageError(error.what, where=error.within(where), todo="restore it, or roll back") from error
     if not isinstance(data, dict):
         raise UsageError("not a tool's file", where=where, todo="it must be one JSON object")
     if data.get("schema") != SCHEMA:
         found = "no schema" if "schema" not in data else f"schema {data['schema']!r}"
         raise UsageError(f"{found}, this version reads {SCHEMA}", where=where, todo=f'write "schema": {SCHEMA}')
     try:
-        return ToolFile.model_validate_json(text)
+        tool = ToolFile.model_validate_json(json.dumps({k: v for k, v in data.items() if k != "digest"}))
     except ValidationError as error:
         raise one_line(error, where) from error
+    whole = intact(data)
+    if whole is False:
+        todo = "roll back or calibrate again; if it was edited on purpose, take its digest out"
+        raise UsageError("is not what was written: its digest is another", where=where, todo=todo)
+    return tool, whole is True
 
 
 def one_line(error: ValidationError, where: str) -> UsageError:

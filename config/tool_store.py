@@ -4,6 +4,9 @@
     STATE/tools/NAME/active.json     {"generation": n}: the one in use
     STATE/tools/selected.json        {"tool": NAME}: taken up when the daemon starts
 
+Every one of them bears the digest of its content, so that a flipped bit is not taken for another tool. What an older
+version wrote without is sealed by its owner when it is first read.
+
 A calibration made on a virtual robot says so in its file and has a pointer of its own (`active-virtual.json`, and
 `selected-virtual.json` for the tool in hand): what is tried without hardware neither replaces nor becomes what the real
 sensor is compensated with.
@@ -14,6 +17,7 @@ the old content or the new.
 
 import hashlib
 import json
+import logging
 import os
 import re
 from contextlib import suppress
@@ -22,7 +26,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from galen_hw.config.tool_file import NAME, Origin, ToolFile, parse_tool
+from galen_hw.config.tool_file import NAME, Origin, ToolFile, parse_sealed, parse_tool
+from galen_hw.documents import DocumentError, intact, load_json, sealed
 from galen_hw.errors import UsageError
 
 
@@ -121,14 +126,19 @@ class ToolStore:
         path = self.path(name, number)
         try:
             text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError):
+        except UnicodeDecodeError:
+            todo = "restore it, or roll back"
+            raise UsageError("is damaged: not a text in UTF-8", where=str(path), todo=todo) from None
+        except OSError:
             numbers = ", ".join(map(str, self._numbers(name))) or "none"
             raise UsageError(
                 f"tool {name!r} has no generation {number}", where=str(path), todo=f"there are: {numbers}"
             ) from None
-        tool = parse_tool(text, str(path))
+        tool, whole = parse_sealed(text, str(path))
         if tool.name != name:
             raise UsageError(f"is the file of {tool.name!r}", where=str(path), todo=f"galen-hw tool rollback {name}")
+        if not whole:
+            _seal(path, tool)
         return tool
 
     def active(self, name: str) -> int | None:
@@ -158,7 +168,7 @@ class ToolStore:
             raise UsageError(f"tool {tool.name!r} holds no calibration to save", todo="calibrate it first")
         number = max(self._numbers(tool.name), default=0) + 1
         tool = tool.model_copy(update={"origin": _identified(tool, tool.origin, number)})
-        write_atomic(self.path(tool.name, number), tool.to_json() + "\n")
+        write_atomic(self.path(tool.name, number), tool.to_sealed_json() + "\n")
         if activate:
             self.activate(tool.name, number)
         return tool
@@ -171,7 +181,7 @@ class ToolStore:
         """
         tool = self.generation(name, number)
         path = self._root / name / _file("active", virtual=_is_virtual(tool))
-        write_atomic(path, json.dumps({"generation": number}) + "\n")
+        _write_pointer(path, {"generation": number})
         return tool
 
     def rollback(self, name: str, number: int | None = None) -> ToolFile:
@@ -196,7 +206,7 @@ class ToolStore:
     def selected(self) -> str | None:
         """The tool that the daemon takes up when it starts; None for no tool."""
         path = self._root / _file("selected", virtual=self._kinds[0])
-        name = _read_json(path).get("tool") if path.exists() else None
+        name = _read_pointer(path, "tool") if path.exists() else None
         return name if isinstance(name, str) and re.match(NAME, name) else None
 
     def select(self, name: str | None) -> None:
@@ -208,7 +218,7 @@ class ToolStore:
         if name is not None:
             self.load(name)
         path = self._root / _file("selected", virtual=self._kinds[0])
-        write_atomic(path, json.dumps({"tool": name}) + "\n")
+        _write_pointer(path, {"tool": name})
 
     @property
     def _kinds(self) -> tuple[bool, ...]:
@@ -218,7 +228,7 @@ class ToolStore:
     def _pointer(self, name: str, *, virtual: bool) -> int | None:
         check_name(name)
         path = self._root / name / _file("active", virtual=virtual)
-        number = _read_json(path).get("generation") if path.exists() else None
+        number = _read_pointer(path, "generation") if path.exists() else None
         return number if isinstance(number, int) else None
 
     @property
@@ -304,9 +314,29 @@ def check_name(name: str) -> None:
         raise UsageError(f"{name!r} cannot be a tool's name", todo="small letters, digits, - and _, at most 40")
 
 
-def _read_json(path: Path) -> dict[str, Any]:
+def _seal(path: Path, tool: ToolFile) -> None:
+    """Give a generation of an older version its digest; only its owner does, so that it stays the owner's."""
+    with suppress(OSError, UsageError):
+        if path.stat().st_uid == os.geteuid():
+            write_atomic(path, tool.to_sealed_json() + "\n")
+            logging.getLogger(__name__).warning("%s: had no digest (an older version wrote it) and has one now", path)
+
+
+def _write_pointer(path: Path, data: dict[str, Any]) -> None:
+    write_atomic(path, json.dumps(sealed(data)) + "\n")
+
+
+def _read_pointer(path: Path, key: str) -> Any:
+    """The value that a pointer holds.
+
+    Raises:
+        UsageError: it is not what was written. (Older versions wrote no digest.)
+    """
+    damaged = UsageError("is damaged", where=str(path), todo="delete it, then select or roll back again")
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise UsageError("is damaged", where=str(path), todo="delete it, then select or roll back again") from None
-    return data if isinstance(data, dict) else {}
+        data = load_json(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, DocumentError):
+        raise damaged from None
+    if not isinstance(data, dict) or not set(data) <= {key, "digest"} or intact(data) is False:
+        raise damaged
+    return data.get(key)

@@ -1,6 +1,8 @@
 """The command line's face: quick help, one line for wrong use, and documents that know every command."""
 
+import contextlib
 import importlib
+import io
 import os
 import re
 import shlex
@@ -10,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from galen_hw.cli import COMMANDS, main
+from galen_hw.cli import COMMANDS, _parser, main
 from galen_hw.errors import EXIT_USAGE
 from galen_hw.tools.command import parse_arguments
 
@@ -90,6 +92,59 @@ def test_output_that_nobody_reads_is_not_a_success(tmp_path: Path) -> None:
     done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False, env=environ)
     os.close(writer)
     assert (done.returncode, done.stderr) == (141, "")
+
+
+def _documented() -> list[tuple[str, str]]:
+    """(page, command line) of every `galen-hw ...` in an indented block or in code, of README and docs."""
+    found = []
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+        text = page.read_text(encoding="utf-8")
+        lines = re.findall(r"^    (galen-hw .*)$", text, re.MULTILINE) + re.findall(r"`(galen-hw [^`]+)`", text)
+        found += [(page.name, re.split(r"\s+#\s|\s{3,}", line)[0]) for line in lines]
+    return found
+
+
+def _alternatives(line: str) -> list[str]:
+    """`galen-hw tool list | show` names several; a word in capitals or dots stands for one."""
+    if re.search(r"\w \| \w", line):
+        head, *others = re.split(r"\s*\|\s*", line)
+        stem = head.rsplit(" ", 1)[0]
+        return [head, *(f"{stem} {other}" for other in others)]
+    return [line]
+
+
+def _parses(line: str) -> str:
+    """Empty if the program takes the line, else why not. Names alone (`galen-hw tool`) only have to be there."""
+    words = shlex.split(line.replace("...", "x"))[1:]
+    parser, command = _parser(words)
+    try:
+        if command is None or len(words) == 1 or (len(words) == 2 and not words[1].startswith("-")):
+            parser.parse_args([*words, "--help"])
+        parser.parse_args(words)
+    except SystemExit as stopped:
+        return "" if stopped.code == 0 else line
+    return ""
+
+
+def test_every_command_in_the_documents_is_one(capsys: pytest.CaptureFixture[str]) -> None:
+    """README and docs, through the program's own parsers: an option that is gone, or never was, is found here."""
+    lines = {alternative for _, line in _documented() for alternative in _alternatives(line)}
+    assert len(lines) > 60
+    wrong = [line for line in sorted(lines) if _parses(line)]
+    assert not wrong, capsys.readouterr().err
+
+
+def test_virtual_is_said_of_the_commands_that_have_it() -> None:
+    """No more and no fewer, in the README and on the virtual robot's page."""
+    having = set()
+    for name in COMMANDS:
+        parser, _ = _parser([name])
+        with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(SystemExit):
+            parser.parse_args([name, *(["deflection"] if name == "collect" else []), "--help"])
+        having |= {name} if re.search(r"--virtual\b", out.getvalue()) else set()
+    (readme,) = re.findall(r"Without a robot add `--virtual` to (.*?);", (ROOT / "README.md").read_text())
+    (page,) = re.findall(r"`--virtual` of (.*?) starts it", (ROOT / "docs" / "virtual.md").read_text(), re.DOTALL)
+    assert set(re.findall(r"`(\w+)`", readme)) == set(re.findall(r"`(\w+)`", page)) == having
 
 
 def test_commands_of_the_topics_page_can_be_pasted() -> None:

@@ -99,7 +99,7 @@ def test_good_file_becomes_a_setup() -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (GOOD + "[robot]\nnme = 'x'", "8: robot.nme: no such key; did you mean name?"),
+        (GOOD + "[robot]\nnme = 'x'", "9: robot.nme: no such key; did you mean name?"),
         (GOOD + "[robots]", "7: robots: no such key; did you mean robot?"),
         (
             GOOD + "[robot.delta]\nrod_length_mm = 400",
@@ -205,6 +205,16 @@ def test_good_file_becomes_a_setup() -> None:
         (
             GOOD + '[bus]\nviewers = "tcp://127.0.0.1:98720"',
             "8: bus.viewers: '98720' is no port: 1 to 65535, or 0 for any free one",
+        ),
+        (
+            GOOD.replace("[devices.ft]", "[devicse.ft]"),
+            "2: devicse: no such key; did you mean devices?",
+        ),
+        (GOOD + "[robt.delta]\nradius_m = 0.1", "7: robt: no such key; did you mean robot?"),
+        (GOOD + "[[devicse.ft.more]]", "7: devicse: no such key; did you mean devices?"),
+        (
+            "[robot.delta]\nradius_m = 0.1\n" + GOOD.lstrip() + '[robot]\nnme = "x"\nsensor_link = "y"',
+            "9: robot.nme: no such key; did you mean name?",
         ),
         ("", "1: devices: this key is missing; e.g. at the top of the file: devices.ft = {"),
     ],

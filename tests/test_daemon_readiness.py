@@ -3,7 +3,7 @@
 import pytest
 
 from galen_hw.daemon.links import DeviceState
-from galen_hw.daemon.readiness import INTERPRETERS_WITHIN_S, Readiness
+from galen_hw.daemon.readiness import INTERPRETERS_WITHIN_S, Readiness, waits_for
 
 READY = DeviceState("open", ready=True, optional=False, attempts=1)
 SILENT = DeviceState("open", ready=False, optional=False, attempts=1)
@@ -64,3 +64,13 @@ def test_devices_have_their_time_from_when_all_processes_run() -> None:
     assert (verdict.refused, list(verdict.devices)) == (True, ["ft"])
     late = 100.0 + INTERPRETERS_WITHIN_S + 20.1
     assert readiness().judge(late, states(), all_up=False, flows=True).refused
+
+
+def test_what_a_start_waits_for_is_said():
+    """Processes first, then devices that have not answered, then samples; nothing once all is there."""
+    ready, silent = (DeviceState(wire="open", ready=r, optional=False) for r in (True, False))
+    tracker = DeviceState(wire="opening", ready=False, optional=True)
+    assert waits_for({"ft": silent}, ["core", "motion"], flows=False) == "processes core, motion"
+    assert waits_for({"ft": silent, "m": ready, "t": tracker}, [], flows=False) == "an answer of ft, t (optional)"
+    assert waits_for({"ft": ready, "m": ready}, [], flows=False) == "samples"
+    assert waits_for({"ft": ready}, [], flows=True) == ""

@@ -17,7 +17,7 @@ from galen_hw.diagnosis.result import Diagnosis, Finding, Value
 from galen_hw.diagnosis.sizes import headline, quantity, text
 from galen_hw.diagnosis.summary import lines, summary, times_words
 from galen_hw.diagnosis.traces import Curve, Traces
-from galen_hw.tools.diagnose_screen import show, table
+from galen_hw.tools.diagnose_screen import counting, show, table, working
 from tests import diagnosis_parts as parts
 
 KEYS = {"schema", "recording", "holdout", "predict", "verdict", "locate", "findings", "fit", "next_experiment"}
@@ -203,3 +203,20 @@ def test_a_scheduler_that_does_not_answer_is_said_in_one_line(folder: Path, caps
 def test_ratios_are_written_out() -> None:
     """Two digits without an exponent."""
     assert [times_words(ratio) for ratio in (2345.6, 41.2, 1.26)] == ["2300", "41", "1.3"]
+
+
+def test_progress_is_some_lines_where_there_is_no_terminal(capsys):
+    """One line a stage on stderr, nothing of what may still be refused; of many recordings ten lines at most."""
+    with working("reading run.mcap") as told:
+        for stage, share in (("checking", 0.0), ("choosing", 0.5), ("choosing", 0.6), ("judging", 0.9)):
+            told(stage, share)
+    assert capsys.readouterr() == ("", "choosing\njudging\n")
+    with counting("diagnosing", 95) as done:
+        for _ in range(95):
+            done()
+    out, err = capsys.readouterr()
+    lines = err.splitlines()
+    assert out == ""
+    assert lines[0] == "diagnosing 95 recordings"
+    assert lines[-1] == "95 of 95"
+    assert len(lines) == 11

@@ -267,3 +267,31 @@ def test_a_replay_beside_a_daemon_is_published_at_a_free_port(
     found = re.search(r" and tcp://127\.0\.0\.1:(\d+); Ctrl-C ends it", capsys.readouterr().out)
     assert found is not None
     assert int(found[1]) not in (0, 9872)
+
+
+def test_a_replay_is_published_where_the_settings_say(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The port of --config, and another one, printed, where it is taken."""
+    with socket.socket() as taken, socket.socket() as free:
+        for one in (taken, free):
+            one.bind(("127.0.0.1", 0))
+        taken.listen()
+        ports = [one.getsockname()[1] for one in (taken, free)]
+        free.close()
+        path = tmp_path / "run.mcap"
+        with path.open("wb") as stream:
+            session = Session(stream)
+            session.add("wrench/raw", raw(0, [1.0] * 6, seq=0), 1)
+            session.finish()
+        files = [tmp_path / f"{port}.toml" for port in ports]
+        for file, port in zip(files, ports, strict=True):
+            file.write_text(f'[bus]\nviewers = "tcp://127.0.0.1:{port}"\n')
+        publish = ["replay", str(path), "--publish", "--dir", str(tmp_path / "rt"), "--config"]
+        assert main([*publish, str(files[0])]) == 0
+        said = capsys.readouterr().out
+        assert "tcp://127.0.0.1:" in said
+        assert f":{ports[0]};" not in said
+        assert main([*publish, str(files[1])]) == 0
+        assert f"tcp://127.0.0.1:{ports[1]}" in capsys.readouterr().out
+    files[0].write_text('[bus]\nviewers = "tcp://0.0.0.0:9"\n')
+    assert main([*publish, str(files[0])]) == 2
+    assert f"{files[0].name}:2: bus.viewers" in capsys.readouterr().err

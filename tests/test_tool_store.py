@@ -271,3 +271,92 @@ def test_a_tool_without_calibration_is_not_saved(store):
     """Geometry alone is no generation."""
     with pytest.raises(UsageError, match="no calibration to save"):
         store.save(store.nominal("pointer"))
+
+
+def flips(content: bytes, every: int = 1):
+    """The content with one bit turned round, for each (or every so many) of its bits."""
+    for bit in range(0, 8 * len(content), every):
+        yield bit, content[: bit // 8] + bytes([content[bit // 8] ^ (1 << bit % 8)]) + content[bit // 8 + 1 :]
+
+
+def test_no_flipped_bit_of_a_generation_is_taken_for_another_tool(store):
+    """Every bit of the file in use: the same tool (the case of an `e`, a space), or one typed line."""
+    saved = store.save(tool(0.93, bias=(0.1, -0.2, 0.3, 0.01, 0.02, 0.03)))
+    path = store.path("retractor", 1)
+    refused = []
+    whole = path.read_bytes()
+    for bit, content in flips(whole):
+        path.write_bytes(content)
+        try:
+            assert store.load("retractor") == saved, bit
+        except UsageError as error:
+            refused.append(str(error))
+    assert len(refused) > 0.99 * 8 * len(whole)
+    assert not any("\n" in line for line in refused)
+    path.write_bytes(whole)
+    assert store.load("retractor") == saved
+
+
+def test_no_flipped_bit_of_a_pointer_is_taken_for_another_choice(store):
+    """Of 8 generations and tools of neighbouring names, the one in use or a typed line."""
+    for number in range(8):
+        store.save(tool(0.21 + 0.01 * number))
+        store.save(tool(0.3, name=f"hook{number}"))
+    store.activate("retractor", 4)
+    store.select("hook4")
+    cases = (
+        (store.path("retractor", 1).with_name("active.json"), lambda: store.active("retractor"), 4),
+        (store.path("retractor", 1).parent.with_name("selected.json"), store.selected, "hook4"),
+    )
+    refused = []
+    for path, read, value in cases:
+        whole = path.read_bytes()
+        for bit, content in flips(whole):
+            path.write_bytes(content)
+            try:
+                assert read() == value, bit
+            except UsageError as error:
+                refused.append(str(error))
+        path.write_bytes(whole)
+        assert read() == value
+    assert refused
+    assert all("is damaged" in line for line in refused)
+
+
+def test_files_of_the_version_before_are_taken_and_sealed_once(store, caplog):
+    """A generation and pointers without a digest: served, said once, and safe from then on."""
+    saved = store.save(tool(0.28))
+    path = store.path("retractor", 1)
+    path.write_text(saved.to_json() + "\n", encoding="utf-8")
+    path.with_name("active.json").write_text('{"generation": 1}\n', encoding="utf-8")
+
+    assert store.load("retractor") == saved
+    (record,) = caplog.records
+    assert "had no digest" in record.getMessage()
+    assert '"digest": "sha256:' in path.read_text(encoding="utf-8")
+    assert store.load("retractor") == saved
+    assert len(caplog.records) == 1
+    path.write_text(path.read_text(encoding="utf-8").replace("0.28", "0.29"), encoding="utf-8")
+    with pytest.raises(UsageError, match="is not what was written: its digest is another"):
+        store.load("retractor")
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, '{"schema": ' + "1" * 5000 + "}", '{"generation": ' + "9" * 5000 + "}"]
+)
+def test_nesting_and_huge_numbers_are_one_line(store, text):
+    """In a generation, in the pointer to it, and in the tool that is selected."""
+    store.save(tool(0.28))
+    store.select("retractor")
+    path = store.path("retractor", 1)
+    for damaged, read in (
+        (path, lambda: store.load("retractor")),
+        (path.with_name("active.json"), lambda: store.load("retractor")),
+        (path.parent.with_name("selected.json"), store.selected),
+    ):
+        whole = damaged.read_bytes()
+        damaged.write_text(text, encoding="utf-8")
+        with pytest.raises(UsageError) as error:
+            read()
+        assert "\n" not in str(error.value)
+        damaged.write_bytes(whole)

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any, NoReturn
 
+from galen_hw.documents import load_json
 from galen_hw.errors import UsageError
 
 
@@ -65,7 +66,7 @@ def parse_arguments(words: list[str]) -> dict[str, Any]:
 def _value(text: str) -> Any:
     """JSON where it is JSON (numbers, true, null, lists, maps), else the word itself."""
     try:
-        value = json.loads(text, parse_constant=_refuse, parse_float=_finite)
+        value = load_json(text, parse_constant=_refuse, parse_float=_finite)
     except ValueError:
         return text
     except RecursionError:

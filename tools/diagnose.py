@@ -17,7 +17,7 @@ from galen_hw.physics.observations import Observations
 from galen_hw.physics.table import scene_of
 from galen_hw.physics.together import joined
 from galen_hw.recording import Recording, read_recording
-from galen_hw.tools.diagnose_input import observations_of
+from galen_hw.tools.diagnose_input import named_in, observations_of
 from galen_hw.tools.diagnose_screen import counting, show, working
 from galen_hw.tools.diagnose_tool import model_to_save, tool_named, with_tool
 from galen_hw.tools.recorded_robot import model_notes
@@ -157,17 +157,21 @@ def one(paths: list[Path], args: argparse.Namespace, progress: Progress | None =
     observations, notes = _joined(recordings, paths)
     holdout = None
     if judges:
-        other = _joined([read(path) for path in judges], judges)[0]
-        order = {k: other.columns[k] for k in observations.columns if k in other.columns}
-        holdout = scene_of(replace(other, columns=order | dict(other.columns)))
-    scene = scene_of(observations)
+        others = [read(path) for path in judges]
+        other = _joined(others, judges)[0]
+        with named_in(others[0]):
+            order = {k: other.columns[k] for k in observations.columns if k in other.columns}
+            holdout = scene_of(replace(other, columns=order | dict(other.columns)))
+    with named_in(recordings[0]):
+        scene = scene_of(observations)
     if holdout is not None and holdout.channels != scene.channels:
         todo = "judge on a recording that compares the same channels"
         raise UsageError(f"does not compare the channels of {paths[0]}", where=f"--holdout {judges[0]}", todo=todo)
     name = ", ".join(map(str, paths))
-    work = diagnose(
-        scene, name=name, holdout=holdout, share=share, seed=args.seed, progress=progress, repair=not args.no_repair
-    )
+    with named_in(recordings[0]):
+        work = diagnose(
+            scene, name=name, holdout=holdout, share=share, seed=args.seed, progress=progress, repair=not args.no_repair
+        )
     work.diagnosis.units = dict(zip(scene.channels, scene.units, strict=True))
     concerned = [name for remark in work.diagnosis.premises for name in remark["columns"]]
     work.diagnosis.notes[:0] = [line for line in notes if not _said_better(line, concerned)]
@@ -214,8 +218,8 @@ def _joined(recordings: list[Recording], paths: list[Path]) -> tuple[Observation
 def _same_machine(recordings: list[Recording], paths: list[Path]) -> None:
     """That all recordings are of one machine and one model, so that one set of parameters can stand for all."""
     first = recordings[0]
-    for recording, path in zip(recordings[1:], paths[1:], strict=True):
+    for recording in recordings[1:]:
         for key in ("robot", "tool", "predict", "model", "distal_bodies"):
             if getattr(recording.info, key) != getattr(first.info, key):
                 todo = f"make {key} agree, or diagnose them one by one"
-                raise UsageError(f"{key} is not that of {paths[0]}", where=f"{path}/recording.json", todo=todo)
+                raise UsageError(f"{key} is not that of {paths[0]}", where=recording.about, todo=todo)

@@ -1,5 +1,7 @@
 """From a recording to what the effects read: columns, simulation, and what the simulation believes."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -19,15 +21,29 @@ ASKED = 200
 """Rows on which that is asked."""
 
 
+@contextmanager
+def named_in(recording: Recording) -> Iterator[None]:
+    """Physics knows no files: an error that speaks of "recording" gets the name of the one that was given."""
+    try:
+        yield
+    except UsageError as error:
+        raise UsageError(error.what, where=recording.place(error.where), todo=error.todo) from error
+
+
 def observations_of(recording: Recording) -> Observations:
     """What the effects read, from a recording and its own notes.
 
     Raises:
         UsageError: the recording does not say what is compared.
     """
+    with named_in(recording):
+        return _observations(recording)
+
+
+def _observations(recording: Recording) -> Observations:
     info = recording.info
     if info.predict is None:
-        where = f"{recording.path}/recording.json: predict"
+        where = f"{recording.about}: predict"
         raise UsageError("nothing is named to compare", where=where, todo='e.g. "predict": "wrench"')
     columns, simulation = dict(recording.columns), recording.simulation
     simulated = None if simulation is None else _matched(recording, simulation)
@@ -97,7 +113,7 @@ def _distal(recording: Recording, robot: Robot | None) -> tuple[Body, ...]:
     Raises:
         UsageError: there is no URDF or no such link, or a link moves against the sensor.
     """
-    links, where = recording.info.distal_bodies or (), f"{recording.path}/recording.json: distal_bodies"
+    links, where = recording.info.distal_bodies or (), f"{recording.about}: distal_bodies"
     if links and not isinstance(robot, UrdfRobot):
         raise UsageError("links are named, but no URDF that holds them", where=where, todo="name the URDF as robot")
     return tuple(_link(recording, robot, link, where) for link in links if isinstance(robot, UrdfRobot))
@@ -134,7 +150,7 @@ def _tip(recording: Recording, robot: Robot | None) -> tuple[Array, Array]:
     if info.tip_link is not None and info.sensor_link is not None and isinstance(robot, UrdfRobot):
         T = _in_sensor(recording, robot, info.tip_link)
     if T is None and info.predict == "pose":
-        what, where = f"link {info.tip_link!r} moves against the sensor", f"{recording.path}/recording.json: tip_link"
+        what, where = f"link {info.tip_link!r} moves against the sensor", f"{recording.about}: tip_link"
         raise UsageError(what, where=where, todo="name a link that is fixed to the sensor's")
     T = np.eye(4) if T is None else T
     return T[:3, 3] if named is None else named, T[:3, :3]
@@ -155,7 +171,7 @@ def _zeroed(recording: Recording, robot: Robot | None) -> Array | None:
     if robot is None and recording.info.zeroed_at is not None and recording.info.bias_body is not None:
         what, where = (
             "joints, but no robot that would say how the sensor stood",
-            f"{recording.path}/recording.json: zeroed_at",
+            f"{recording.about}: zeroed_at",
         )
         raise UsageError(what, where=where, todo="give the sensor's orientation there as a quaternion x y z w")
     joints = zeroed_joints(recording, robot)

@@ -8,6 +8,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from galen_hw.clock import TimeBase
 from galen_hw.errors import EXIT_OK, GalenError, HardwareError, UsageError
 
 if TYPE_CHECKING:
@@ -83,13 +84,12 @@ def run(args: argparse.Namespace) -> int:
 
 def session_context(path: Path) -> dict[str, Any]:
     """What a session should know of the robot, from the settings in the file `path`."""
-    import tomllib
-
     from galen_hw.config.schema import RobotSection
+    from galen_hw.documents import load_toml
 
     try:
         text = path.read_text(encoding="utf-8")
-        robot = RobotSection.model_validate(tomllib.loads(text).get("robot", {}))
+        robot = RobotSection.model_validate(load_toml(text).get("robot", {}))
         urdf = robot.urdf.read_text(encoding="utf-8") if robot.urdf is not None else ""
     except (OSError, ValueError) as error:
         first = str(error).splitlines()[0]
@@ -113,6 +113,7 @@ def record(subscriber: "Subscriber", session: "Session", seconds: float | None) 
     Raises:
         HardwareError: the disk is full; what was written until the last second is in the file.
     """
+    base = TimeBase.now()  # A wall clock that is set meanwhile would turn messages round.
     stopped: list[int] = []
     before = {s: signal.signal(s, lambda number, _: stopped.append(number)) for s in (signal.SIGINT, signal.SIGTERM)}
     begin = last = time.monotonic()
@@ -120,7 +121,7 @@ def record(subscriber: "Subscriber", session: "Session", seconds: float | None) 
         while not stopped and (seconds is None or time.monotonic() - begin < seconds):
             received = subscriber.receive(0.1)
             if received is not None:
-                session.add(*received, time.time_ns())
+                session.add(*received, time.monotonic_ns() + base.wall_minus_monotonic_ns)
             elif not session.messages and time.monotonic() - begin > SILENCE_S:
                 break
             if time.monotonic() - last >= 1.0:

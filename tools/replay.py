@@ -25,6 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--publish", action="store_true", help="publish it on a bus at its own pace, for viewers")
     what.add_argument("--tool", metavar="NAME", help="compensate with this tool's calibration in use instead")
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="times its own pace, with --publish")
+    parser.add_argument(
+        "--config", metavar="FILE", help="settings whose [bus] says where viewers connect, with --publish"
+    )
     parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory of the bus, with --publish")
     parser.epilog = "example: galen-hw replay run.mcap --verify"
 
@@ -45,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
 
     recorded = Recorded((item.topic, item.message) for item in logged)
     if not recorded.raw:
-        raise UsageError("holds no raw wrench", where=str(args.recording), todo="record wrench/raw and joints/state")
+        file.refuse_nothing("holds no raw wrench")
     with tempfile.TemporaryDirectory() as nowhere:
         robot = robot_of(file)
         if args.verify:
@@ -57,6 +60,7 @@ def robot_of(file: "McapFile") -> "Robot":
     """The robot of a recording that has been read: from the settings attached to it, or the nominal Galen."""
     from galen_hw.config.robot import build_robot
     from galen_hw.config.schema import Config
+    from galen_hw.documents import load_toml
     from galen_hw.kinematics import GalenRobot, UrdfRobot
 
     urdf = file.attachments.get(file.metadata.get("robot_file") or file.metadata.get("robot", ""))
@@ -67,10 +71,13 @@ def robot_of(file: "McapFile") -> "Robot":
     settings = file.attachments.get("galen.toml")
     if not settings:
         return GalenRobot()
-    import tomllib
-
-    robot: dict[str, Any] = tomllib.loads(settings).get("robot", {})
-    return build_robot(Config.model_validate({"robot": robot, "devices": {"ft": {"driver": "recorded"}}}))
+    where = f"{file.path}: galen.toml"
+    try:
+        robot: dict[str, Any] = load_toml(settings).get("robot", {})
+        return build_robot(Config.model_validate({"robot": robot, "devices": {"ft": {"driver": "recorded"}}}))
+    except ValueError as error:  # of TOML, or of pydantic
+        first = str(error).splitlines()[0]
+        raise UsageError(f"the settings in it cannot be used ({first})", where=where, todo="record it again") from None
 
 
 def _verify(recorded: "Recorded", robot: "Robot", nowhere: Path) -> int:
@@ -129,16 +136,31 @@ def _six(message: Any) -> tuple[float, ...]:
     return f.x, f.y, f.z, t.x, t.y, t.z
 
 
+def _viewers(given: str | None) -> str:
+    """Where viewers connect, by the settings that a daemon here would read."""
+    from galen_hw.config.load import read_document
+    from galen_hw.config.paths import config_path
+    from galen_hw.config.problems import ConfigError, check
+    from galen_hw.config.schema import BusSection
+
+    document, places = read_document(config_path(given))
+    section, problems = check(BusSection, document.get("bus", {}), ("bus",), places)
+    if not isinstance(section, BusSection):
+        raise ConfigError(problems)
+    return section.viewers
+
+
 def publish(logged: "list[Logged]", args: argparse.Namespace) -> int:
     """Put the recorded messages on a bus, at their pace."""
     from galen_hw.bus import Publisher
-    from galen_hw.config.paths import VIEWERS_ADDRESS, make_runtime, runtime_dir
+    from galen_hw.config.paths import make_runtime, runtime_dir
     from galen_hw.messages import TOPICS
     from galen_hw.permission import socket_mode
 
     if not 0.0 < args.speed <= 1000.0:
         raise UsageError("must be above 0 and at most 1000", where="--speed", todo="e.g. --speed 1")
     addresses = make_runtime(args.dir or runtime_dir())
+    wanted = _viewers(args.config)
     if (addresses.runtime / "command").exists():
         todo = "stop it, or publish elsewhere with --dir"
         raise UsageError("a daemon publishes here", where=str(addresses.runtime), todo=todo)
@@ -146,8 +168,8 @@ def publish(logged: "list[Logged]", args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         bus = stack.enter_context(Publisher(addresses.bus, mode=socket_mode(addresses.runtime)))
         stack.callback((addresses.runtime / "bus.pub").unlink, missing_ok=True)
-        viewers = bus.offer(VIEWERS_ADDRESS)
-        print(f"publishing {len(known)} messages at {addresses.bus} and {viewers}; Ctrl-C ends it", flush=True)
+        places = [addresses.bus, *([bus.offer(wanted)] if wanted else [])]
+        print(f"publishing {len(known)} messages at {' and '.join(places)}; Ctrl-C ends it", flush=True)
         begin, first = time.monotonic(), known[0].log_ns if known else 0
         for item in known:
             ahead = (item.log_ns - first) * 1e-9 / args.speed - (time.monotonic() - begin)

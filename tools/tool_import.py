@@ -1,10 +1,10 @@
 """What `galen-hw tool import` takes: a file that this version can serve whole, on the hardware that is configured here."""
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from galen_hw.documents import load_json
 from galen_hw.errors import GalenError, UsageError
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def read_tool(path: Path) -> "ToolFile":
 def _refuse_bare_terms(text: str, file: Path) -> None:
     """Terms that a diagnosis saved without knowing the tool."""
     try:
-        data = json.loads(text)
+        data = load_json(text)
     except ValueError:
         return
     if isinstance(data, dict) and "terms" in data and "name" not in data:

@@ -1,10 +1,10 @@
 """`galen-hw virtual`: the virtual robot, the other ends of the wires, as a process of its own."""
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
+from galen_hw.documents import load_json
 from galen_hw.errors import UsageError
 
 
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _settings(text: str) -> dict[str, dict[str, Any]]:
     try:
-        out = json.loads(text)
+        out = load_json(text)
     except ValueError as error:
         raise UsageError(f"not JSON ({error})", where="--settings", todo="check the quotes") from error
     if not isinstance(out, dict) or not all(isinstance(v, dict) for v in out.values()):

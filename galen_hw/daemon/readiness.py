@@ -1,6 +1,6 @@
 """When the daemon may say that it is ready, and when it must say why it cannot be: a judgement without I/O or clock."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -65,6 +65,18 @@ class Readiness:
         if now_s - since > self.start_timeout_s:
             return Verdict(refused=True, devices={n: s for n, s in required.items() if not s.ready})
         return WAIT
+
+
+def waits_for(states: Mapping[str, DeviceState], missing: Sequence[str], *, flows: bool) -> str:
+    """What a start still waits for, for people.
+
+    Args:
+        states: of all devices; missing: processes that have not spoken; flows: samples flow.
+    """
+    if missing:
+        return f"processes {', '.join(missing)}"
+    silent = [f"{n}{' (optional)' if s.optional else ''}" for n, s in states.items() if not s.ready]
+    return f"an answer of {', '.join(silent)}" if silent else "samples" if not flows else ""
 
 
 def _spoken(state: DeviceState | None) -> bool:

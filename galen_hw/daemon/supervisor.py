@@ -25,7 +25,7 @@ from galen_hw.daemon.lock import lock
 from galen_hw.daemon.notify import Notifier
 from galen_hw.daemon.orders import Orders
 from galen_hw.daemon.port import Waker
-from galen_hw.daemon.readiness import Readiness
+from galen_hw.daemon.readiness import Readiness, waits_for
 from galen_hw.daemon.viewers import Viewers
 from galen_hw.errors import EXIT_FOUND, EXIT_HARDWARE, EXIT_OK, EXIT_USAGE, HardwareError
 from galen_hw.messages import TOPICS
@@ -88,6 +88,7 @@ class Supervisor:
         self._waker = Waker()
         self._stopping = False
         self._is_ready = False
+        self._waiting = ""
         optional = {name: device.optional for name, device in setup.devices.items()}
         self._readiness = Readiness(optional, section.start_timeout_s, section.optional_wait_s, time.monotonic())
 
@@ -197,7 +198,19 @@ class Supervisor:
             self._is_ready = True
             self._notifier.ready()
             self._on_ready(self._summary(), self._viewers.address)
+        else:
+            self._say_waiting(missing)
         return EXIT_OK
+
+    def _say_waiting(self, missing: Sequence[str]) -> None:
+        """One line each time that what the start waits for has changed."""
+        silent = {
+            n: DeviceState(wire="closed", ready=False, optional=d.optional) for n, d in self._setup.devices.items()
+        }
+        waiting = waits_for(silent | self._device_states(), missing, flows=self._flows())
+        if waiting and waiting != self._waiting:
+            log.info("waiting for %s", waiting)
+        self._waiting = waiting
 
     def _flows(self) -> bool:
         if not self._processes[CORE].share.devices:

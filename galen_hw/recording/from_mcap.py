@@ -1,17 +1,18 @@
 """An MCAP file as a `Recording`: everything at the times of the raw wrench samples."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 
 from galen_hw.clock import NS_PER_S
+from galen_hw.documents import DocumentError, load_json
 from galen_hw.errors import UsageError
 from galen_hw.messages import CompensationState, JointsState, Message, TrackedPose, WrenchCompensated, WrenchRaw
 from galen_hw.recording.checks import check
-from galen_hw.recording.info import RecordingInfo, parse_info
+from galen_hw.recording.info import RecordingInfo, info_of, parse_info
 from galen_hw.recording.mcap_reader import McapFile
 from galen_hw.recording.recording import AXES, WRENCH, Recording
 from galen_hw.spatial import Array
@@ -20,6 +21,13 @@ TABLE_TOPIC: Final = "table/row"
 EXTRAPOLATE_S: Final = 0.08
 """Joint states carry this far beyond the last one, as in the live compensation; then positions are not known."""
 Columns = dict[str, Array]
+
+
+class Row(msgspec.Struct):
+    """One row of an imported table: the columns that have no topic."""
+
+    columns: dict[str, float | None]
+    timestamp: float | None = None
 
 
 def read_mcap(path: Path, *, compensated: bool = False) -> Recording:
@@ -33,12 +41,13 @@ def read_mcap(path: Path, *, compensated: bool = False) -> Recording:
         UsageError: not an MCAP file, or nothing in it to make a table of.
     """
     topics = {"wrench/raw", "joints/state", "tracker/tool", "compensation/state", TABLE_TOPIC}
-    file = McapFile(path, frozenset(topics | ({"wrench/compensated"} if compensated else set())))
+    wanted = frozenset(topics | ({"wrench/compensated"} if compensated else set()))
+    file = McapFile(path, wanted, {TABLE_TOPIC: Row})
     found: dict[str, list[Any]] = {}
     for logged in file:
         found.setdefault(logged.topic, []).append(logged.message)
     rows = found.pop(TABLE_TOPIC, None)
-    columns, notes = _from_table(rows, found, file) if rows else _from_bus(found, path)
+    columns, notes = _from_table(rows, found, file) if rows else _from_bus(found, file)
     states: list[CompensationState] = found.get("compensation/state", [])
     recording = Recording(
         columns,
@@ -46,22 +55,25 @@ def read_mcap(path: Path, *, compensated: bool = False) -> Recording:
         path,
         attachments=dict(file.attachments),
         tool_file=next((s.tool_file for s in reversed(states) if s.tool_file), ""),
-        epoch=None if rows else float(found[_base(found, path)][0].timestamp),
+        epoch=None if rows else float(found[_base(found, file)][0].timestamp),
     )
     return replace(recording, warnings=(*file.warnings, *notes, *check(recording)))
 
 
-def _base(found: dict[str, list[Any]], path: Path) -> str:
+def _base(found: dict[str, list[Any]], file: McapFile) -> str:
     """The topic whose samples are the rows."""
     order = ("wrench/raw", "joints/state", "tracker/tool")
     base = next((topic for topic in order if found.get(topic)), None)
     if base is None:
-        raise UsageError("holds no wrench, joint or tracker samples", where=str(path), todo="record these topics")
+        file.refuse_nothing("holds no wrench, joint or tracker samples")
     return base
 
 
-def _from_bus(found: dict[str, list[Any]], path: Path) -> tuple[Columns, list[str]]:
-    base = _base(found, path)
+def _from_bus(found: dict[str, list[Any]], file: McapFile) -> tuple[Columns, list[str]]:
+    base = _base(found, file)
+    for messages in found.values():
+        # Several processes wrote them, and a wall clock may have been set in between: the samples' own clock is not.
+        messages.sort(key=lambda message: message.t_ns)
     t_ns = np.array([m.t_ns for m in found[base]], dtype=np.int64)
     start = int(t_ns[0])
     time = (t_ns - start) / NS_PER_S
@@ -159,26 +171,35 @@ def _compensated(messages: list[WrenchCompensated], t_ns: "np.ndarray[tuple[int]
     return dict(zip(names, values.T, strict=True))
 
 
-def _from_table(
-    rows: list[dict[str, Any]], found: dict[str, list[Message]], file: McapFile
-) -> tuple[Columns, list[str]]:
+def _from_table(rows: list[Row], found: dict[str, list[Message]], file: McapFile) -> tuple[Columns, list[str]]:
     """A table that was imported: its own rows hold what the messages do not, in the order of its columns."""
-    rest = {key: np.array([row["columns"].get(key) for row in rows], dtype=float) for key in rows[0]["columns"]}
+    rest = {key: np.array([row.columns.get(key) for row in rows], dtype=float) for key in rows[0].columns}
     wrenches = [m for m in found.get("wrench/raw", []) if isinstance(m, WrenchRaw)]
     joints = [m for m in found.get("joints/state", []) if isinstance(m, JointsState)]
     if wrenches:
         rest |= dict(zip(WRENCH, np.array([_six(m) for m in wrenches]).T, strict=True))
     for name in joints[0].position if joints else ():
         rest |= {
-            f"joint.{name}.position": np.array([m.position[name] for m in joints]),
-            f"joint.{name}.velocity": np.array([m.velocity[name] for m in joints]),
-            f"joint.{name}.effort": np.array([m.effort[name] for m in joints]),
+            f"joint.{name}.position": np.array([m.position.get(name, np.nan) for m in joints]),
+            f"joint.{name}.velocity": np.array([m.velocity.get(name, np.nan) for m in joints]),
+            f"joint.{name}.effort": np.array([m.effort.get(name, np.nan) for m in joints]),
         }
-    names: list[str] = json.loads(file.metadata.get("columns", "[]")) or list(rest)
+    names = _column_names(file) or list(rest)
     lengths = {len(rest[name]) for name in names if name in rest}
     if len(lengths) != 1:
         raise UsageError("its rows do not belong together", where=str(file.path), todo="import the table again")
     return {name: rest[name] for name in names if name in rest}, []
+
+
+def _column_names(file: McapFile) -> list[str]:
+    where = f"{file.path}: metadata: columns"
+    try:
+        names = load_json(file.metadata.get("columns", "[]"))
+    except DocumentError as error:
+        raise UsageError(error.what, where=where, todo="import the table again") from None
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise UsageError("not a list of names", where=where, todo="import the table again")
+    return names
 
 
 def _info(file: McapFile, states: list[CompensationState]) -> RecordingInfo:
@@ -190,12 +211,23 @@ def _info(file: McapFile, states: list[CompensationState]) -> RecordingInfo:
     values |= {key: file.metadata[key] for key in ("base_link", "sensor_link") if file.metadata.get(key)}
     values |= {"sensor_serial": serial} if (serial := file.metadata.get("serial_number")) else {}
     values |= {"virtual": True} if file.metadata.get("virtual") == "true" else {}
+    where = f"{file.path}: compensation/state: tool_file"
     tools = {state.tool_file for state in states if state.tool_file}
     if tools:
-        values |= tool_info(json.loads(next(s.tool_file for s in reversed(states) if s.tool_file)))
+        values |= _tool_of(next(s.tool_file for s in reversed(states) if s.tool_file), where)
     if len(tools) > 1:
         file.warnings.append("the tool or its calibration was changed during the recording; the last one is given")
-    return RecordingInfo.model_validate(values)
+    return info_of(values, str(file.path))
+
+
+def _tool_of(text: str, where: str) -> dict[str, Any]:
+    try:
+        tool = load_json(text)
+    except DocumentError as error:
+        raise UsageError(error.what, where=where, todo="record it again") from None
+    if not isinstance(tool, dict):
+        raise UsageError("not a tool's file", where=where, todo="record it again")
+    return tool_info(tool)
 
 
 def tool_info(tool: dict[str, Any]) -> dict[str, Any]:
@@ -203,6 +235,8 @@ def tool_info(tool: dict[str, Any]) -> dict[str, Any]:
     part = {key: tool[key] for key in ("name", "mass", "com", "inertia", "tip") if tool.get(key) is not None}
     values: dict[str, Any] = {"tool": part, "model": {"bias": "free"}}
     values |= {key: tool[key] for key in ("zeroed_at", "gravity") if tool.get(key) is not None}
-    if tool.get("bias_body"):
-        values["bias_body"] = {key: tool["bias_body"][key] for key in ("mass", "com")}
+    body = tool.get("bias_body")
+    if body:
+        known = isinstance(body, dict)
+        values["bias_body"] = {key: body[key] for key in ("mass", "com") if key in body} if known else body
     return values

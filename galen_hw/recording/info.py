@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError
 
+from galen_hw.documents import DocumentError, load_json
 from galen_hw.errors import UsageError
 from galen_hw.units import STANDARD_GRAVITY
 
@@ -143,12 +144,21 @@ def parse_info(text: str, where: str) -> RecordingInfo:
         UsageError: not JSON, or a value that does not fit; `where` is the file.
     """
     try:
-        values = json.loads(text)
-    except json.JSONDecodeError as error:
-        place = f"{where}, line {error.lineno}, column {error.colno}"
-        raise UsageError(f"not JSON ({error.msg})", where=place, todo="correct the file") from error
+        values = load_json(text)
+    except DocumentError as error:
+        place = error.within(where) + (f", column {error.column}" if error.column else "")
+        raise UsageError(error.what, where=place, todo="correct the file") from error
     if not isinstance(values, dict):
         raise UsageError("not a JSON object", where=where, todo='write at least {"schema": 1}')
+    return info_of(values, where)
+
+
+def info_of(values: dict[str, Any], where: str) -> RecordingInfo:
+    """The info of values that were read.
+
+    Raises:
+        UsageError: a value does not fit; `where` is the file.
+    """
     try:
         return RecordingInfo.model_validate(values)
     except ValidationError as error:

@@ -1,30 +1,33 @@
 """Reading MCAP record by record from the front: a file that was cut off gives every whole chunk that it holds."""
 
-import json
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
 from math import nan
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 from zlib import crc32
 
 import msgspec
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata, Statistics
+from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statistics
 from mcap.records import Message as Record
-from mcap.stream_reader import breakup_chunk
 
+from galen_hw.documents import load_json
 from galen_hw.errors import UsageError
-from galen_hw.messages import TOPICS, Message
+from galen_hw.messages import TOPICS
+from galen_hw.recording.mcap_unpack import MAX_RECORD_BYTES, unpacked
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 _HEAD: Final = struct.Struct("<BQ")
 _FOOTER: Final = struct.Struct("<BQQQI")
 _CHECKSUM_BYTES: Final = 4
+ENCODINGS: Final = ("json", "msgpack")
+SHOWN: Final = 5
+"""Topics or reasons that are listed of many."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,25 +42,45 @@ class Logged:
     message: Any
 
 
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What the file says of one of its channels: the name of its schema and how its messages are encoded."""
+
+    schema: str
+    encoding: str
+
+
 @dataclass
 class McapFile:
-    """An MCAP file; iterate over it for its messages in the order in which they were recorded.
+    """An MCAP file; iterate over it for its messages by the time of their record (`log_time`).
+
+    The format promises no order in the file; of equal times the file's own is kept.
 
     Args:
         path: of the file.
         topics: to read; all if None.
+        kinds: structs of topics beside those of the bus.
 
-    After iterating, `attachments`, `metadata` and `warnings` are complete.
+    After iterating, `attachments`, `metadata`, `warnings`, `profile` and `held` (every channel of the file, by topic) are
+    complete.
     """
 
     path: Path
     topics: frozenset[str] | None = None
+    kinds: Mapping[str, type[msgspec.Struct]] = field(default_factory=dict)
     attachments: dict[str, str] = field(default_factory=dict)
     metadata: dict[str, str] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    held: dict[str, Held] = field(default_factory=dict)
+    profile: str = ""
+    _schemas: dict[int, str] = field(default_factory=dict)
     _channels: dict[int, tuple[str, Callable[[bytes], Any]]] = field(default_factory=dict)
 
     def __iter__(self) -> Iterator[Logged]:
+        return iter(sorted(self._messages(), key=lambda logged: logged.log_ns))
+
+    def _messages(self) -> Iterator[Logged]:
+        """In the order of the file."""
         unreadable = 0
         self._read_summary()
         for record in self._records():
@@ -66,7 +89,7 @@ class McapFile:
                 continue
             try:
                 message = found[1](record.data)
-            except msgspec.MsgspecError:
+            except (msgspec.MsgspecError, ValueError, RecursionError):
                 unreadable += 1
                 continue
             yield Logged(found[0], record.log_time, message)
@@ -77,6 +100,30 @@ class McapFile:
         """All messages."""
         return list(self)
 
+    def refuse_nothing(self, wanted: str) -> NoReturn:
+        """Say that what is wanted is not in the file, and what is there instead; the file has been read.
+
+        Args:
+            wanted: a clause, as in "holds no raw wrench".
+
+        Raises:
+            UsageError: always.
+        """
+        foreign = [f"{topic} ({_kind(held)})" for topic, held in self.held.items() if topic not in TOPICS]
+        foreign += [f"{t} ({_kind(h)})" for t, h in self.held.items() if t in TOPICS and h.encoding not in ENCODINGS]
+        there = f"its topics are {_listed(foreign)}" if foreign else ""
+        ros = "ROS 2" if self.profile == "ros2" or any(h.encoding == "cdr" for h in self.held.values()) else ""
+        ros = ros or ("ROS 1" if self.profile == "ros1" else "")
+        note = f"; {ros} messages are not read" if ros else ""
+        reasons = [text for text in self.warnings if not text.startswith("channel ")]
+        because = f" ({_listed(reasons)})" if reasons else ""
+        todo = "record these topics with galen-hw record"
+        if foreign:
+            todo = (
+                "write them as a table folder (docs/recording.md, Tables) with their own reader, then galen-hw import"
+            )
+        raise UsageError(": ".join(filter(None, (wanted, there))) + note + because, where=str(self.path), todo=todo)
+
     def _records(self) -> Iterator[Record]:
         seen = 0
         for opcode, body in self._blocks():
@@ -86,7 +133,9 @@ class McapFile:
                 self.warnings.append(f"a damaged part of {len(body)} bytes is left out ({error})")
                 continue
             for record in inner:
-                if isinstance(record, Channel):
+                if isinstance(record, Schema):
+                    self._schemas[record.id] = record.name
+                elif isinstance(record, Channel):
                     self._add_channel(record)
                 elif isinstance(record, Record):
                     seen += 1
@@ -105,6 +154,8 @@ class McapFile:
             opcode, _, start, _, checksum = _FOOTER.unpack(tail)
             if opcode != Opcode.FOOTER or not 0 < start < size:
                 return
+            if size - start > MAX_RECORD_BYTES:
+                return
             file.seek(start)
             rest = file.read()
         # Its checksum ends before itself; 0: none was written. A damaged name would make messages of one topic another's.
@@ -114,8 +165,11 @@ class McapFile:
         while place + _HEAD.size <= len(rest):
             opcode, length = _HEAD.unpack_from(rest, place)
             body = rest[place + _HEAD.size : place + _HEAD.size + length]
-            if opcode == Opcode.CHANNEL and len(body) == length:
-                with suppress(Exception):  # damaged: the chunks may still say it
+            with suppress(Exception):  # damaged: the chunks may still say it
+                if opcode == Opcode.SCHEMA and len(body) == length:
+                    schema = Schema.read(ReadDataStream(BytesIO(body)))
+                    self._schemas[schema.id] = schema.name
+                if opcode == Opcode.CHANNEL and len(body) == length:
                     self._add_channel(Channel.read(ReadDataStream(BytesIO(body))))
             place += _HEAD.size + length
 
@@ -131,8 +185,12 @@ class McapFile:
                 opcode, length = _HEAD.unpack(file.read(9))
                 if place + 9 + length > size:
                     break
-                yield opcode, file.read(length)
                 place += 9 + length
+                if length > MAX_RECORD_BYTES:
+                    self.warnings.append(f"a record of {length} bytes is left out; at most {MAX_RECORD_BYTES} are read")
+                    file.seek(place)
+                    continue
+                yield opcode, file.read(length)
                 if opcode == Opcode.FOOTER:
                     return
             rest = f"the last {size - place} bytes are not whole" if place < size else "it has no end"
@@ -145,11 +203,15 @@ class McapFile:
             raise UsageError(f"cannot be read ({error.strerror})", where=str(self.path)) from error
 
     def _take(self, opcode: int, body: bytes) -> list[Any]:
-        stream = ReadDataStream(BytesIO(body))
         if opcode == Opcode.CHUNK:
-            return breakup_chunk(Chunk.read(stream), validate_crc=True)
+            return unpacked(body)
+        stream = ReadDataStream(BytesIO(body))
+        if opcode == Opcode.SCHEMA:
+            return [Schema.read(stream)]
         if opcode == Opcode.CHANNEL:
             return [Channel.read(stream)]
+        if opcode == Opcode.HEADER:
+            self.profile = Header.read(stream).profile
         if opcode == Opcode.MESSAGE:
             return [Record.read(stream, len(body))]
         if opcode == Opcode.STATISTICS:
@@ -162,24 +224,35 @@ class McapFile:
         return []
 
     def _add_channel(self, channel: Channel) -> None:
+        self.held.setdefault(channel.topic, Held(self._schemas.get(channel.schema_id, ""), channel.message_encoding))
         wanted = self.topics is None or channel.topic in self.topics
         if not wanted or channel.id in self._channels:
             return
-        decoder = _decoder(channel.topic, channel.message_encoding)
+        kind = self.kinds.get(channel.topic) or (TOPICS[channel.topic].message if channel.topic in TOPICS else Any)
+        decoder = _decoder(kind, channel.message_encoding)
         if decoder is None:
-            self.warnings.append(f"channel {channel.topic!r} has encoding {channel.message_encoding!r} and is left out")
+            text = f"channel {channel.topic!r} has encoding {channel.message_encoding!r} and is left out"
+            self.warnings += [] if text in self.warnings else [text]
             return
         self._channels[channel.id] = (channel.topic, decoder)
 
 
-def _decoder(topic: str, encoding: str) -> Callable[[bytes], Any] | None:
-    kind = TOPICS[topic].message if topic in TOPICS else Any
+def _kind(held: Held) -> str:
+    return ", ".join(filter(None, (held.schema, held.encoding))) or "no type"
+
+
+def _listed(texts: list[str]) -> str:
+    more = f" and {len(texts) - SHOWN} more" if len(texts) > SHOWN else ""
+    return ", ".join(texts[:SHOWN]) + more
+
+
+def _decoder(kind: Any, encoding: str) -> Callable[[bytes], Any] | None:
     if encoding == "msgpack":
         return msgspec.msgpack.Decoder(kind).decode
     return _json_decoder(kind) if encoding == "json" else None
 
 
-def _json_decoder(kind: type[Message] | Any) -> Callable[[bytes], Any]:
+def _json_decoder(kind: Any) -> Callable[[bytes], Any]:
     strict = msgspec.json.Decoder(kind)
 
     def decode(data: bytes) -> Any:
@@ -187,7 +260,7 @@ def _json_decoder(kind: type[Message] | Any) -> Callable[[bytes], Any]:
             return strict.decode(data)
         except msgspec.ValidationError:
             # JSON has no NaN: it was written as null.
-            return msgspec.convert(_nan_for_null(json.loads(data)), kind)
+            return msgspec.convert(_nan_for_null(load_json(data)), kind)
 
     return decode
 

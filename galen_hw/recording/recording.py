@@ -78,6 +78,19 @@ class Recording:
             return None
         return self.attachments.get(name, self.path / name)
 
+    @property
+    def about(self) -> str:
+        """Where `info` was read, as errors name it: a file beside a table, attached to an MCAP file, or that file's own."""
+        if self.path.suffix != ".mcap":
+            return str(self.path / "recording.json")
+        return f"{self.path}: recording.json" if "recording.json" in self.attachments else str(self.path)
+
+    def place(self, where: str) -> str:
+        """What an error calls "recording" or "recording.json: KEY", with the name of this recording."""
+        if where.startswith("recording.json"):
+            return self.about + where.removeprefix("recording.json")
+        return str(self.path) if where == "recording" else where
+
     def has(self, *names: str) -> bool:
         """Whether every named column or group is there."""
         return all(name in self.columns or (name in GROUPS and bool(self.names(name))) for name in names)

@@ -2,6 +2,8 @@
 
 import shutil
 import tempfile
+from contextlib import suppress
+from csv import Error as CsvError
 from csv import reader, writer
 from io import BytesIO
 from pathlib import Path
@@ -63,7 +65,13 @@ def _read_csv(file: Path) -> dict[str, Array]:
 
     text = _text(file)
     first, _, rest = text.partition("\n")
-    names = _names([cell.strip() for cell in next(reader([first.rstrip("\r")]), [])], file)
+    try:
+        header = next(reader([first.rstrip("\r")]), [])
+    except CsvError as error:
+        raise UsageError(
+            f"the header cannot be read ({error})", where=str(file), todo="name the columns there"
+        ) from None
+    names = _names([cell.strip() for cell in header], file)
     _check_cells(text, len(names), file)
     if not rest.strip():
         raise UsageError("there are no rows", where=str(file), todo="record something first")
@@ -127,14 +135,13 @@ def _check_cells(text: str, width: int, file: Path) -> None:
 
 def _bad_cell(rest: str, names: list[str], file: Path, error: Exception) -> UsageError:
     """The error for the first cell that is not a number."""
-    for number, row in enumerate(reader(rest.splitlines()), 1):
-        for name, cell in zip(names, row, strict=False):
-            if cell.strip() not in EMPTY and not _is_number(cell):
-                where = f"{file}, column {name!r}, row {number}"
-                return UsageError(
-                    f"{cell[:40]!r} is not a number", where=where, todo="leave empty what was not measured"
-                )
-    return UsageError(f"not a table of numbers ({error})", where=str(file), todo="check the file")
+    with suppress(CsvError):  # a cell that is too long for the reader is none of these
+        for number, row in enumerate(reader(rest.splitlines()), 1):
+            for name, cell in zip(names, row, strict=False):
+                if cell.strip() not in EMPTY and not _is_number(cell):
+                    where, todo = f"{file}, column {name!r}, row {number}", "leave empty what was not measured"
+                    return UsageError(f"{cell[:40]!r} is not a number", where=where, todo=todo)
+    return UsageError(f"not a table of numbers ({str(error)[:120]})", where=str(file), todo="check the file")
 
 
 def _read_parquet(file: Path) -> dict[str, Array]:

@@ -68,10 +68,11 @@ def _write(recording: Recording, writer: McapWriter) -> None:
     joints = _whole_joints(recording)
     held = set(WRENCH if has_wrench else ()) | {f"joint.{n}.{k}" for n in joints for k in _KINDS}
     rest = [name for name in columns if name not in held]
+    log_ns = 0
     for i, seconds in enumerate(time):
         row = {name: columns[name][i] for name in columns}
         head = {"timestamp": seconds, "t_ns": round(seconds * NS_PER_S), "seq": i, "source": "table"}
-        log_ns = max(0, head["t_ns"])
+        log_ns = max(log_ns, head["t_ns"])  # Readers go by it, and a table keeps the order of its rows.
         if joints:
             writer.message("joints/state", _joints_state(head, row, joints), log_ns)
         if has_wrench:

@@ -5,7 +5,6 @@ came from different processes. But every compensated wrench says how old the new
 `compensation/state` after which sample it holds, so that the order can be restored exactly.
 """
 
-import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -14,14 +13,18 @@ from pathlib import Path
 from typing import Any, Final
 
 from msgspec.structs import replace
+from pydantic import ValidationError
 
 from galen_hw.clock import NS_PER_S, TimeBase
+from galen_hw.config.tool_file import parse_tool
+from galen_hw.errors import UsageError
 from galen_hw.kinematics import Robot
 from galen_hw.messages import CompensationState, JointsState, Message, WrenchCompensated, WrenchRaw, encode
 from galen_hw.services.compensation.service import CompensationService
 from galen_hw.services.compensation.settings import CompensationSettings
 from galen_hw.services.service import ServiceContext
 
+TOOL_FILE: Final = "compensation/state: tool_file"
 _OF_GEOMETRY: Final = ("joint_offset", "joint_scale", "link_geometry", "sensor_mounting")
 MEMORYLESS: Final = frozenset(("bias", "step", "drift", "gain", "cross_talk", "payload", "base_tilt", *_OF_GEOMETRY))
 """Effects that depend on the sample alone; what others add differs once samples before it are missing."""
@@ -82,9 +85,18 @@ class Recorded:
                 self.compensated.append(message)
 
     def settings(self) -> CompensationSettings:
-        """As they were when it was recorded; the defaults if it says nothing."""
+        """As they were when it was recorded; the defaults if it says nothing.
+
+        Raises:
+            UsageError: what it says are no settings.
+        """
         text = self.states[0].settings if self.states else ""
-        return CompensationSettings.model_validate_json(text) if text else CompensationSettings()
+        try:
+            return CompensationSettings.model_validate_json(text) if text else CompensationSettings()
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = f"compensation/state: settings.{'.'.join(map(str, first['loc']))}"
+            raise UsageError(str(first["msg"]), where=where, todo="record it again") from None
 
 
 def service_for(recorded: Recorded, robot: Robot, nowhere: Path, *, name: str = "compensation") -> CompensationService:
@@ -219,9 +231,12 @@ class _Feeder:
 
 
 def _effects(state: CompensationState) -> list[str]:
-    """Of the tool's file in hand."""
-    terms = json.loads(state.tool_file).get("terms", []) if state.tool_file else []
-    return [str(term["effect"]) for term in terms]
+    """Of the tool's file in hand.
+
+    Raises:
+        UsageError: it is none.
+    """
+    return [term.effect for term in parse_tool(state.tool_file, TOOL_FILE).terms] if state.tool_file else []
 
 
 def _first_difference(recorded: WrenchCompensated, computed: Message) -> Difference:

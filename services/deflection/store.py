@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from galen_hw.config.tool_file import NAME
 from galen_hw.config.tool_store import write_atomic
+from galen_hw.documents import DocumentError, intact, load_json, sealed
 from galen_hw.errors import UsageError
 
 SCHEMA: Final = 1
@@ -58,6 +59,25 @@ class DeflectionFile(BaseModel):
         return f"{self.name}/{self.generation:04d}"
 
 
+def parse_deflection(text: str) -> DeflectionFile:
+    """A model's file from its text; one with a `digest` must be what the digest was made of.
+
+    Raises:
+        DocumentError: not JSON, a value that does not fit, or another content than was written.
+    """
+    data = load_json(text)
+    if not isinstance(data, dict):
+        raise DocumentError("not a JSON object")
+    try:
+        file = DeflectionFile.model_validate_json(json.dumps({k: v for k, v in data.items() if k != "digest"}))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise DocumentError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+    if intact(data) is False:
+        raise DocumentError("is not what was written: its digest is another")
+    return file
+
+
 @dataclass(frozen=True, slots=True)
 class DeflectionStore:
     """The deflection models of one installation, below its state directory."""
@@ -89,7 +109,7 @@ class DeflectionStore:
             UsageError: the directory cannot be written.
         """
         file = file.model_copy(update={"generation": max(self.generations(file.name), default=0) + 1})
-        text = json.dumps(file.model_dump(mode="json", by_alias=True), indent=1) + "\n"
+        text = json.dumps(sealed(file.model_dump(mode="json", by_alias=True)), indent=1) + "\n"
         write_atomic(self._generation(file.name, file.generation), text)
         write_atomic(self._path(file.name), text)
         if select:
@@ -122,9 +142,12 @@ class DeflectionStore:
         if not path.exists():
             return None
         try:
-            name = json.loads(path.read_text(encoding="utf-8")).get("model")
-        except (OSError, ValueError, AttributeError):
-            raise UsageError("is damaged", where=str(path), todo="galen-hw deflection select NAME") from None
+            data = load_json(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            data = None
+        if not isinstance(data, dict) or not set(data) <= {"model", "digest"} or intact(data) is False:
+            raise UsageError("is damaged", where=str(path), todo="galen-hw deflection select NAME")
+        name = data.get("model")
         return name if isinstance(name, str) and re.match(NAME, name) else None
 
     def select(self, name: str | None) -> None:
@@ -135,7 +158,7 @@ class DeflectionStore:
         """
         if name is not None:
             self.load(name)
-        write_atomic(self.folder / "selected.json", json.dumps({"model": name}) + "\n")
+        write_atomic(self.folder / "selected.json", json.dumps(sealed({"model": name})) + "\n")
 
     def _path(self, name: str) -> Path:
         if not re.match(NAME, name) or name == "selected":
@@ -147,16 +170,14 @@ class DeflectionStore:
 
     def _read(self, path: Path, name: str) -> DeflectionFile:
         try:
-            file = DeflectionFile.model_validate_json(path.read_text(encoding="utf-8"))
+            file = parse_deflection(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             known = ", ".join(self.names()) or "none"
             raise UsageError(f"no deflection model {name!r}", where=str(path), todo=f"there are: {known}") from None
         except (OSError, UnicodeDecodeError) as error:
             raise UsageError(f"cannot be read ({error})", where=str(path), todo=AGAIN) from None
-        except ValidationError as error:
-            first = error.errors()[0]
-            key = ".".join(map(str, first["loc"]))
-            raise UsageError(f"{key}: {first['msg']}", where=str(path), todo=AGAIN) from None
+        except DocumentError as error:
+            raise UsageError(error.what, where=error.within(str(path)), todo=AGAIN) from None
         if file.schema_version != SCHEMA or file.name != name:
             raise UsageError(f"is not model {name!r} of schema {SCHEMA}", where=str(path), todo=AGAIN)
         return file

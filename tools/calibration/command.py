@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from galen_hw.documents import load_json
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, GalenError, UsageError
 
 if TYPE_CHECKING:
@@ -123,7 +124,7 @@ def _setting(recording: "Recording") -> "Setting":
 def _about(folder: Path) -> dict[str, Any]:
     """`sweep.json` beside a sweep of our own."""
     try:
-        found = json.loads((folder / "sweep.json").read_text(encoding="utf-8"))
+        found = load_json((folder / "sweep.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}

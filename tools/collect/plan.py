@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from galen_hw.config.tool_store import write_atomic
+from galen_hw.documents import load_json
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import Robot
 from galen_hw.spatial import Array
@@ -101,7 +102,7 @@ class Plan:
         if not path.exists():
             return None
         try:
-            values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            values: dict[str, Any] = load_json(path.read_text(encoding="utf-8"))
             steps = [Step(**s) for s in values.pop("steps")]
             return cls(folder=folder, steps=steps, **values)
         except (OSError, ValueError, TypeError, KeyError) as error:

@@ -1,6 +1,5 @@
 """A deflection session at work: moves, guides, records, registers and writes set after set."""
 
-import json
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -11,7 +10,9 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from galen_hw.bus import CommandClient, Subscriber
+from galen_hw.clock import TimeBase
 from galen_hw.config.tool_file import ToolFile
+from galen_hw.documents import load_json
 from galen_hw.errors import HardwareError, UsageError
 from galen_hw.identification.deflection.registration import MarkerWatch, Places, register_both
 from galen_hw.kinematics import Robot
@@ -67,6 +68,7 @@ class CollectSession:
     registration: Places | None = None
     rows: Rows = field(init=False)
     _tape: Session | None = None
+    _base: TimeBase = field(default_factory=TimeBase.now)
     _offset: Array = field(default_factory=lambda: np.zeros(3))
     _said: set[str] = field(default_factory=set)
 
@@ -118,7 +120,7 @@ class CollectSession:
             if received is not None:
                 self.rows.take(*received)
                 if self._tape is not None:
-                    self._tape.add(*received, time.time_ns())
+                    self._tape.add(*received, time.monotonic_ns() + self._base.wall_minus_monotonic_ns)
             if time.monotonic() - shown > SHOW_S:
                 shown = time.monotonic()
                 self._look(text)
@@ -266,7 +268,7 @@ class CollectSession:
             return
         path = self.plan.folder / FIRST_SET / "recording.json"
         try:
-            kept = json.loads(path.read_text(encoding="utf-8"))["registration"]
+            kept = load_json(path.read_text(encoding="utf-8"))["registration"]
             X, Z, position, rotation = (np.array(kept[k], dtype=float) for k in REGISTERED)
             self.registration = Places(X, Z, position, rotation, kept["scatter_m"], kept["scatter_rad"])
         except (OSError, ValueError, KeyError):

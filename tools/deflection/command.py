@@ -101,19 +101,18 @@ def read_model(path: Path) -> "DeflectionFile":
     Raises:
         UsageError: it cannot be read, or is no model.
     """
-    from pydantic import ValidationError
-
+    from galen_hw.documents import DocumentError
     from galen_hw.identification.deflection.table import model_of
-    from galen_hw.services.deflection.store import DeflectionFile
+    from galen_hw.services.deflection.store import parse_deflection
 
     try:
-        file = DeflectionFile.model_validate_json(path.read_text(encoding="utf-8"))
+        file = parse_deflection(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"cannot be read ({error})", where=str(path), todo="give a deflection model's file") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        text = f"is no deflection model ({'.'.join(map(str, first['loc']))}: {first['msg']})"
-        raise UsageError(text, where=str(path), todo="galen-hw deflection fit DATA... makes one") from None
+    except DocumentError as error:
+        text = f"is no deflection model ({error.what})"
+        todo = "galen-hw deflection fit DATA... makes one"
+        raise UsageError(text, where=error.within(str(path)), todo=todo) from None
     model_of(file.model, file.values)
     return file
 
