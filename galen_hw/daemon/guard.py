@@ -5,7 +5,7 @@ from typing import Final
 
 from galen_hw.clock import NS_PER_S
 
-LONGEST_STEP_NS: Final = NS_PER_S // 20
+LONGEST_STEP_NS: Final = NS_PER_S // 40
 """Of the time between two joint states, what counts at most: a stall of the whole machine is nobody's silence."""
 
 
