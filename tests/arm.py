@@ -84,7 +84,7 @@ class Arm:
     def begin(self, speed: float = 0.5) -> None:
         """Everything in order, motors on, and a move across the range."""
         assert within(20.0, self.in_order)
-        assert within(10.0, lambda: self.cleared("enable"))
+        assert within(30.0, lambda: self.cleared("enable"))
         here = self.control.state()["joints"]["roll"]
         self.ask("motors", "move_jp", position={"roll": -1.5 if here > 0 else 1.5}, velocity={"roll": speed})
         assert within(5.0, lambda: self.speed()[1] > 0.99 * speed)

@@ -5,6 +5,7 @@ import pytest
 from galen_hw.drivers.galil_dmc import GalilDmc
 from galen_hw.drivers.galil_dmc.watch import program
 from galen_hw.drivers.virtual.galil_dmc import VirtualGalilDmc
+from galen_hw.drivers.virtual.galil_dmc.format import Rejected
 from galen_hw.drivers.virtual.world import World
 from galen_hw.errors import CommandRejectedError
 from tests.galil_host import Host
@@ -57,7 +58,7 @@ def test_the_stop_stays_for_the_next_host_until_it_is_cleared():
     pair = moving()
     alone(pair, 3.0)
     after = connected(pair.device)
-    with pytest.raises(CommandRejectedError, match="heard nothing for 0.25 s and stopped the axes"):
+    with pytest.raises(CommandRejectedError, match=r"heard nothing for 0\.25 s and stopped the axes"):
         after.call("move_jp", {"position": {"roll": 0.0}})
     assert "clear_fault" in after.driver.held
     assert after.call("clear_fault").error is None
@@ -127,6 +128,24 @@ def test_programs_of_the_user_are_kept():
     assert "a program of its own runs in thread 2" in fault.what
     assert pair.call("enable").error is None
     assert pair.call("move_jp", {"position": {"roll": 0.1}}).error is None
+
+
+@pytest.mark.parametrize("command", ["MG _TM", "HX 7", "XQ #GHA1F,7"])
+def test_a_controller_that_knows_no_such_program_is_used_without(command, monkeypatch):
+    """Whatever it refuses, the robot runs and the fault says that nothing stops it by itself."""
+    device = VirtualGalilDmc(VirtualGalilDmc.Settings(), World())
+    execute = device._interpreter._execute
+    refuses = lambda text: _refuse() if text == command else execute(text)  # noqa: E731
+    monkeypatch.setattr(device._interpreter, "_execute", refuses)
+    pair = connected(device)
+    (fault,) = pair.of("fault")
+    assert "the controller stops nothing by itself" in fault.what
+    assert pair.call("enable").error is None
+    assert pair.call("move_jp", {"position": {"roll": 0.1}}).error is None
+
+
+def _refuse():
+    raise Rejected(1)
 
 
 @pytest.mark.parametrize(

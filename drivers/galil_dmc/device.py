@@ -59,7 +59,9 @@ class GalilDmc(Device[bytes]):
         self._state = GalilState(self._axes, settings.limit_active_level)
         self._requests = GalilRequests(self._axes, self._state, self._jobs)
         self._report = Reporter(name, f"{name} (Galil DMC, axes {self._axes.letters})", time_base)
-        self._counts = dict.fromkeys(("samples", "timeouts", "lost_connections", "watchdog_stops", "controller_stops"), 0)
+        self._counts = dict.fromkeys(
+            ("samples", "timeouts", "lost_connections", "watchdog_stops", "controller_stops"), 0
+        )
         self._outbox: list[Output] = []
         self._period_ns = round(NS_PER_S / settings.rate_hz)
         self._record = record_exchange(self._axes.letters)

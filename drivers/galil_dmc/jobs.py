@@ -125,9 +125,7 @@ class GalilJobs:
     def wires(
         self, now_ns: int, record: Exchange | None, beat: Exchange | None = None
     ) -> tuple[list[bytes], list[Finished]]:
-        """What to send now, if the line is idle: `beat` when that is due, between the steps of a script too; the next step
-        of a script; or `record` when that is due.
-        """
+        """What to send now, if the line is idle: `beat`, between the steps of a script too; the next step; or `record`."""
         ended: list[Finished] = []
         if beat is not None and self.link.idle:
             self._asked = None

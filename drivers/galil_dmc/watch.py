@@ -40,20 +40,35 @@ def arm(letters: str, timeout_s: float) -> Script:
     Returns:
         "unwatched", why there is no time-out now (empty if there is), and "tripped", whether it has stopped a motion.
     """
+    tripped = yield from _tripped()
+    try:
+        unwatched = yield from _start(letters, timeout_s)
+    except RefusedError as error:
+        unwatched = str(error)
+    return {"unwatched": unwatched, "tripped": tripped}
+
+
+def _tripped() -> Generator[Step, Answer | None, bool]:
     try:
         (text,) = yield from ask("MG ghtrip")
-        tripped = _numbers(text)[0] > 0
     except RefusedError:  # a variable that is not there yet
-        tripped = False
+        return False
+    return _numbers(text)[0] > 0
+
+
+def _start(letters: str, timeout_s: float) -> Generator[Step, Answer | None, str]:
+    """Why there is no time-out now, empty if there is.
+
+    Raises:
+        RefusedError: the controller does not take one of the commands.
+    """
     (text,) = yield from ask("MG _TM")
     told = _numbers(text)[0]
     sample_us = told if 1.0 <= told <= 1e5 else _SAMPLE_US
     yield from send([f"HX {THREAD}", f"ghms={round(timeout_s * 1e6 / sample_us)}", "gh=TIME"])
-    unwatched = ""
-    if not (yield from _run(letters)):
-        unwatched = yield from _load(letters)
+    unwatched = "" if (yield from _run(letters)) else (yield from _load(letters))
     yield from ask("ghtrip=0")  # last, so that what it told is not lost with an answer on the way
-    return {"unwatched": unwatched, "tripped": tripped}
+    return unwatched
 
 
 def beaten(answer: Answer) -> bool:

@@ -4,7 +4,6 @@ from typing import Annotated, Final, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-
 MOST_POSES: Final = 1000
 """Of the grid: an hour of sweeping, and what is planned in some milliseconds."""
 
