@@ -78,6 +78,7 @@ class Arm:
         return int(self.ask("daemon", "info")["processes"][name])
 
     def speed(self) -> tuple[int, float]:
+        self.systemd.drain()
         state = self.control.state()
         return state["t_ns"], abs(state["velocities"]["roll"])
 

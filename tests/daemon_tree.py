@@ -234,6 +234,11 @@ class Systemd:
         except TimeoutError:
             return
 
+    def drain(self) -> None:
+        """Take what waits, so that there is room for what comes."""
+        while select.select([self._socket], [], [], 0.0)[0]:
+            self.heard.append(self._socket.recv(4096).decode())
+
     def hears(self, word: str, seconds: float = 10.0) -> bool:
         """Whether a word comes in time."""
 
