@@ -118,12 +118,13 @@ class BusSection(Section):
 
 
 class DaemonSection(Section):
-    """The process tree."""
+    """The process tree; `blind_after_s`: silence of the sensor, or of the core process, that stops the arm."""
 
     start_timeout_s: float = Field(default=20.0, gt=0.0, le=600.0)
     optional_wait_s: float = Field(default=5.0, ge=0.0, le=600.0)
     command_timeout_s: float = Field(default=30.0, gt=0.0, le=600.0)
     realtime_priority: int = Field(default=20, ge=0, le=80)
+    blind_after_s: float = Field(default=0.08, ge=0.06, le=5.0)
     garbage_interval_s: float = Field(default=10.0, gt=0.0, le=3600.0)
 
 

@@ -7,7 +7,7 @@ lost, late, doubled, short or foreign changes no state and is counted; what the 
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
 from galen_hw.messages import Message, Reply, Request
 
@@ -31,8 +31,11 @@ class Device(ABC, Generic[Wire]):
 
     Args:
         name: of the device in the configuration; the `source` of its messages and the `target` of its requests.
+
+    `motions`: its requests that may set something in motion; empty for what only measures.
     """
 
+    motions: ClassVar[frozenset[str]] = frozenset()
     name: str
 
     @abstractmethod
@@ -70,6 +73,21 @@ class Device(ABC, Generic[Wire]):
         Args:
             obstacle: why it must not be used; that is then said, and no more.
         """
+
+    def trip(self, what: str, now_ns: int) -> list[Output]:
+        """Come to rest and refuse `motions` until an operator clears it; `what` is why. Nothing to do by default."""
+        del what, now_ns
+        return []
+
+    @property
+    def held(self) -> str:
+        """Why `motions` are refused until an operator clears it; empty if nothing is."""
+        return ""
+
+    @property
+    def live(self) -> bool:
+        """Power is on that moves something, or may."""
+        return False
 
     @property
     @abstractmethod

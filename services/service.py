@@ -88,6 +88,11 @@ class Service(ABC):
         del reply, now_ns
         return []
 
+    def end(self, now_ns: int) -> list[Output]:
+        """What must be said and ordered before the process ends; `close` follows."""
+        del now_ns
+        return []
+
     @abstractmethod
     def snapshot(self) -> dict[str, Any]:
         """State worth keeping over a restart, with a version and the identity of the hardware it belongs to."""

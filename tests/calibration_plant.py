@@ -44,7 +44,7 @@ class Plant:
         self.enabled, self.estop, self.stopped = False, False, 0
         self.progress, self.faults, self.replies, self.moves = [], [], {}, []
         self.silent = set()
-        self.heartbeats = True
+        self.heartbeats = self.patient = True
         self.hooks = []
 
     def ask(self, name, **args):
@@ -86,6 +86,8 @@ class Plant:
         return self.until("done", "stopped")
 
     def step(self):
+        if self.patient and self.service._file is not None:
+            assert self.service._file.wait(30.0)  # simulated time stands while the disk works
         self.now += SAMPLE_NS
         self.count += 1
         dq, ddq = self._joints()

@@ -4,6 +4,7 @@ import os
 import pty
 import select
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -216,3 +217,47 @@ def within(seconds: float, condition: Callable[[], bool], wait: threading.Event 
             return True
         pause.wait(0.02)
     return condition()
+
+
+class Systemd:
+    """The socket on which systemd hears a service."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = str(folder / "notify")
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(self.path)
+        self._socket.settimeout(0.1)
+        self.heard: list[str] = []
+
+    def listen(self) -> None:
+        """Take one word, or wait a moment for none."""
+        try:
+            self.heard.append(self._socket.recv(4096).decode())
+        except TimeoutError:
+            return
+
+    def drain(self) -> None:
+        """Take what waits, so that there is room for what comes."""
+        while select.select([self._socket], [], [], 0.0)[0]:
+            self.heard.append(self._socket.recv(4096).decode())
+
+    def hears(self, word: str, seconds: float = 10.0) -> bool:
+        """Whether a word comes in time."""
+
+        def check() -> bool:
+            self.listen()
+            return word in self.heard
+
+        return within(seconds, check)
+
+    def hears_in(self, *words: str, seconds: float = 10.0) -> bool:
+        """Whether one message with all these words comes in time."""
+
+        def check() -> bool:
+            self.listen()
+            return any(all(word in line for word in words) for line in self.heard)
+
+        return within(seconds, check)
+
+    def close(self) -> None:
+        self._socket.close()

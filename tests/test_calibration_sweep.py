@@ -1,8 +1,10 @@
 """The sweep in simulated time: what it does, and what makes it stop."""
 
 import json
+import os
 import sys
 import threading
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -438,3 +440,57 @@ def test_counts_that_do_not_fit_the_axes_are_refused(plant, counts):
     with pytest.raises(CommandRejectedError, match="count"):
         plant.begin(counts=counts)
     assert plant.moves == []
+
+
+def test_a_disk_that_takes_its_time_holds_up_nothing(plant, monkeypatch):
+    """While not one file reaches the disk the sweep goes on, pose by pose; it is done when all of it is there."""
+    free, sync = threading.Event(), os.fsync
+    monkeypatch.setattr("galen_hw.config.tool_store.os.fsync", lambda fd: (free.wait(60.0), sync(fd)))
+    plant.patient = False
+    plant.begin()
+    plant.until("waiting")
+    plant.world.attach("retractor")
+    plant.ask("resume")
+    poses = plant.progress[-1].poses
+    plant.until("averaging")
+    while plant.progress[-1].pose < poses:
+        plant.run_for(0.5)
+    assert not list(plant.state_dir.glob("sweeps/*/recording.csv"))
+    free.set()
+    plant.patient = True
+    assert plant.until("done", "stopped").state == "done"
+    assert len(read_recording(folder(plant))) == poses
+
+
+def test_a_sweep_beyond_all_bounds_is_refused_at_once(plant):
+    """Axes that are legal each, and more poses than anybody waits for: one line, and nothing has begun."""
+    axes = {name: {"low": -0.05, "high": 0.05, "count": 50} for name in ("carriage1", "carriage2", "roll", "tilt")}
+    begun = time.process_time()
+    with pytest.raises(CommandRejectedError, match="6250000 poses are more than 1000: lower the counts of the axes"):
+        plant.begin(axes=axes)
+    with pytest.raises(CommandRejectedError, match="samples"):
+        plant.ask("start", tool="retractor", samples=100_000)
+    assert time.process_time() - begun < 1.0
+    assert plant.progress == []
+
+
+def test_the_largest_sweep_is_planned_while_the_loop_can_wait():
+    """A thousand poses cost less than the shortest time-out of the motors."""
+    most = FEW.model_copy(
+        update={"axes": {n: AxisSettings(low=-0.5, high=0.5, count=k) for n, k in (("tilt", 20), ("roll", 50))}}
+    )
+    begun = time.thread_time()
+    plan = make_plan(most, GalenRobot())
+    assert time.thread_time() - begun < 0.25
+    assert sum(step.kind == "fit" for step in plan.tool) == 1000
+
+
+def test_the_end_of_the_daemon_is_the_end_of_the_sweep(plant):
+    """The service is told that the process ends: the motors stop, and the client hears why."""
+    _averaging_with_tool(plant)
+    plant.take(plant.service.end(plant.now))
+    assert plant.stopped == 1
+    assert plant.progress[-1].state == "stopped"
+    assert plant.progress[-1].detail.startswith("the daemon ends")
+    plant.service.close()
+    assert story(plant)["state"] == "stopped"

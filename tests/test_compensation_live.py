@@ -32,6 +32,8 @@ tare_timeout_s = 8.0
 [services.admittance]
 [bus]
 viewers = ""
+[daemon]
+blind_after_s = 2.0
 """
 
 

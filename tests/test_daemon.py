@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -14,7 +13,7 @@ import pytest
 from galen_hw.bus import CommandClient, Subscriber
 from galen_hw.errors import CommandRejectedError, HardwareError, UsageError
 from galen_hw.messages import MAX_AGE_NS, JointsState, Status, WrenchCompensated, WrenchRaw
-from tests.daemon_tree import Tree, Wire, alive, daemon_tree, within
+from tests.daemon_tree import Systemd, Tree, Wire, alive, daemon_tree, within
 
 
 @pytest.fixture(scope="module")
@@ -363,36 +362,6 @@ def test_what_a_service_has_learnt_outlives_the_daemon(tree: Tree) -> None:
 
     assert status == 0
     assert "cannot be read" in stderr
-
-
-class Systemd:
-    """The socket on which systemd hears a service."""
-
-    def __init__(self, folder: Path) -> None:
-        self.path = str(folder / "notify")
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.bind(self.path)
-        self._socket.settimeout(0.1)
-        self.heard: list[str] = []
-
-    def listen(self) -> None:
-        """Take one word, or wait a moment for none."""
-        try:
-            self.heard.append(self._socket.recv(4096).decode())
-        except TimeoutError:
-            return
-
-    def hears(self, word: str, seconds: float = 10.0) -> bool:
-        """Whether a word comes in time."""
-
-        def check() -> bool:
-            self.listen()
-            return word in self.heard
-
-        return within(seconds, check)
-
-    def close(self) -> None:
-        self._socket.close()
 
 
 def test_systemd_hears_ready_when_samples_flow_and_the_watchdog_only_while_they_do(tree: Tree) -> None:

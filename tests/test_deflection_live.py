@@ -46,6 +46,8 @@ max_joints_age_s = 0.5
 max_gap_s = 0.5
 [bus]
 viewers = ""
+[daemon]
+blind_after_s = 2.0
 """
 pytestmark = pytest.mark.live
 SHORT = "--configurations 3 --rounds 1 --places 4 --rise 0.1 --dwell 0.2 --rest 0.5 --still 0.5 --tool retractor"

@@ -35,6 +35,8 @@ transport = { url = "/dev/serial/by-id/usb-FTDI_FT232R_USB_UART_A1B2C3D4-if00-po
 dynamic = true
 [bus]
 viewers = ""
+[daemon]
+blind_after_s = 2.0
 """
 
 

@@ -86,8 +86,8 @@ def test_move_begins_only_when_all_is_accepted():
     reply = bench.ask("move_jp", position={"carriage1": 0.05, "roll": -0.5}, velocity={"roll": 0.1},
                       acceleration={"roll": 0.01})  # fmt: skip
     assert reply.error is None
-    sent = [line for line in bench.peer.lines if not line.startswith(("QR", "MG"))]
-    assert sent == ["PA 50000,,,-20861;SP 50000,,,4172;AC 249856,,,1024;DC 249856,,,82944", "BG AD"]
+    sent = [line for line in bench.peer.lines if not line.startswith(("QR", "MG", "gh="))]
+    assert sent == ["PA 50000,,,-20861;SP 50000,,,4172;AC 249856,,,1024;DC 499712,,,82944", "BG AD"]
     assert bench.joints.moving["roll"]
     assert not bench.joints.moving["tilt"]
 
@@ -140,7 +140,7 @@ def test_wrong_requests_are_rejected_before_anything_is_sent(name, args, words):
     with pytest.raises(CommandRejectedError, match=words):
         bench.ask(name, **args)
     bench.run(0.05)
-    assert all(line.startswith(("QR", "MG")) for line in bench.peer.lines)
+    assert all(line.startswith(("QR", "MG", "gh=")) for line in bench.peer.lines)
 
 
 def test_what_the_state_forbids_is_rejected():
@@ -166,11 +166,11 @@ def test_servo_begins_once_and_then_only_changes_speed():
     bench.ask("servo_jv", 0.1, velocity={"roll": 0.1, "tilt": 0.0})
     bench.ask("servo_jv", 0.1, velocity={"roll": -0.05, "tilt": 0.1})
     bench.ask("servo_jv", 0.1, velocity={"roll": 0.0, "tilt": 0.1})
-    sent = [line for line in bench.peer.lines if not line.startswith(("QR", "MG"))]
+    sent = [line for line in bench.peer.lines if not line.startswith(("QR", "MG", "gh="))]
     assert sent == [
-        "AC ,,,82944;DC ,,,82944;JG ,,,4172",
+        "AC ,,,82944;DC ,,,416768;JG ,,,4172",
         "BG D",
-        "AC ,,,,82944;DC ,,,,82944;JG ,,,-2086,4172",
+        "AC ,,,,82944;DC ,,,,416768;JG ,,,-2086,4172",
         "BG E",
         "JG ,,,0,4172",
     ]
@@ -269,9 +269,19 @@ def test_time_of_a_joint_state_lies_between_request_and_answer():
 
 
 def test_rate_follows_the_setting_and_the_line():
-    """The setting bounds the rate; a slower line sets the pace, and no request overtakes an answer."""
-    for byte_ns, expected in ((0, 100), (round(10e9 / 115200), 54), (round(10e9 / 38400), 18)):
-        bench = ready(status_interval_s=0.2)
+    """The setting bounds the rate; a slower line sets the pace, and no request overtakes an answer.
+
+    The controller's own time-out costs 20 short lines a second.
+    """
+    fast, slow = round(10e9 / 115200), round(10e9 / 38400)
+    for byte_ns, watchdog_s, expected in (
+        (0, 0.25, 100),
+        (fast, 0, 54),
+        (fast, 0.25, 51.5),
+        (slow, 0, 18),
+        (slow, 0.25, 15.5),
+    ):
+        bench = ready(status_interval_s=0.2, watchdog_s=watchdog_s)
         bench.latency_ns, bench.byte_ns = MS // 2, byte_ns
         before = len(bench.messages("joints/state"))
         bench.run(2.0)
@@ -307,16 +317,16 @@ def test_the_same_driver_over_a_socket():
         transport.close()
         controller.close()
     assert [o.error for o in outputs if isinstance(o, Reply)] == [None, None]
-    assert "PA ,,,,10430;SP ,,,,20860;AC ,,,,82944;DC ,,,,82944" in peer.lines
+    assert "PA ,,,,10430;SP ,,,,20860;AC ,,,,82944;DC ,,,,207872" in peer.lines
     assert "BG E" in peer.lines
 
 
 def test_stop_of_the_device_sends_one_line_even_while_an_answer_is_pending():
-    """The shell's stop: ST at once, the waiting request answered, silence after it."""
+    """The shell's stop: ST at once and the controller's program ended, the waiting request answered, then silence."""
     bench = ready()
     bench.latency_ns = 10**9
     bench.ask("move_jp", 0.001, position={"roll": 0.1})
-    assert bench.device.stop(bench.now_ns) == [b"ST ABCDE\r"]
+    assert bench.device.stop(bench.now_ns) == [b"ST ABCDE\r", b"HX 7\r"]
     bench.line.clear()
     sent = len(bench.sent)
     bench.run(2.0)

@@ -18,9 +18,11 @@ class Axes:
     Args:
         axes: in the order of the joints on the bus.
         where: the device's name, for errors.
+        stop_s: how long a stop may take, as far as an axis's `max_acceleration` allows.
     """
 
-    def __init__(self, axes: Iterable[AxisSettings], where: str) -> None:
+    def __init__(self, axes: Iterable[AxisSettings], where: str, stop_s: float) -> None:
+        self._stop_s = stop_s
         self.by_joint: dict[str, AxisSettings] = {axis.joint: axis for axis in axes}
         self.where = where
         self.letters = "".join(sorted(axis.axis for axis in self.by_joint.values()))
@@ -72,15 +74,20 @@ class Axes:
         return [
             *per_axis("PA", targets),
             *per_axis("SP", self._steps(speeds, _SPEED_STEP)),
-            *self.ramps(rates),
+            *self.ramps(rates, speeds),
         ]
 
-    def ramps(self, rates: Mapping[str, float]) -> list[str]:
-        """AC and DC for accelerations by joint.
+    def ramps(self, rates: Mapping[str, float], speeds: Mapping[str, float]) -> list[str]:
+        """AC and DC for accelerations and speeds by joint.
 
-        DC is what a stop decelerates with, so it is never less than the axis's own acceleration.
+        DC is what a stop decelerates with (it cannot be changed while an axis moves to a position), so it is never less
+        than the axis's own acceleration, nor than what ends the motion within `stop_s`.
         """
-        brakes = {joint: max(rate, self.by_joint[joint].acceleration) for joint, rate in rates.items()}
+        brakes = {}
+        for joint, rate in rates.items():
+            axis = self.by_joint[joint]
+            soon = min(speeds[joint] / self._stop_s, axis.max_acceleration)
+            brakes[joint] = max(rate, axis.acceleration, soon)
         up, down = self._steps(rates, _ACCELERATION_STEP), self._steps(brakes, _ACCELERATION_STEP)
         return [*per_axis("AC", up), *per_axis("DC", down)]
 

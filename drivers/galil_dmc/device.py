@@ -27,6 +27,7 @@ from galen_hw.drivers.galil_dmc.scripts import (
 )
 from galen_hw.drivers.galil_dmc.settings import GalilSettings
 from galen_hw.drivers.galil_dmc.state import GalilState
+from galen_hw.drivers.galil_dmc.watch import BEAT, BEATS_A_TIMEOUT, THREAD, arm, beaten
 from galen_hw.drivers.reporting import FAR_NS, Reporter
 from galen_hw.messages import JointsState, Request
 
@@ -45,19 +46,22 @@ class GalilDmc(Device[bytes]):
     """
 
     Settings = GalilSettings
+    motions: ClassVar[frozenset[str]] = frozenset({"enable", "move_jp", "servo_jv"})
 
     wire: ClassVar[Literal["can", "serial"]] = "serial"
 
     def __init__(self, name: str, settings: GalilSettings, time_base: TimeBase) -> None:
         self.name = name
         self._settings, self._time_base = settings, time_base
-        self._axes = Axes(settings.axes, name)
+        self._axes = Axes(settings.axes, name, settings.stop_s)
         self._link = GalilLink(_ns(settings.reply_timeout_s), _ns(settings.quiet_s))
         self._jobs = GalilJobs(self._link)
         self._state = GalilState(self._axes, settings.limit_active_level)
         self._requests = GalilRequests(self._axes, self._state, self._jobs)
         self._report = Reporter(name, f"{name} (Galil DMC, axes {self._axes.letters})", time_base)
-        self._counts = dict.fromkeys(("samples", "timeouts", "lost_connections", "watchdog_stops"), 0)
+        self._counts = dict.fromkeys(
+            ("samples", "timeouts", "lost_connections", "watchdog_stops", "controller_stops"), 0
+        )
         self._outbox: list[Output] = []
         self._period_ns = round(NS_PER_S / settings.rate_hz)
         self._record = record_exchange(self._axes.letters)
@@ -65,7 +69,8 @@ class GalilDmc(Device[bytes]):
         self._model = ""
         self._trouble = ""
         self._t_ns = 0
-        self._connect_ns = self._record_ns = self._status_ns = self._servo_ns = FAR_NS
+        self._connect_ns = self._record_ns = self._status_ns = self._servo_ns = self._beat_ns = FAR_NS
+        self._beat_every_ns = _ns(settings.watchdog_s / BEATS_A_TIMEOUT)
 
     def start(self, now_ns: int) -> None:
         """Begin, or begin again: what waits is answered, the controller is identified anew."""
@@ -87,7 +92,10 @@ class GalilDmc(Device[bytes]):
         out += self._watch(now_ns)
         self._schedule(now_ns)
         due = self._connected and now_ns >= self._record_ns
-        more, ended = self._jobs.wires(now_ns, self._record if due else None)
+        beat = BEAT if self._connected and now_ns >= self._beat_ns else None
+        more, ended = self._jobs.wires(now_ns, self._record if due else None, beat)
+        if more == [BEAT.wire]:
+            self._beat_ns = now_ns + self._beat_every_ns
         if more == [self._record.wire]:
             self._record_ns = max(self._record_ns + self._period_ns, now_ns)
         out += self._finish_all(ended, now_ns)
@@ -125,7 +133,28 @@ class GalilDmc(Device[bytes]):
         self._link.drain(now_ns)  # what still arrives belongs to nobody
         self._connect_ns = FAR_NS
         self._trouble = "stopped"
-        return [f"ST {self._axes.letters}\r".encode()]
+        wires = [f"ST {self._axes.letters}\r".encode()]
+        return [*wires, f"HX {THREAD}\r".encode()] if self._settings.watchdog_s else wires
+
+    def trip(self, what: str, now_ns: int) -> list[Output]:
+        """ST before all that waits, which is cancelled; motion is refused until `clear_fault`."""
+        self._state.latched["trip"] = what
+        self._servo_ns = FAR_NS
+        self._requests.jogging.clear()
+        out = self._finish_all(self._jobs.cancel(), now_ns)
+        self._stop_soon()
+        return out + self._report.fault(now_ns, "trip", what, f"remove the cause, then {self._axes.again}")
+
+    @property
+    def held(self) -> str:
+        """What is latched until `clear_fault`."""
+        latched = "; ".join(self._state.latched.values())
+        return f"{latched}; remove the cause, then {self._axes.again}" if latched else ""
+
+    @property
+    def live(self) -> bool:
+        """A motor is on, or what may move the robot waits."""
+        return self._connected and (self._state.powered or self._jobs.pending)
 
     @property
     def wakeup_ns(self) -> int:
@@ -136,7 +165,7 @@ class GalilDmc(Device[bytes]):
         times = [self._connect_ns, self._servo_ns, self._report.status_due_ns]
         if waiting is not None:
             return min([waiting, *times])
-        return min([self._record_ns, self._status_ns, *times] if self._connected else times)
+        return min([self._record_ns, self._status_ns, self._beat_ns, *times] if self._connected else times)
 
     @property
     def ready(self) -> bool:
@@ -151,10 +180,17 @@ class GalilDmc(Device[bytes]):
     def _schedule(self, now_ns: int) -> None:
         if now_ns >= self._connect_ns:
             self._connect_ns = FAR_NS
-            self._add("connect", connect(self._axes, write_limits=self._settings.write_limits))
+            self._add("connect", self._connect())
         if self._connected and (now_ns >= self._status_ns or self._state.status_due) and not self._jobs.named("status"):
             self._status_ns = now_ns + _ns(self._settings.status_interval_s)
             self._add("status", status(self._axes.letters))
+
+    def _connect(self) -> Script:
+        """Identify the controller, then set up its own time-out."""
+        found = yield from connect(self._axes, write_limits=self._settings.write_limits)
+        if self._settings.watchdog_s:
+            found |= yield from arm(self._axes.letters, self._settings.watchdog_s)
+        return found
 
     def _add(self, name: str, script: Script, *, urgent: bool = False) -> None:
         self._jobs.add(Job(name, script, urgent=urgent))
@@ -193,7 +229,8 @@ class GalilDmc(Device[bytes]):
     def _lose(self, now_ns: int) -> list[Output]:
         """Forget the connection: who waits is answered, and subscribers see that the joint state is no longer good."""
         self._connected = False
-        self._record_ns = self._status_ns = self._servo_ns = FAR_NS
+        self._record_ns = self._status_ns = self._servo_ns = self._beat_ns = FAR_NS
+        self._state.arming = False
         out = self._end_all(now_ns)
         self._requests.jogging.clear()
         return [*out, self._joints(now_ns, valid=False)]
@@ -202,6 +239,8 @@ class GalilDmc(Device[bytes]):
         return self._finish_all(self._jobs.abandon(SilentError()), now_ns)
 
     def _answer(self, answer: Answer) -> list[Output]:
+        if answer.exchange is BEAT:
+            return [] if beaten(answer) and not self._state.arming else self._lapsed(answer.t_ns)
         if answer.record is None:
             if answer.exchange.record:
                 return self._report.fault(answer.t_ns, "QR", "the controller refuses QR", "check its model")
@@ -221,6 +260,30 @@ class GalilDmc(Device[bytes]):
         self._t_ns = max(answer.sent_ns, answer.t_ns - _ns(self._settings.record_age_s), self._t_ns + 1)
         return [self._joints(self._t_ns, valid=True), *out]
 
+    def _lapsed(self, t_ns: int) -> list[Output]:
+        """The controller's time-out has run out, or its program is gone: nothing begins before it is set up anew."""
+        self._beat_ns, self._state.arming = FAR_NS, True
+        self._requests.jogging.clear()
+        out = self._finish_all(self._jobs.cancel(), t_ns)
+        self._add("arm", arm(self._axes.letters, self._settings.watchdog_s), urgent=True)
+        return out
+
+    def _armed(self, result: Result, now_ns: int) -> list[Output]:
+        """What the controller's time-out has done, and whether there is one now."""
+        self._state.arming = False
+        out: list[Output] = []
+        if result["tripped"]:
+            self._counts["controller_stops"] += 1
+            what = f"the controller heard nothing for {self._settings.watchdog_s:g} s and stopped the axes"
+            self._state.latched["watchdog"] = what
+            out += self._report.fault(now_ns, "watchdog", what, f"find out why, then {self._axes.again}")
+        if result["unwatched"]:
+            what = f"the controller stops nothing by itself when it hears nothing: {result['unwatched']}"
+            out += self._report.fault(now_ns, "unwatched", what, "see docs/motors.md, or set watchdog_s = 0")
+        else:
+            self._beat_ns = now_ns
+        return out
+
     def _all_off(self, t_ns: int) -> list[Output]:
         what = "some motors are on and some are off, all are switched off"
         self._state.latched["motors"] = what
@@ -237,6 +300,8 @@ class GalilDmc(Device[bytes]):
         out: list[Output] = []
         if job.name == "connect":
             out += self._connection(finished.result, error, now_ns)
+        elif job.name == "arm":
+            out += self._armed(finished.result, now_ns) if error is None else self._unarmed(error, now_ns)
         elif error is None and job.name in {"status", "clear_fault"}:
             out += self._take_status(finished.result, now_ns)
         elif isinstance(error, SilentError) and job.name in {"move_jp", "servo_jv", "enable"} and self._connected:
@@ -244,6 +309,12 @@ class GalilDmc(Device[bytes]):
         elif error is not None and not job.request_id:
             out += self._report.fault(now_ns, job.name, f"{job.name}: {error}", getattr(error, "todo", ""))
         return [*out, self._requests.reply(finished)] if job.request_id else out
+
+    def _unarmed(self, error: Exception, now_ns: int) -> list[Output]:
+        """The time-out could not be set up: it is tried again with the next beat, and until then nothing begins."""
+        self._beat_ns = now_ns + self._beat_every_ns
+        what = f"the controller's own time-out cannot be set up: {error or 'no answer'}"
+        return self._report.fault(now_ns, "unwatched", what, "see docs/motors.md")
 
     def _take_status(self, result: Result, now_ns: int) -> list[Output]:
         faults = self._state.take_status(amplifier_status=result["amplifier_status"], abort_input=result["abort_input"])
@@ -261,7 +332,8 @@ class GalilDmc(Device[bytes]):
         self._state.disabled_limits = controller.disabled_limits
         self._record_ns = now_ns
         self._status_ns = now_ns + _ns(self._settings.status_interval_s)
-        return self._take_status(result, now_ns)
+        out = self._take_status(result, now_ns)
+        return out + self._armed(result, now_ns) if self._settings.watchdog_s else out
 
     def _joints(self, t_ns: int, *, valid: bool) -> Output:
         message = JointsState(

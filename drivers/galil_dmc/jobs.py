@@ -115,16 +115,21 @@ class GalilJobs:
             self.silences += 1
             wire = self.link.drain(now_ns)
             self._owes_record = True
-            ended = [] if self._current is None else self._advance(self._current, SilentError())
+            ended = [] if self._asked is None else self._advance(self._asked, SilentError())
             return [wire], ended
         if self.link.settled(now_ns) and self._quiet_for is not None:
             job, self._quiet_for = self._quiet_for, None
             return [], self._advance(job, None)
         return [], []
 
-    def wires(self, now_ns: int, record: Exchange | None) -> tuple[list[bytes], list[Finished]]:
-        """What to send now, if the line is idle: the next step of a script, or `record` when that is due."""
+    def wires(
+        self, now_ns: int, record: Exchange | None, beat: Exchange | None = None
+    ) -> tuple[list[bytes], list[Finished]]:
+        """What to send now, if the line is idle: `beat`, between the steps of a script too; the next step; or `record`."""
         ended: list[Finished] = []
+        if beat is not None and self.link.idle:
+            self._asked = None
+            return [self.link.send(beat, now_ns)], ended
         while self.link.idle:
             if self._current is None:
                 if record is not None and (self._owes_record or not self._queue) and not self._urgent:

@@ -25,10 +25,12 @@ class Exchange:
     Args:
         line: without the closing CR, at most 80 characters.
         record: axis letters that the binary record in the answer must hold; empty for text.
+        answers: terminators of the answer, where that is not one for each command (a download).
     """
 
     line: str
     record: str = ""
+    answers: int = 0
 
     @property
     def wire(self) -> bytes:
@@ -39,6 +41,11 @@ class Exchange:
     def commands(self) -> list[str]:
         """The commands of the line, each of which answers with a terminator of its own."""
         return self.line.split(";")
+
+    @property
+    def terminators(self) -> int:
+        """How many `:` or `?` end the answer."""
+        return self.answers or len(self.commands)
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +206,7 @@ class GalilLink:
         self._refused.append(_TERMINATORS[byte])
         self.counters["refused"] += _TERMINATORS[byte]
         self._text.clear()
-        return self._complete(waiting, None) if len(self._parts) == len(waiting.exchange.commands) else None
+        return self._complete(waiting, None) if len(self._parts) == waiting.exchange.terminators else None
 
     def _record(self, waiting: _Waiting, t_ns: int) -> Answer | None:
         first = self._buffer[0]

@@ -171,5 +171,7 @@ class GalilRequests:
 
     def _may_move(self) -> None:
         self._no_fault()
+        if self._state.arming:
+            raise self._axes.rejected("the controller's own time-out is being set up", "try again at once")
         if not self._state.enabled:
             raise self._axes.rejected("the motors are off", "enable first")

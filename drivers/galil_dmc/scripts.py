@@ -170,7 +170,8 @@ def jog(axes: Axes, velocity: Mapping[str, float], jogging: set[str]) -> Script:
     """New jog speeds; joints that do not jog yet (what `jogging` says when the script starts) are begun and join it."""
     fresh = [joint for joint, value in velocity.items() if value and joint not in jogging]
     wanted = {joint: value for joint, value in velocity.items() if value or joint in jogging}
-    ramps = axes.ramps(axes.pick(fresh, {}, "acceleration")) if fresh else []
+    fastest = {joint: axes.by_joint[joint].max_velocity for joint in fresh}  # later ones change the speed alone
+    ramps = axes.ramps(axes.pick(fresh, {}, "acceleration"), fastest) if fresh else []
     yield from send([*ramps, *axes.jog(wanted)])
     if fresh:
         yield from _begin(axes.letters_of(fresh))

@@ -115,6 +115,8 @@ class GalilSettings(BaseModel):
         quiet_s: the line counts as drained after so long a silence.
         reconnect_s: pause between attempts to reach a silent controller.
         servo_timeout_s: jogging axes are stopped when servo_jv is not refreshed for so long.
+        watchdog_s: the controller stops the axes by itself when it hears nothing for so long; 0: no program is loaded.
+        stop_s: a stop from a move's own speed takes no longer, as far as `max_acceleration` allows.
         record_age_s: age of a data record when its first byte is read (half a controller sample and a byte's time).
         limit_active_level: value of a limit switch's bit in the record while the axis stands on it (CN -1: 0).
         write_limits: write the axes' limits to the controller as FL and BL.
@@ -129,9 +131,17 @@ class GalilSettings(BaseModel):
     quiet_s: float = Field(default=0.05, gt=0)
     reconnect_s: float = Field(default=1.0, gt=0)
     servo_timeout_s: float = Field(default=0.25, gt=0)
+    watchdog_s: float = Field(default=0.25, ge=0, le=10)
+    stop_s: float = Field(default=0.1, gt=0, le=10)
     record_age_s: float = Field(default=0.0006, ge=0)
     limit_active_level: Literal[0, 1] = 0
     write_limits: bool = True
+
+    @model_validator(mode="after")
+    def _long_enough(self) -> "GalilSettings":
+        if 0 < self.watchdog_s < 0.1:
+            raise ValueError("watchdog_s is less than 0.1 s, which a line cannot keep; 0 for none")
+        return self
 
     @model_validator(mode="after")
     def _distinct(self) -> "GalilSettings":

@@ -24,6 +24,7 @@ class GalilState:
 
     Args:
         axes: the configuration.
+        arming: the controller's own time-out has run out and is set up anew.
         status_due: an axis was stopped by a fault, so `take_status` is wanted at once.
         limit_active: what a limit switch's bit is while the axis stands on it.
     """
@@ -31,6 +32,7 @@ class GalilState:
     def __init__(self, axes: Axes, limit_active: int) -> None:
         self._axes, self._limit_active = axes, limit_active
         self.latched: dict[str, str] = {}
+        self.arming = False
         self.reset()
 
     def reset(self) -> None:
@@ -66,6 +68,11 @@ class GalilState:
     def enabled(self) -> bool:
         """All motors are on."""
         return self.record is not None and all(self.record.axes[a].motor_on for a in self._axes.letters)
+
+    @property
+    def powered(self) -> bool:
+        """Any motor is on."""
+        return self.record is not None and any(self.record.axes[a].motor_on for a in self._axes.letters)
 
     @property
     def disagreeing(self) -> bool:

@@ -11,7 +11,7 @@ import msgspec
 from galen_hw.bus import command_error
 from galen_hw.clock import NS_PER_S
 from galen_hw.daemon.port import Port
-from galen_hw.errors import GalenError
+from galen_hw.errors import CommandRejectedError, GalenError
 from galen_hw.messages import CommandError, CompensationState, Fault, Message, Reply, Request, too_old
 from galen_hw.services.service import Service
 
@@ -56,6 +56,7 @@ class Host:
         clock: monotonic nanoseconds.
         on_done: called with a service's or device's name when it has carried out a command (what it knows is worth
             keeping).
+        forbids: why a device may set nothing in motion now; empty if it may.
     """
 
     def __init__(
@@ -67,6 +68,7 @@ class Host:
         *,
         clock: Callable[[], int],
         on_done: Callable[[str], None] = lambda _: None,
+        forbids: Callable[[], str] = lambda: "",
     ) -> None:
         self.ports, self.services = dict(ports), dict(services)
         self.published: dict[str, int] = {}
@@ -77,6 +79,7 @@ class Host:
         self.tool = ""
         """In hand, as `compensation/state` says."""
         self._name, self._link, self._clock, self._on_done = name, link, clock, on_done
+        self._forbids = forbids
         self._consumers: dict[str, tuple[Service, ...]] = {}
         for topic in {t for s in services.values() for t in s.consumes}:
             self._consumers[topic] = tuple(s for s in services.values() if topic in s.consumes)
@@ -142,6 +145,12 @@ class Host:
             what = f"no answer within {REPLY_WITHIN_NS // NS_PER_S} s"
             self._deliver(Reply(id=id_, error=CommandError(kind="timeout", what=what)))
 
+    def end(self) -> None:
+        """Let every service say and order what it must before the process ends."""
+        now = self._clock()
+        for service in self.services.values():
+            self.take(service.end(now), service)
+
     def _emit(self, topic: str, message: Message) -> None:
         # Services first: the compensated wrench leaves before the raw one has cost its send.
         now = self._clock()
@@ -177,6 +186,7 @@ class Host:
         port, service = self.ports.get(request.target), self.services.get(request.target)
         try:
             if port is not None:
+                self._refuse_blind(port, request)
                 self.take(port.request(request, now))
             elif service is not None:
                 self.take(service.request(request, now), service)
@@ -191,6 +201,16 @@ class Host:
             log.exception("%s %s failed", request.target, request.name)
             where = f"{request.target} {request.name}"
             self._deliver(Reply(id=request.id, error=CommandError(kind="fault", what=repr(error), where=where)))
+
+    def _refuse_blind(self, port: Port, request: Request) -> None:
+        """Let nothing be set in motion that nobody feels.
+
+        Raises:
+            CommandRejectedError: so it is.
+        """
+        if request.name in port.device.motions and (why := self._forbids()):
+            todo = "see galen-hw monitor; nothing moves before it is back"
+            raise CommandRejectedError(why, where=request.target, todo=todo)
 
     def _deliver(self, reply: Reply) -> None:
         """A reply to whoever asked; one that nobody waits for any more is dropped."""

@@ -30,13 +30,14 @@ _AGING: Final = {name.encode(): name for name in MAX_AGE_NS}
 
 
 class DeviceState(msgspec.Struct, frozen=True):
-    """How a device is doing: state of its wire, whether it is ready, and what is wrong (what, where, todo)."""
+    """How a device is doing: its wire, whether it is ready, what is wrong (what, where, todo), why it is held at rest."""
 
     wire: str
     ready: bool
     optional: bool
     attempts: int = 0
     problem: tuple[str, str, str] | None = None
+    held: str = ""
 
 
 class Beat(msgspec.Struct, frozen=True):

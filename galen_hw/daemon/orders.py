@@ -31,6 +31,7 @@ class Orders(msgspec.Struct, frozen=True):
         drivers, transports, services_table: what may be named there.
         runtime, state_dir: directories; virtual: the wires lead to virtual devices.
         wall_minus_monotonic_ns: one time base for the whole tree.
+        processes: of the tree, in the order of the pulse board; pulse_fd: the board's memory.
     """
 
     name: str
@@ -45,6 +46,8 @@ class Orders(msgspec.Struct, frozen=True):
     state_dir: str
     virtual: bool
     wall_minus_monotonic_ns: int
+    processes: tuple[str, ...]
+    pulse_fd: int
 
     def whole(self) -> Setup:
         """The whole set-up, checked again.

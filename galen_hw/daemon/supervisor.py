@@ -25,6 +25,7 @@ from galen_hw.daemon.lock import lock
 from galen_hw.daemon.notify import Notifier
 from galen_hw.daemon.orders import Orders
 from galen_hw.daemon.port import Waker
+from galen_hw.daemon.pulse import LOOP, PulseBoard
 from galen_hw.daemon.readiness import Readiness, waits_for
 from galen_hw.daemon.viewers import Viewers
 from galen_hw.errors import EXIT_FOUND, EXIT_HARDWARE, EXIT_OK, EXIT_USAGE, HardwareError
@@ -35,6 +36,10 @@ from galen_hw.waiting import readable
 TURN_S: Final = 0.05
 REST_WITHIN_S: Final = 6.0
 SILENT_AFTER_S: Final = 8.0
+STILL_AFTER_S: Final = 3.0
+"""As `SILENT_AFTER_S`, for the loops that the arm hangs on."""
+STALE_S: Final = 0.5
+"""A loop that has not turned for so long is said to stand still."""
 DEATHS_ALLOWED: Final = 5
 WITHIN_S: Final = 60.0
 log = logging.getLogger("galen-hw")
@@ -49,6 +54,7 @@ class _Process:
     started: float = 0.0
     start_at: float = 0.0
     deaths: "deque[float]" = field(default_factory=deque)
+    still: bool = False
 
 
 class Supervisor:
@@ -80,6 +86,8 @@ class Supervisor:
         self._on_ready = on_ready
         self._time_base = TimeBase.now()
         self._processes = {name: _Process(share) for name, share in lay_out(setup).items()}
+        self._pulse_fd = PulseBoard.make()
+        self._board = PulseBoard(self._pulse_fd, tuple(self._processes))
         owners = {t: n for n, p in self._processes.items() for t in (*p.share.devices, *p.share.services)}
         section = setup.config.daemon
         self._broker = Broker(addresses, owners, self._processes, section.command_timeout_s, self._info)
@@ -128,9 +136,12 @@ class Supervisor:
             state_dir=str(self._state_dir),
             virtual=self._setup.virtual,
             wall_minus_monotonic_ns=self._time_base.wall_minus_monotonic_ns,
+            processes=tuple(self._processes),
+            pulse_fd=self._pulse_fd,
         )
+        self._board.forget(name)
         command = [sys.executable, "-m", "galen_hw.daemon.worker", name]
-        process.popen = subprocess.Popen(command, stdin=subprocess.PIPE)
+        process.popen = subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=(self._pulse_fd,))
         process.started, process.start_at = time.monotonic(), 0.0
         self._broker.heard_ns[name] = time.monotonic_ns()
         assert process.popen.stdin is not None
@@ -154,14 +165,30 @@ class Supervisor:
                 if now >= process.start_at:
                     self._start(name)
                 continue
-            silent_s = now - self._broker.heard_ns[name] / 1e9
-            if process.popen.poll() is None and silent_s > SILENT_AFTER_S and name in self._broker.beats:
+            still_s = self._look_at_loop(name, process)
+            silent_s = max(still_s, now - self._broker.heard_ns[name] / 1e9)
+            limit_s = STILL_AFTER_S if self._moves_the_arm(name) else SILENT_AFTER_S
+            if process.popen.poll() is None and silent_s > limit_s and name in self._broker.beats:
                 log.error("%s: silent for %.0f s; it is ended and started again", name, silent_s)
                 process.popen.kill()
                 process.popen.wait()
             if process.popen.poll() is not None and (status := self._bury(name, process, now)):
                 return status
         return EXIT_OK
+
+    def _moves_the_arm(self, name: str) -> bool:
+        """Whether the arm hangs on this process: it moves it, or feels what it does."""
+        return name == CORE or MOTORS in self._processes[name].share.devices
+
+    def _look_at_loop(self, name: str, process: _Process) -> float:
+        """Seconds since the loop of a process has turned, 0 before it did; said once where it stands still."""
+        seen_ns = self._board.seen_ns(name, LOOP)
+        still_s = (time.monotonic_ns() - seen_ns) / 1e9 if seen_ns else 0.0
+        if process.still != (still := still_s > STALE_S):
+            process.still = still
+            if still:
+                log.error("%s: has not run for %.1f s", name, still_s)
+        return still_s
 
     def _bury(self, name: str, process: _Process, now: float) -> int:
         assert process.popen is not None
@@ -235,12 +262,15 @@ class Supervisor:
         return {n: known[n] for n in self._setup.devices if n in known}
 
     def _tell(self) -> None:
-        self._notifier.progress(self._broker.beats.get(CORE, Beat()).progress)
+        signs = {n: self._board.seen_ns(n, LOOP) for n in self._processes if self._moves_the_arm(n)}
+        self._notifier.progress(signs | {"samples": self._broker.beats.get(CORE, Beat()).progress})
         self._notifier.status(self._summary())
 
     def _summary(self) -> str:
-        states = self._device_states()
-        words = [f"{n} {'ready' if s.ready else s.wire if s.wire != 'open' else 'silent'}" for n, s in states.items()]
+        still = [n for n, p in self._processes.items() if p.still]
+        devices = {d for n in still for d in self._processes[n].share.devices}
+        words = [f"{n} {'silent' if n in devices else _word(s)}" for n, s in self._device_states().items()]
+        words += [f"process {n} does not run" for n in still]
         restarts = sum(len(p.deaths) for p in self._processes.values())
         return ", ".join([*words, *([f"{restarts} restarts"] if restarts else [])]) or "starting"
 
@@ -279,6 +309,8 @@ class Supervisor:
                     popen.wait()
         self._viewers.close()
         self._broker.close()
+        self._board.close()
+        os.close(self._pulse_fd)
         self._waker.close()
         if self._parent:
             os.close(self._parent)
@@ -292,6 +324,13 @@ def install_signals(supervisor: Supervisor) -> None:
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, lambda *_: supervisor.stop())
+
+
+def _word(state: DeviceState) -> str:
+    """How a device is doing, for one line of all."""
+    if state.held:
+        return f"held at rest ({state.held})"
+    return "ready" if state.ready else state.wire if state.wire != "open" else "silent"
 
 
 def _watch(pid: int | None) -> int | None:

@@ -13,14 +13,17 @@ from typing import Final
 import msgspec
 
 from galen_hw.clock import NS_PER_S, TimeBase
+from galen_hw.config.load import Setup
 from galen_hw.config.paths import Addresses
 from galen_hw.config.schema import DaemonSection
+from galen_hw.daemon.guard import Guard
 from galen_hw.daemon.host import Host
 from galen_hw.daemon.keep import DeviceKeeper, Keeper
-from galen_hw.daemon.layout import CORE, PRIORITY_BELOW_CORE
+from galen_hw.daemon.layout import CORE, MOTORS, PRIORITY_BELOW_CORE, SENSOR
 from galen_hw.daemon.links import REPLY, REQUEST, Beat, CoreLink, DeviceState, EdgeLink, Origin
 from galen_hw.daemon.orders import Orders, build_port, build_services
 from galen_hw.daemon.port import Port, Waker
+from galen_hw.daemon.pulse import LOOP, WRENCH, PulseBoard
 from galen_hw.daemon.realtime import GarbageKeeper, raise_priority, sharpen_timers
 from galen_hw.decoding import LARGEST_MESSAGE, UnreadableError, decode_message, decode_reply, decode_request
 from galen_hw.errors import EXIT_OK, GalenError
@@ -68,7 +71,17 @@ class Worker:
             if orders.name == CORE
             else EdgeLink(orders.name, addresses, origin, topics)
         )
-        self.host = Host(orders.name, ports, services, self._link, clock=time.monotonic_ns, on_done=self._keep)
+        self._board = PulseBoard(orders.pulse_fd, orders.processes)
+        self._guard = self._make_guard(whole) if MOTORS in ports else None
+        self.host = Host(
+            orders.name,
+            ports,
+            services,
+            self._link,
+            clock=time.monotonic_ns,
+            on_done=self._keep,
+            forbids=lambda: self._guard.missing if self._guard else "",
+        )
         self._consumed = {topic.encode() for topic in self.host.consumed}
         self._unreadable = 0
         self._ports = list(ports.values())
@@ -79,9 +92,11 @@ class Worker:
         if not self._patience_ns:
             self._own_fds.append(self._link.inlet.fd)
         self._next_beat_ns = self._next_status_ns = self._next_due_ns = 0
-        self._status_seq = self._turns = 0
+        self._status_seq = self._turns = self._wrenches = self._joints = 0
         self._may_jump = orders.name != CORE and not any(s.takes_old for s in services.values())
         self._passed_over = self._old_before = 0
+        self._held: dict[str, str] = {}
+        self._others = {name: 0 for name in orders.processes if orders.name == CORE and name != CORE}
         self._garbage = GarbageKeeper(self._setup.config.daemon.garbage_interval_s)
         self._used_s, self._used_at_ns = 0.0, time.monotonic_ns()
 
@@ -112,6 +127,7 @@ class Worker:
             self._hear_all(heard)
         self._listen(ready)
         now = time.monotonic_ns()
+        self._pulse(now)
         if now >= self._next_due_ns:
             host.tick(now)
             self._report(now)
@@ -119,6 +135,30 @@ class Worker:
             self._next_due_ns = min(host.wakeup_ns, self._next_beat_ns)
         if self._lifeline in ready or self._waker.fd in ready:
             self._look_at_lifeline(ready)
+
+    def _make_guard(self, whole: Setup) -> Guard:
+        signs = {f"no sign of life from the process {CORE}": lambda: self._board.seen_ns(CORE, LOOP)}
+        optional = set()
+        if SENSOR in whole.devices:
+            signs[what := "no wrench"] = lambda: self._board.seen_ns(CORE, WRENCH)
+            optional = {what} if whole.devices[SENSOR].optional else set()
+        return Guard(signs, self._setup.config.daemon.blind_after_s, optional)
+
+    def _pulse(self, now: int) -> None:
+        """Give signs of life; where the motors are, look for those of the others, and stop when blind."""
+        self._board.beat(self._orders.name, LOOP, now)
+        published = self.host.published
+        wrenches, joints = published.get("wrench/raw", 0), published.get("joints/state", 0)
+        if wrenches != self._wrenches:
+            self._wrenches = wrenches
+            self._board.beat(self._orders.name, WRENCH, now)
+        if self._guard is None or joints == self._joints:
+            return
+        self._joints = joints
+        self._guard.heard(now)
+        device = self.host.ports[MOTORS].device
+        if (why := self._guard.blind) and device.live and not device.held:
+            self.host.take(device.trip(f"stopped, for nobody feels what the arm does: {why}", now))
 
     def _wait(self, until_ns: int) -> list[int]:
         fds = [*self._own_fds, *[p.fd for p in self._ports if p.fd is not None]]
@@ -192,6 +232,7 @@ class Worker:
             if self._status_seq % KEEP_EACH == 0:
                 for name in self.host.ports:
                     self._keep(name)
+            self._report_others(now)
 
     def _device_state(self, name: str, port: Port) -> DeviceState:
         problem = None
@@ -200,7 +241,11 @@ class Worker:
         elif not port.device.ready and (fault := self.host.faults.get(name)) is not None:
             problem = (fault.what, fault.where, fault.todo)
         ready = port.state == "open" and port.device.ready
-        return DeviceState(port.state, ready, port.optional, port.attempts, problem)
+        held = port.device.held
+        if held != self._held.get(name, ""):
+            self._held[name] = held
+            log.warning("%s: %s", name, held or "may move again")
+        return DeviceState(port.state, ready, port.optional, port.attempts, problem, held)
 
     def _publish_status(self, now: int) -> None:
         usage = resource.getrusage(resource.RUSAGE_SELF)
@@ -237,6 +282,25 @@ class Worker:
             ),
         )
 
+    def _report_others(self, now: int) -> None:
+        """The status of a process that does not run, in its name: it cannot say so itself."""
+        for name in self._others:
+            silent_ns = now - (self._board.seen_ns(name, LOOP) or now)
+            if silent_ns < STATUS_NS // 2:
+                continue
+            self._others[name] += 1
+            detail = f"the process {name} has not run for {silent_ns / NS_PER_S:.1f} s"
+            status = Status(
+                timestamp=self._time_base.timestamp(now),
+                t_ns=now,
+                seq=self._others[name],
+                valid=True,
+                source=f"daemon.{name}",
+                state="fault",
+                detail=detail,
+            )
+            self._link.publish("status", status)
+
     def _keep(self, name: str) -> None:
         if name in self.host.services:
             self._keeper.keep(name, self.host.services[name].snapshot())
@@ -248,6 +312,7 @@ class Worker:
             self._keep(name)  # Before the rest: afterwards a device does not know any more that it was there.
         for port in self._ports:
             port.rest()
+        self.host.end()
         until = time.monotonic() + REST_WITHIN_S
         while self.host.moving and time.monotonic() < until:
             fds = [fd for p in self._ports if (fd := p.fd) is not None]

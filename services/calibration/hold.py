@@ -49,10 +49,11 @@ def unsteady(samples: list[Sample], noise: Array | None) -> str:
 
 def touched(samples: list[Sample], force: float, torque: float) -> str:
     """What changed during a hold by more than `force` (N) or `torque` (N m), empty if nothing did."""
-    blocks = [np.mean(samples[i : i + BLOCK], axis=0) for i in range(0, len(samples) - BLOCK + 1, BLOCK)]
-    if len(blocks) < 2:
+    blocks = len(samples) // BLOCK
+    if blocks < 2:
         return ""
-    return _jump(np.abs(blocks[-1] - blocks[0]), force, torque, "changed by {} while the robot stood still")
+    first, last = (np.mean(samples[i * BLOCK : (i + 1) * BLOCK], axis=0) for i in (0, blocks - 1))
+    return _jump(np.abs(last - first), force, torque, "changed by {} while the robot stood still")
 
 
 def _jump(change: Array, force: float, torque: float, text: str) -> str:

@@ -19,6 +19,8 @@ from galen_hw.services.calibration.settings import AxisSettings, CalibrationSett
 from galen_hw.spatial import Array
 
 SHUFFLES: Final = 1000
+LOOKED_AT: Final = 100_000
+"""Poses of all shuffles together: what the loop of the motors can spare the time for."""
 Kind = Literal["fit", "home", "verify", "check"]
 
 
@@ -100,35 +102,45 @@ def _best_order(
     for k, name in enumerate(names):
         q[:, robot.joint_names.index(name)] = [c[k] for c in combinations]
     s = gravity_in_sensor(robot.sensor_pose(q)[:, :3, :3], robot.gravity)
-    orders = [_shuffled(counts, rng) for _ in range(SHUFFLES)]
-    best = min(orders, key=lambda order: _correlation(s[order]))
+    score = _Score(s)
+    shuffles = min(SHUFFLES, max(100, LOOKED_AT // len(s)))
+    orders = (_shuffled(counts, rng) for _ in range(shuffles))
+    best = min(orders, key=score.correlation)
     return [dict(zip(names, map(float, combinations[i]), strict=True)) for i in best]
 
 
-def _shuffled(counts: list[int], rng: np.random.Generator) -> list[int]:
+def _shuffled(counts: list[int], rng: np.random.Generator) -> Array:
     """Row numbers of a grid: slow rows shuffled, the fast joint back and forth."""
     rows = int(np.prod(counts[:-1])) if len(counts) > 1 else 1
     fast = counts[-1]
     forward = bool(rng.integers(2))
-    order: list[int] = []
-    for row in rng.permutation(rows):
-        columns = range(fast) if forward else range(fast - 1, -1, -1)
-        order += [int(row) * fast + column for column in columns]
-        forward = not forward
-    return order
+    order = rng.permutation(rows)[:, None] * fast + np.arange(fast)
+    back = slice(1 if forward else 0, None, 2)
+    order[back] = order[back, ::-1]
+    return np.asarray(order.ravel())
 
 
-def _correlation(s: Array) -> float:
-    """Largest correlation of gravity in the sensor with time and its square."""
-    t = np.linspace(-1.0, 1.0, len(s))
-    clocks = np.stack([t, t**2 - np.mean(t**2)])
-    centred = s - s.mean(axis=0)
-    spread = np.linalg.norm(centred, axis=0)
-    used = spread > 1e-6
-    if not used.any():
-        return 0.0
-    r = clocks @ centred[:, used] / (np.linalg.norm(clocks, axis=1)[:, None] * spread[used] + 1e-300)
-    return float(np.abs(r).max())
+class _Score:
+    """How well an order hides a drift.
+
+    Args:
+        s: (n, 3) gravity in the sensor, pose by pose of the grid.
+    """
+
+    def __init__(self, s: Array) -> None:
+        t = np.linspace(-1.0, 1.0, len(s))
+        self._clocks = np.stack([t, t**2 - np.mean(t**2)])
+        centred = s - s.mean(axis=0)
+        spread = np.linalg.norm(centred, axis=0)
+        used = spread > 1e-6
+        self._centred = centred[:, used]
+        self._scale = np.linalg.norm(self._clocks, axis=1)[:, None] * spread[used] + 1e-300
+
+    def correlation(self, order: Array) -> float:
+        """Largest correlation of gravity in the sensor with time and its square."""
+        if not self._centred.size:
+            return 0.0
+        return float(np.abs(self._clocks @ self._centred[order] / self._scale).max())
 
 
 def _tool_steps(

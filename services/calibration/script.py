@@ -16,6 +16,8 @@ from galen_hw.services.calibration.state import Run, StaleError, SweepStoppedErr
 
 SLOW, HOLD = "slow motion", "hold"
 """Details of the progress of a check while its samples count."""
+DISK_S = 60.0
+"""Longest wait, at rest, for the files of a sweep to be on the disk."""
 ARRIVED = 0.004
 """rad or m from the target that counts as there."""
 
@@ -46,6 +48,8 @@ def sweep(run: Run) -> Script:
     for step in run.plan.tool:
         yield from _pose(run, step)
     yield from _move(run, run.plan.home)
+    run.file.note("done")
+    yield Wait(lambda: run.file.idle, DISK_S, lambda: f"the disk has not taken the sweep within {DISK_S:g} s")
     run.finish()
 
 

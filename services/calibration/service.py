@@ -1,8 +1,9 @@
 """The calibration sweep: moves the robot through its poses and writes the raw sweep; the fit is done elsewhere.
 
 Requests: start {tool, kind: "sweep" | "check", owner, hold, counts, ...overrides of the settings}, resume {} (the sensor
-is bare, or the tool is on), heartbeat {owner}, stop {owner}. A client that has started a sweep must send a heartbeat at
-least every second; when it falls silent, or when anything is wrong, the motors stop and the poses so far are kept.
+is bare, or the tool is on), heartbeat {owner}, stop {owner}. A client that has started a sweep sends a heartbeat several
+times a second; after `heartbeat_s` (0.7 s) of silence, so that the arm is at rest within a second, or when anything is
+wrong, the motors stop and the poses so far are kept.
 
 `owner` is a word of the client's own: with it in start, only heartbeats that bear it count. `stop` without it always
 stops; with it, it stops that owner's sweep only, so that a client whose start was refused cannot end another's sweep.
@@ -30,6 +31,7 @@ from galen_hw.services.calibration.state import Run, StaleError, SweepStoppedErr
 from galen_hw.services.service import Output, Service, ServiceContext
 
 PROGRESS_NS: Final = NS_PER_S // 5
+DISK_ENDS_S: Final = 2.0
 
 
 class CalibrationService(Service):
@@ -42,6 +44,7 @@ class CalibrationService(Service):
     def __init__(self, name: str, settings: CalibrationSettings, context: ServiceContext) -> None:
         self.name, self._settings, self._context = name, settings, context
         self._run: Run | None = None
+        self._file: SweepFile | None = None
         self._script: Script | None = None
         self._wait: Wait | None = None
         self._deadline_ns = self._heartbeat_ns = self._next_status_ns = self._next_progress_ns = 0
@@ -136,6 +139,19 @@ class CalibrationService(Service):
             outputs.append(("status", self._status(now_ns)))
         return outputs
 
+    def end(self, now_ns: int) -> list[Output]:
+        """Stop a sweep that runs and say so: its client must not wait for what has gone."""
+        run = self._run
+        if run is None:
+            return []
+        run.now_ns = now_ns
+        return self._stop(run, SweepStoppedError("the daemon ends"))
+
+    def close(self) -> None:
+        """Let the files of the last sweep reach the disk."""
+        if self._file is not None:
+            self._file.wait(DISK_ENDS_S)
+
     def snapshot(self) -> dict[str, Any]:
         """Nothing of a sweep outlives the process but its file."""
         return {"version": 1, "identity": self._context.identity}
@@ -222,16 +238,8 @@ class CalibrationService(Service):
         folder = self._context.state_dir / "sweeps" / f"{tool}-{stamp[:8]}-{stamp[8:]}"
         if folder.exists():
             folder = folder.with_name(f"{folder.name}-{self._sweeps}")
-        run = Run(
-            self.name,
-            kind,
-            settings,
-            self._context,
-            plan,
-            SweepFile(folder, self._context.robot, about),
-            now_ns,
-            now_ns,
-        )
+        self._file = SweepFile(folder, self._context.robot, about)
+        run = Run(self.name, kind, settings, self._context, plan, self._file, now_ns, now_ns)
         run.raw, run.joints = self._last_raw, self._last_joints
         run.raw_ns = run.joints_ns = run.joints_heard_ns = now_ns
         run.expectation = Expectation(run.gravity)
@@ -240,6 +248,10 @@ class CalibrationService(Service):
 
     def _advance(self, run: Run) -> None:
         """Let the script go on as far as its conditions hold."""
+        try:
+            run.file.check()
+        except UsageError as error:
+            raise SweepStoppedError(str(error)) from error
         while self._run is run and self._wait is not None and self._wait.until():
             self._resume_script(run)
         if self._run is run and self._wait is not None and run.now_ns > self._deadline_ns:
@@ -280,10 +292,12 @@ class CalibrationService(Service):
         kept = f"; {len(run.file)} poses kept in {run.file.folder}" if len(run.file) else ""
         if run.kind == "sweep" and len(run.file):
             try:
+                run.file.check()
                 run.file.note("stopped", stop.what)
             except UsageError:
                 # The disk may be what stopped the sweep; the stop that is queued must leave all the same.
                 kept += ", whose sweep.json could not be brought up to date"
+        run.file.close()
         run.show("stopped", f"{stop.what}{kept}" + (f"; {stop.todo}" if stop.todo else ""))
         self._last_stop = stop.what
         outputs = run.outputs

@@ -1,8 +1,11 @@
 """Settings of the calibration sweep; angles in rad, every other unit in the key."""
 
-from typing import Annotated, Self
+from typing import Annotated, Final, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+MOST_POSES: Final = 1000
+"""Of the grid: an hour of sweeping, and what is planned in some milliseconds."""
 
 
 class _Section(BaseModel):
@@ -54,7 +57,7 @@ class CalibrationSettings(_Section):
     verify_poses: int = Field(default=8, ge=0, le=100)
     home_every: int = Field(default=10, ge=2, le=1000)
     seed: Annotated[int, Field(ge=0)] = 1
-    samples: int = Field(default=300, ge=10, le=100_000)
+    samples: int = Field(default=300, ge=10, le=10_000)
     zero_samples: int = Field(default=1000, ge=10, le=100_000)
     still_velocity_rad_per_s: float = Field(default=0.01, gt=0.0, le=0.1)
     settle_s: float = Field(default=0.15, ge=0.0, le=10.0)
@@ -64,11 +67,17 @@ class CalibrationSettings(_Section):
     overload_force_n: float = Field(default=40.0, gt=0.0, le=1000.0)
     stale_s: float = Field(default=1.0, gt=0.0, le=5.0)
     recover_s: float = Field(default=6.0, ge=0.0, le=60.0)
-    heartbeat_s: float = Field(default=3.0, gt=0.0, le=60.0)
+    heartbeat_s: float = Field(default=0.7, gt=0.0, le=60.0)
     max_bare_mass_kg: float = Field(default=0.15, gt=0.0, le=5.0)
     least_tool_mass_kg: float = Field(default=0.02, gt=0.0, le=1.0)
     check_velocity_rad_per_s: float = Field(default=0.11, gt=0.0, le=1.0)
     check_acceleration_rad_per_s2: float = Field(default=0.035, gt=0.0, le=5.0)
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        if self.poses > MOST_POSES:
+            raise ValueError(f"{self.poses} poses are more than {MOST_POSES}: lower the counts of the axes")
+        return self
 
     @property
     def poses(self) -> int:

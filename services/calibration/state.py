@@ -259,7 +259,7 @@ class Run:
 
     def finish(self) -> None:
         """All poses are done."""
-        if self.kind == "sweep":
-            self.file.note("done")
+        self.file.check()
+        self.file.close()
         self.done = True
         self.show("done", str(self.file.folder) if self.kind == "sweep" else "")

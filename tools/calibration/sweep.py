@@ -19,8 +19,11 @@ from galen_hw.config.paths import Addresses
 from galen_hw.errors import CommandRejectedError, GalenError, HardwareError
 from galen_hw.messages import CalibrationProgress
 
-SILENT_S: Final = 5.0
-HEARTBEAT_S: Final = 0.5
+SILENT_S: Final = 2.0
+"""Without progress, which comes five times a second, the service is gone; where it ends in order, it says so itself."""
+HEARTBEAT_S: Final = 0.2
+ANSWER_S: Final = 0.3
+STOP_S: Final = 1.0
 
 
 class Heartbeat:
@@ -49,7 +52,7 @@ class Heartbeat:
         with CommandClient(self._address) as client:
             while not self._end.wait(HEARTBEAT_S):
                 with suppress(GalenError):
-                    client.call("calibration", "heartbeat", {"owner": self._owner}, timeout_s=2.0)
+                    client.call("calibration", "heartbeat", {"owner": self._owner}, ANSWER_S)
 
 
 @dataclass(frozen=True)
@@ -129,7 +132,7 @@ def _stopping(client: CommandClient, owner: str) -> Iterator[None]:
         yield
     except BaseException:
         with suppress(GalenError):
-            client.call("calibration", "stop", {"owner": owner}, timeout_s=5.0)
+            client.call("calibration", "stop", {"owner": owner}, STOP_S)
         raise
 
 
@@ -140,7 +143,7 @@ def _follow(
     with Display(console, int(started["poses"])) as display:
         heard, resumed = time.monotonic(), False
         while True:
-            received = subscriber.receive(0.5)
+            received = subscriber.receive(0.2)
             if received is None or not isinstance(received[1], CalibrationProgress):
                 if time.monotonic() - heard > SILENT_S:
                     raise HardwareError("the calibration service is silent", where="bus", todo="galen-hw monitor")

@@ -142,6 +142,11 @@ class VirtualGalilDmc:
         self._rx.clear()
         self._tx.clear()
 
+    def stand(self, late_ns: int) -> None:
+        """Let the controller's own time stand for so long: whoever keeps it was kept from it."""
+        if self._origin_ns is not None:
+            self._origin_ns += late_ns
+
     def feed(self, data: bytes, t_ns: int) -> None:
         """Bytes that the host began to send at `t_ns`; they take their time on the line."""
         self._rx.put(data, t_ns)

@@ -3,6 +3,7 @@
 from typing import Final
 
 from galen_hw.drivers.virtual.galil_dmc.controller import Controller
+from galen_hw.drivers.virtual.galil_dmc.expression import evaluate
 from galen_hw.drivers.virtual.galil_dmc.format import Rejected
 from galen_hw.drivers.virtual.galil_dmc.grammar import LINE_LIMIT, Line, parse, split_line
 from galen_hw.drivers.virtual.galil_dmc.motion import MOTION, Handler
@@ -23,7 +24,7 @@ class Interpreter:
     def __init__(self, controller: Controller) -> None:
         self.controller = controller
         controller.program.execute = self._execute
-        controller.evaluate = lambda text: operand(controller, text)
+        controller.evaluate = lambda text: evaluate(text, lambda part: operand(controller, part))
 
     def answer(self, line: Line) -> bytes:
         """Everything the controller says to one line, without its echo."""

@@ -28,12 +28,14 @@ class Program:
     """The program memory and its threads.
 
     Args:
+        append: the download under way is added to the end (DL #), not put in the program's place.
         execute: runs one command and returns its data; set by the interpreter.
     """
 
     lines: list[str] = field(default_factory=list)
     threads: dict[int, Thread] = field(default_factory=dict)
     incoming: list[str] | None = None
+    append: bool = False
     execute: "Callable[[str], str | bytes | None] | None" = None
 
     @property
@@ -49,7 +51,8 @@ class Program:
             self.incoming.append(head)
         if not backslash:
             return False
-        self.lines, self.incoming = self.incoming[:MAX_LINES], None
+        before = self.lines if self.append else []
+        self.lines, self.incoming = [*before, *self.incoming][:MAX_LINES], None
         return True
 
     def start(self, label: str, thread: int) -> None:
@@ -114,6 +117,8 @@ class Program:
         elif name == "WT":
             thread.wait_until = controller.t + float(rest) / 1000.0
         elif name == "JP":
-            thread.line, thread.part = self.find(rest.split(",")[0].strip()), 0
+            label, _, condition = rest.partition(",")
+            if not condition or controller.value(condition):
+                thread.line, thread.part = self.find(label.strip()), 0
         elif self.execute is not None and isinstance(data := self.execute(text), str):
             controller.say(data)

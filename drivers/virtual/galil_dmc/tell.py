@@ -156,12 +156,13 @@ def _output(level: int) -> Handler:
 
 
 def download(controller: Controller, rest: str) -> None:
-    """DL: the following lines are a program, up to a backslash."""
+    """DL: the following lines are a program, up to a backslash; DL # adds them to the end of the one that is there."""
     if controller.program.running:
         raise Rejected(17)
-    if rest not in {"", "0"}:
+    if rest not in {"", "0", "#"}:
         raise Rejected(6)
     controller.program.incoming, controller.downloading = [], True
+    controller.program.append = rest == "#"
 
 
 def listing(controller: Controller, _rest: str) -> str:
