@@ -34,7 +34,7 @@ class CanSettings(BaseModel):
             udp_multicast: port; socketcand: host, port, tcp_tune.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     interface: Interface = "socketcan"
     channel: str = Field(default="can0", min_length=1)

@@ -44,7 +44,7 @@ class SerialSettings(BaseModel):
         write_timeout_s: longest wait for a peer that takes no bytes.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     url: str = Field(default="/dev/ttyUSB0", min_length=1)
     baud_rate: int = Field(default=115200, gt=0)

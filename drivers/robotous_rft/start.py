@@ -31,7 +31,7 @@ class RobotousSettings(BaseModel):
         zero_force_n, zero_torque_nm: what their mean may be at most.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     rate_hz: int = 200
     filter_hz: int | None = None
