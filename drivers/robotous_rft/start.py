@@ -83,7 +83,7 @@ class RobotousIdentity:
     @property
     def described(self) -> str:
         """For people."""
-        worn = [f"{axis} {count}" for axis, count in zip(_AXES, self.overloads, strict=True) if count]
+        worn = [f"{axis} {count}" for axis, count in zip(AXES, self.overloads, strict=True) if count]
         overloads = f", overloads in its life: {', '.join(worn)}" if worn else ""
         return f"{self.model}, sensor {self.serial_number}, firmware {self.firmware}{overloads}"
 
@@ -165,4 +165,4 @@ def _accept(key: str, response: bytes) -> None:
         raise DialogueError(f"the sensor refuses {key}: {error}", f"choose a {key} that this model knows")
 
 
-_AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
