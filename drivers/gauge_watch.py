@@ -96,7 +96,7 @@ class GaugeWatch:
         kept = max(self._size, KEPT)
         self._kept, self._rows = kept, np.zeros((4 * kept, GAUGES))
         self._noise: Floats | None = None
-        self._repeats: Floats = np.ones(GAUGES + 1)
+        self._repeats: Floats = np.zeros(GAUGES + 1)  # logarithms
         self.interrupt()
 
     def forget(self) -> None:
@@ -130,7 +130,7 @@ class GaugeWatch:
         seen = (same[~idle].sum(axis=0) + 1.0) / (np.count_nonzero(~idle) + 1.0)
         each = np.maximum(likeliest, np.where(unmoved, 0.0, seen))
         hang = max(float(likeliest.prod()), (np.count_nonzero(idle) + 1.0) / (len(idle) + 1.0))
-        self._repeats = np.append(each, hang)
+        self._repeats = np.log(np.minimum(np.append(each, hang), 1.0))
 
     def take(self, gauges: tuple[int, ...]) -> bool:
         """Add a sample; true when `broken` was found out anew (which it is every `STEP_S`)."""
@@ -153,10 +153,12 @@ class GaugeWatch:
 
     def _judge(self, noise: Floats) -> list[Broken]:
         self._count_runs()
-        stuck = self._runs * np.log(self._repeats) < math.log(self._level)
+        stuck = self._runs * self._repeats < math.log(self._level)
         if stuck[GAUGES]:
             return [Broken(-1, "hangs: the same sample again and again")]
-        third = np.abs(np.diff(self._rows[max(0, self._end - self._size) : self._end], 3, axis=0)[::-4]) / _NORM
+        x = self._rows[max(0, self._end - self._size) : self._end]
+        a, b, c, d = (x[first : len(x) - 3 + first : 4] for first in range(4))
+        third = np.abs(d - a + 3.0 * (b - c)) / _NORM
         n = len(third)
         # However quiet at rest: a load that changes passes from count to count, and rounding makes noise of that.
         most = NOISE_RANGE * np.maximum(noise, _ROUNDING)
@@ -170,12 +172,13 @@ class GaugeWatch:
 
     def _count_runs(self) -> None:
         """How long each gauge has repeated while others changed, and all of them together."""
-        same = np.diff(self._rows[max(0, self._judged - 1) : self._end], axis=0) == 0.0
+        rows = self._rows[max(0, self._judged - 1) : self._end]
+        same = rows[1:] == rows[:-1]
         idle = same.all(axis=1)
-        for place, column in enumerate((*same[~idle].T, idle)):
-            other = np.flatnonzero(~column)
-            run = len(column) - 1 - int(other[-1]) if len(other) else len(column) + self._runs[place]
-            self._runs[place] = run
+        for part, columns in ((slice(GAUGES), same[~idle]), (slice(GAUGES, None), idle[:, None])):
+            if len(columns):
+                whole, since = columns.all(axis=0), (~columns[::-1]).argmax(axis=0)
+                self._runs[part] = np.where(whole, self._runs[part] + len(columns), since)
 
 
 _WORDS: Final = (
