@@ -22,10 +22,9 @@ _CONTROLLER, _ACKNOWLEDGE, _BUS_OFF, _RESTARTED = 0x004, 0x020, 0x040, 0x100
 _OVERFLOW, _PASSIVE = 0x03, 0x30
 
 
-def count_error_frame(message: can.Message, counters: dict[str, int]) -> None:
-    """Count an error frame by its class (linux/can/error.h)."""
-    kinds = message.arbitration_id
-    detail = message.data[1] if len(message.data) > 1 else 0
+def count_error_frame(kinds: int, data: bytes, counters: dict[str, int]) -> None:
+    """Count an error frame by its class (linux/can/error.h), which is its identifier."""
+    detail = data[1] if len(data) > 1 else 0
     counters["error_frames"] += 1
     counters["bus_off"] += bool(kinds & _BUS_OFF)
     counters["no_acknowledge"] += bool(kinds & _ACKNOWLEDGE)

@@ -1,40 +1,59 @@
-"""CAN through python-can: SocketCAN, slcan adapters, udp multicast, socketcand, and `virtual` inside one process."""
+"""CAN: slcan adapters and socketcand servers on our own; SocketCAN, udp multicast and `virtual` through python-can."""
 
 import logging
-import os
 import socket
 import time
 from pathlib import Path
-from typing import Any, Final, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, Self, TypeAlias
 
 import can
-from can.interfaces.slcan import slcanBus
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from galen_hw.drivers.can_errors import ERROR_COUNTERS, count_error_frame, explain, is_full
 from galen_hw.drivers.device import CanFrame
-from galen_hw.drivers.slcan_bus import ChunkedSlcanBus
+from galen_hw.drivers.slcan_wire import BITRATES, SlcanWire
+from galen_hw.drivers.socketcand_wire import SocketcandWire
 from galen_hw.drivers.transport import Transport
+from galen_hw.drivers.wire_claim import Claim, port_key
 from galen_hw.errors import HardwareError
 
+if TYPE_CHECKING:
+    from galen_hw.drivers.can_wire import CanWire
+
 Interface: TypeAlias = Literal["socketcan", "slcan", "virtual", "udp_multicast", "socketcand"]
+COUNTERS: Final = (
+    "received",  # data frames
+    "sent",
+    "unsent",  # the interface had no room for them
+    "not_data",  # extended and remote frames, CAN FD
+    "malformed",  # text of an adapter or server that is none
+    "reopened",  # an adapter's channel, after nothing had been heard for long
+    *ERROR_COUNTERS,
+)
 MOST_FRAMES: Final = 4096
 """Frames that one `receive` returns at most."""
-CONNECT_S: Final = 2.0
+_OWN_OPTIONS: Final[dict[str, dict[str, type]]] = {
+    "slcan": {"tty_baudrate": int, "sleep_after_open": float, "rtscts": bool, "listen_only": bool},
+    "socketcand": {"host": str, "port": int, "tcp_tune": bool},
+}
+"""Options of the wires that are our own, and their types; `tcp_tune` is always done."""
+
+
+_TYPES: Final = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 
 
 class CanSettings(BaseModel):
     """Keys of a CAN wire.
 
     Args:
-        interface: of python-can.
+        interface: as python-can names them.
         channel: `can0`; a serial port (slcan); a multicast address; the name on the server (socketcand); any name
         (virtual). bitrate: bit/s. SocketCAN's is set by the system (`ip link set can0 up type can bitrate 1000000`).
-        options: passed on to python-can's bus, e.g. slcan: sleep_after_open (s; 0 by itself on a pty), tty_baudrate;
-            udp_multicast: port; socketcand: host, port, tcp_tune.
+        options: slcan: sleep_after_open (s; 0 by itself on a pty), tty_baudrate, rtscts, listen_only; socketcand: host,
+            port; the others are passed on to python-can's bus, e.g. udp_multicast: port.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     interface: Interface = "socketcan"
     channel: str = Field(default="can0", min_length=1)
@@ -43,11 +62,20 @@ class CanSettings(BaseModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.interface == "slcan" and self.bitrate not in slcanBus._BITRATES:  # noqa: SLF001 - its table
-            raise ValueError(f"an slcan adapter's bitrate must be one of {sorted(slcanBus._BITRATES)}")  # noqa: SLF001
+        if self.interface == "slcan" and self.bitrate not in BITRATES:
+            raise ValueError(f"an slcan adapter's bitrate must be one of {sorted(BITRATES)}")
         if self.interface == "socketcand" and not {"host", "port"} <= set(self.options):
             raise ValueError("socketcand needs options host and port")
+        if self.interface in _OWN_OPTIONS:
+            self._check_options(_OWN_OPTIONS[self.interface])
         return self
+
+    def _check_options(self, known: dict[str, type]) -> None:
+        for key, value in self.options.items():
+            if key not in known:
+                raise ValueError(f"{self.interface} has no option {key}; it knows {', '.join(known)}")
+            if type(value) is not known[key] and not (known[key] is float and type(value) is int):
+                raise ValueError(f"option {key} of {self.interface} must be {_TYPES[known[key]]}, not {value!r}")
 
 
 class CanTransport(Transport[CanFrame]):
@@ -63,46 +91,49 @@ class CanTransport(Transport[CanFrame]):
         self.address = f"{settings.interface}:{settings.channel}"
         self._settings = settings
         self._bus: can.BusABC | None = None
-        self._slcan: ChunkedSlcanBus | None = None
-        self._tcp: socket.socket | None = None
-        self._counters = dict.fromkeys(("received", "sent", "unsent", "not_data", "malformed", *ERROR_COUNTERS), 0)
+        self._text: CanWire | None = None
+        self._claim: Claim | None = None
+        self._counters = dict.fromkeys(COUNTERS, 0)
 
     def open(self) -> None:
         """See `Transport.open`."""
         self.close()
         logging.getLogger("can").setLevel(logging.CRITICAL)  # it logs what we say better, once, as HardwareError
         try:
-            self._bus = self._make_bus()
+            self._take()
         except (OSError, ValueError, TypeError, ArithmeticError, can.CanError, NotImplementedError) as error:
+            self.close()
             raise explain(self._settings.interface, self._settings.channel, error) from error
-        self._slcan = self._bus if isinstance(self._bus, ChunkedSlcanBus) else None
-        # python-can's socketcand bus offers no descriptor and does not notice a closed connection
-        tcp = getattr(self._bus, "_SocketCanDaemonBus__socket", None)
-        self._tcp = tcp if isinstance(tcp, socket.socket) else None
+        except HardwareError:
+            self.close()
+            raise
 
-    def _make_bus(self) -> can.BusABC:
+    def _take(self) -> None:
         options: dict[str, Any] = dict(self._settings.options)
         channel, interface = self._settings.channel, self._settings.interface
         if interface == "slcan":
-            if os.path.realpath(channel).startswith("/dev/pts/"):
-                options.setdefault("sleep_after_open", 0.0)  # the pause is for adapters that boot when they are opened
-            return ChunkedSlcanBus(channel, bitrate=self._settings.bitrate, **options)
-        if interface == "socketcan":
-            _check_socketcan(channel)
-        if interface == "socketcand":
-            _greet(str(options["host"]), int(options["port"]))
-        return can.Bus(channel, interface, ignore_config=True, **options)
+            self._claim = Claim(channel if "://" in channel else port_key(channel), self.address)
+            self._text = SlcanWire(channel, self._settings.bitrate, self._counters, **options)
+        elif interface == "socketcand":
+            host, port = str(options["host"]), int(options["port"])
+            self._claim = Claim(f"socketcand:{host}:{port}/{channel}", self.address, shared=True, alone=self.alone)
+            self._text = SocketcandWire(channel, host, port, self._counters)
+        else:
+            if interface == "socketcan":
+                self._claim = Claim(f"socketcan:{channel}", self.address, shared=True, alone=self.alone)
+                _check_socketcan(channel)
+            self._bus = can.Bus(channel, interface, ignore_config=True, **options)
 
     def send(self, wires: list[CanFrame]) -> None:
         """See `Transport.send`; what a full queue does not take is counted as `unsent`, not waited for."""
-        bus = self._need_bus()
         if not wires:
             return
         try:
-            if self._slcan is not None:
-                self._slcan.send_frames(wires)
+            if self._text is not None:
+                self._text.send_frames(wires)
                 self._counters["sent"] += len(wires)
                 return
+            bus = self._need_bus()
             for frame in wires:
                 self._send_one(bus, frame)
         except (OSError, can.CanError, ValueError) as error:
@@ -120,15 +151,28 @@ class CanTransport(Transport[CanFrame]):
 
     def receive(self, timeout_s: float) -> list[tuple[CanFrame, int]]:
         """See `Transport.receive`."""
-        bus = self._need_bus()
         try:
-            if self._slcan is not None:
-                frames, t_ns = self._slcan.read_frames(timeout_s)
+            if self._text is not None:
+                frames, t_ns = self._text.read_frames(timeout_s)
                 self._counters["received"] += len(frames)
                 return [(frame, t_ns) for frame in frames]
-            return self._receive_messages(bus, timeout_s)
+            return self._receive_messages(self._need_bus(), timeout_s)
         except (OSError, can.CanError, ValueError) as error:
             raise self._gone(error) from error
+
+    def tend(self, now_ns: int) -> None:
+        """See `Transport.tend`: an slcan adapter's channel that was closed is opened again."""
+        if self._text is None or now_ns < self._text.wakeup_ns:
+            return
+        try:
+            self._text.tend(now_ns)
+        except OSError as error:
+            raise self._gone(error) from error
+
+    @property
+    def wakeup_ns(self) -> int:
+        """See `Transport.wakeup_ns`."""
+        return super().wakeup_ns if self._text is None else self._text.wakeup_ns
 
     def _receive_messages(self, bus: can.BusABC, timeout_s: float) -> list[tuple[CanFrame, int]]:
         received: list[tuple[CanFrame, int]] = []
@@ -151,13 +195,11 @@ class CanTransport(Transport[CanFrame]):
                 raise
             self._counters["malformed"] += 1  # a datagram of somebody else on the group
             return None
-        if message is None and self._tcp is not None and _is_closed(self._tcp):
-            raise can.CanOperationError("the server closed the connection")
         return message
 
     def _sort(self, message: can.Message) -> CanFrame | None:
         if message.is_error_frame:
-            count_error_frame(message, self._counters)
+            count_error_frame(message.arbitration_id, bytes(message.data), self._counters)
             return None
         if message.is_extended_id or message.is_remote_frame or message.is_fd:
             self._counters["not_data"] += 1
@@ -166,18 +208,22 @@ class CanTransport(Transport[CanFrame]):
 
     def close(self) -> None:
         """See `Transport.close`."""
-        bus, self._bus, self._slcan, self._tcp = self._bus, None, None, None
-        if bus is None:
-            return
+        bus, text, claim = self._bus, self._text, self._claim
+        self._bus = self._text = self._claim = None
         try:
-            bus.shutdown()
+            if text is not None:
+                text.close()
+            if bus is not None:
+                bus.shutdown()
         except (OSError, can.CanError):
             logging.getLogger(__name__).debug("%s was gone when it was closed", self.address)
+        if claim is not None:
+            claim.close()
 
     def fileno(self) -> int | None:
         """See `Transport.fileno`; none for `virtual`."""
-        if self._tcp is not None:
-            return self._tcp.fileno()
+        if self._text is not None:
+            return self._text.fd
         try:
             return None if self._bus is None else self._bus.fileno()
         except NotImplementedError:
@@ -185,12 +231,8 @@ class CanTransport(Transport[CanFrame]):
 
     @property
     def counters(self) -> dict[str, int]:
-        """Frames in and out, and what went wrong: see `can_errors.ERROR_COUNTERS`."""
-        counters = dict(self._counters)
-        if self._slcan is not None:
-            for name in ("rejected", "malformed", "not_data"):
-                counters[name] = counters.get(name, 0) + getattr(self._slcan, name)
-        return counters
+        """See `COUNTERS`."""
+        return dict(self._counters)
 
     def _need_bus(self) -> can.BusABC:
         if self._bus is None:
@@ -208,16 +250,3 @@ def _check_socketcan(channel: str) -> None:
     socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     if not Path("/sys/class/net", channel).exists():
         raise OSError(19, "no such interface")
-
-
-def _greet(host: str, port: int) -> None:
-    """Fail early where python-can would try for ten seconds without a pause; leave as a polite client does."""
-    with socket.create_connection((host, port), CONNECT_S) as tcp:
-        tcp.recv(64)
-
-
-def _is_closed(tcp: socket.socket) -> bool:
-    try:
-        return tcp.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT) == b""
-    except BlockingIOError:
-        return False

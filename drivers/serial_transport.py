@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from galen_hw.drivers.serial_line import LineChange, LineControl
 from galen_hw.drivers.transport import Transport
+from galen_hw.drivers.wire_claim import Claim, keep_others_out, port_key
 from galen_hw.errors import HardwareError
 
 CHUNK: Final = 65536
@@ -44,7 +45,7 @@ class SerialSettings(BaseModel):
         write_timeout_s: longest wait for a peer that takes no bytes.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     url: str = Field(default="/dev/ttyUSB0", min_length=1)
     baud_rate: int = Field(default=115200, gt=0)
@@ -68,6 +69,7 @@ class SerialTransport(Transport[bytes]):
         self._settings = settings
         self._port: serial.Serial | None = None
         self._fd: int | None = None
+        self._claim: Claim | None = None
         self._counters = dict.fromkeys(("bytes_in", "bytes_out", "reads", "line_changes"), 0)
 
     def open(self) -> None:
@@ -75,6 +77,8 @@ class SerialTransport(Transport[bytes]):
         settings = self._settings
         self.close()
         try:
+            # Before the port is touched: opening it alone changes its speed and drops what another program waits for.
+            self._claim = _claim(settings.url)
             self._port = serial.serial_for_url(
                 settings.url,
                 baudrate=settings.baud_rate,
@@ -85,9 +89,11 @@ class SerialTransport(Transport[bytes]):
                 exclusive=True,
             )
         except (serial.SerialException, OSError, ValueError) as error:
+            self.close()
             self._explain(error)
         with contextlib.suppress(io.UnsupportedOperation, AttributeError):
             self._fd = self._port.fileno()
+            keep_others_out(self._fd, settings.url)
         if settings.low_latency:
             # pseudo terminals and most adapters but FTDI's know no such mode
             with contextlib.suppress(ValueError, NotImplementedError, AttributeError, OSError):
@@ -126,6 +132,9 @@ class SerialTransport(Transport[bytes]):
         if port is not None:
             with contextlib.suppress(serial.SerialException, OSError):
                 port.close()
+        if self._claim is not None:
+            self._claim.close()
+            self._claim = None
 
     def fileno(self) -> int | None:
         """See `Transport.fileno`."""
@@ -185,3 +194,11 @@ class SerialTransport(Transport[bytes]):
         else:
             what, todo = "the device is gone", "check cable and power; it is tried again"
         raise HardwareError(what, where=self.address, todo=todo) from None
+
+
+def _claim(url: str) -> Claim | None:
+    """The claim of a port of this machine or of a server's port; nobody else can have a loop."""
+    scheme, mark, _ = url.partition("://")
+    if not mark:
+        return Claim(port_key(url), url)
+    return Claim(url, url) if scheme in ("socket", "rfc2217") else None

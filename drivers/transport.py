@@ -11,9 +11,11 @@ class Transport(ABC, Generic[Wire]):
 
     Args:
         address: how the configuration names it, for error messages.
+        alone: to be set before `open`: refuse a wire that another process uses, though it can be shared.
     """
 
     address: str
+    alone: bool = False
 
     @abstractmethod
     def open(self) -> None:
@@ -42,6 +44,18 @@ class Transport(ABC, Generic[Wire]):
     @abstractmethod
     def close(self) -> None:
         """Close the wire; closing twice is fine."""
+
+    def tend(self, now_ns: int) -> None:
+        """Look after the open wire; called when `wakeup_ns` has come, at the latest.
+
+        Raises:
+            HardwareError: the wire is gone.
+        """
+
+    @property
+    def wakeup_ns(self) -> int:
+        """When `tend` is due, in ns of CLOCK_MONOTONIC."""
+        return 1 << 62
 
     def fileno(self) -> int | None:
         """A descriptor that becomes readable when `receive` has something, None where there is none."""

@@ -5,15 +5,22 @@ How samples are asked for and paired, and how a sensor is zeroed, is the device'
 
 from abc import abstractmethod
 from enum import Enum, auto
-from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
+from typing import Any, ClassVar, Final, Generic, Literal, Protocol, TypeVar
 
 from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.drivers.device import CanFrame, Device, Output
 from galen_hw.drivers.dialogue import Dialogue, DialogueError
+from galen_hw.drivers.gauge_watch import GaugeWatch
 from galen_hw.drivers.kept_zero import Kept, KeptZero
 from galen_hw.drivers.reporting import FAR_NS, Reporter
 from galen_hw.errors import CommandRejectedError
 from galen_hw.messages import CommandError, Reply, Request
+
+BROKEN_HOLD_S: Final = 1.0
+"""After a gauge was found broken nothing is vouched for until it has been well for so long."""
+_TODO_GAUGE: Final = (
+    "do not use the wrench; check the sensor's cable, stop what vibrates; if it stays, have it repaired"
+)
 
 
 class Phase(Enum):
@@ -93,6 +100,9 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
         self._zeroing = zeroing
         self._kept_zero = KeptZero(zero_kept_s)
         self._retry_ns = FAR_NS
+        self._gauges = GaugeWatch(asked_rate_hz)
+        self._broken_until_ns = 0
+        self._broken = ""
 
     def start(self, now_ns: int) -> None:
         """Identify the sensor (again); see `Device.start`."""
@@ -133,6 +143,23 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
             self._outbox += self._reporter.fault(now_ns, "zero", what, "zero the sensor, with no tool on")
         return kept
 
+    @abstractmethod
+    def _gauge_name(self, gauge: int) -> str:
+        """What the gauge of this index is called, for people."""
+
+    def _judge_gauges(self, t_ns: int) -> None:
+        """After each verdict on the gauges: tell, and vouch for nothing until none has been broken for a while."""
+        broken = self._gauges.broken
+        if not broken:
+            if self._broken and t_ns >= self._broken_until_ns:
+                self._broken = ""
+            return
+        names = ("the sensor" if one.gauge < 0 else self._gauge_name(one.gauge) for one in broken)
+        self._broken = "; ".join(f"{name} {one.what}" for name, one in zip(names, broken, strict=True))
+        self._broken_until_ns = t_ns + round(BROKEN_HOLD_S * NS_PER_S)
+        self._outbox += self._reporter.fault(t_ns, "gauge", self._broken, _TODO_GAUGE)
+        self._outbox += self._zeroing.give_up("fault", self._broken)
+
     @property
     def _start_due_ns(self) -> int:
         """When the start wants to be carried on."""
@@ -142,6 +169,7 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
 
     def _begin(self, now_ns: int) -> None:
         self._phase, self._flowing = Phase.STARTING, False
+        self._gauges.interrupt()
         self._counters["restarts"] += self._dialogue is not None
         self._dialogue = self._new_dialogue(now_ns)
 
@@ -214,4 +242,5 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
             return "fault", self._trouble
         if not self.ready or self._identity is None:
             return "starting", self._trouble
-        return self._running(self._identity, now_ns)
+        state, detail = self._running(self._identity, now_ns)
+        return ("fault", f"{self._broken}; {detail}") if self._broken else (state, detail)

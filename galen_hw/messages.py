@@ -79,8 +79,8 @@ class WrenchCompensated(Message, frozen=True, kw_only=True):
         joints_extrapolated: the joint state was extrapolated beyond its bound; `valid` is then false.
         blend: 0 to 1, progress of the change of tool, toggle or tare.
         terms: number of extra physical effects of the tool's file in the prediction.
-        unzeroed: the sensor's own offset is in it, neither zeroed nor tared away; with a calibration that rests on a
-            zeroed sensor `valid` is then false.
+        unzeroed: the sensor's own offset is in its reading, neither zeroed nor tared away; `valid` is then false, unless
+            a calibration is subtracted whose bias was found on the sensor as it is.
         tool_unseen: since the sensor was zeroed it has not read the tool's weight: the tool is off, or was on when it was
             zeroed and its weight is taken off twice; `valid` is false until it is seen or tared.
     """

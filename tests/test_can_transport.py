@@ -19,7 +19,7 @@ from galen_hw.drivers.can_errors import explain
 from galen_hw.drivers.can_transport import CanTransport
 from galen_hw.drivers.device import CanFrame
 from galen_hw.drivers.memory_transport import MemoryTransport
-from galen_hw.drivers.slcan_bus import ChunkedSlcanBus
+from galen_hw.drivers.slcan_wire import SlcanWire, parse_line
 from galen_hw.errors import HardwareError
 
 FRAME = CanFrame(0x200, bytes.fromhex("400000120FFEE6A8"))
@@ -62,7 +62,7 @@ def adapter():
 def slcan(adapter):
     wire = transport("slcan", adapter.path)
     wire.open()
-    adapter.read(10)
+    adapter.read(7)
     yield wire
     wire.close()
 
@@ -74,13 +74,13 @@ def receive(wire, count, seconds=2.0):
     return frames
 
 
-def test_slcan_opens_without_a_pause_on_a_pty_with_python_cans_sequence(adapter):
-    """Close, bit rate, empty data rate, open, open: what python-can sends, without its two seconds."""
+def test_slcan_opens_without_a_pause_on_a_pty(adapter):
+    """Close, bit rate, open, without the two seconds for an adapter that boots."""
     begun = time.monotonic()
     wire = transport("slcan", adapter.path)
     wire.open()
     assert time.monotonic() - begun < 1.0
-    assert adapter.read(10) == b"C\rS8\r\rO\rO\r"
+    assert adapter.read(7) == b"C\rS8\rO\r"
     wire.close()
     assert adapter.read(2) == b"C\r"
     wire.close()
@@ -104,14 +104,78 @@ def test_slcan_counts_what_is_no_data_frame(slcan, adapter):
     assert [frame for frame, _ in receive(slcan, 1)] == [CanFrame(0x200, b"\n")]
     counters = slcan.counters
     assert counters["rejected"] == 1
-    assert counters["not_data"] == 3
-    assert counters["malformed"] == 3
+    assert counters["not_data"] == 2
+    assert counters["malformed"] == 4
 
 
-def test_slcan_accepts_adapters_that_add_a_time_stamp(slcan, adapter):
-    """Two bytes of milliseconds after the data are left out."""
-    adapter.write(b"t20010A1234\r")
-    assert receive(slcan, 1)[0][0] == CanFrame(0x200, b"\n")
+@pytest.mark.parametrize("stamp", ["", "EA5F", "ea5f", "03AA6AE0"])
+@pytest.mark.parametrize("frame", [CanFrame(0x200), CanFrame(0x7FF, b"\x0a"), FRAME])
+def test_slcan_accepts_adapters_that_add_a_time_stamp(slcan, adapter, frame, stamp):
+    """Milliseconds in 16 bits, microseconds in 32, or none: the stamp is left out, and nothing is malformed."""
+    adapter.write(f"t{frame.arbitration_id:03X}{len(frame.data)}{frame.data.hex()}{stamp}\r".encode())
+    assert receive(slcan, 1)[0][0] == frame
+    assert (slcan.counters["malformed"], slcan.counters["not_data"]) == (0, 0)
+
+
+NO_FRAMES = [
+    b"t2_0100", b"t+201FF", b"t 201FF", b"t-201FF", b"t0x1100", b"t2009" + b"00" * 9, b"t200A" + b"00" * 10, b"t8000",
+    b"tFFF0", b"t2001F F", b"t2001+F", b"t2001_F", b"t2002 0A0", b"t200", b"t20", b"t", b"t2001", b"t2001F", b"t2000F",
+    b"t2000FFF", b"t2000FFFFF", b"t20001234567", b"t2000123456789", b"t2001FF\n", b"\nt2001FF", b"t2001\xd9\xa1",
+    b"t2001FFt2001FF", b"T2000000", b"T0000020G1FF", b"hello",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("line", NO_FRAMES)
+def test_slcan_takes_nothing_for_a_frame_that_is_none(slcan, adapter, line):
+    """Signs, spaces, underscores, prefixes, nine bytes, identifiers beyond 7FF, wrong lengths: malformed, and counted."""
+    adapter.write(line + b"\rt2010\r")
+    assert [frame for frame, _ in receive(slcan, 1)] == [CanFrame(0x201)]
+    assert slcan.counters["malformed"] == 1
+
+
+STAMPS = st.sampled_from(["", "%04X", "%08x"])
+
+
+@settings(max_examples=300)
+@given(st.integers(0, 0x7FF), st.binary(max_size=8), STAMPS, st.integers(0, 0xFFFF), st.booleans())
+def test_slcan_round_trip(identifier, data, stamp, number, upper):
+    """What is written reads back as it was, with every kind of stamp and in either case of letters."""
+    frame = CanFrame(identifier, data)
+    line = SlcanWire.encode(SlcanWire.__new__(SlcanWire), [frame]).removesuffix(b"\r")
+    line += (stamp % number if stamp else "").encode()
+    assert parse_line(line if upper else b"t" + line[1:].lower()) == frame
+
+
+@settings(max_examples=500)
+@given(st.from_regex(rb"t[0-9A-Fa-f_+ \-xX]{0,30}", fullmatch=True))
+def test_slcan_frames_are_what_their_digits_say(line):
+    """Any line like a frame: one of hexadecimal digits whose length fits, or an error."""
+    try:
+        frame = parse_line(line)
+    except ValueError:
+        return
+    assert frame.arbitration_id <= 0x7FF
+    assert len(frame.data) <= 8
+    text = b"%03x%d%s" % (frame.arbitration_id, len(frame.data), frame.data.hex().encode())
+    assert line[1:].lower().startswith(text)
+    assert len(line) - 1 - len(text) in (0, 4, 8)
+
+
+def test_a_closed_channel_is_opened_again(slcan, adapter):
+    """Nothing heard for 0.4 s: the opening sequence is sent again, then once a second; frames put it off."""
+    begun_ns = slcan.wakeup_ns - 400_000_000
+    slcan.tend(slcan.wakeup_ns - 1)
+    adapter.write(b"t2010\r")
+    assert receive(slcan, 1)
+    due_ns = slcan.wakeup_ns
+    assert due_ns > begun_ns + 400_000_000
+    slcan.tend(due_ns)
+    assert adapter.read(7) == b"C\rS8\rO\r"
+    assert slcan.wakeup_ns == due_ns + 1_000_000_000
+    adapter.write(b"\a\a\rt2010\r")
+    slcan.tend(slcan.wakeup_ns)
+    assert slcan.counters["reopened"] == 1, "what has arrived and was not read yet is not silence"
+    assert receive(slcan, 1)
 
 
 def test_slcan_notices_that_the_adapter_is_gone(adapter):
@@ -141,8 +205,17 @@ def test_slcan_waits_for_parts_of_a_millisecond(slcan):
 
 def test_a_busy_port_is_refused(slcan, adapter):
     """Two programs on one adapter: the second is told that it is busy."""
-    with pytest.raises(HardwareError, match="another program has it open"):
+    with pytest.raises(HardwareError, match="in use by process"):
         transport("slcan", adapter.path).open()
+    slcan.send([FRAME])
+    assert adapter.read(22) == b"t2008400000120FFEE6A8\r", "the one that was refused has written nothing"
+
+
+def parser():
+    """A wire's parser alone."""
+    wire = SlcanWire.__new__(SlcanWire)
+    wire.counters, wire._rest = dict.fromkeys(("rejected", "malformed", "not_data"), 0), b""
+    return wire
 
 
 @settings(max_examples=100)
@@ -153,43 +226,24 @@ def test_a_busy_port_is_refused(slcan, adapter):
 def test_slcan_parses_any_chunking(frames, cuts):
     """However the text is cut, the same frames come out; so do they from lower-case adapters."""
     text = b"".join(b"t%03X%d%s\r" % (f.arbitration_id, len(f.data), f.data.hex().encode()) for f in frames)
-    bus = ChunkedSlcanBus.__new__(ChunkedSlcanBus)
-    bus.rejected = bus.malformed = bus.not_data = 0
-    bus._rest = b""
-    bus._is_shutdown = True
-    found = []
+    wire, found = parser(), []
     for cut in cuts:
-        found += bus._parse(text[:cut])
+        found += wire.parse(text[:cut])
         text = text[cut:]
-    found += bus._parse(text)
+    found += wire.parse(text)
     assert found == frames
-    assert bus.malformed == 0
+    assert wire.counters["malformed"] == 0
 
 
 @settings(max_examples=100)
 @given(st.lists(st.binary(max_size=60), max_size=20))
 def test_slcan_survives_any_noise(chunks):
     """Arbitrary bytes are no exception, and what remains buffered is bounded."""
-    bus = ChunkedSlcanBus.__new__(ChunkedSlcanBus)
-    bus.rejected = bus.malformed = bus.not_data = 0
-    bus._rest = b""
-    bus._is_shutdown = True
+    wire = parser()
     for chunk in chunks:
-        for frame in bus._parse(chunk):
+        for frame in wire.parse(chunk):
             assert len(frame.data) <= 8
-        assert len(bus._rest) <= 64
-
-
-def test_python_cans_own_interface_of_the_bus_works(adapter):
-    """ChunkedSlcanBus is a python-can bus: send, recv, shutdown."""
-    with ChunkedSlcanBus(adapter.path, bitrate=500_000, sleep_after_open=0.0) as bus:
-        assert adapter.read(10) == b"C\rS6\r\rO\rO\r"
-        adapter.write(b"t20010A\rt20110B\r")
-        first, second = bus.recv(1.0), bus.recv(1.0)
-        assert (first.arbitration_id, bytes(second.data)) == (0x200, b"\x0b")
-        assert bus.recv(0.0) is None
-        bus.send(can.Message(arbitration_id=0x123, data=b"\1", is_extended_id=False))
-        assert adapter.read(8) == b"t123101\r"
+        assert len(wire._rest) <= 160
 
 
 @pytest.fixture
@@ -229,24 +283,20 @@ def test_error_frames_are_counted_and_not_passed_on(virtual):
 
 
 def test_socketcand_carries_frames_and_a_closed_connection_is_noticed():
-    """Over TCP; python-can itself does not notice that the server went away."""
+    """Over TCP: frames both ways, and a server that went away is noticed."""
     server = socket.create_server(("127.0.0.1", 0))
     lines, connections = [], []
 
     def serve():
-        while True:
-            connection, _ = server.accept()
-            connection.sendall(b"< hi >")
-            if not connection.recv(100):
-                connection.close()
-                continue
-            connections.append(connection)
-            connection.sendall(b"< ok >")
-            connection.recv(100)
-            connection.sendall(b"< ok >")
-            lines.append(connection.recv(100))
-            connection.sendall(b"< frame 200 1.5 0A0B >< frame 201 1.5  >")
-            return
+        connection, _ = server.accept()
+        connection.sendall(b"< hi >")
+        connection.recv(100)
+        connections.append(connection)
+        connection.sendall(b"< ok >")
+        connection.recv(100)
+        connection.sendall(b"< ok >")
+        lines.append(connection.recv(100))
+        connection.sendall(b"< frame 200 1.5 0A0B >< frame 201 1.5  >")
 
     thread = threading.Thread(target=serve)
     thread.start()
@@ -256,10 +306,10 @@ def test_socketcand_carries_frames_and_a_closed_connection_is_noticed():
     wire.send([CanFrame(0x7FF, b"\x0a")])
     assert [frame for frame, _ in receive(wire, 2)] == [CanFrame(0x200, b"\x0a\x0b"), CanFrame(0x201)]
     thread.join()
-    assert lines == [b"< send 7FF 1 a >"]
+    assert lines == [b"< send 7FF 1 0A >"]
     assert wire.fileno() is not None
     connections[0].close()
-    with pytest.raises(HardwareError, match="closed the connection"):
+    with pytest.raises(HardwareError, match="its far end was closed"):
         receive(wire, 1)
     wire.close()
     server.close()
@@ -336,6 +386,9 @@ def test_settings_refuse_what_cannot_be():
         {"bit_rate": 5},
         {"interface": "slcan", "channel": "/dev/ttyACM0", "bitrate": 300_000},
         {"interface": "socketcand", "channel": "can0"},
+        {"interface": "slcan", "channel": "/dev/ttyACM0", "options": {"bootrate": 1}},
+        {"interface": "slcan", "channel": "/dev/ttyACM0", "options": {"tty_baudrate": "fast"}},
+        {"interface": "socketcand", "channel": "can0", "options": {"host": "x", "port": 1.5}},
         {"channel": ""},
     ):
         with pytest.raises(ValidationError):

@@ -567,21 +567,21 @@ def test_a_tool_that_is_hardly_felt_is_not_waited_for(tmp_path: Path) -> None:
     assert out.valid
 
 
-def test_without_a_tool_an_unzeroed_reading_is_told_and_kept_valid(tmp_path: Path) -> None:
+def test_without_a_tool_an_unzeroed_reading_is_not_valid(tmp_path: Path) -> None:
     """Raw is raw: nothing is subtracted that could rest on a zero, and a table or another sensor does not say (-1)."""
     service = service_at(tmp_path)
     (bare,) = messages(feed(service, raw(MS, np.ones(6), zeroings=0)))
-    assert (bare.valid, bare.unzeroed) == (True, True)
+    assert (bare.valid, bare.unzeroed) == (False, True)
     (unknown,) = messages(feed(service, raw(2 * MS, np.ones(6))))
     assert (unknown.valid, unknown.unzeroed) == (True, False)
 
 
-def test_a_tare_of_a_valid_wrench_is_blended_in_whatever_the_zero(tmp_path: Path) -> None:
-    """Without a tool the wrench was vouched for, and somebody may act on it: no step of an offset's size."""
+def test_a_tare_of_a_valid_wrench_is_blended_in(tmp_path: Path) -> None:
+    """On a zeroed sensor the wrench was vouched for, and somebody may act on it: no step of an offset's size."""
     service = service_at(tmp_path, tare_samples=2, blend_s=0.1)
-    feed(service, raw(MS, 30.0 * np.ones(6), zeroings=0))
+    feed(service, raw(MS, 30.0 * np.ones(6), zeroings=1))
     service.request(ask("tare"), 0)
-    seen = [six(messages(feed(service, raw(t * MS, 30.0 * np.ones(6), zeroings=0)))[0])[0] for t in range(2, 120)]
+    seen = [six(messages(feed(service, raw(t * MS, 30.0 * np.ones(6), zeroings=1)))[0])[0] for t in range(2, 120)]
     assert np.abs(np.diff(seen)).max() < 0.6
     assert seen[-1] == pytest.approx(0.0, abs=1e-9)
 

@@ -308,14 +308,23 @@ def test_five_lines_of_python_read_the_wrench(running: Tree) -> None:
     try:
         assert reader.stdout is not None
         assert select.select([reader.stdout], [], [], 20.0)[0]
-        seq, valid, *force = reader.stdout.readline().decode().split()
+        seq, valid, unzeroed, *force = reader.stdout.readline().decode().split()
     finally:
         reader.kill()
         reader.communicate()
 
     assert int(seq) > 0
-    assert valid == "True"
+    assert (valid, unzeroed) == ("True", "False")
     assert len(force) == 3
+
+
+def test_the_examples_look_at_what_makes_a_sample_usable() -> None:
+    """Each of the three reads `valid` and `unzeroed`, and the page says how to zero."""
+    page = (ROOT / "docs" / "subscribe.md").read_text(encoding="utf-8")
+    examples = [*snippets("subscribe.md", "python"), *snippets("subscribe.md", "cpp")]
+    assert len(examples) == 3
+    assert all("valid" in code and "unzeroed" in code for code in examples)
+    assert "galen-hw command ft zero" in page
 
 
 @pytest.mark.skipif(

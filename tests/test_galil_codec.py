@@ -16,6 +16,7 @@ from galil_parts import record
 from galen_hw.drivers.galil_dmc.codec import (
     LINE_LENGTH,
     axes_of_model,
+    error_code,
     lines,
     numbers,
     parse_record,
@@ -181,3 +182,22 @@ def test_header_must_be_one(flags):
     assert record_size(struct.pack("<BBH", flags, 0x1F, 184)) is None
     assert record_size(struct.pack("<BBH", 0x80, 0x1F, 183)) is None
     assert record_size(struct.pack("<BBH", 0x80, 0x1F, 184)) == 184
+
+
+@pytest.mark.parametrize("word", ["1e999", "-1e999", "nan", "inf", "1_0", "+", ".", "9" * 1000, "0x10", "\u0661"])
+def test_what_is_no_number_of_a_controller_is_an_error(word):
+    """`float` takes most of these; none is what a controller prints, and none may become an infinite count."""
+    with pytest.raises(ValueError, match="no numbers"):
+        numbers(f"5, {word}, 26")
+
+
+def test_numbers_as_controllers_print_them():
+    """With leading zeros, signs, points and either separator."""
+    assert numbers(" 5, 0000000052.0000,-26 +.5") == [5.0, 52.0, -26.0, 0.5]
+
+
+def test_reason_of_a_refusal():
+    """The code of TC 1 is three digits at most; anything else is words."""
+    assert error_code("6 Number out of range") == (6, "Number out of range")
+    assert error_code("9" * 4000 + " x")[0] == -1
+    assert error_code("") == (-1, "")

@@ -26,6 +26,7 @@ from galen_hw.drivers.ndi_tracker.codec import (
     reply_text,
     rom_writes,
 )
+from galen_hw.drivers.ndi_tracker.device import _code
 from galen_hw.drivers.ndi_tracker.link import NdiLink
 
 VECTORS = json.loads((Path(__file__).parent / "vectors" / "ndi_tracker.json").read_text())
@@ -169,3 +170,10 @@ def test_frame_clock_notices_restart_and_jump():
     assert clock.take(61, read[105]) == ""
     events = [clock.take(62 + n, read[200 + n]) for n in range(20)]
     assert events.count("jump") == 1
+
+
+@pytest.mark.parametrize("word", ["x1", "nan", "9" * 400, "+1", "1_0", " 7", ""])
+def test_an_error_reply_without_a_code_has_none(word):
+    """Two hexadecimal digits are a code; what `int` alone would also take is not."""
+    assert _code(f"ERROR{word}") == (0x99 if word.startswith("9") else 0)
+    assert _code("ERROR0C") == 0x0C

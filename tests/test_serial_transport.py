@@ -90,7 +90,7 @@ def test_line_control_changes_the_baud_rate_in_its_turn(ends, transport):
 def test_second_opening_is_refused(ends, transport):
     """A port belongs to one program."""
     assert transport.fileno() is not None
-    with pytest.raises(HardwareError, match="in use by another program"):
+    with pytest.raises(HardwareError, match="in use by process"):
         SerialTransport(SerialTransport.Settings(url=ends[1])).open()
 
 

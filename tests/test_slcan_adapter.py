@@ -40,7 +40,7 @@ def test_frames_from_the_bus_read_as_the_host_expects():
 @pytest.mark.parametrize(
     "line",
     [b"t200", b"t8000", b"t2009" + b"00" * 9, b"t200100FF", b"t2001", b"t20010", b"t2g00", b"t2001zz", b"q", b"S8",
-     b"Y2", b"Z1", b"t2001\xff\xfe", b"t200/"],
+     b"Y2", b"Z1", b"t2001\xff\xfe", b"t200/", b"t+201FF", b"t 201FF", b"t2_0100", b"t2002 0A0", b"t2001+A"],
 )  # fmt: skip
 def test_what_is_malformed_or_not_now_rings_the_bell(line):
     """BELL, nothing on the bus, and the next good line works."""
@@ -49,7 +49,7 @@ def test_what_is_malformed_or_not_now_rings_the_bell(line):
     assert adapter.feed(b"t2000\r") == (b"z\r", [CanFrame(0x200)])
 
 
-@pytest.mark.parametrize("line", [b"S", b"SA", b"S10", b"s", b"s00", b"sXXYY", b"Z2", b"M00", b"t2000", b"F"])
+@pytest.mark.parametrize("line", [b"S", b"SA", b"S10", b"s", b"s00", b"sXXYY", b"s0 14", b"Z3", b"M00", b"t2000", b"F"])
 def test_what_is_wrong_while_closed_rings_the_bell(line):
     """Settings with wrong arguments, and traffic on a closed channel."""
     assert SlcanAdapter(lambda: 1_000_000).feed(line + b"\r")[0] == b"\x07"
@@ -89,6 +89,8 @@ def test_identity_flags_and_time_stamps():
     adapter = SlcanAdapter(lambda: 1_000_000)
     assert adapter.feed(b"V\rN\rZ1\rS8\rO\rF\rM00000000\r")[0] == b"V1013\rNGALN\r\r\r\rF00\r\x07"
     assert adapter.encode([CanFrame(0x123)], 61_500_000_000) == b"t123005DC\r"
+    adapter.feed(b"C\rZ2\rO\r")
+    assert adapter.encode([CanFrame(0x123)], 61_500_000_000) == b"t123003AA6A60\r"
 
 
 def test_extended_and_remote_frames_are_acknowledged_and_meet_no_node():

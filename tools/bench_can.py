@@ -88,19 +88,16 @@ def serve_slcan(ready: Any, stop: Event) -> None:
 def serve_socketcand(ready: Any, stop: Event) -> None:
     """A socketcand server with the board behind it."""
     server = socket.create_server(("127.0.0.1", 0))
-    options = {"host": "127.0.0.1", "port": server.getsockname()[1], "tcp_tune": True}
+    options = {"host": "127.0.0.1", "port": server.getsockname()[1]}
     ready.send({"interface": "socketcand", "channel": "can0", "options": options})
-    while True:
-        connection, _ = server.accept()
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.sendall(b"< hi >")
-        if not connection.recv(100):
-            continue  # only looked whether somebody listens
-        connection.sendall(b"< ok >")
-        connection.recv(100)
-        connection.sendall(b"< ok >")
-        serve_stream(connection.fileno(), b">", _tcp_frames, _tcp_text, stop)
-        return
+    connection, _ = server.accept()
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.sendall(b"< hi >")
+    connection.recv(100)
+    connection.sendall(b"< ok >")
+    connection.recv(100)
+    connection.sendall(b"< ok >")
+    serve_stream(connection.fileno(), b">", _tcp_frames, _tcp_text, stop)
 
 
 def serve_udp(ready: Any, stop: Event) -> None:

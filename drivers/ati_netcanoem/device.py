@@ -48,7 +48,7 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
         self._fence = fence(settings)
         self._sampler = new_sampler(settings, self._fence, {}, self._counters)
         self._status = StatusWord(settings.bus_error_s)
-        self._serial_bytes = b""
+        self._serial_bytes, self._barren = b"", ""
         self._matrix: npt.NDArray[np.float64] = np.zeros((6, 6))
         self._offset: npt.NDArray[np.float64] = np.zeros(6)
 
@@ -128,6 +128,7 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
         """The bias stays if the same sensor answers."""
         if self._bias.counts is not None and identity.serial_bytes != self._serial_bytes:
             self._bias.lose()
+            self._gauges.forget()
             what = f"another sensor ({identity.serial_number}) answers: the zero is lost"
             self._outbox += self._reporter.fault(now_ns, "another sensor", what, "zero the sensor")
         if (kept := self._zero_to_restore(identity, codec.GAUGES, now_ns)) is not None:
@@ -146,6 +147,11 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
             what = "another board answers, or this one was changed: it is identified again"
             self._outbox += self._reporter.fault(now_ns, "replaced", what, "zero the sensor if it was exchanged")
             self._begin(now_ns)
+        elif self._sampler.barren:
+            self._flowing = False
+            self._barren = "the board answers, but no sample is whole: one of its two frames is missing"
+            self._outbox += self._reporter.fault(now_ns, "barren", self._barren, _TODO_HALVES)
+            self._give_up(self._barren)
 
     def _feed_beside(self, wire: CanFrame, opcode: int, t_ns: int) -> None:
         """Frames that are no sample: answers of the start, our own requests shown by the wire, and strays."""
@@ -165,17 +171,20 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
         status, *gauges = FIRST.unpack(first) + SECOND.unpack(second)
         saturated = max(gauges) >= SATURATED_COUNTS or min(gauges) <= -SATURATED_COUNTS
         critical = self._status.critical if status == self._status.word else self._new_status(status, t_ns)
+        counts = tuple(gauges)
+        if self._gauges.take(counts):
+            self._judge_gauges(t_ns)
         if saturated or self._bias.active or self._restart_id is not None:
-            self._beside_sample(tuple(gauges), t_ns, saturated=saturated)
+            self._beside_sample(counts, t_ns, saturated=saturated)
         self._counters["samples"] += 1
-        self._flowing = self._phase is Phase.RUNNING
+        self._flowing, self._barren = self._phase is Phase.RUNNING, ""
         fx, fy, fz, tx, ty, tz = (self._matrix.dot(gauges) - self._offset).tolist()
         identity = self._identity
         message = WrenchRaw(
             timestamp=self._time_base.timestamp(t_ns),
             t_ns=t_ns,
             seq=self._reporter.next_seq("wrench/raw"),
-            valid=not (saturated or critical),
+            valid=not (saturated or critical or self._broken != ""),
             source=self.name,
             force=Vector3(fx, fy, fz),
             torque=Vector3(tx, ty, tz),
@@ -208,14 +217,22 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
         if saturated or self._status.critical:
             self._outbox += self._bias.give_up("fault", "a gauge is saturated or the board reports an error")
         else:
-            self._outbox += self._bias.add(gauges)
+            replies = self._bias.add(gauges)
+            self._outbox += replies
             self._use_bias()
+            if replies:
+                self._gauges.learn()
+
+    def _gauge_name(self, gauge: int) -> str:
+        return f"strain gauge {codec.WIRE_ORDER[gauge]}"
 
     def _use_bias(self) -> None:
         self._offset = np.zeros(6) if self._bias.counts is None else self._matrix @ self._bias.counts
 
     def _running(self, identity: AtiIdentity, now_ns: int) -> tuple[str, str]:
         state, trouble = self._status.state(now_ns)
+        if self._barren:
+            state, trouble = "fault", self._barren
         zeroed = "not zeroed" if self._bias.counts is None else "zeroed"
         if story := self._kept_zero.story(self._bias.zeroings):
             zeroed += f" ({story})"
@@ -223,4 +240,5 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
 
 
 _TODO_SILENT: Final = "check its power, CAN wiring and termination, base id and bit rate"
+_TODO_HALVES: Final = "look for another device that uses its identifiers, and at filters of the adapter"
 _TODO_SATURATED: Final = "take the load off; if it stays, the cable or the sensor is broken"

@@ -44,6 +44,7 @@ class Sampler:
         ask: the sample request.
         fence: see `dialogue.Fence`; `answers`: what the board answers to each of its queries, by opcode.
         period_ns: of the schedule; `timeout_ns`: how long an answer is waited for.
+        barren: the board answers fences, and no sample was whole for `silent_ns`.
         silent_ns: the board is taken for gone once it has let answers be waited for so long without a break. Only time
             in which it was listened to counts, `timeout_ns` for each time-out: a program that was itself held up for
             seconds by a busy machine has learnt nothing about the board.
@@ -61,6 +62,7 @@ class Sampler:
     counters: dict[str, int]
     due_ns: int = FAR_NS
     gone: bool = False
+    barren: bool = False
     replaced: bool = False
     _phase: Phase = Phase.OFF
     _slot_ns: int = 0
@@ -69,6 +71,8 @@ class Sampler:
     _held: Pair = (b"", b"", 0)
     _fence_sent: bool = False
     _silent_ns: int = 0
+    _lost_ns: int = 0
+    _asked_ns: int = 0
 
     def start(self, now_ns: int) -> None:
         """Begin the schedule now."""
@@ -82,7 +86,7 @@ class Sampler:
             missed = (now_ns - self._slot_ns) // self.period_ns
             self.counters["missed"] += missed  # asking for them now would be a burst
             self._slot_ns += (missed + 1) * self.period_ns
-            self._phase, self.due_ns = Phase.FIRST, now_ns + self.timeout_ns
+            self._phase, self.due_ns, self._asked_ns = Phase.FIRST, now_ns + self.timeout_ns, now_ns
             return [self.ask]
         if self._fence_sent or self._phase in (Phase.FIRST, Phase.SECOND):
             self._expire(now_ns)
@@ -98,7 +102,7 @@ class Sampler:
         if opcode == 1 and phase is Phase.SECOND and len(data) == SECOND.size and t_ns <= self.due_ns:
             return self._complete(self._first, data, t_ns)
         if opcode > 1:
-            return self._feed_answer(opcode, data)
+            return self._feed_answer(opcode, data, t_ns)
         if len(data) != (FIRST, SECOND)[opcode].size:
             self.counters["short"] += 1
             if phase is not Phase.IDLE:
@@ -120,7 +124,7 @@ class Sampler:
         return self._accept((first, second, t_ns))
 
     def _accept(self, pair: Pair) -> Pair:
-        self._last = pair[:2]
+        self._last, self._lost_ns, self.barren = pair[:2], 0, False
         self._phase, self.due_ns, self._silent_ns = Phase.IDLE, self._slot_ns, 0
         return pair
 
@@ -148,7 +152,7 @@ class Sampler:
         else:
             self._lose(t_ns)
 
-    def _feed_answer(self, opcode: int, data: bytes) -> Pair | None:
+    def _feed_answer(self, opcode: int, data: bytes, t_ns: int) -> Pair | None:
         """The answer to a fence, or one nobody waits for."""
         query = self.fence.query
         if (
@@ -164,6 +168,9 @@ class Sampler:
         self.replaced = data != self.answers[opcode]
         repeat, self._phase = self._phase is Phase.REPEAT, Phase.IDLE
         self.due_ns, self._silent_ns = self._slot_ns, 0
+        # What an exchange in vain took, a period at least, and no more than a time-out: a held-up program learns nothing.
+        self._lost_ns += max(self.period_ns, min(t_ns - self._asked_ns, self.timeout_ns))
+        self.barren = self._lost_ns >= self.silent_ns
         if not repeat or self.replaced:
             return None
         if self._first:  # the second half of the reply is missing

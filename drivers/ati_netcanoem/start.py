@@ -38,7 +38,7 @@ class AtiSettings(BaseModel):
         verify_repeats: a sample equal to the last one bit by bit may be its double: check before it is published.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     rate_hz: float = Field(default=1000.0, gt=0.0, le=3278.0)
     base_id: int = Field(default=0x20, ge=0, le=0x7F)

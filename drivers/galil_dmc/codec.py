@@ -4,6 +4,7 @@ Sources: Galil DMC-40x0 and DMC-2x00 user manuals and command references; record
 (DMC-40x0, 41x3, 42x0, 500x0).
 """
 
+import re
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -184,12 +185,27 @@ def _axis(block: bytes) -> AxisBlock:
 
 
 def numbers(text: str) -> list[float]:
-    """The numbers of an answer, separated by commas or spaces, with or without leading zeros.
+    """The numbers of an answer, separated by commas or spaces, with or without leading zeros; all are finite.
+
+    A controller prints at most ten digits before and four after the point (PF, VF); `float` would
+    take "1e999", "nan" and "1_0" too.
 
     Raises:
         ValueError: something else stands there.
     """
-    return [float(word) for word in text.replace(",", " ").split()]
+    words = text.replace(",", " ").split()
+    if not all(_NUMBER.fullmatch(word) for word in words):
+        raise ValueError(f"no numbers: {text[:40]!r}")
+    return [float(word) for word in words]
+
+
+_NUMBER: Final = re.compile(r"[+-]?(?:[0-9]{1,16}(?:\.[0-9]{0,16})?|\.[0-9]{1,16})")
+
+
+def error_code(text: str) -> tuple[int, str]:
+    """Code and words of an answer to TC 1 ("6 Number out of range"); -1 where it bears no code."""
+    code, _, words = text.partition(" ")
+    return (int(code), words) if re.fullmatch(r"[0-9]{1,3}", code) else (-1, text)
 
 
 def per_axis(command: str, values: Mapping[str, int]) -> list[str]:

@@ -16,6 +16,7 @@ from galen_hw.drivers.galil_dmc.codec import (
     GENERAL_BYTES,
     DataRecord,
     axes_of_model,
+    error_code,
     lines,
     numbers,
 )
@@ -77,8 +78,7 @@ def ask(line: str) -> Generator[Step, Answer | None, list[str]]:
     command = answer.exchange.commands[answer.refused.index(True)]
     told = yield Exchange("TC 1")
     assert told is not None
-    code, _, text = told.parts[0].partition(" ")
-    raise RefusedError(command, int(code) if code.isdigit() else -1, text)
+    raise RefusedError(command, *error_code(told.parts[0]))
 
 
 def send(commands: Iterable[str]) -> Generator[Step, Answer | None, None]:

@@ -22,7 +22,7 @@ class AxisSettings(BaseModel):
         effort_per_volt: N or N m for one volt of the motor command; None: effort is not known (NaN).
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     axis: Literal["A", "B", "C", "D", "E", "F", "G", "H"]
     joint: str = Field(min_length=1)
@@ -122,7 +122,7 @@ class GalilSettings(BaseModel):
         write_limits: write the axes' limits to the controller as FL and BL.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     axes: Annotated[list[AxisSettings], Field(default_factory=_galen_axes, min_length=1, max_length=8)]
     rate_hz: float = Field(default=100.0, gt=0, le=1000)

@@ -5,6 +5,7 @@ number, and the frame number is its clock (see `ndi_clock`). NDI says so itself:
 tells when data was collected.
 """
 
+from string import hexdigits
 from typing import ClassVar, Final, Literal
 
 from galen_hw.clock import NS_PER_S, TimeBase
@@ -254,10 +255,9 @@ class NdiTracker(Device[bytes]):
 
 
 def _code(text: str) -> int:
-    try:
-        return int(text[5:7], 16)
-    except ValueError:
-        return 0
+    """Of an "ERRORXX" reply, 0 where two hexadecimal digits are not there (`int` alone would take "+1")."""
+    digits = text[5:7]
+    return int(digits, 16) if len(digits) == 2 and set(digits) <= set(hexdigits) else 0
 
 
 def _ns(seconds: float) -> int:

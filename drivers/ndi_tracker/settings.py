@@ -19,7 +19,7 @@ class MarkerSettings(BaseModel):
         serial_number: of such a body, as PHINF tells it.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     rom_file: Path | None = None
     handle: str | None = Field(default=None, pattern="^[0-9A-F]{2}$")
@@ -66,7 +66,7 @@ class NdiSettings(BaseModel):
         missing_s: a marker body not seen for so long is a fault.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     markers: dict[Role, MarkerSettings] = Field(default_factory=_both, min_length=1)
     reply: Literal["BX", "TX"] = "BX"

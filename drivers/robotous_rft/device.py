@@ -12,12 +12,12 @@ from galen_hw.drivers.dialogue import Dialogue, DialogueError
 from galen_hw.drivers.reporting import FAR_NS
 from galen_hw.drivers.robotous_rft import codec
 from galen_hw.drivers.robotous_rft.codec import DATA, OVERLOAD_MASK, Command
-from galen_hw.drivers.robotous_rft.start import RobotousIdentity, RobotousSettings, identify
+from galen_hw.drivers.robotous_rft.start import AXES, RobotousIdentity, RobotousSettings, identify
 from galen_hw.drivers.robotous_rft.stream import Pairer
 from galen_hw.drivers.robotous_rft.zero import DeviceBias
 from galen_hw.drivers.wrench_sensor import Phase, WrenchSensor
 from galen_hw.errors import CommandRejectedError
-from galen_hw.messages import Request, Vector3, WrenchRaw
+from galen_hw.messages import Reply, Request, Vector3, WrenchRaw
 
 COUNTERS: Final = (
     "samples",  # published
@@ -57,7 +57,7 @@ class RobotousRft(WrenchSensor[RobotousIdentity]):
             zero_kept_s=0.0,
         )
         self._wires: list[CanFrame] = []
-        self._silent_ns = FAR_NS
+        self._silent_ns, self._lost_before = FAR_NS, 0
         self._pairer = self._new_pairer()
         self._newton = self._newton_metre = 0.0
 
@@ -68,7 +68,9 @@ class RobotousRft(WrenchSensor[RobotousIdentity]):
         wires, self._wires = self._wires, []
         if self._phase is Phase.RUNNING and now_ns >= self._silent_ns:
             self._counters["timeouts"] += 1
-            self._fail(now_ns, DialogueError("no samples come", ""))
+            halves = self._counters["lost"] - self._lost_before > 1
+            what = "no whole samples come: one of their two frames is missing" if halves else "no samples come"
+            self._fail(now_ns, DialogueError(what, ""))
         elif self._phase in (Phase.STARTING, Phase.FAILED):
             wires += self._converse(now_ns)
         if now_ns >= self._bias.deadline_ns:
@@ -148,7 +150,7 @@ class RobotousRft(WrenchSensor[RobotousIdentity]):
         self._zero_to_restore(identity, 0, now_ns)
         self._newton, self._newton_metre = identity.newton, identity.newton_metre
         self._pairer = self._new_pairer()
-        self._silent_ns = now_ns + self._patience_ns
+        self._silent_ns, self._lost_before = now_ns + self._patience_ns, self._counters["lost"]
         return [codec.command(self._settings.receiver_id, Command.START_OUTPUT)]
 
     @property
@@ -173,14 +175,17 @@ class RobotousRft(WrenchSensor[RobotousIdentity]):
         fx, fy, fz = axes[0] * newton, axes[1] * newton, axes[2] * newton
         tx, ty, tz = axes[3] * newton_metre, axes[4] * newton_metre, axes[5] * newton_metre
         self._counters["samples"] += 1
+        self._lost_before = self._counters["lost"]
         self._flowing, self._silent_ns = True, t_ns + self._patience_ns
+        if self._gauges.take(tuple(axes)):
+            self._judge_gauges(t_ns)
         if overloaded or self._bias.active or self._restart_id is not None:
             self._beside_sample(flags, (fx, fy, fz, tx, ty, tz), t_ns)
         message = WrenchRaw(
             timestamp=self._time_base.timestamp(t_ns),
             t_ns=t_ns,
             seq=self._reporter.next_seq("wrench/raw"),
-            valid=not overloaded,
+            valid=not overloaded and not self._broken,
             source=self.name,
             force=Vector3(fx, fy, fz),
             torque=Vector3(tx, ty, tz),
@@ -204,6 +209,11 @@ class RobotousRft(WrenchSensor[RobotousIdentity]):
             wires, replies = self._bias.add(wrench, t_ns)
             self._wires += wires
             self._outbox += replies
+            if any(isinstance(reply, Reply) and reply.error is None for reply in replies):
+                self._gauges.learn()
+
+    def _gauge_name(self, gauge: int) -> str:
+        return f"axis {AXES[gauge]}"
 
     def _running(self, identity: RobotousIdentity, now_ns: int) -> tuple[str, str]:
         del now_ns

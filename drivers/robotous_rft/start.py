@@ -31,7 +31,7 @@ class RobotousSettings(BaseModel):
         zero_force_n, zero_torque_nm: what their mean may be at most.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     rate_hz: int = 200
     filter_hz: int | None = None
@@ -83,7 +83,7 @@ class RobotousIdentity:
     @property
     def described(self) -> str:
         """For people."""
-        worn = [f"{axis} {count}" for axis, count in zip(_AXES, self.overloads, strict=True) if count]
+        worn = [f"{axis} {count}" for axis, count in zip(AXES, self.overloads, strict=True) if count]
         overloads = f", overloads in its life: {', '.join(worn)}" if worn else ""
         return f"{self.model}, sensor {self.serial_number}, firmware {self.firmware}{overloads}"
 
@@ -165,4 +165,4 @@ def _accept(key: str, response: bytes) -> None:
         raise DialogueError(f"the sensor refuses {key}: {error}", f"choose a {key} that this model knows")
 
 
-_AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")

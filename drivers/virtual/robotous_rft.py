@@ -28,6 +28,7 @@ _FAULTS: Final = {
     "ft.saturated": "the axis of that number (0) reads full scale and is flagged",
     "ft.noise": "that many counts (20) of extra noise on every axis",
     "ft.stuck": "all axes keep their values",
+    "ft.stuck_axis": "the axis of that number (0) keeps its value",
     "ft.lost_first": "the first frame of a sample is lost",
     "ft.lost_second": "the second frame of a sample is lost",
     "ft.late": "the second frame of a sample comes late by `late_s`",
@@ -195,6 +196,8 @@ class VirtualRobotousRft:
         for sigma in self._faults.hits("ft.noise"):
             exact = exact + self._rng.standard_normal(6) * (20 if sigma is None else sigma)
         exact[sorted(saturated)] = 32767
+        stuck = sorted({number or 0 for number in self._faults.hits("ft.stuck_axis")})
+        exact[stuck] = self._last[stuck]
         self._last = self._last if self._faults.strikes("ft.stuck") else exact
         counts = np.clip(np.rint(self._last), -32768, 32767).astype(int).tolist()
         return struct.pack(">6hB", *counts, sum(flag << (5 - k) for k, flag in enumerate(over)))

@@ -2,8 +2,10 @@
 
 Lines end with CR; an accepted line is answered with CR (a frame with `z` CR or `Z` CR), a refused one with BELL
 (LAWICEL CANUSB manual, chapter 2). As in python-can's own use, a bare CR, a second `O` and a `C` while closed are fine.
+Time stamps: none (`Z0`), 16 bits in ms (`Z1`), or 32 bits in us (`Z2`, as CANable and WeAct firmware has it).
 """
 
+import re
 from collections.abc import Callable
 from typing import Final
 
@@ -13,6 +15,7 @@ _OK: Final = b"\r"
 _BELL: Final = b"\x07"
 _BIT_RATES: Final = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 750_000, 1_000_000, 83_300)
 _LONGEST_LINE: Final = 32
+_FRAME: Final = re.compile(rb"t([0-7][0-9A-Fa-f]{2})([0-8])((?:[0-9A-Fa-f]{2}){0,8})")
 
 
 class SlcanAdapter:
@@ -26,7 +29,7 @@ class SlcanAdapter:
         self._bus_bit_rate = bus_bit_rate
         self._buffer = b""
         self._bit_rate = 0
-        self._timestamps = False
+        self._stamps = 0
         self.open = self._listen_only = False
         self.counters = {"frames_in": 0, "frames_out": 0, "refused": 0, "wrong_bit_rate": 0}
 
@@ -50,22 +53,18 @@ class SlcanAdapter:
         if not self.open or self._bit_rate != self._bus_bit_rate():
             return b""
         self.counters["frames_in"] += len(frames)
-        stamp = f"{t_ns // 1_000_000 % 60_000:04X}\r" if self._timestamps else "\r"
+        stamps = ("\r", f"{t_ns // 1_000_000 % 60_000:04X}\r", f"{t_ns // 1_000 % 2**32:08X}\r")
+        stamp = stamps[self._stamps]
         return "".join([f"t{f.arbitration_id:03X}{len(f.data)}{f.data.hex().upper()}{stamp}" for f in frames]).encode()
 
     def _transmit(self, line: bytes, frames: list[CanFrame]) -> bytes:
         """`tIIILDD..`: a standard data frame."""
-        try:
-            identifier, length = int(line[1:4], 16), line[4] - 0x30
-            payload = bytes.fromhex(line[5:].decode("ascii"))
-        except (ValueError, IndexError):
-            return self._refuse()
-        wrong = identifier > 0x7FF or not 0 <= length <= 8 or len(line) != 5 + 2 * length
-        if wrong or not self.open or self._listen_only:
+        found = _FRAME.fullmatch(line)
+        if found is None or len(found[3]) != 2 * int(found[2]) or not self.open or self._listen_only:
             return self._refuse()
         if self._bit_rate == self._bus_bit_rate():
             self.counters["frames_out"] += 1
-            frames.append(CanFrame(identifier, payload))
+            frames.append(CanFrame(int(found[1], 16), bytes.fromhex(found[3].decode())))
         else:
             self.counters["wrong_bit_rate"] += 1  # Taken into the adapter's queue; nobody on the bus understands it.
         return b"z\r"
@@ -81,8 +80,8 @@ class SlcanAdapter:
             answer = answer or self._while_open(line)
         elif head in {b"S", b"s"}:
             answer = self._set_bit_rate(head, rest)
-        elif line in {b"Z0", b"Z1"}:
-            self._timestamps = line == b"Z1"
+        elif line in {b"Z0", b"Z1", b"Z2"}:
+            self._stamps = line[1] - 0x30
             answer = _OK
         elif head in {b"M", b"m"} and len(rest) == 8:
             answer = _OK  # Acceptance code and mask are taken and not used: everything passes, as after power-up.
@@ -100,10 +99,9 @@ class SlcanAdapter:
         if head == b"S" and len(rest) == 1 and rest.isdigit():
             self._bit_rate = _BIT_RATES[int(rest)]
             return _OK
-        try:
-            btr0, btr1 = bytes.fromhex(rest.decode("ascii")) if head == b"s" else b""
-        except ValueError:
+        if head != b"s" or not re.fullmatch(rb"[0-9A-Fa-f]{4}", rest):
             return self._refuse()
+        btr0, btr1 = bytes.fromhex(rest.decode("ascii"))
         quanta = 3 + (btr1 & 15) + (btr1 >> 4 & 7)
         self._bit_rate = 8_000_000 // (((btr0 & 63) + 1) * quanta)
         return _OK

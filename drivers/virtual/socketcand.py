@@ -1,9 +1,10 @@
 """A small socketcand server for one virtual node: raw mode, one client at a time, on the loopback interface.
 
 Protocol: `doc/protocol.md` of linux-can/socketcand. A frame without data needs two spaces before `>`, or python-can
-loses it; each greeting is a packet of its own.
+loses it. TCP is a stream: an answer and what the node sends at once leave in one segment, as a busy server's do.
 """
 
+import re
 import select
 import socket
 import time
@@ -15,6 +16,7 @@ from galen_hw.errors import HardwareError
 
 _LONGEST: Final = 200
 _ANSWERS: Final = {"open": "< ok >", "rawmode": "< ok >", "echo": "< echo >"}
+_SEND: Final = re.compile(r"send ([0-7][0-9A-Fa-f]{2}) ([0-8])((?: [0-9A-Fa-f]{1,2}){0,8})")
 
 
 class SocketcandPort(Port):
@@ -42,7 +44,7 @@ class SocketcandPort(Port):
         self._epoll = select.epoll()
         self._epoll.register(self._listener, select.EPOLLIN)
         self._client: socket.socket | None = None
-        self._buffer, self._raw = "", False
+        self._buffer, self._raw, self._out = "", False, ""
         self._counters = {"clients": 0, "frames_in": 0, "frames_out": 0, "refused": 0}
         number = int(self._listener.getsockname()[1])
         self.address = {"interface": "socketcand", "host": host, "port": number, "channel": "can0"}
@@ -76,7 +78,8 @@ class SocketcandPort(Port):
         if frames and self._raw:
             self._counters["frames_out"] += len(frames)
             stamp = f"{time.time():.6f}"
-            self._send("".join(f"< frame {f.arbitration_id:03X} {stamp} {f.data.hex().upper()} >" for f in frames))
+            self._out += "".join(f"< frame {f.arbitration_id:03X} {stamp} {f.data.hex().upper()} >" for f in frames)
+        self._flush()
 
     def close(self) -> None:
         """Close client and listener."""
@@ -91,13 +94,13 @@ class SocketcandPort(Port):
         self._client.setblocking(False)
         self._epoll.register(self._client, select.EPOLLIN)
         self._counters["clients"] += 1
-        self._send("< hi >")
+        self._out = "< hi >"
 
     def _drop(self) -> None:
         if self._client is not None:
             self._epoll.unregister(self._client)
             self._client.close()
-        self._client, self._buffer, self._raw = None, "", False
+        self._client, self._buffer, self._raw, self._out = None, "", False, ""
 
     def _receive(self, now_ns: int) -> None:
         assert self._client is not None
@@ -113,27 +116,26 @@ class SocketcandPort(Port):
         *words, self._buffer = (self._buffer + data.decode("ascii", "replace")).split(">")
         self._buffer = self._buffer[-_LONGEST:]
         for word in words:
-            self._obey(word.strip(" <").split(), now_ns)
+            self._obey(" ".join(word.strip(" <").split()), now_ns)
 
-    def _obey(self, word: list[str], now_ns: int) -> None:
-        answer = _ANSWERS.get(word[0]) if word else None
+    def _obey(self, word: str, now_ns: int) -> None:
+        kind = word.partition(" ")[0]
+        answer = _ANSWERS.get(kind)
         if answer is not None:
-            self._raw = self._raw or word[0] == "rawmode"
-            self._send(answer)
+            self._raw = self._raw or kind == "rawmode"
+            self._out += answer
             return
-        try:
-            kind, identifier, length, *data = word
-            frame = CanFrame(int(identifier, 16), bytes(int(b, 16) for b in data))
-        except ValueError:
-            kind, frame, length = "", CanFrame(0), "-1"
-        if kind == "send" and len(identifier) == 3 and str(len(frame.data)) == length:
-            self._counters["frames_in"] += 1
-            self._device.feed(frame, now_ns)
-        else:
+        found = _SEND.fullmatch(word)
+        data = bytes(int(digits, 16) for digits in found[3].split()) if found else b""
+        if found is None or len(data) != int(found[2]):
             self._counters["refused"] += 1
+            return
+        self._counters["frames_in"] += 1
+        self._device.feed(CanFrame(int(found[1], 16), data), now_ns)
 
-    def _send(self, text: str) -> None:
-        if self._client is None:
+    def _flush(self) -> None:
+        text, self._out = self._out, ""
+        if self._client is None or not text:
             return
         try:
             self._client.sendall(text.encode("ascii"))

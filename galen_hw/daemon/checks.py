@@ -32,7 +32,7 @@ LITTLE_DISK: Final = 1 << 30
 KEPT: Final = ("tools", "services", "sweeps", "reports")
 """Folders of the state directory."""
 _CLOCK_UNSYNCHRONISED: Final = 5
-_WORRYING: Final = ("error", "bus_off", "overrun", "malformed", "unsent", "short")
+_WORRYING: Final = ("error", "bus_off", "overrun", "malformed", "unsent", "short", "reopened")
 
 
 @dataclass

@@ -66,12 +66,13 @@ class Orders(msgspec.Struct, frozen=True):
         return Setup(setup.config, setup.path, devices, services, virtual=self.virtual)
 
 
-def build_port(device: DeviceSetup, time_base: "TimeBase", waker: Waker) -> Port:
-    """A device with its wire, both closed yet."""
+def build_port(device: DeviceSetup, time_base: "TimeBase", waker: Waker, *, alone: bool = False) -> Port:
+    """A device with its wire, both closed yet; `alone`: on a wire that no other process uses, or not at all."""
     machine = device.driver(device.name, device.settings, time_base)
 
     def make() -> "Transport[Any]":
         made: Transport[Any] = device.transport(device.transport_settings)
+        made.alone = alone
         return made
 
     return Port(machine, make, time.monotonic_ns, waker.wake, optional=device.optional)

@@ -60,7 +60,7 @@ class Port:
     def wakeup_ns(self) -> int:
         """When `step` wants to be called though nothing was received."""
         if self.transport is not None:
-            return self.device.wakeup_ns
+            return min(self.device.wakeup_ns, self.transport.wakeup_ns)
         return NEVER if self._opening is not None else self._retry_ns
 
     def step(self, *, readable: bool) -> list[Output]:
@@ -73,6 +73,8 @@ class Port:
         try:
             self._receive(self.transport, outputs, readable=readable)
             now = self._clock()
+            if self.transport.wakeup_ns <= now:
+                self.transport.tend(now)
             if self.device.wakeup_ns <= now:
                 wires, more = self.device.poll(now)
                 if wires:

@@ -64,11 +64,14 @@ class Seen:
 
 
 def probe_devices(setup: Setup) -> dict[str, Seen]:
-    """Open every device's wire at once, wait until all answer, then measure; each is brought to rest and closed."""
+    """Open every device's wire at once, wait until all answer, then measure; each is brought to rest and closed.
+
+    A wire that another process uses (a daemon of another runtime directory) is left alone.
+    """
     sharpen_timers()
     waker = Waker()
     time_base = TimeBase.now()
-    ports = {name: build_port(device, time_base, waker) for name, device in setup.devices.items()}
+    ports = {name: build_port(device, time_base, waker, alone=True) for name, device in setup.devices.items()}
     seen = {name: Seen() for name in ports}
     try:
         _drive(ports, seen, waker, READY_WITHIN_S, until_ready=True)

@@ -155,7 +155,7 @@ class CompensationCommands:
         if not tare.feed(left):
             return []
         self.tare = None
-        if self._correction.unseen or (self._correction.unzeroed(raw) and self._correction.rests_on_zero):
+        if self._correction.unseen or self._correction.holds_offset(raw):
             # No sample was valid until now, and those that an offset fades out of must not be.
             self._correction.retare(tare.mean)
         else:

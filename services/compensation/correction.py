@@ -77,8 +77,12 @@ class Correction:
         self.changed = True
 
     def unzeroed(self, raw: WrenchRaw) -> bool:
-        """The sensor's own offset is in what is left: neither zeroed nor tared away."""
+        """The sensor's own offset is in its reading: neither zeroed nor tared away."""
         return raw.zeroings == 0 and self.tare == ZERO
+
+    def holds_offset(self, raw: WrenchRaw) -> bool:
+        """The sensor's own offset is in what is left: no calibration is subtracted whose bias was found with it."""
+        return self.unzeroed(raw) and (not self.active or self.rests_on_zero)
 
     @property
     def unseen(self) -> bool:

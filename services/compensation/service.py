@@ -66,7 +66,7 @@ class CompensationService(Service):
         self._topic_seq = dict.fromkeys(("compensation/state", "status", "fault"), 0)
         self._counters = dict.fromkeys(("samples", "invalid_samples", "old_joints", "unzeroed", "tool_unseen"), 0)
         self._zeroings: int | None = None
-        self._unzeroed = False
+        self._offset = False
         self._next_status_ns = 0
         self._commands.take_up_selected()
 
@@ -157,10 +157,11 @@ class CompensationService(Service):
         return good and (fresh or not self._correction.active)
 
     def _flags(self, raw: WrenchRaw, *, usable: bool, fresh: bool) -> dict[str, bool]:
-        """Whether the wrench is vouched for: with the sensor's own offset in it, a calibration made without is no use."""
-        self._unzeroed = unzeroed = self._correction.unzeroed(raw)
+        """Whether the wrench is vouched for: not with the sensor's own offset in it, with a tool or without one."""
+        unzeroed = self._correction.unzeroed(raw)
+        self._offset = self._correction.holds_offset(raw)
         unseen = self._correction.unseen
-        valid = usable and not unseen and not (unzeroed and self._correction.rests_on_zero)
+        valid = usable and not unseen and not self._offset
         self._counters["unzeroed"] += unzeroed
         self._counters["tool_unseen"] += unseen
         self._counters["invalid_samples"] += not valid
@@ -221,7 +222,7 @@ class CompensationService(Service):
     def _status(self, now_ns: int) -> Status:
         counters = self._counters | {"unusable_joints": self._history.unusable, "late_joints": self._history.late}
         state = "fault" if self._commands.problem else "ready" if self._counters["samples"] else "starting"
-        if state == "ready" and (self._correction.unseen or (self._unzeroed and self._correction.rests_on_zero)):
+        if state == "ready" and (self._correction.unseen or self._offset):
             state = "degraded"
         header = self._header("status", now_ns)
         gauges = {"joints_age_s": self._age_s}
@@ -231,7 +232,7 @@ class CompensationService(Service):
     def _describe(self) -> str:
         model = self._correction.model
         offset = ""
-        if self._unzeroed:
+        if self._offset:
             offset = "; the sensor is not zeroed: zero it with no tool on, or tare untouched"
         elif self._correction.unseen:
             offset = (

@@ -3,6 +3,7 @@
 import ast
 import inspect
 import random
+import re
 import sys
 from dataclasses import dataclass
 from itertools import pairwise
@@ -87,6 +88,15 @@ def check_made_from_defaults(case: Case) -> None:
     assert device.wakeup_ns > 10**15
 
 
+def check_no_setting_is_infinite(case: Case) -> None:
+    """TOML knows `inf` and `nan`; no setting of a device takes them (a time-out of `inf` is an OverflowError later)."""
+    for key, field in case.cls.Settings.model_fields.items():  # type: ignore[attr-defined]
+        if field.annotation is float:
+            for value in (float("inf"), float("nan")):
+                with pytest.raises(ValidationError):
+                    case.cls.Settings(**{key: value})  # type: ignore[attr-defined]
+
+
 def check_has_docstring(case: Case) -> None:
     """The class says what it publishes and which requests it takes."""
     assert case.cls.__doc__
@@ -105,6 +115,31 @@ def check_noise_never_raises(case: Case) -> None:
             for output in run.outputs:
                 if isinstance(output, tuple):
                     assert isinstance(output[1], TOPICS[output[0]].message)
+
+
+EXTREME_WORDS = (b"1e999", b"-1e999", b"nan", b"inf", b"9" * 1000, b"1_0", b"+", b"0x10", b"")
+EXTREME_BYTES = (b"\0", b"\xff", b"\x7f\x80\0\0", b"\x7f\xff\xff\xff", b"\x80\0\0\0", b"\0\0\0\x01")
+
+
+def _extremes(wire: Any) -> list[Any]:
+    """The wire with each of its numbers put to an extreme: words of text, big-endian fields of a frame."""
+    if isinstance(wire, CanFrame):
+        # The first byte may say what it is an answer to.
+        fields = [(head + pattern * 8)[: len(wire.data)] for pattern in EXTREME_BYTES for head in (b"", wire.data[:1])]
+        return [CanFrame(wire.arbitration_id, field) for field in fields]
+    return [re.sub(rb"(?<![A-Z])-?[0-9]+(\.[0-9]+)?", word, wire) for word in EXTREME_WORDS]
+
+
+def check_extreme_numbers_never_raise(case: Case) -> None:
+    """Each number of each answer at an extreme (1e999, a thousand digits, an infinite float) is no exception."""
+    started = case.run().start().seconds(1.0)
+    until_ready_s = 0.003 + max((t_ns for t_ns, _ in started.sent[: len(case.script) + 8]), default=0) / 1e9 - 1.0
+    for place, entry in enumerate(case.script):
+        for number, wire in enumerate(map(wire_of, entry["reply"])):
+            for extreme in _extremes(wire):
+                run = case.run()
+                run.peer.changed = {(place, number): extreme}
+                run.start().seconds(until_ready_s)
 
 
 def check_recovers_from_noise(case: Case) -> None:

@@ -31,9 +31,14 @@ def script_of(driver: str) -> list[dict[str, Any]]:
 
 @dataclass
 class Peer:
-    """Answers `LATENCY_NS` after each request, or not at all when its script is empty."""
+    """Answers `LATENCY_NS` after each request, or not at all when its script is empty.
+
+    Args:
+        changed: what is said instead, by place in the script and in its reply.
+    """
 
     script: list[dict[str, Any]]
+    changed: dict[tuple[int, int], Any] = field(default_factory=dict)
     _line: list[tuple[int, Any]] = field(default_factory=list)
     _streams: dict[int, int] = field(default_factory=dict)
 
@@ -41,17 +46,21 @@ class Peer:
         for wire in wires:
             for place, entry in enumerate(self.script):
                 if wire == wire_of(entry["when"]):
-                    self._line += [(now_ns + LATENCY_NS, wire_of(reply)) for reply in entry["reply"]]
+                    self._line += [(now_ns + LATENCY_NS, wire) for wire in self._reply(place)]
                     if "repeat_s" in entry:
                         self._streams[place] = now_ns + round(entry["repeat_s"] * 1e9)
                 if "until" in entry and wire == wire_of(entry["until"]):
                     self._streams.pop(place, None)
 
+    def _reply(self, place: int) -> list[Any]:
+        replies = enumerate(self.script[place]["reply"])
+        return [self.changed.get((place, number), wire_of(reply)) for number, reply in replies]
+
     def give(self, now_ns: int) -> list[Any]:
         for place, due_ns in self._streams.items():
             if due_ns <= now_ns:
                 entry = self.script[place]
-                self._line += [(due_ns, wire_of(reply)) for reply in entry["reply"]]
+                self._line += [(due_ns, wire) for wire in self._reply(place)]
                 self._streams[place] = due_ns + round(entry["repeat_s"] * 1e9)
         due = [wire for t_ns, wire in self._line if t_ns <= now_ns]
         self._line = [(t_ns, wire) for t_ns, wire in self._line if t_ns > now_ns]
