@@ -24,11 +24,12 @@ class DocumentError(ValueError):
 
     Args:
         what: is wrong, a clause; line, column: where, from 1; 0 where it is not known.
+        beyond: it would be a document, but for the bounds.
     """
 
-    def __init__(self, what: str, line: int = 0, column: int = 0) -> None:
+    def __init__(self, what: str, line: int = 0, column: int = 0, *, beyond: bool = False) -> None:
         super().__init__(what)
-        self.what, self.line, self.column = what, line, column
+        self.what, self.line, self.column, self.beyond = what, line, column, beyond
 
     def within(self, where: str) -> str:
         """The place in a file: its name and the line, where that is known."""
@@ -140,10 +141,10 @@ def _check_values(value: Any, text: str) -> None:
 
 
 def _too_deep() -> DocumentError:
-    return DocumentError(f"nested more than {MAX_DEPTH} deep")
+    return DocumentError(f"nested more than {MAX_DEPTH} deep", beyond=True)
 
 
 def _too_long(digits: int, text: str) -> DocumentError:
     found = _LONG.search(text)
     count = f"{digits} digits" if digits else f"more than {MAX_DIGITS} digits"
-    return DocumentError(f"an integer of {count}", text.count("\n", 0, found.start()) + 1 if found else 0)
+    return DocumentError(f"an integer of {count}", text.count("\n", 0, found.start()) + 1 if found else 0, beyond=True)

@@ -99,7 +99,7 @@ def test_good_file_becomes_a_setup() -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (GOOD + "[robot]\nnme = 'x'", "9: robot.nme: no such key; did you mean name?"),
+        (GOOD + "[robot]\nnme = 'x'", "8: robot.nme: no such key; did you mean name?"),
         (GOOD + "[robots]", "7: robots: no such key; did you mean robot?"),
         (
             GOOD + "[robot.delta]\nrod_length_mm = 400",

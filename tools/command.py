@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any, NoReturn
 
-from galen_hw.documents import load_json
+from galen_hw.documents import DocumentError, load_json
 from galen_hw.errors import UsageError
 
 
@@ -67,10 +67,10 @@ def _value(text: str) -> Any:
     """JSON where it is JSON (numbers, true, null, lists, maps), else the word itself."""
     try:
         value = load_json(text, parse_constant=_refuse, parse_float=_finite)
-    except ValueError:
+    except DocumentError as error:
+        if error.beyond:
+            raise UsageError(error.what, where=f"{text[:20]!r}...", todo="give less") from None
         return text
-    except RecursionError:
-        raise UsageError("nested too deep", where=f"{text[:20]!r}...", todo="give fewer brackets") from None
     return value
 
 
