@@ -1,6 +1,6 @@
 """Joints: angles that wrap, columns of velocity that are none, positions in degrees, millimetres or counts."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import ClassVar, Final
 
@@ -8,8 +8,12 @@ import numpy as np
 
 from galen_hw.kinematics import Robot, UrdfRobot
 from galen_hw.physics.observations import Observations
+from galen_hw.physics.table import scene_of
 from galen_hw.premises.base import Action, Remark, Stage, with_columns, without_columns
 from galen_hw.premises.clock import travelled
+from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.sampling import compared_names
+from galen_hw.premises.wrench_reading import at_rest, readings
 from galen_hw.spatial import Array
 
 TURN: Final = 2.0 * np.pi
@@ -145,21 +149,14 @@ class PositionUnits:
             name, k = beyond[0]
             reach = float(seen.columns[name][np.nanargmax(np.abs(seen.columns[name]))])
             what = f"{name} reaches {reach:.4g}, far beyond the joint's limits of {robot.lower[k]:.3g} to {robot.upper[k]:.3g}"
-            if len(fitting) == 1 and _moves(seen, present, fitting[0][1]):
-                unit, f = fitting[0]
-                kinds = ("position", "velocity", "command")
-                joint = [robot.joint_names[k] for _, k in present]
-                columns = {
-                    c: seen.columns[c] / f
-                    for j in joint
-                    for kind in kinds
-                    if (c := f"joint.{j}.{kind}") in seen.columns
-                }
-                text = f"{what}: joints are in {unit}"
+            moving = [robot.joint_names[k] for _, k in present]
+            chosen = _told(seen, moving, fitting) if len(fitting) != 1 else fitting[0][0]
+            if chosen:
+                columns = _scaled(seen, moving, units[chosen])
                 seen = with_columns(seen, columns)
-                yield Remark(self.KEY, text, "", tuple(columns), Action.REPAIRED, seen)
+                yield Remark(self.KEY, f"{what}: joints are in {chosen}", "", tuple(columns), Action.REPAIRED, seen)
             else:
-                hint = "mm" if slides else "degrees"
+                hint = " or ".join(unit for unit, _ in fitting) or ("mm" if slides else "degrees")
                 yield Remark(self.KEY, f"{what}: is it in {hint}?", "give rad and m", (name,), Action.REFUSED)
 
     def _by_size(self, seen: Observations) -> Iterator[Remark]:
@@ -187,9 +184,36 @@ def _beyond(values: Array, low: float, high: float) -> float:
     return max(float(there.max()) - high, low - float(there.min()), 0.0) / span
 
 
-def _moves(seen: Observations, present: list[tuple[str, int]], factor: float) -> bool:
-    """Whether the joints would still move by a degree or a millimetre in the other unit."""
-    return max(float(np.nanmax(seen.columns[n]) - np.nanmin(seen.columns[n])) / factor for n, _ in present) > 1e-3
+def _scaled(seen: Observations, joints: Sequence[str], factor: float) -> dict[str, Array]:
+    """Columns of some joints in another unit."""
+    names = (f"joint.{joint}.{kind}" for joint in joints for kind in ("position", "velocity", "command"))
+    return {name: seen.columns[name] / factor for name in names if name in seen.columns}
+
+
+def _told(seen: Observations, joints: Sequence[str], fitting: Sequence[tuple[str, float]]) -> str:
+    """The unit in which the simulation follows what is compared; empty where it cannot tell."""
+    left = sorted((_unexplained(with_columns(seen, _scaled(seen, joints, f))), unit) for unit, f in fitting)
+    return left[0][1] if left and left[0][0] < CRITERIA.half * min(1.0, left[1][0]) else ""
+
+
+def _unexplained(seen: Observations) -> float:
+    """Mean share of the compared channels' variance that their simulation at rest does not explain; 1 where nothing is known."""
+    robot = seen.belief.robot
+    assert robot is not None, "asked only with a robot"
+    driven = [n for name in robot.joint_names if (n := f"joint.{name}.position") in seen.columns]
+    rows = np.flatnonzero(np.isfinite(seen.matrix(*compared_names(seen), *driven)).all(axis=1))
+    if len(rows) < CRITERIA.fewest_vectors or len(driven) < len(robot.joint_names):
+        return 1.0
+    some = at_rest(seen.taken(rows[np.linspace(0, len(rows) - 1, min(len(rows), CRITERIA.most_rows)).astype(int)]))
+    if seen.predict == "wrench" and not some.belief.hanging:
+        return next(iter(readings(some))).plain.unexplained
+    scene = scene_of(some)
+    if not np.isfinite(scene.simulated).all():
+        return 1.0
+    # An orientation is measured from the simulated one: its place says it all.
+    width = 3 if seen.predict == "pose" else len(scene.channels)
+    y, left = scene.measured[:, :width], (scene.measured - scene.simulated)[:, :width]
+    return float(np.mean(np.minimum(np.var(left, axis=0) / np.maximum(np.var(y, axis=0), 1e-300), 1.0)))
 
 
 class SignMagnitude:

@@ -1,0 +1,194 @@
+"""Trackers: units, axes, handedness and quaternions of a tracked pose and of tracked points, injected one by one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from galen_hw.kinematics import GalenRobot
+from galen_hw.physics.observations import Belief, Observations
+from galen_hw.premises import examined
+
+ROBOT = GalenRobot()
+TIP = np.array([0.045, 0.0, -0.14])
+POSITION = [f"pose.position.{a}" for a in "xyz"]
+QUATERNION = [f"pose.orientation.{a}" for a in "xyzw"]
+Columns = dict[str, np.ndarray]
+
+
+def joints(n: int = 300) -> Columns:
+    """Smooth motions of all five joints within their limits, at 20 Hz."""
+    t = np.arange(n) / 20.0
+    q = {
+        "carriage1": 0.10 * np.sin(0.9 * t),
+        "carriage2": 0.09 * np.sin(0.7 * t + 1.0),
+        "carriage3": 0.10 * np.sin(0.8 * t + 2.0),
+        "roll": 0.9 * np.sin(0.5 * t),
+        "tilt": 0.7 * np.sin(0.6 * t + 0.5),
+    }
+    return {"time": t} | {f"joint.{name}.position": values for name, values in q.items()}
+
+
+def pose() -> Columns:
+    """The tip as the joints say, with a tracker's noise."""
+    columns, rng = joints(), np.random.default_rng(0)
+    T = ROBOT.sensor_pose(np.stack([columns[f"joint.{n}.position"] for n in ROBOT.joint_names], axis=1))
+    position = T[:, :3, 3] + T[:, :3, :3] @ TIP + 1e-4 * rng.normal(size=(len(T), 3))
+    quaternion = (
+        Rotation.from_matrix(T[:, :3, :3]) * Rotation.from_rotvec(1e-3 * rng.normal(size=(len(T), 3)))
+    ).as_quat()
+    return columns | dict(zip(POSITION + QUATERNION, (*position.T, *quaternion.T), strict=True))
+
+
+def targets() -> Columns:
+    """Three points on the moving body in a tracker's frame that nobody registered."""
+    columns, rng = joints(), np.random.default_rng(1)
+    T = ROBOT.sensor_pose(np.stack([columns[f"joint.{n}.position"] for n in ROBOT.joint_names], axis=1))
+    R, t = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix(), np.array([0.5, 0.2, -2.0])
+    for k, point in enumerate(([0.05, 0.0, 0.0], [0.0, 0.06, 0.01], [-0.02, 0.01, 0.07])):
+        place = (T[:, :3, 3] + T[:, :3, :3] @ np.array(point)) @ R.T + t + 1e-4 * rng.normal(size=(len(T), 3))
+        columns |= {f"target.{k}.position.{a}": place[:, i] for i, a in enumerate("xyz")}
+    return columns
+
+
+def seen(columns: Columns, predict: str = "pose") -> Observations:
+    return Observations(predict, columns, None, Belief(robot=ROBOT, tip=TIP))
+
+
+def matrix(columns: Columns, names: list[str]) -> np.ndarray:
+    return np.stack([columns[n] for n in names], axis=1)
+
+
+def turned(columns: Columns, Q: np.ndarray) -> Columns:
+    """Positions and orientations in other axes; of a mirrored frame the body's axes are mirrored too."""
+    position = matrix(columns, POSITION) @ Q.T
+    R = Rotation.from_quat(matrix(columns, QUATERNION)).as_matrix()
+    R = Q @ R @ (np.eye(3) if np.linalg.det(Q) > 0 else Q.T)
+    return columns | dict(zip(POSITION + QUATERNION, (*position.T, *Rotation.from_matrix(R).as_quat().T), strict=True))
+
+
+def same_as(found, original: Columns, tolerance: float) -> None:
+    """Positions to a tolerance (m), orientations to 5 mrad."""
+    back = dict(found.observations.columns)
+    assert np.max(np.abs(matrix(back, POSITION) - matrix(original, POSITION))) < tolerance
+    off = Rotation.from_quat(matrix(back, QUATERNION)).inv() * Rotation.from_quat(matrix(original, QUATERNION))
+    assert np.max(off.magnitude()) < 5e-3
+
+
+@pytest.mark.parametrize(("make", "predict"), [(pose, "pose"), (targets, "targets")])
+def test_nothing_is_said_of_a_tracker_that_is_right(make, predict):
+    """Neither of a pose in the base nor of points in any frame."""
+    assert not examined(seen(make(), predict)).remarks
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mm", 1e3), ("cm", 1e2), ("inches", 1 / 0.0254)])
+def test_units_of_a_position_are_found(unit, factor):
+    """The arm says how far it went."""
+    original = pose()
+    found = examined(seen(original | {n: factor * original[n] for n in POSITION}))
+    assert f"in {unit}" in found.remarks[0].what
+    same_as(found, original, 1e-9)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 1000), st.floats(0.3, 3.1))
+def test_a_pose_in_other_axes_is_registered_to_the_base(seed, angle):
+    """Turned about any axis by any angle; y up among them."""
+    axis = Rotation.random(random_state=seed).apply([1.0, 0.0, 0.0])
+    original = pose()
+    found = examined(seen(turned(original, Rotation.from_rotvec(angle * axis).as_matrix())))
+    assert [r.premise for r in found.remarks] == ["pose_frames"]
+    same_as(found, original, 2e-3)
+
+
+def test_y_up_is_said_by_its_axes():
+    """As many trackers and games have it."""
+    y_up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    found = examined(seen(turned(pose(), y_up)))
+    assert "x, y, z read like x, z, -y of the base" in found.remarks[0].what
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_left_handed_tracker_is_named(axis):
+    """Mirrored along an axis, orientations with it."""
+    mirror = np.diag([-1.0 if k == axis else 1.0 for k in range(3)])
+    original = pose()
+    found = examined(seen(turned(original, mirror)))
+    assert "left-handed" in found.remarks[0].what
+    same_as(found, original, 2e-3)
+
+
+@pytest.mark.parametrize(
+    ("order", "signs", "says"),
+    [
+        ([3, 0, 1, 2], [1.0, 1.0, 1.0, 1.0], "have w first"),
+        ([0, 1, 2, 3], [-1.0, -1.0, -1.0, 1.0], "are inverted"),
+        ([3, 0, 1, 2], [1.0, -1.0, -1.0, -1.0], "have w first and are inverted"),
+    ],
+)
+def test_the_order_of_the_poses_quaternions_is_found(order, signs, says):
+    """The positions are right and say nothing."""
+    original = pose()
+    spoilt = matrix(original, QUATERNION)[:, order] * signs
+    found = examined(seen(original | dict(zip(QUATERNION, spoilt.T, strict=True))))
+    assert [r.what for r in found.remarks] == [f"the pose's quaternions {says}"]
+    same_as(found, original, 1e-9)
+
+
+def test_a_body_turned_on_its_flange_is_a_mounting_of_that_angle():
+    """Its origin stays: 60 degrees about x."""
+    original = pose()
+    spoilt = Rotation.from_quat(matrix(original, QUATERNION)) * Rotation.from_euler("x", np.pi / 3)
+    found = examined(seen(original | dict(zip(QUATERNION, spoilt.as_quat().T, strict=True))))
+    (claim,) = found.claims
+    assert claim.effect == "sensor_mounting"
+    assert claim.parameters["turn_x"][0] == pytest.approx(np.pi / 3, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("factor", "mirrored", "says"), [(1e3, 0, "in mm"), (1.0, 1, "left-handed"), (1e3, 1, "in mm; ")]
+)
+def test_units_and_hand_of_targets_are_found(factor, mirrored, says):
+    """Registration is free, but no rotation turns a left hand into a right one."""
+    original = targets()
+    sign = {a: -1.0 if mirrored and a == "y" else 1.0 for a in "xyz"}
+    spoilt = {n: factor * sign[n[-1]] * v if n.startswith("target.") else v for n, v in original.items()}
+    (remark,) = examined(seen(spoilt, "targets")).remarks
+    assert says in remark.what
+
+
+def test_a_lost_tracker_reads_its_origin_or_its_last_value():
+    """Twenty rows at zero with the identity, fifteen of the last pose: not measured."""
+    columns = pose()
+    for name in POSITION + QUATERNION:
+        columns[name] = columns[name].copy()
+        columns[name][50:70] = 1.0 if name.endswith(".w") else 0.0
+        columns[name][200:215] = columns[name][199]
+    found = examined(seen(columns))
+    assert [r.premise for r in found.remarks] == ["lost_values"]
+    lost = np.isnan(found.observations.columns[POSITION[0]])
+    assert np.flatnonzero(lost).tolist() == [*range(50, 70), *range(200, 215)]
+
+
+@pytest.mark.parametrize("names", [("roll", "tilt"), ("carriage1", "carriage2", "carriage3")])
+def test_joints_in_degrees_or_millimetres_are_found_by_the_limits(names):
+    """For the whole group at once."""
+    original = pose()
+    factor = 180.0 / np.pi if names[0] == "roll" else 1000.0
+    spoilt = original | {f"joint.{n}.position": factor * original[f"joint.{n}.position"] for n in names}
+    found = examined(seen(spoilt))
+    assert [r.premise for r in found.remarks] == ["position_units"]
+    for n in names:
+        assert np.allclose(found.observations.columns[f"joint.{n}.position"], original[f"joint.{n}.position"])
+
+
+def test_a_constant_offset_and_a_bent_arm_are_no_frame():
+    """A shift of 5 cm, and 2 mm and 10 mrad that go with the pose: for the search."""
+    original = pose()
+    bent = 2e-3 * np.sin(original["joint.roll.position"])
+    spoilt = original | {POSITION[0]: original[POSITION[0]] + 0.05, POSITION[2]: original[POSITION[2]] + bent}
+    assert not examined(seen(spoilt)).remarks
+    assert not examined(replace(seen(spoilt), belief=Belief(robot=ROBOT, tip=TIP + 0.01))).remarks
