@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from galen_hw.cli import main
 from galen_hw.diagnosis.rows import folds
-from galen_hw.errors import EXIT_FOUND, EXIT_INTERNAL, EXIT_OK
+from galen_hw.errors import EXIT_FOUND, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE
 
 POSES = 17
 TOOLS = {
@@ -84,3 +84,15 @@ def test_a_fault_of_the_program_is_no_finding(
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert line.startswith("galen-hw diagnose: internal error: ValueError two lines (test_diagnosis_small.py:")
     assert "GALEN_HW_TRACEBACK" in line
+
+
+def test_numbers_that_have_no_square_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One line with column and row, where numpy's warnings of overflow had been on the screen."""
+    folder = poses(tmp_path / "r", "heavy", 1)
+    table = (folder / "recording.csv").read_text().splitlines()
+    cells = table[3].split(",")
+    table[3] = ",".join([*cells[:4], "1e200", *cells[5:]])
+    (folder / "recording.csv").write_text("\n".join(table) + "\n")
+    assert main(["diagnose", str(folder)]) == EXIT_USAGE
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "wrench.force.x is 1e+200 in row 3" in line
