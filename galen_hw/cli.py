@@ -4,10 +4,12 @@ import argparse
 import importlib
 import os
 import sys
+import traceback
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Final, NoReturn
 
-from galen_hw.errors import EXIT_USAGE, GalenError
+from galen_hw.errors import EXIT_INTERNAL, EXIT_USAGE, GalenError
 from galen_hw.version import VERSION
 
 EXIT_PIPE: Final = 128 + 13
@@ -34,7 +36,11 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; the exit status: 0 fine, 1 found a problem, 2 wrong use or input, 3 hardware, 141 output cut off."""
+    """Run one command.
+
+    Returns:
+        The exit status: 0 fine, 1 found a problem, 2 wrong use or input, 3 hardware, 70 internal error, 141 output cut off.
+    """
     argv = sys.argv[1:] if argv is None else argv
     parser, command = _parser(argv)
     args, unknown = parser.parse_known_args(argv)
@@ -63,7 +69,20 @@ def main(argv: list[str] | None = None) -> int:
         # that 0 or 1 would claim too much: the status is the shell's for SIGPIPE. Stop Python's flush from saying it again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_PIPE
+    except Exception as error:
+        if os.environ.get("GALEN_HW_TRACEBACK"):
+            raise
+        print(f"galen-hw {command}: {_internal(error)}", file=sys.stderr)
+        return EXIT_INTERNAL
     return status
+
+
+def _internal(error: Exception) -> str:
+    """Say in one line what this program did wrong, where, and how to report it."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    what = " ".join(f"{type(error).__name__} {error}".split())
+    todo = "please report it with the traceback that GALEN_HW_TRACEBACK=1 shows"
+    return f"internal error: {what} ({Path(last.filename).name}:{last.lineno}); {todo}"
 
 
 def _parser(argv: list[str]) -> tuple[argparse.ArgumentParser, str | None]:

@@ -4,6 +4,8 @@ EXIT_OK = 0
 EXIT_FOUND = 1
 EXIT_USAGE = 2
 EXIT_HARDWARE = 3
+EXIT_INTERNAL = 70
+"""A fault of this program, as EX_SOFTWARE of sysexits.h: never 1, which says that something was found."""
 
 
 class GalenError(Exception):

@@ -156,9 +156,7 @@ def test_what_a_flexible_name_leaves_of_another_recording_is_said_of_it(
     d = work.diagnosis
     assert d.verdict == verdict
     assert named(work) == [concealed.__name__, "unknown"][: 1 + (size > 0.0)]
-    touches = concealed is contact
-    assert ("takes none of the excess outside its own moments" in d.findings[0].says) is touches
-    assert (d.findings[0].evidence["heldout_gain"] == 0.0) is touches
+    assert d.findings[0].evidence["heldout_gain"] > 0.1
     assert all("wrench.force.x of another recording" in f.says for f in d.findings if f.effect == "unknown")
 
 

@@ -17,6 +17,8 @@ from galen_hw.tools.recorded_robot import IN_JOINTS, robot_of, zeroed_joints, ze
 
 FIXED = 1e-3
 """Of a pose, in m and in parts of a turn's matrix: what moves less stands still."""
+LARGEST = float(np.finfo(float).max) ** 0.25
+"""Of a number in a recording: products of two of them have a square."""
 ASKED = 200
 """Rows on which that is asked."""
 
@@ -45,6 +47,9 @@ def _observations(recording: Recording) -> Observations:
     if info.predict is None:
         where = f"{recording.about}: predict"
         raise UsageError("nothing is named to compare", where=where, todo='e.g. "predict": "wrench"')
+    for each in (recording, recording.simulation):
+        if each is not None:
+            _finite_squares(each)
     columns, simulation = dict(recording.columns), recording.simulation
     simulated = None if simulation is None else _matched(recording, simulation)
     belief = _belief(recording)
@@ -53,6 +58,19 @@ def _observations(recording: Recording) -> Observations:
         # Servos are compared one by one; where some joints were not recorded nothing is known of how the arm stands.
         belief = replace(belief, robot=None)
     return Observations(info.predict, columns, simulated, belief)
+
+
+def _finite_squares(recording: Recording) -> None:
+    """Refuse numbers whose squares are none: every error is a mean square.
+
+    Raises:
+        UsageError: a column holds one.
+    """
+    for name, values in recording.columns.items():
+        large = np.flatnonzero(np.abs(values) > LARGEST)
+        if len(large):
+            what = f"{name} is {values[large[0]]:.3g} in row {large[0] + 1}, which no machine measures"
+            raise UsageError(what, where=str(recording.path), todo="leave cells empty that were not measured")
 
 
 def _matched(recording: Recording, simulation: Recording) -> dict[str, Array]:

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from galen_hw.diagnosis.algebra import orthonormal, scaled
 from galen_hw.diagnosis.bench import Bench, rich_basis
 from galen_hw.diagnosis.generic import Inputs, broad, local
-from galen_hw.diagnosis.rows import Index
+from galen_hw.diagnosis.rows import Index, folds
 from galen_hw.physics.effect import Columns
 from galen_hw.spatial import Array
 
@@ -161,18 +161,16 @@ def _found(
     return z, float(each.sum()), V @ projected
 
 
-def _crossed(U: Array, Y: Array, block: Index, *, ridge: float, folds: int = 5) -> Array:
+def _crossed(U: Array, Y: Array, block: Index, *, ridge: float) -> Array:
     """(blocks, m) falls of the sums of squares of m residuals Y (n, m) by orthonormal functions U (n, k) learnt on other blocks.
 
     Ridge regression, so that many functions of which few matter may win and none is trusted that mostly lives in the blocks
     left out. Blocks are the unit: slow noise inside a block is one piece of luck.
     """
     number = np.unique(block, return_inverse=True)[1]
-    fold, gain = number % folds, np.zeros(Y.shape)
-    for f in range(folds):
+    fold, gain = folds(block), np.zeros(Y.shape)
+    for f in range(int(fold.max()) + 1):
         learn, judge = fold != f, fold == f
-        if not judge.any() or not learn.any():
-            continue
         G = U[learn].T @ U[learn] + ridge * np.eye(U.shape[1])
         predicted = U[judge] @ np.linalg.solve(G, U[learn].T @ Y[learn])
         gain[judge] = predicted * (2.0 * Y[judge] - predicted)

@@ -55,6 +55,8 @@ def add_claims(
     rows = (
         int(np.min(bench.noise.independent(int(bench.judged.sum() or bench.train.sum())))) if examination.claims else 0
     )
+    if examination.claims:
+        _of_the_whole(diagnosis.findings, judged, after)
     for remark in examination.remarks:
         claim = remark.claim
         if claim is None or remark.repaired is None:
@@ -78,6 +80,15 @@ def add_claims(
         diagnosis.findings.insert(0, finding)
         diagnosis.terms[:0] = [dict(term) for term in claim.terms]
         diagnosis.verdict = verdict(diagnosis.findings)
+
+
+def _of_the_whole(findings: list[Finding], judged: Judged, after: Array) -> None:
+    """Tell the shares of what was found beside the claims of the whole excess: they were of what the claims leave."""
+    left, whole = (float(np.sum(np.maximum(x - judged.floor, 0.0) / judged.floor)) for x in (after, judged.before))
+    for finding in findings:
+        told = finding.takes
+        finding.evidence["heldout_gain"] *= left / max(whole, 1e-300)
+        finding.says = finding.says.replace(told, finding.takes)
 
 
 def composed(claim: Claim, more: Mapping[str, Value]) -> dict[str, Value]:

@@ -14,6 +14,7 @@ from galen_hw.diagnosis.clock_search import MARGIN
 from galen_hw.diagnosis.descent import Beside
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.score import Score, Scorer
+from galen_hw.diagnosis.together import in_each_joint
 from galen_hw.physics.effect import Columns, Effect
 from galen_hw.physics.time_effects import TimeDelay
 from galen_hw.spatial import Array
@@ -53,7 +54,8 @@ def clock_offset(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[i
     seconds, step = shift
     bounds = (seconds - step, seconds + step)
     found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": FINE * step})
-    most = max(score.gain for i, score in scores.items() if i != own)
+    others = [i for i in scores if i != own]
+    most = max([in_each_joint(scorer, scores, others)[0], *(scores[i].gain for i in others)])
     if scores[own].gain > -BY_SLOPE * found.fun or -found.fun <= most + MARGIN:
         return None
     scorer.append([tangent(bench, h, np.array([float(found.x)]))])

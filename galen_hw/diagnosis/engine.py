@@ -351,7 +351,7 @@ def _said(
         notes.append(_limit(bench))
     notes += _wandering(model)
     if judged.at_home:
-        told = ", ".join(key.replace("_", " ") for key in judged.at_home)
+        told = ", ".join(key.replace("_", " ") for key in sorted(judged.at_home))
         notes.append(f"the recording held out hardly rouses {told}: told by blocks left out of the first")
     if bench.scene.heard is not None:
         notes.append(

@@ -2,15 +2,13 @@
 
 import itertools
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.generic import Inputs, dictionaries, factors
+from galen_hw.diagnosis.rows import folds
 from galen_hw.spatial import Array
-
-FOLDS: Final = 5
 
 
 def by_name(inputs: Inputs) -> dict[str, Array]:
@@ -36,10 +34,10 @@ class Functions:
         whole = by_name(self.inputs)
         self.means = {name: X[bench.train].mean(axis=0) for name, X in whole.items()}
         self.columns = {name: X - self.means[name] for name, X in whole.items()}
-        fold = np.unique(bench.block[bench.train], return_inverse=True)[1] % FOLDS
+        fold = folds(bench.block[bench.train])
         order = np.argsort(fold, kind="stable")
         self.rows = np.flatnonzero(bench.train)[order]
-        edges = np.searchsorted(fold[order], np.arange(FOLDS + 1)).tolist()
+        edges = np.searchsorted(fold[order], np.arange(int(fold.max(initial=0)) + 2)).tolist()
         self.folds = [slice(a, b) for a, b in itertools.pairwise(edges)]
         self._plain: dict[tuple[str, str], Array] = {}
         self._white: dict[int, dict[tuple[str, str], Array]] = {}

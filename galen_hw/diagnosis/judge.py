@@ -10,6 +10,7 @@ from galen_hw.diagnosis.bench import Bench, Hypothesis
 from galen_hw.diagnosis.episodes import contacts
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.linear import predicted, white_left_out
+from galen_hw.diagnosis.paired import Gain, paired
 from galen_hw.diagnosis.remainder import Remainder
 from galen_hw.diagnosis.repeats import repeated
 from galen_hw.diagnosis.rows import Mask, Rows
@@ -40,8 +41,10 @@ class Judged:
         refused: keys of which held-out rows, that it would show in, hold the contrary.
         untouched: `after` on the rows of no contact that the model believes in, None: there is none or no such row; how a touch
             swells and lets go is no law of the arm, and fitted no better than its few shapes allow.
-        at_home: per key of an effect that another recording hardly rouses, the share of the excess that it takes on blocks left
-            out of its own; support and sure are told by these too.
+        gains: per effect's key, what falls of the held-out excess with it. Of what belongs to moments, which are no other data's,
+            on all rows of its own recording, less what its parameters take of noise.
+        at_home: keys of effects that another recording hardly rouses: support, sure and gains are told by blocks left out of
+            their own.
         unnamed: with what generic functions predict besides, without a name, where that earns its place; None: it does not.
         places: where a key stands more than once, per number in the model's effects: the same of that one alone.
         episodes: times (s) of contacts in another recording; good: (M,) its rows that are judged on, all others left out of
@@ -57,7 +60,8 @@ class Judged:
     sure: dict[str, float] = field(default_factory=dict)
     refused: set[str] = field(default_factory=set)
     places: dict[int, tuple[float, float]] = field(default_factory=dict)
-    at_home: dict[str, float] = field(default_factory=dict)
+    gains: dict[str, Gain] = field(default_factory=dict)
+    at_home: set[str] = field(default_factory=set)
     episodes: tuple[tuple[float, float], ...] = ()
     good: Mask | None = None
     untouched: Array | None = None
@@ -74,15 +78,8 @@ class Judged:
         return self.after if self.unnamed is None else self.unnamed
 
     def gain(self, key: str) -> float:
-        """Share of the held-out excess, channels weighed by their noise, that an effect removes.
-
-        Touches remove nothing of another recording, whose own are left out: without them the others are only learnt otherwise.
-        """
-        if key == Contact.KEY and self.name == ELSEWHERE:
-            return 0.0
-        if key in self.at_home:
-            return self.at_home[key]
-        return self.share(self.without[key] - self.after)
+        """Share of the excess, channels weighed by their noise, that an effect removes."""
+        return self.gains[key].share
 
     def unnamed_gain(self) -> float:
         """The same of what is predicted without a name."""
@@ -152,28 +149,38 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
         )
     for key, part in smaller.items():
         judged.without[key] = np.mean(guard.raw(part) ** 2, axis=0)
+        judged.gains[key] = (
+            guard.gain(part, before) if effect_class(key).lasting() else _at_moments(model, part, baseline)
+        )
         judged.support[key], judged.sure[key] = guard.of(part, _channels(model, key))
         # In another recording what belongs to moments is not there: then these rows speak of the others' sizes alone.
         if holdout is None and judged.sure[key] < 0.0 and guard.could_tell(part):
             judged.refused.add(key)
         if holdout is not None and effect_class(key).lasting() and not guard.could_tell(part):
-            judged.support[key], judged.sure[key], judged.at_home[key] = _at_home(model, part, key)
+            judged.support[key], judged.sure[key], judged.gains[key] = _at_home(model, part, key)
+            judged.at_home.add(key)
     judged.places = _places(model, guard)
     return judged
 
 
-def _at_home(model: Model, part: Model, key: str) -> tuple[float, float, float]:
-    """Support and `sure` of what a smaller model has left out, and its share of the excess, on blocks left out of its own data.
+def _at_moments(model: Model, part: Model, baseline: Model) -> Gain:
+    """What falls with what a smaller model has left out on the rows that it was learnt on, which alone hold its moments."""
+    good, sigma = ~model.bench.dropped, model.bench.noise.sigma
+    rest, without, before = (one.rest()[good] / sigma for one in (model, part, baseline))
+    learnt = sum(h.owed(whole=True) for h in model.effects) - sum(h.owed(whole=True) for h in part.effects)
+    return paired(without, rest, np.mean(before**2, axis=0) - 1.0, parameters=learnt)
+
+
+def _at_home(model: Model, part: Model, key: str) -> tuple[float, float, Gain]:
+    """Support and `sure` of what a smaller model has left out, and what falls with it, on blocks left out of its own data.
 
     A temperature that stays where it is, or a joint that rests, says nothing for an effect and nothing against it.
     """
     each = (model, part, model.without(model.effects))
     rest, without, before = (white_left_out(model.bench, one.parts, one.white) for one in each)
     own = _channels(model, key)
-    lost = float(np.sum(np.mean(without**2 - rest**2, axis=0)))
-    excess = float(np.sum(np.maximum(np.mean(before**2, axis=0) - 1.0, 0.0)))
-    share = float(np.clip(lost / excess, -1.0, 1.0)) if excess > 0.0 else 0.0
-    return support(without[:, own], rest[:, own]), sure(rest, without), share
+    gain = paired(without, rest, np.mean(before**2, axis=0) - 1.0)
+    return support(without[:, own], rest[:, own]), sure(rest, without), gain
 
 
 def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remainder: Remainder | None) -> Judged:
@@ -357,7 +364,8 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
     What belongs to moments shows nowhere else, and need not be wanted there; it only must not make worse what it touches.
     What drifts or hums is there all through its own recording, and takes its share of what is set aside of that. Where a
     kind stands in several places (friction in five joints), each place has to earn its own. What fits with parameters that
-    are not known at all has the shape of its name and no more.
+    are not known at all has the shape of its name and no more. One at a time, and what is left fitted again: of two that do the
+    same one stays, and of two that need each other both do.
 
     Args:
         judged: of a larger model, whose rows are judged on again.
@@ -369,11 +377,12 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
         fitted = [k for k in judged.without if effect_class(k).THROUGHOUT and holdout is None]
         sole = len(judged.without) == 1
         weak = [
-            (judged.support[key], key)
+            (judged.support[key], judged.sure[key], key)
             for key in judged.without
             if key in judged.refused
             or (key in lasting and poor(judged.support[key], judged.sure[key], alone=sole))
             or (key in fitted and judged.support[key] < LEAST_SUPPORT)
+            or not judged.gains[key].credible()
         ]
         places = [(support, k) for k, (support, sure) in judged.places.items() if poor(support, sure, alone=False)]
         vague = _vague(model)
@@ -383,7 +392,7 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
             # One place first: the kind may earn its name without it.
             out = [model.effects[min(places)[1]]]
         elif weak:
-            out = [h for h in model.effects if h.effect is not None and min(weak)[1] == h.effect.KEY]
+            out = [h for h in model.effects if h.effect is not None and min(weak)[-1] == h.effect.KEY]
         else:
             return model, judged
         model = model.without(out)

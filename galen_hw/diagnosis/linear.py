@@ -4,7 +4,7 @@ import numpy as np
 
 from galen_hw.diagnosis.algebra import pinned_at
 from galen_hw.diagnosis.bench import Bench, Hypothesis
-from galen_hw.diagnosis.rows import Chosen, Index
+from galen_hw.diagnosis.rows import Chosen, Index, folds
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.spatial import Array
 
@@ -72,35 +72,32 @@ def crossed(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = Fal
 def errors(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False, whitened: bool = False) -> Array:
     """(n, C) errors of a model on the training rows, raw or whitened, each predicted from blocks that it is not in."""
     model = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
-    return _errors(bench, model, scorer.white, folds=5, fine=fine, whitened=whitened)
+    return _errors(bench, model, scorer.white, fine=fine, whitened=whitened)
 
 
-def left_out(bench: Bench, model: list[Hypothesis], white: Array, *, folds: int = 5, fine: bool = False) -> Array:
+def left_out(bench: Bench, model: list[Hypothesis], white: Array, *, fine: bool = False) -> Array:
     """(C,) mean squared error, raw, on training blocks left out in turn; `fine`: on short pieces left out in turn."""
-    return np.asarray(np.mean(_errors(bench, model, white, folds=folds, fine=fine) ** 2, axis=0))
+    return np.asarray(np.mean(_errors(bench, model, white, fine=fine) ** 2, axis=0))
 
 
 def white_left_out(bench: Bench, model: list[Hypothesis], white: Array) -> Array:
     """(n, C) white errors on the training rows, each block predicted from the others."""
-    return _errors(bench, model, white, folds=5, fine=False, whitened=True)
+    return _errors(bench, model, white, fine=False, whitened=True)
 
 
-def _errors(
-    bench: Bench, model: list[Hypothesis], white: Array, *, folds: int, fine: bool, whitened: bool = False
-) -> Array:
+def _errors(bench: Bench, model: list[Hypothesis], white: Array, *, fine: bool, whitened: bool = False) -> Array:
     """(n, C) errors on the training rows, each block or piece predicted from the others."""
     train = np.flatnonzero(bench.train)
     if fine:
         # Noise with a memory would tell one row from the next; poses of a sweep know nothing of each other.
-        fold = train // max(len(bench.rows) // PIECES, LEAST_PIECE if len(bench.noise.edges) else 1) % folds
+        piece = max(len(bench.rows) // PIECES, LEAST_PIECE if len(bench.noise.edges) else 1)
+        fold = folds(np.asarray(train // piece))
     else:
-        fold = np.unique(bench.block[train], return_inverse=True)[1] % folds
+        fold = folds(bench.block[train])
     out = np.zeros((len(train), bench.width))
     stays = _of_moments(model, white, train, fold, bench.width, fine=fine)
-    for k in range(folds):
+    for k in range(int(fold.max(initial=0)) + 1):
         learn, aside = fold != k, fold == k
-        if not aside.any() or not learn.any():
-            continue
         theta = fit(model, white, train[learn], bench.width, stays)
         target = white if whitened else bench.y
         out[aside] = target[train[aside]] - predicted(model, theta, train[aside], bench.width, whitened=whitened)

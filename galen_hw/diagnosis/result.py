@@ -45,9 +45,7 @@ class Finding:
     def takes(self) -> str:
         """What it does on data that it did not learn from, in words."""
         gain = self.evidence["heldout_gain"]
-        if self.effect == "contact" and gain == 0.0:
-            return "takes none of the excess outside its own moments"
-        return f"takes {100 * gain:.0f} % of the excess"
+        return f"takes {100 * gain:.{0 if gain >= 0.01 else 1}f} % of the excess"
 
 
 @dataclass

@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,6 +115,24 @@ def blocks(runs: tuple[slice, ...], count: int) -> Index:
         out[run] = number + np.minimum(np.arange(size) * pieces // size, pieces - 1)
         number += pieces
     return out
+
+
+FOLDS: Final = 5
+
+
+def folds(block: Index, count: int = FOLDS) -> Index:
+    """Deal blocks out in turn: the fold (M,) of every row, none of them empty.
+
+    There are as many folds as blocks where these are fewer than `count`, and each row is a block where there is but one:
+    whatever is learnt without a fold has rows to be learnt from, and every fold has rows to be judged on.
+
+    Args:
+        block: (M,) block number of every row.
+    """
+    number = np.unique(block, return_inverse=True)[1] if len(block) else block
+    if len(block) and number.max() == 0:
+        number = np.arange(len(block))
+    return np.asarray(number % max(min(count, int(number.max(initial=0)) + 1), 1), dtype=np.intp)
 
 
 def set_aside(block: Index, share: float, seed: int) -> Mask:

@@ -23,6 +23,7 @@ from galen_hw.diagnosis.score import Score, Scorer, threshold
 from galen_hw.diagnosis.selection import Selection, elsewhere
 from galen_hw.diagnosis.split import split
 from galen_hw.diagnosis.tendons import tightened
+from galen_hw.diagnosis.together import kind_first
 from galen_hw.diagnosis.wanted import shows_in_noise
 from galen_hw.diagnosis.worth import WORTH, asked, completes, plausible, worth
 from galen_hw.physics.effect import Effect
@@ -166,6 +167,7 @@ def _best(
     misfit = scorer.misfit([*out.chosen, able[0]])
     misses = missed(bench, scorer, [*out.chosen, able[0]])
     able.insert(0, plainest(bench, scorer, out.chosen, scores, able, misses))
+    able[:0] = kind_first(scorer, scores, able)
     tries = 0
     for i in dict.fromkeys(able):
         if i in refused:

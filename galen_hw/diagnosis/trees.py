@@ -13,9 +13,9 @@ from threadpoolctl import threadpool_limits
 from galen_hw.diagnosis.adequacy import Left, sureness
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.generic import Inputs
-from galen_hw.diagnosis.inner_products import FOLDS, Functions
+from galen_hw.diagnosis.inner_products import Functions
 from galen_hw.diagnosis.remainder import Remainder
-from galen_hw.diagnosis.rows import Index
+from galen_hw.diagnosis.rows import Index, folds
 from galen_hw.spatial import Array
 
 TOGETHER: Final = "all inputs together, as no function that was tried does"
@@ -78,7 +78,7 @@ def hidden(model: Model) -> list[Left]:
         return []
     time = bench.rows.average(bench.scene.time)[:, None]
     rest = model.rest()[:, slow] / bench.noise.sigma[slow]
-    fold = np.unique(bench.block, return_inverse=True)[1] % FOLDS
+    fold = folds(bench.block)
     number = np.unique(bench.block[good], return_inverse=True)[1]
 
     def asked(of: Array) -> tuple[Array, Array]:
@@ -102,7 +102,7 @@ def hidden(model: Model) -> list[Left]:
 def _foretold(X: Array, y: Array, fold: Index, good: Index) -> Array:
     """(M, m) rests (M, m) as trees on inputs (M, k) predict them that were learnt on some of the good rows of other folds."""
     out, seen = np.zeros(y.shape), good[:: max(len(good) // ROWS, 1)]
-    for f in range(FOLDS):
+    for f in range(int(fold.max()) + 1):
         learn, aside = seen[fold[seen] != f], fold == f
         if len(learn) and aside.any():
             learnt = _many().fit(X[learn], y[learn] if y.shape[1] > 1 else y[learn, 0])

@@ -7,6 +7,7 @@ import numpy as np
 from galen_hw.diagnosis.bench import Bench
 from galen_hw.diagnosis.final import Model
 from galen_hw.diagnosis.linear import errors, rests
+from galen_hw.diagnosis.paired import PIECES, Gain, paired
 from galen_hw.diagnosis.score import Scorer
 from galen_hw.diagnosis.selection import Selection
 from galen_hw.diagnosis.worth import LOUD, PROVED
@@ -61,10 +62,6 @@ def shows_in_noise(bench: Bench, scorer: Scorer, out: Selection, i: int) -> bool
         return False
     rest, without = (errors(bench, scorer, model, whitened=True) for model in ([*out.chosen, i], out.chosen))
     return sure(rest, without) >= BESIDE
-
-
-PIECES = 40
-"""Pieces of held-out rows, each one value for the error of a gain."""
 
 
 def sure(rest: Array, without: Array) -> float:
@@ -144,6 +141,10 @@ class Guard:
         if belied(after, before):
             return min(wanted, -1.0), certain
         return (wanted if plainly <= raw * (1.0 + ROUGHLY) else min(wanted, raw / plainly - 1.0)), certain
+
+    def gain(self, part: Model, before: Array) -> Gain:
+        """What falls of the excess with what a smaller model has left out; `before`: (C,) mean squared error of the baseline."""
+        return paired(self._raw_of(part), self._raw_rest, before / self._floor - 1.0)
 
     def could_tell(self, part: Model) -> bool:
         """Whether held-out rows would surely want what a smaller model has left out if it is there as it was learnt.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from galen_hw.tools.blind_proof.generator import signal
 from galen_hw.tools.blind_proof.generator.case import Case, Injected
 from galen_hw.tools.blind_proof.generator.motion import Path, between, episodes, sines
+from galen_hw.tools.blind_proof.generator.servo_arm import STEP_S, Servo, Stepper
 
 Array = NDArray[np.float64]
 
@@ -72,25 +73,25 @@ class ArmScene:
 
 
 def mjcf(machine: Machine, *, servo: bool) -> str:
-    """MJCF of the arm; as a servo with actuators, and with a play joint behind each motor that has play."""
+    """MJCF of the arm: with dry friction and damping, or as the mechanism alone, which `servo_arm` drives and holds.
+
+    Under servo with a play joint behind each motor that has play.
+    """
     inner, closing = "", ""
     for k, (link, joint) in enumerate(zip(LINKS, JOINTS, strict=True)):
         name, origin, axis, com, mass, inertia = link
         lift = ' gravcomp="1"' if servo and not machine.sag else ""
-        inner += (
-            f'<body name="{name}_m" pos="{_v(origin)}"><joint name="{joint}" axis="{_v(axis)}" '
-            f'frictionloss="{machine.loss[k]}" damping="{machine.damping[k]}" armature="{0.05 if servo else 0}"/>'
-        )
+        resists = "" if servo else f'frictionloss="{machine.loss[k]}" damping="{machine.damping[k]}"'
+        turns = f'<joint name="{joint}" axis="{_v(axis)}" {resists} armature="{0.05 if servo else 0}"/>'
         if machine.play[k] > 0:
-            b = machine.play[k]
             inner += (
+                f'<body name="{name}_m" pos="{_v(origin)}">{turns}'
                 '<inertial pos="0 0 0" mass="1e-3" diaginertia="1e-5 1e-5 1e-5"/>'
-                f'<body name="{name}"{lift}><joint name="{joint}_play" axis="{_v(axis)}" range="{-b} {b}" '
-                'limited="true" damping="0.4" solreflimit="0.006 1"/>'
+                f'<body name="{name}"{lift}><joint name="{joint}_play" axis="{_v(axis)}"/>'
             )
             closing = "</body>" + closing
         else:
-            inner = inner.replace(f'name="{name}_m"', f'name="{name}"{lift}')
+            inner += f'<body name="{name}"{lift} pos="{_v(origin)}">{turns}'
         inner += f'<inertial pos="{_v(com)}" mass="{mass}" diaginertia="{_v(inertia)}"/>'
         closing = "</body>" + closing
     load = (
@@ -103,16 +104,9 @@ def mjcf(machine: Machine, *, servo: bool) -> str:
         '<site site="anchor"/><site site="hand"/></spatial></tendon>'
     )
     return f"""<mujoco><compiler angle="radian" balanceinertia="true"/>
-<option gravity="{_v(machine.gravity)}" timestep="0.002" integrator="implicitfast"/>
+<option gravity="{_v(machine.gravity)}"/>
 <worldbody><site name="anchor" pos="0.1 0.5 0.8"/>{inner}{load}{closing}</worldbody>
-{tendon}{_actuators(machine) if servo else ""}</mujoco>"""
-
-
-def _actuators(machine: Machine) -> str:
-    """Position servos with a viscous part that gives all gains the same time constant of 30 ms."""
-    gains = zip(JOINTS, SPRINGS * machine.gains, machine.gains, strict=True)
-    rows = "".join(f'<position joint="{j}" kp="{kp}" kv="{kp * 0.03 / g}"/>' for j, kp, g in gains)
-    return f"<actuator>{rows}</actuator>"
+{tendon}</mujoco>"""
 
 
 def efforts(scene: ArmScene) -> Array:
@@ -137,31 +131,33 @@ def efforts(scene: ArmScene) -> Array:
 
 
 def positions(scene: ArmScene) -> Array:
-    """Positions (N, 3) of the links while the motors follow the command."""
+    """Positions (N, 3) of the links while the motors follow the command; what friction holds stands still."""
     assert scene.command is not None
-    m = scene.machine
-    model = mujoco.MjModel.from_xml_string(mjcf(m, servo=True))
-    data = mujoco.MjData(model)
-    address = {n: model.joint(n).qposadr[0] for n in (model.joint(i).name for i in range(model.njnt))}
-    for k, joint in enumerate(JOINTS):
-        data.qpos[address[joint]] = scene.command[0, k]
-    per_row = round(1 / scene.case.rate_hz / model.opt.timestep)
+    model = mujoco.MjModel.from_xml_string(mjcf(scene.machine, servo=True))
+    names = [model.joint(i).name for i in range(model.njnt)]
+    link = np.array([[name.removesuffix("_play") == joint for name in names] for joint in JOINTS], dtype=float)
+    motor = np.array([[name == joint for name in names] for joint in JOINTS], dtype=float)
+    stepper = Stepper(model, _servo(scene.machine, names), scene.command[0] @ motor)
+    per_row = round(1 / scene.case.rate_hz / STEP_S)
     out = np.empty((len(scene.command), 3))
-    for i, command in enumerate(scene.command):
-        out[i] = [
-            data.qpos[address[j]] + (data.qpos[address[f"{j}_play"]] if f"{j}_play" in address else 0.0) for j in JOINTS
-        ]
-        data.ctrl[:] = command
-        mujoco.mj_step(model, data, per_row)
+    for i, command in enumerate(scene.command @ motor):
+        out[i] = link @ stepper.q
+        for _ in range(per_row):
+            stepper.step(command)
     for change in scene.after:
         out = change(out)
     return out
 
 
-def _play_at(data: mujoco.MjData, address: dict[str, int], joint: str) -> float:
-    """Where the link lies in the play behind its motor, 0 without play."""
-    name = f"{joint}_play"
-    return float(data.qpos[address[name]]) if name in address else 0.0
+def _servo(machine: Machine, names: Sequence[str]) -> Servo:
+    """Position servos with a viscous part that gives all gains the same time constant of 30 ms; play behind them."""
+    rows = []
+    for name in names:
+        k = JOINTS.index(name.removesuffix("_play"))
+        b = machine.play[k]
+        motor = (SPRINGS[k] * machine.gains[k], SPRINGS[k] * 0.03, machine.loss[k], machine.damping[k], -np.inf, np.inf)
+        rows.append((0.0, 0.0, 0.0, 0.4, -b, b) if name.endswith("_play") else motor)
+    return Servo(*np.array(rows).T)
 
 
 def make_scene(rng: np.random.Generator, case: Case) -> ArmScene:
