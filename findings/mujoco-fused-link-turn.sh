@@ -4,9 +4,10 @@
 set -euo pipefail
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-for version in 3.2.0 3.3.7 3.10.0 3.11.0; do
+for pinned in mujoco==3.2.0 mujoco==3.3.7 mujoco==3.10.0 mujoco==3.11.0; do
+  version=${pinned##*==}
   python3 -m venv "$work/$version"
-  "$work/$version/bin/python" -m pip install --quiet --disable-pip-version-check "mujoco==$version"
+  "$work/$version/bin/python" -m pip install --quiet --disable-pip-version-check "$pinned"
   "$work/$version/bin/python" - <<'PYTHON'
 import sys
 import mujoco
