@@ -204,12 +204,12 @@ def test_the_reports_equations_are_a_candidate_of_their_own_numbers(capsys, pose
 
 
 def test_a_table_that_cannot_excite_the_mass_is_refused(capsys, tmp_path):
-    """Exit 2, the parameter by name, nothing saved."""
+    """Exit 2, the poses are counted, nothing saved: twenty equal rows are one pose."""
     R, wrench = np.broadcast_to(np.eye(3), (20, 3, 3)), np.zeros((20, 6))
     folder = table(tmp_path / "poses", R, wrench)
 
     assert main(["calibrate", "--from", str(folder), "--tool", "retractor", "--yes"]) == 2
-    assert "cannot excite mass" in capsys.readouterr().err
+    assert "1 pose for the fit, 4 are the least; measure more orientations" in capsys.readouterr().err
     assert not (tmp_path / "state").exists()
 
 

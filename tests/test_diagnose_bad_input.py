@@ -14,6 +14,7 @@ from galen_hw.cli import main
 from galen_hw.diagnosis.guards import premises
 from galen_hw.physics.smoothing import derivatives
 from galen_hw.physics.table import scene_of
+from galen_hw.premises import examined
 from tests import physics_scenes
 from tests.diagnosis_cases import Bench
 
@@ -216,11 +217,11 @@ def milliseconds(c: Columns) -> None:
 
 
 REPAIRED: dict[Callable[[Columns], None], str] = {
-    swapped: "wrench.force: x, y, z read like y, x, z of the sensor: left-handed axes; repaired",
+    swapped: "wrench.force: axes x, y, z read like y, x, z of the sensor: left-handed axes; repaired",
     wrong_sign: "force and torque have the opposite sign (reaction instead of action), or the robot hangs upside down; repaired",
     newton_millimetres: "torque is in N mm",
     degrees: "joints are in degrees; repaired",
-    degrees_per_second: "joint.roll.velocity: 57.3 times the position's change",
+    degrees_per_second: "times the position's change (is it in degrees or mm?)",
     milliseconds: "it is in ms; repaired",
 }
 WRONG: dict[Callable[[Columns], None], str] = {
@@ -323,12 +324,14 @@ def test_what_was_not_measured_is_left_out_and_the_rest_compared(group: Any, col
 
 
 def test_a_far_heavier_tool_is_no_change_of_units() -> None:
-    """4.2 times the believed weight is a payload, 1 / 4.448 of it a sensor that reads in pounds-force."""
-    heavier, pounds = Bench(1), Bench(1)
-    heavier.wrench *= 4.2
+    """2.2 times the believed weight is a payload, 4.2 times is asked about, and 1 / 4.448 of it may be in pounds-force."""
+    heavier, far, pounds = Bench(1), Bench(1), Bench(1)
+    heavier.wrench *= 2.2
+    far.wrench *= 4.2
     pounds.wrench /= 4.44822
-    assert premises(scene_of(heavier.observations())).wrong == []
-    assert "pounds-force" in premises(scene_of(pounds.observations())).wrong[0]
+    assert not examined(heavier.observations()).remarks
+    assert "another tool, or other units?" in examined(far.observations()).refused[0].what
+    assert "lbf" in examined(pounds.observations()).refused[0].what
 
 
 def holed(seed: int, **more: np.ndarray) -> Columns:

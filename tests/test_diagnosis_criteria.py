@@ -42,6 +42,7 @@ def test_a_share_that_nobody_cares_for_is_not_told() -> None:
     assert small.fall > 2.0 * small.error
     assert not small.credible()
     assert small.credible(Criteria(least_share=0.0001))
+    assert small.credible(rough=0.0), "beside a law that is exact it is no part of that law"
 
 
 def test_one_piece_of_many_is_enough() -> None:

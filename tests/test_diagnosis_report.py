@@ -20,7 +20,18 @@ from galen_hw.diagnosis.traces import Curve, Traces
 from galen_hw.tools.diagnose_screen import counting, show, table, working
 from tests import diagnosis_parts as parts
 
-KEYS = {"schema", "recording", "holdout", "predict", "verdict", "locate", "findings", "fit", "next_experiment"}
+KEYS = {
+    "schema",
+    "recording",
+    "holdout",
+    "predict",
+    "verdict",
+    "locate",
+    "findings",
+    "fit",
+    "next_experiment",
+    "premises",
+}
 
 
 class Page(HTMLParser):

@@ -108,7 +108,10 @@ def test_a_later_stage_is_not_asked_where_an_earlier_one_refuses():
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 47))
 def test_any_order_and_sign_of_the_axes_is_found(which):
-    """All 48 signed permutations of force and torque together; proper ones are a turned sensor, improper ones repaired."""
+    """All 48 signed permutations of force and torque together; proper ones are a turned sensor, improper ones repaired.
+
+    Without a named tool the sign of the torque cannot be told where the force has the opposite one: that is refused.
+    """
     P = signed_permutations()[which]
     original = static()
     found = examined(seen(turned(original, P)))
@@ -116,6 +119,10 @@ def test_any_order_and_sign_of_the_axes_is_found(which):
         assert not found.remarks
         return
     (remark,) = found.remarks
+    if np.allclose(P, -np.eye(3)):
+        assert "cannot be told" in remark.what
+        assert remark.action is Action.REFUSED
+        return
     assert remark.action is Action.REPAIRED
     if np.linalg.det(P) > 0.0:
         (claim,) = found.claims
@@ -157,7 +164,7 @@ SIGNS: dict[str, tuple[np.ndarray, np.ndarray]] = {
     "wrench.force has the opposite sign": (-np.eye(3), np.eye(3)),
     "wrench.torque has the opposite sign": (np.eye(3), -np.eye(3)),
     "x is mirrored: left-handed": (np.diag([-1.0, 1.0, 1.0]), np.diag([-1.0, 1.0, 1.0])),
-    "wrench.torque: x, y, z read like y, x, z": (np.eye(3), np.eye(3)[[1, 0, 2]]),
+    "wrench.torque: axes x, y, z read like y, x, z": (np.eye(3), np.eye(3)[[1, 0, 2]]),
 }
 
 
@@ -170,6 +177,13 @@ def test_signs_of_force_and_of_moment_are_told_apart(says):
     assert says in remark.what
     for name in FORCE + TORQUE:
         assert np.allclose(found.observations.columns[name], original[name])
+
+
+def test_a_torque_in_other_axes_is_refused_without_a_named_tool():
+    """Its sign, and so the side of the centre of mass, could be either."""
+    (remark,) = examined(seen(turned(static(), np.eye(3), np.eye(3)[[1, 0, 2]]))).remarks
+    assert remark.action is Action.REFUSED
+    assert "wrench.torque" in remark.what
 
 
 def test_a_wrench_in_axes_of_the_base_is_turned_back():
@@ -494,7 +508,9 @@ def test_an_offset_that_drifts_or_jumps_in_a_motion_is_left_to_the_search(shape)
     columns = moving()
     t = columns["time"]
     columns[FORCE[2]] = columns[FORCE[2]] + (0.1 * t if shape == "drift" else 2.0 * (t > 11.0))
-    assert not examined(seen(columns, named=True)).remarks
+    found = examined(seen(columns, named=True))
+    assert [r.action for r in found.remarks] == ([] if shape == "drift" else [Action.NOTE])
+    assert found.observations.columns is columns
 
 
 # Rotations

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from galen_hw.errors import UsageError
 from galen_hw.physics.observations import Group
 from galen_hw.premises import Claim, Examination, examined
+from galen_hw.premises.load import LoadChange
 from galen_hw.recording import Recording
 from galen_hw.spatial import Array
 from galen_hw.tools.diagnose_input import observations_of
@@ -36,8 +37,14 @@ class Examined:
         return self.examination.claims
 
 
-def examine_recording(recording: Recording, group: Group, *, repair: bool = True) -> Examined:
+def examine_recording(recording: Recording, group: Group, *, repair: bool = True, one_load: bool = False) -> Examined:
     """Ask all premises of a recording whose `group` is about to be fitted.
+
+    Args:
+        recording: as read.
+        group: that is fitted.
+        repair: put right what is certain; else the same is refused.
+        one_load: one tool and one zeroing are fitted to the whole of it, so that another one from some row on is refused.
 
     Raises:
         UsageError: a premise refuses it: what, where, what to do.
@@ -45,9 +52,12 @@ def examine_recording(recording: Recording, group: Group, *, repair: bool = True
     info = recording.info.model_copy(update={"predict": group})
     seen = observations_of(replace(recording, info=info))
     found = examined(seen, repair=repair)
-    if found.refused:
-        first = found.refused[0]
-        more = f" (and {len(found.refused) - 1} more)" if len(found.refused) > 1 else ""
+    refused = list(found.refused)
+    if one_load:
+        refused += [r for r in found.remarks if r.premise == LoadChange.KEY and r not in refused]
+    if refused:
+        first = refused[0]
+        more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""
         raise UsageError(
             f"{first.what}{more}", where=str(recording.path), todo=first.todo or "put it right in the file"
         )

@@ -81,6 +81,14 @@ class Judged:
         """Share of the excess, channels weighed by their noise, that an effect removes."""
         return self.gains[key].share
 
+    @property
+    def rough(self) -> float:
+        """Share of the excess that no exact law explains: a rough one does, or nothing that has a name."""
+        exact = [
+            g.share for key, g in self.gains.items() if not (effect_class(key).ROUGH or effect_class(key).THROUGHOUT)
+        ]
+        return float(np.clip(1.0 - sum(exact), 0.0, 1.0))
+
     def unnamed_gain(self) -> float:
         """The same of what is predicted without a name."""
         return 0.0 if self.unnamed is None else self.share(self.after - self.unnamed)
@@ -382,7 +390,7 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
             if key in judged.refused
             or (key in lasting and poor(judged.support[key], judged.sure[key], alone=sole))
             or (key in fitted and judged.support[key] < LEAST_SUPPORT)
-            or not judged.gains[key].credible()
+            or (key in judged.gains and not judged.gains[key].credible(rough=judged.rough))
         ]
         places = [(support, k) for k, (support, sure) in judged.places.items() if poor(support, sure, alone=False)]
         vague = _vague(model)

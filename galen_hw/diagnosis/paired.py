@@ -30,9 +30,15 @@ class Gain:
         """Share of the excess, from -1 to 1."""
         return float(np.clip(self.fall / self.excess, -1.0, 1.0)) if self.excess > 0.0 else 0.0
 
-    def credible(self, criteria: Criteria = CRITERIA) -> bool:
-        """Whether it is there beyond luck, and large enough to be worth telling."""
-        return bool(self.fall > criteria.standard_errors * self.error and self.share >= criteria.least_share)
+    def credible(self, criteria: Criteria = CRITERIA, *, rough: float = 1.0) -> bool:
+        """Whether it is there beyond luck, and larger than what the laws beside it may miss themselves.
+
+        Args:
+            criteria: the levels.
+            rough: share of the excess, 0 to 1, that no exact law explains.
+        """
+        least = criteria.exact_share + (criteria.least_share - criteria.exact_share) * rough
+        return bool(self.fall > criteria.standard_errors * self.error and self.share >= least)
 
 
 def paired(without: Array, rest: Array, excess: Array, *, parameters: int = 0) -> Gain:

@@ -58,16 +58,16 @@ class LoadChange:
             or not all(n in seen.columns for n in (*FORCE, *TORQUE))
         ):
             return
-        split, some = self._split(seen)
+        split, some = self._split(_with_tool(seen))
         if split is None:
             return
         where, at = _moment(some, split.row)
         if split.kind == "zero":
-            if seen.time is not None:
-                return  # a step of the offset has a name of its own, and the search finds its moment
             sizes = ", ".join(f"{c:.3g}" for c in split.change)
             what = f"the sensor was zeroed anew {where}: its offset jumps by ({sizes}) N, N m"
-            yield Remark(self.KEY, what, "split the recording there", (*FORCE, *TORQUE), Action.REFUSED)
+            # In a motion a step of the offset has a name of its own, and the search finds its moment.
+            action = Action.REFUSED if seen.time is None else Action.NOTE
+            yield Remark(self.KEY, what, "split the recording there", (*FORCE, *TORQUE), action)
             return
         mass = float(split.change[0])
         what = f"{'picked up' if mass > 0.0 else 'put down'} {where}: the load changes by {mass:+.4g} +- {split.std[0]:.2g} kg"
@@ -141,6 +141,12 @@ def _refined(seen: Observations, port: Array, at: float) -> tuple[Array, Array, 
             best = (cost, float(t), theta[width:], np.sqrt(np.maximum(np.diag(covariance)[width:], 0.0)))
     assert best is not None, "there is at least one candidate"
     return best[2], best[3], best[1]
+
+
+def _with_tool(seen: Observations) -> Observations:
+    """The rows with the tool on: a sweep of our own says which these are, and takes it off itself."""
+    on = seen.columns.get("covariate.tool")
+    return seen if on is None else seen.taken(np.asarray(on > 0.5))
 
 
 def _moment(some: Observations, row: int) -> tuple[str, float]:

@@ -141,7 +141,8 @@ class WrenchUnits:
         torques = units_of(weighed.torque_scale, TORQUES) if named and weighed.torque_scale > 0.0 else []
         off = named and not 1.0 / CRITERIA.least_factor < weighed.force_scale < CRITERIA.least_factor
         bent = named and weighed.torque_scale > 0.0
-        bent = bent and not 1.0 / CRITERIA.least_factor < weighed.torque_scale < CRITERIA.least_factor
+        # A lever may be any: only the factor of a unit is one.
+        bent = bent and bool(torques) and not 1.0 / CRITERIA.least_factor < weighed.torque_scale < CRITERIA.least_factor
         columns = (*FORCE, *TORQUE)
         if lever > CRITERIA.longest_lever:
             text = f"the torque says that the centre of mass lies {lever:.3g} m away"
@@ -206,8 +207,8 @@ class EffortUnits:
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield at most one remark for all joints."""
-        if seen.predict != "effort" or len(seen) < 50:
-            return
+        if seen.predict != "effort" or len(seen) < 50 or seen.simulation is not None:
+            return  # what someone else simulated may leave out most of an effort
         # A stretch without gaps: what accelerates the arm is part of what the model needs.
         scene = scene_of(seen.taken(slice(0, CRITERIA.stretch)))
         if not scene.clock or not np.isfinite(scene.q).all():
@@ -227,6 +228,8 @@ class EffortUnits:
         each = ", ".join(f"{name.split('.', 1)[1].rsplit('.', 1)[0]} {s:.3g}" for name, s in known)
         equal = float(np.max(np.abs(np.log(slopes / np.median(slopes))))) < CRITERIA.same_factor
         units = units_of(float(np.median(slopes)), TORQUES) if equal else []
+        if len(known) == 1 and not units:
+            return  # one joint may carry what the model does not know
         hint = f"are they in {' or '.join(units)}?" if units else "per mille of a rated torque, mA or counts?"
         what = f"efforts are not in N m: times what the model needs, {each}; {hint}"
         yield Remark(

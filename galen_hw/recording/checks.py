@@ -24,7 +24,8 @@ FEW = 3
 
 def check(recording: Recording) -> list[str]:
     """All warnings of a recording."""
-    found = [*_keys(recording), *_clock(recording), *_cells(recording), *_units(recording), *_vectors(recording)]
+    with np.errstate(over="ignore", invalid="ignore"):  # a cell may hold any number: that is what is looked for
+        found = [*_keys(recording), *_clock(recording), *_cells(recording), *_units(recording), *_vectors(recording)]
     if recording.simulation is not None:
         found += check_simulation(recording, recording.simulation)
     return found

@@ -61,7 +61,7 @@ def poses_of(recording: Recording, robot: Robot | None = None, *, repair: bool =
     joints = _joints(recording, robot)
     _orientation(recording, robot, joints)
     about_model = model_notes(recording, robot if joints.shape[1] else None, "wrench")
-    examined = examine_recording(recording, "wrench", repair=repair)
+    examined = examine_recording(recording, "wrench", repair=repair, one_load=True)
     recording = examined.recording
     joints = _joints(recording, robot)
     R = _orientation(recording, robot, joints) @ examined.sensor_turn
