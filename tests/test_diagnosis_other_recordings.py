@@ -79,7 +79,7 @@ def lagging(seed: int) -> Observations:
 def test_a_hum_smaller_than_the_noise_is_nothing_else_beside_what_is_large(
     recording: Callable[[int], Observations], loud: str
 ) -> None:
-    """Ten times and several hundred times the hum: it takes less of the excess than is told by name, and no other name takes it."""
+    """Ten times and several hundred times the hum: its share is too small for a name, and no other name takes it."""
     work = judged_by(recording(716), recording(1316))
     assert work.diagnosis.findings[0].effect == loud
     assert {f.effect for f in work.diagnosis.findings} <= {loud, "vibration", "unknown"}
