@@ -89,18 +89,15 @@ def _pure_scatter(s: Array, values: Array, rows: Poses) -> tuple[float, int]:
 
 def _drift(result: "Result") -> Iterator[str]:
     row = _candidate(result, "drift")
-    if row is None or row.estimate is None or not row.p_value < SIGNIFICANT:
+    # What left-out poses do not want is an error that poses share, whatever its p-value says of single channels.
+    if row is None or row.estimate is None or not row.p_value < SIGNIFICANT or not result.fit.model.unknowns.drift:
         return
     drift, std = row.estimate.drift, row.estimate.drift_std
     k = int(np.argmax(np.abs(drift) / np.maximum(std, 1e-300)))
     clock = result.poses.time
     span = "over the sweep" if clock is None else f"in {clock[-1] - clock[0]:.0f} s"
-    used = (
-        "is in the fit"
-        if result.fit.model.unknowns.drift
-        else "is not in the fit: left-out poses are not clearly better"
-    )
-    yield f"the sensor drifts: {CHANNELS[k]} by {show(drift[k], CHANNELS[k])} {span} (p = {row.p_value:.1g}); it {used}"
+    size = show(drift[k], CHANNELS[k])
+    yield f"the sensor drifts: {CHANNELS[k]} by {size} {span} (p = {row.p_value:.1g}); it is in the fit"
 
 
 def _rotations(result: "Result") -> Iterator[str]:
@@ -118,8 +115,6 @@ def _rotations(result: "Result") -> Iterator[str]:
             yield f"{what}; it is in the fit"
         elif key == "mount" and gain(row, result.best) > 0.0:
             yield f"{what}, and left-out poses are predicted better with it: correct the robot's model and fit again"
-        else:
-            yield f"{what} by the numbers, but left-out poses are not predicted clearly better with it: not used"
 
 
 def _split(result: "Result") -> Iterator[str]:

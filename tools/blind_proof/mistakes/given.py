@@ -56,8 +56,8 @@ def _only(answer: Answer, *effects: str) -> bool:
 
 
 def _spoke_or_alone(answer: Answer, pattern: str, *effects: str) -> bool:
-    """A refusal or a repair that names it, and no other name beside."""
-    return _says(answer, pattern) and _only(answer, *effects)
+    """A refusal or a repair that names it, and no other name beside: `unknown` is none, it is where a refusal is told."""
+    return _says(answer, pattern) and _only(answer, *effects, "unknown")
 
 
 def _value(answer: Answer, effect: str, unit: str) -> float:
