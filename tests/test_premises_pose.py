@@ -185,6 +185,13 @@ def test_joints_in_degrees_or_millimetres_are_found_by_the_limits(names):
         assert np.allclose(found.observations.columns[f"joint.{n}.position"], original[f"joint.{n}.position"])
 
 
+def test_an_angle_of_a_whole_turn_more_is_the_same_angle():
+    """Unwrapped to the other side of its limits: no degrees."""
+    original = pose()
+    turned_on = original | {"joint.roll.position": original["joint.roll.position"] - 2.0 * np.pi}
+    assert not examined(seen(turned_on)).remarks
+
+
 def test_a_constant_offset_and_a_bent_arm_are_no_frame():
     """A shift of 5 cm, and 2 mm and 10 mrad that go with the pose: for the search."""
     original = pose()

@@ -137,14 +137,21 @@ class PositionUnits:
             joints = [k for k, name in enumerate(robot.joint_names) if _slides(robot, k) is slides]
             names = [f"joint.{robot.joint_names[k]}.position" for k in joints]
             present = [(n, k) for n, k in zip(names, joints, strict=True) if n in seen.columns]
-            beyond = [(n, k) for n, k in present if _beyond(seen.columns[n], robot.lower[k], robot.upper[k]) > 0.5]
+            beyond = [
+                (n, k)
+                for n, k in present
+                if _beyond(seen.columns[n], robot.lower[k], robot.upper[k], slides=slides) > 0.5
+            ]
             if not beyond:
                 continue
             fitting = [
                 (unit, f)
                 for unit, f in units.items()
                 if f > 1.0
-                and all(_beyond(seen.columns[n] / f, robot.lower[k], robot.upper[k]) <= 0.05 for n, k in present)
+                and all(
+                    _beyond(seen.columns[n] / f, robot.lower[k], robot.upper[k], slides=slides) <= 0.05
+                    for n, k in present
+                )
             ]
             name, k = beyond[0]
             reach = float(seen.columns[name][np.nanargmax(np.abs(seen.columns[name]))])
@@ -175,13 +182,14 @@ def _slides(robot: Robot, k: int) -> bool:
     return robot.joint_names[k].startswith("carriage")
 
 
-def _beyond(values: Array, low: float, high: float) -> float:
-    """How far values go beyond limits, as a share of their span; 0 where there are none."""
+def _beyond(values: Array, low: float, high: float, *, slides: bool) -> float:
+    """How far values go beyond limits, as a share of their span; 0 where there are none. A whole turn more is the same angle."""
     there = values[np.isfinite(values)]
     span = high - low
     if not len(there) or not np.isfinite(span) or span <= 0.0:
         return 0.0
-    return max(float(there.max()) - high, low - float(there.min()), 0.0) / span
+    shifts = (0.0,) if slides else (-TURN, 0.0, TURN)
+    return min(max(float(there.max()) + x - high, low - float(there.min()) - x, 0.0) for x in shifts) / span
 
 
 def _scaled(seen: Observations, joints: Sequence[str], factor: float) -> dict[str, Array]:
