@@ -448,6 +448,15 @@ def test_unsigned_integers_get_their_sign(kind):
     assert np.allclose(found.observations.columns["joint.a.effort"], true)
 
 
+def test_folded_numbers_that_are_no_counts_are_refused():
+    """Floats taken modulo 65.536 in both joints: what was folded is seen, at which number is not known to the last digit."""
+    one = joints()
+    columns = dict(one.columns) | {n: v % 65.536 for n, v in one.columns.items() if n.endswith(".effort")}
+    (remark,) = examined(replace(one, columns=columns)).remarks
+    assert remark.action is Action.REFUSED
+    assert "unsigned" in remark.what
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_an_effort_with_the_other_sign_is_turned(sign):
     """Against the simulation; with the right sign nothing is said."""

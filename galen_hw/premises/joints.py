@@ -23,6 +23,8 @@ SURELY_MOVED: Final = 50.0
 """Times the noise of a reading that a joint must have gone before its velocities are doubted."""
 FEWEST_JUMPS: Final = 3
 """Passages through zero from which on a jump is a sign."""
+SAME_TOP: Final = 1.01
+"""Ratio of the largest values of columns that are folded at one and the same number."""
 LEAST_MOTION: Final = 0.02
 """rad or m, the same of an encoder without noise."""
 LENGTHS: Final = {"mm": 1e3, "cm": 1e2, "um": 1e6}
@@ -244,11 +246,30 @@ class SignMagnitude:
             found = _signed(seen.columns[name])
             if found is not None:
                 columns[name], how = found
+        folded = [n for n in compared_names(seen) if n in names and n not in columns and _folded(seen.columns[n])]
+        tops = [float(np.nanmax(seen.columns[n])) for n in folded]
+        if len(folded) > 1 and max(tops) < SAME_TOP * min(tops):
+            what = f"{', '.join(folded)} lie near 0 or near {max(tops):.6g} and jump between: numbers read as unsigned?"
+            yield Remark(self.KEY, what, "read them as signed", tuple(folded), Action.REFUSED)
+            return
         if columns:
             what = f"{', '.join(columns)} jump{'s' if len(columns) == 1 else ''} by {how} where the value passes zero"
             yield Remark(
                 self.KEY, what, "", tuple(columns), Action.REPAIRED, replace(seen, columns=dict(seen.columns) | columns)
             )
+
+
+def _folded(values: Array) -> bool:
+    """Whether values keep to two bands, at zero and at a top, half of it empty between, and jump from one to the other."""
+    v = values[np.isfinite(values)]
+    if len(v) < 40 or v.min() < 0.0 or v.max() == 0.0:
+        return False
+    levels = np.unique(v)
+    if len(levels) < 20:
+        return False  # a few coarse steps have gaps of their own
+    gap = np.diff(levels)
+    jumps = int(np.sum(np.abs(np.diff(v)) > 0.5 * v.max()))
+    return bool(gap.max() > 0.25 * v.max() and FEWEST_JUMPS <= jumps < 0.2 * len(v))
 
 
 def _signed(values: Array) -> tuple[Array, str] | None:
@@ -262,8 +283,8 @@ def _signed(values: Array) -> tuple[Array, str] | None:
     # Counts times a scale differ in their last bits.
     gaps = np.diff(levels)
     quantum = float(np.min(gaps[gaps > 1e-7 * v.max()], initial=np.inf))
-    if not np.isfinite(quantum):
-        return None
+    if not np.isfinite(quantum) or np.max(np.abs(v / quantum - np.round(v / quantum))) > 0.01:
+        return None  # no counts: what its sign's bit is, nobody knows
     for bit in range(6, 32):
         base = quantum * 2.0**bit
         jumps = int(np.sum(steps > 0.5 * base))
