@@ -125,8 +125,8 @@ def test_a_left_handed_tracker_is_named(axis):
     ("order", "signs", "says"),
     [
         ([3, 0, 1, 2], [1.0, 1.0, 1.0, 1.0], "have w first"),
-        ([0, 1, 2, 3], [-1.0, -1.0, -1.0, 1.0], "are inverted"),
-        ([3, 0, 1, 2], [1.0, -1.0, -1.0, -1.0], "have w first and are inverted"),
+        ([0, 1, 2, 3], [-1.0, -1.0, -1.0, 1.0], "are the inverse"),
+        ([3, 0, 1, 2], [1.0, -1.0, -1.0, -1.0], "have w first and are the inverse"),
     ],
 )
 def test_the_order_of_the_poses_quaternions_is_found(order, signs, says):

@@ -115,7 +115,14 @@ class PoseFrames:
             if "inverted" in best:
                 values = values * np.array([-1.0, -1.0, -1.0, 1.0])
             seen = with_columns(seen, dict(zip(QUATERNION, values.T, strict=True)))
-            yield Remark(self.KEY, f"the pose's quaternions {best}", "", QUATERNION, Action.REPAIRED, seen)
+            yield Remark(
+                self.KEY,
+                f"the pose's quaternions {best.replace('inverted', 'the inverse')}",
+                "",
+                QUATERNION,
+                Action.REPAIRED,
+                seen,
+            )
             turn, left = misses[best]
         if angle_of(turn) > CRITERIA.least_turn and left < 0.25 * spread:
             yield self._flange(seen, turn)

@@ -176,6 +176,10 @@ def _best(usable: list[Reading], plain: float) -> _Found | None:
     """The simplest reading that meets the force nearly completely and far better than the columns as named."""
     others = [r for r in usable[1:] if r.plain.unexplained < 1.0 and _is_named(r.plain.Q)]
     options = [_Found(reading, IDENTITY, reading.plain.unexplained, "plain") for reading in others]
+    first = usable[0].plain
+    if not _is_named(first.Q):
+        # Turned round as a whole: a sign is simpler than any turn of axes or of gravity.
+        options.insert(0, _Found(usable[0], first.Q, first.unexplained, "turned"))
     for determinant in (1, -1):
         one = usable[0].turned(determinant)
         options.append(_Found(usable[0], one.Q, one.unexplained, "turned"))
