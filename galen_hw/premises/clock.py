@@ -140,7 +140,7 @@ def _scale(seen: Observations, q: Array, v: Array) -> float | None:
 
 
 class ClockSteps:
-    """Tests for a clock that was set back or forth while recording: rows are in order, their stamps are not."""
+    """Tests for a clock that was set back while recording: rows are in order, their stamps are not. Forth, it is a gap."""
 
     KEY: ClassVar[str] = "clock_steps"
     STAGE: ClassVar[Stage] = Stage.CELLS
@@ -203,7 +203,7 @@ class RoundedClock:
                 continue
             row = np.arange(len(t), dtype=float)
             quantum = float(np.min(np.diff(t)[np.diff(t) > 0.0], initial=np.inf))
-            slope, start = _even(row, t, quantum)
+            slope, start = _even(row, t)
             even = start + slope * row
             if slope > 0.0 and np.max(np.abs(even - t - 0.5 * quantum * _floored(even, t))) <= 1.5 * quantum:
                 spread[part], rounded, worst = even, rounded + len(t), max(worst, quantum)
@@ -214,14 +214,13 @@ class RoundedClock:
         yield Remark(self.KEY, what, "", ("time",), Action.REPAIRED, with_columns(seen, {"time": spread}))
 
 
-def _even(row: Array, t: Array, quantum: float) -> tuple[float, float]:
+def _even(row: Array, t: Array) -> tuple[float, float]:
     """Slope and start of evenly spaced times by the rows at which the stamp changes, which are exact to one row."""
     change = np.flatnonzero(np.diff(t) > 0.0) + 1
     if len(change) < 3:
         slope = float(np.ptp(t)) / max(len(t) - 1, 1)
         return slope, float(t[0])
     fit = np.polyfit(row[change] - 0.5, t[change], 1)
-    del quantum
     return float(fit[0]), float(fit[1])
 
 

@@ -1,4 +1,4 @@
-"""When a premise is believed to be broken: all levels in one place, with their reasons."""
+"""When frames, units and loads are believed to be wrong; levels that one premise alone needs stand beside it."""
 
 from dataclasses import dataclass
 from typing import Final
