@@ -83,12 +83,17 @@ class Arm:
         return state["t_ns"], abs(state["velocities"]["roll"])
 
     def begin(self, speed: float = 0.5) -> None:
-        """Everything in order, motors on, and a move across the range."""
+        """Everything in order, motors on, and a move across the range; again if a stall of the machine has stopped it."""
         assert within(20.0, self.in_order)
-        assert within(30.0, lambda: self.cleared("enable"))
+        assert within(60.0, lambda: self.moves(speed))
+
+    def moves(self, speed: float) -> bool:
+        """Set the roll joint in motion; whether it reaches its speed."""
         here = self.control.state()["joints"]["roll"]
-        self.ask("motors", "move_jp", position={"roll": -1.5 if here > 0 else 1.5}, velocity={"roll": speed})
-        assert within(5.0, lambda: self.speed()[1] > 0.99 * speed)
+        far = {"position": {"roll": -1.5 if here > 0 else 1.5}, "velocity": {"roll": speed}}
+        if not self.cleared("enable") or self.refusal("move_jp", **far):
+            return False
+        return within(5.0, lambda: self.speed()[1] > 0.99 * speed)
 
     def refusal(self, name: str, **args: Any) -> str:
         """Why the motors refuse a command; empty if they carry it out."""

@@ -11,9 +11,10 @@ from tests.arm import Arm, running_arm
 from tests.daemon_tree import within
 
 pytestmark = pytest.mark.live
-WITHIN_S = 1.0
+WITHIN_S = 2.5
 """What a busy machine that tests leaves of 0.25 s and 0.4 s, which tests/test_guard.py and test_galil_watch.py show."""
-PATIENT = {"daemon": "blind_after_s = 0.3\n", "motors_settings": "watchdog_s = 0.5"}
+PATIENT = {"daemon": "blind_after_s = 1.0\n", "motors_settings": "watchdog_s = 1.2"}
+"""A machine that tests stalls for half a second (seen in CI): that must not pass for the fault that is injected."""
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +83,7 @@ def test_a_motion_process_that_is_stopped_is_replaced_by_the_controllers_own_tim
         assert within(5.0, lambda: arm.hear(subscriber, said, "status", "the process motion has not run for"))
         arm.systemd.listen()
         assert "WATCHDOG=1" not in arm.systemd.heard
-    refused_until_cleared(arm, "the controller heard nothing for 0.5 s and stopped the axes")
+    refused_until_cleared(arm, "the controller heard nothing for 1.2 s and stopped the axes")
 
 
 def test_a_motion_process_that_dies_is_replaced_by_the_controllers_own_time_out(arm: Arm) -> None:
@@ -91,4 +92,4 @@ def test_a_motion_process_that_dies_is_replaced_by_the_controllers_own_time_out(
     begun = time.monotonic_ns()
     os.kill(arm.pid("motion"), signal.SIGKILL)
     assert arm.seconds_to_rest(begun) < WITHIN_S
-    refused_until_cleared(arm, "the controller heard nothing for 0.5 s and stopped the axes")
+    refused_until_cleared(arm, "the controller heard nothing for 1.2 s and stopped the axes")
