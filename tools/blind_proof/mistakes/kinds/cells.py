@@ -211,11 +211,10 @@ KINDS = (
         "doubled",
         ABOUT,
         "diagnose",
-        (*MOVING, *POSES, "kr300", "emps"),
+        (*MOVING, *POSES, "emps"),
         doubled,
         (r"twice|doubl|duplicat|same (?:time|stamp)|repeat",),
         silent=True,
-        fits=lambda r: r.simulation is None,
     ),
     Kind(
         "outer_join",
