@@ -1,4 +1,4 @@
-"""`galen-hw check`: every problem of the set-up at once, as a tree."""
+"""`galen-hw check`: every problem of the set-up at once, as a tree; or what is wrong with recordings."""
 
 import argparse
 import json
@@ -21,17 +21,25 @@ STYLE = {"ok": "[green]ok[/green]", "note": "[yellow]note[/yellow]", "problem": 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
+    parser.add_argument(
+        "recordings", nargs="*", metavar="RECORDING", help="check these recordings instead: cells, clocks, units, frames, load"
+    )
     parser.add_argument("--config", metavar="FILE", help="settings (default: /etc/galen-hw/galen.toml)")
     parser.add_argument("--virtual", action="store_true", help="check against a virtual robot's wires")
     parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory of a daemon")
     parser.add_argument("--json", action="store_true", help="the tree as JSON")
     parser.epilog = (
-        "exit status: 0 no problem, 1 a problem, 2 wrong settings, 3 hardware; example: galen-hw check --virtual"
+        "exit status: 0 no problem, 1 a problem, 2 wrong settings or files, 3 hardware; "
+        "examples: galen-hw check --virtual; galen-hw check my-recording"
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Look at everything, print the tree."""
+    if args.recordings:
+        from galen_hw.tools.check_recording import check_recordings
+
+        return check_recordings([Path(r) for r in args.recordings], as_json=args.json)
     from galen_hw.config.load import examine, read_document
     from galen_hw.config.paths import Addresses, client_runtime_dir, config_path, state_dir
     from galen_hw.daemon.checks import (

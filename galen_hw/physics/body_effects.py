@@ -180,28 +180,50 @@ class BaseTilt(Effect):
         return np.asarray(rotation_exp(vector) @ scene.belief.gravity)
 
 
+FARTHEST_CENTRE = 2.0
+"""m between a sensor and the centre about which an arm turns it: the reach of the largest that carry one by hand."""
+EXCITED = 0.03
+"""Size of the answer to a lever along one axis over that of the largest, below which the turning does not show it."""
+
+
 @dataclass(frozen=True)
 class Inertial(Effect):
-    """Forces of acceleration in a static model: r = k (m a_c and Euler's terms) of the known bodies, k = 1.
+    """Forces of acceleration that the model leaves out.
 
-    Visible in quick motion. Confused with payload (inertia) and with vibration.
+    With joints: r = k (m a_c and Euler's terms) of the known bodies, k = 1, in a static model. `lever` (letters of the sensor's
+    axes): the sensor's orientation alone is known, or its IMU sits elsewhere; its origin is at r from the centre of turn
+    (from the IMU), and a = (alpha x + omega x omega x) r. A lever along the axis of turn is not seen and not asked for.
+    Visible in quick motion. Confused with payload (inertia), with vibration, and with drift where the motion is slow.
     """
 
     KEY = "inertial"
     NEEDS_CLOCK = True
+    lever: str = ""
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Where the baseline holds weight alone."""
-        if scene.clock and scene.inertial_port() is not None:
+        """Where the baseline holds weight alone, and where the way of the sensor's origin is not recorded."""
+        if not scene.clock:
+            return
+        if scene.inertial_port() is not None:
             yield cls()
+        port = scene.turn_port()
+        if port is not None:
+            size = np.linalg.norm(port, axis=(0, 1))
+            yield cls("".join(a for a, s in zip("xyz", size, strict=True) if s > EXCITED * size.max()))
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """The share of the rigid prediction, 1 when only inertia was left out."""
+        """The share of the rigid prediction, 1 when only inertia was left out; or the lever."""
+        if self.lever:
+            return tuple(Parameter(f"lever_{a}", "m", furthest=FARTHEST_CENTRE) for a in self.lever)
         return (Parameter("share", "1", 0.0, expected=1.0),)
 
     def columns(self, scene: Scene) -> Columns:
-        """The inertial port."""
+        """The inertial port, or that of the lever."""
+        if self.lever:
+            turn = scene.turn_port()
+            assert turn is not None, "proposed only where there is a port"
+            return Columns(tuple(range(len(scene.channels))), turn[:, :, ["xyz".index(a) for a in self.lever]])
         port = scene.inertial_port()
         assert port is not None, "proposed only where there is a port"
         return in_all([port], len(scene.channels))

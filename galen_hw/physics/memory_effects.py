@@ -120,9 +120,9 @@ class Creep(Effect):
         """Settled share of the load, or give of the joint."""
         if self.joint and scene.observations.predict != "position":
             return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
-        # All of a load that is missing at first is behind a filter.
+        # All of a load that is missing at first is behind a filter; more than the load does not come after it.
         whole = self.form == "less" and not self.channel
-        return (Parameter("share", "1", furthest=ALL if whole else np.inf),)
+        return (Parameter("share", "1", furthest=ALL if whole else 1.0),)
 
     def columns(self, scene: Scene) -> Columns:
         """The load's slow part through its port."""

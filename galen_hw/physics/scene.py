@@ -329,6 +329,10 @@ class Scene(Operated):
         """(N, C) what the known bodies' inertia adds, where the baseline holds weight alone."""
         return None
 
+    def turn_port(self) -> Array | None:
+        """(N, C, 3) what acceleration adds per m from the centre of turn, sensor axes; None: nothing turns, or it is known."""
+        return None
+
     def load(self, joint: str) -> Array | None:
         """(N,) force or torque that bends a joint, N or N m."""
         return None

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.kinematics import Motion
-from galen_hw.physics.imu import imu_ends, imu_motion
+from galen_hw.physics.imu import imu_ends, imu_motion, turn_rates
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.operated import Memory
 from galen_hw.physics.ports import Port
@@ -121,6 +121,16 @@ class WrenchScene(Scene):
     def inertial_port(self) -> Array | None:
         """What acceleration adds."""
         return None if self.belief.dynamic or not np.any(self._inertia) else self._inertia
+
+    @once
+    def turn_port(self) -> Array | None:
+        """The bodies' weight under -(alpha x + omega x omega x) r."""
+        if self._jointed or not self.clock or self.memory is not None or not np.isfinite(self.R).all():
+            return None
+        rates = (self.sensed.omega, self.sensed.alpha) if self.sensed else turn_rates(self.time, self.R, self.segments)
+        w, alpha = (np.einsum("nji,nj->ni", self.R, v) for v in rates)
+        port = -np.einsum("ci,nij->ncj", self.weight, skew(alpha) + skew(w) @ skew(w))
+        return port if np.any(port) else None
 
     @cached_property
     def weight(self) -> Array:

@@ -23,6 +23,10 @@ from galen_hw.physics.effect import (
 from galen_hw.physics.scene import Scene
 from galen_hw.spatial import Array
 
+FARTHEST_SCALE = 0.5
+"""Relative error of a scale, or leak into a channel of the same unit, beyond which no sensor is in service: a unit or an axis is
+mixed up instead, or other physics is missing."""
+
 
 @dataclass(frozen=True)
 class Bias(Effect):
@@ -215,7 +219,7 @@ class Gain(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Relative error of the scale."""
-        return (Parameter("gain_error", "1"),)
+        return (Parameter("gain_error", "1", furthest=FARTHEST_SCALE),)
 
     def columns(self, scene: Scene) -> Columns:
         """The simulated channel."""
@@ -252,7 +256,7 @@ class CrossTalk(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """The share that leaks."""
         a, b = unit_of(scene, self.channel), unit_of(scene, self.source)
-        return (Parameter("leak", "1" if a == b else f"{a}/({b})"),)
+        return (Parameter("leak", "1", furthest=FARTHEST_SCALE) if a == b else Parameter("leak", f"{a}/({b})"),)
 
     def columns(self, scene: Scene) -> Columns:
         """The other channel as simulated."""

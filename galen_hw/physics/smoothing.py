@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ ORDER = 4
 NARROW = 5
 CUT = 1.5
 """Cut-off of the low-pass over the band of the motion."""
+LONGEST_KEPT = 50_000
+"""Samples of the longest signal whose derivatives are kept, and how many such: 100 MB at most."""
+MOST_KEPT = 24
 
 
 def _rates(x: Array, dt: float) -> tuple[Array, Array]:
@@ -42,6 +46,19 @@ def denoised(time: Array, x: Array, segments: list[slice]) -> Array:
 
 
 def _followed(t: Array, x: Array, *, place: bool = True) -> Array | None:
+    """As `_through`; what was asked before is not computed again: premises and search simulate one recording many times."""
+    if len(t) > LONGEST_KEPT:
+        return _through(t, x, place=place)
+    found = _kept(np.ascontiguousarray(t, dtype=float).tobytes(), np.ascontiguousarray(x, dtype=float).tobytes(), place)
+    return None if found is None else found.copy()
+
+
+@lru_cache(maxsize=MOST_KEPT)
+def _kept(t: bytes, x: bytes, place: bool) -> Array | None:
+    return _through(np.frombuffer(t), np.frombuffer(x), place=place)
+
+
+def _through(t: Array, x: Array, *, place: bool = True) -> Array | None:
     """Signal (N,) at times (N,) in s without its white noise, with two derivatives (3, N); None: no noise can be told.
 
     What is not a `place` (a speed) starts from rest in another way.

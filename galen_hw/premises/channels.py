@@ -75,7 +75,7 @@ class JointSigns:
             return
         scales = np.array([[_scale(y, s) for s in scene.simulated.T] for y in scene.measured.T])
         for c, name in enumerate(scene.channels):
-            if scales[c, c] < 0.0:
+            if scales[c, c] < 0.0 and _turned(scene.measured[:, c], scene.simulated[:, c]):
                 seen = with_columns(seen, {name: -seen.columns[name]})
                 what = f"{name} reads with the opposite sign of its simulation"
                 yield Remark(self.KEY, what, "", (name,), Action.REPAIRED, seen)
@@ -84,6 +84,11 @@ class JointSigns:
                 if scales[c, d] * scales[d, c] != 0.0 and scales[c, c] == scales[d, d] == 0.0:
                     what = f"{name} reads like {other} and the other way round: are they swapped?"
                     yield Remark(self.KEY, what, "give each joint its own column", (name, other), Action.REFUSED)
+
+
+def _turned(y: Array, x: Array) -> bool:
+    """Whether -y (N,) is as x (N,), its constant too: a constant that the sign does not explain says that more is wrong."""
+    return bool(np.sum((y + x) ** 2) < CRITERIA.gross_left * np.sum((y - x) ** 2))
 
 
 def _scale(y: Array, x: Array) -> float:

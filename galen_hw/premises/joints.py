@@ -247,9 +247,13 @@ class SignMagnitude:
             if found is not None:
                 columns[name], how = found
         folded = [n for n in compared_names(seen) if n in names and n not in columns and _folded(seen.columns[n])]
-        tops = [float(np.nanmax(seen.columns[n])) for n in folded]
-        if len(folded) > 1 and max(tops) < SAME_TOP * min(tops):
-            what = f"{', '.join(folded)} lie near 0 or near {max(tops):.6g} and jump between: numbers read as unsigned?"
+        upper = [_upper_band(seen.columns[n]) for n in folded]
+        # A sign's bit is where all upper bands begin; with two's complement they end there.
+        ends = [x for x in zip(*upper, strict=True) if max(x) < SAME_TOP * min(x)]
+        if len(folded) > 1 and ends:
+            what = (
+                f"{', '.join(folded)} lie near 0 or near {ends[0][0]:.6g} and jump between: numbers read as unsigned?"
+            )
             yield Remark(self.KEY, what, "read them as signed", tuple(folded), Action.REFUSED)
             return
         if columns:
@@ -270,6 +274,12 @@ def _folded(values: Array) -> bool:
     gap = np.diff(levels)
     jumps = int(np.sum(np.abs(np.diff(v)) > 0.5 * v.max()))
     return bool(gap.max() > 0.25 * v.max() and FEWEST_JUMPS <= jumps < 0.2 * len(v))
+
+
+def _upper_band(values: Array) -> tuple[float, float]:
+    """Where the upper of two bands begins and ends."""
+    levels = np.unique(values[np.isfinite(values)])
+    return float(levels[int(np.argmax(np.diff(levels))) + 1]), float(levels[-1])
 
 
 def _signed(values: Array) -> tuple[Array, str] | None:

@@ -1,7 +1,7 @@
 """What hangs on the sensor, and what it was zeroed with, stays so while a recording lasts."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -80,22 +80,16 @@ class LoadChange:
 
     def _split(self, seen: Observations) -> tuple[_Split | None, Observations]:
         """The split to believe, and the rows that its row counts in."""
-        some = at_rest(comparable(seen, CRITERIA.most_rows))
+        moving = seen.belief.dynamic and seen.time is not None
+        # What accelerates the load may be the larger part of it: a motion is differentiated as a whole, then thinned out.
+        some = comparable(seen) if moving else at_rest(comparable(seen, CRITERIA.most_rows))
         scene = scene_of(some)
         port = scene.body_port() if len(some) >= CRITERIA.fewest_split else None
         if port is None:
             return None, some
-        moving = seen.belief.dynamic and seen.time is not None
-        split = _best_split(scene.measured - scene.simulated, port, CRITERIA.half if moving else CRITERIA.gross_gain)
-        if split is None or not moving:
-            return split, some
-        # Weight alone has shown where to look; with what accelerates the load, the fit must be nearly complete.
-        whole = comparable(seen)
-        rows = np.linspace(0, len(whole) - 1, min(len(whole), CRITERIA.most_rows)).astype(int)
-        scene = scene_of(whole)
-        port = scene.body_port()
-        assert port is not None, "there was one at rest"
-        return _best_split((scene.measured - scene.simulated)[rows], port[rows], CRITERIA.gross_gain), some
+        rows = np.linspace(0, len(some) - 1, min(len(some), CRITERIA.most_rows)).astype(int)
+        split = _best_split((scene.measured - scene.simulated)[rows], port[rows])
+        return None if split is None else replace(split, row=int(rows[split.row])), some
 
     def _claimed(self, seen: Observations, at: float) -> Remark:
         """The recording without what the change adds from its moment on."""
@@ -156,13 +150,12 @@ def _moment(some: Observations, row: int) -> tuple[str, float]:
     return f"at {some.time[row]:.4g} s", float(some.time[row])
 
 
-def _best_split(y: Array, port: Array, gain: float) -> _Split | None:
+def _best_split(y: Array, port: Array) -> _Split | None:
     """The split that is far better than one fit and than a drift; None where there is none.
 
     Args:
         y: (N, 6) measured less simulated.
         port: (N, 6, 10) reading by inertial parameters.
-        gain: share of the squared residual of one fit, or of one that drifts, that it may leave at most.
     """
     base = np.concatenate([np.tile(np.eye(6), (len(y), 1, 1)), port[:, :, :BODY]], axis=2)
     best, sigma = None, _spread(base.reshape(-1, 10), y)
@@ -177,7 +170,7 @@ def _best_split(y: Array, port: Array, gain: float) -> _Split | None:
     drifting = _cost(np.concatenate([A, ramp], axis=2).reshape(-1, 16), b.reshape(-1))
     split = _scanned(A, b)
     sure = np.abs(split.change) > SURE * split.std
-    if split.cost > gain * min(whole, drifting) or not (sure[0] if split.kind == "load" else sure.any()):
+    if split.cost > CRITERIA.gross_gain * min(whole, drifting) or not (sure[0] if split.kind == "load" else sure.any()):
         return None
     return split
 

@@ -189,11 +189,27 @@ def _best(usable: list[Reading], plain: float) -> _Found | None:
         for determinant in (1, -1):
             one = reading.turned(determinant)
             options.append(_Found(reading, one.Q, one.unexplained, "turned"))
-    good = [o for o in options if o.unexplained <= min(CRITERIA.gross_left, CRITERIA.gross_gain * plain)]
+    good = [
+        o
+        for o in options
+        if o.unexplained <= min(CRITERIA.gross_left, CRITERIA.gross_gain * plain)
+        and (o.kind == "gravity" or _weighs(o))
+    ]
     if not good:
         return None
-    least = min(o.unexplained for o in good)
-    return next(o for o in good if o.unexplained <= CRITERIA.as_good * least)
+    # What small effects leave is no reason for a less simple reading.
+    enough = max(CRITERIA.as_good * min(o.unexplained for o in good), CRITERIA.small_turn)
+    return next(o for o in good if o.unexplained <= enough)
+
+
+def _weighs(option: _Found) -> bool:
+    """Whether the force of a reading is of the size that the named tool has, as far as one is named: a sign, not a trifle."""
+    reading, tool = option.reading, option.reading.seen.belief.hanging
+    mass = sum(body.mass for body in tool)
+    if mass <= 0.0 or reading.seen.simulation is not None:
+        return True
+    one = reading.plain if option.kind == "plain" else reading.turned(int(np.sign(np.linalg.det(option.Q))))
+    return 1.0 / CRITERIA.least_factor < one.scale / mass < CRITERIA.least_factor
 
 
 def _rotations(seen: Observations) -> Array:

@@ -20,7 +20,9 @@ from rich.progress import track
 from galen_hw.tools.blind_proof import seal, sections
 from galen_hw.tools.blind_proof.mistakes import ask, given, report
 from galen_hw.tools.blind_proof.mistakes.build import build, plan
+from galen_hw.tools.blind_proof.mistakes.case import Mistake
 from galen_hw.tools.blind_proof.mistakes.kinds import KINDS
+from galen_hw.tools.blind_proof.mistakes.origins import REAL
 from galen_hw.tools.blind_proof.mistakes.score import Scored, score
 
 
@@ -84,10 +86,19 @@ def _judged(seed: int, args: argparse.Namespace, folder: Path) -> list[Scored]:
         made = pool.map(build, planned, [folder / c.name for c in planned])
         cases = list(track(made, total=len(planned), description="generating"))
     sealed = seal.seal(cases, folder)
-    asked = [(c.name, c.command) for c in cases]
+    asked = [(c.name, c.command, _control(c)) for c in cases]
     verdicts = ask.answers(folder, asked, args.workers, args.patience, control=not args.no_control)
     truth = seal.unseal(sealed, folder, verdicts)
     return [score(t, json.loads(v.read_text())) for t, v in zip(truth, verdicts, strict=True)]
+
+
+def _control(case: Mistake) -> str:
+    """The command for the recording without the mistake: the whole answer where it is needed to judge, else the premises alone.
+
+    Of a real recording nobody knows all effects, and a mistake that is repaired in silence must leave the answer as sharp.
+    """
+    needed = case.family in REAL or KINDS[case.kind].silent or case.command != "diagnose"
+    return case.command if needed else "check"
 
 
 if __name__ == "__main__":
