@@ -121,7 +121,7 @@ def diagnose(
         searches, left = _searched(bench, effects, columns, generic, blind=False)
         left = left or trees.hidden(searches[0][1])
     tell("judging on held-out data", 0.9)
-    selection, chosen, model, judged = _held_up(bench, searches, holdout)
+    selection, chosen, model, judged = _held_up(bench, searches, holdout, nothing=bool(premise.wrong))
     if model is not chosen:
         left = left_by([model], generic)[0]
     left = strong(left, judged, bench)
@@ -308,16 +308,20 @@ def _taken_over(bench: Bench, selection: Selection, model: Model) -> None:
     selection.scorer.bench = model.bench = bench
 
 
-def _held_up(bench: Bench, searches: list[Search], holdout: Scene | None) -> tuple[Selection, Model, Model, Judged]:
+def _held_up(
+    bench: Bench, searches: list[Search], holdout: Scene | None, *, nothing: bool
+) -> tuple[Selection, Model, Model, Judged]:
     """How it was found, the model that leaves `left`, the model without what held-out data refuse, and how it does on these.
+
+    With `nothing` a premise refuses the recording: constants too are numbers of something else.
 
     Where some of the better model's names are refused (two offsets in the place of a warm-up), the other search may have found
     what holds: then that is taken.
     """
     (selection, found), *others = searches
-    chosen = weighed(found)
+    chosen = found.without(list(found.effects)) if nothing else weighed(found)
     model, judged = earned(chosen, holdout)
-    if model is chosen:
+    if model is chosen or nothing:
         return selection, chosen, model, judged
     for other, rival in others:
         kept, its = earned(weighed(rival), holdout)

@@ -273,7 +273,17 @@ def _folded(values: Array) -> bool:
         return False  # a few coarse steps have gaps of their own
     gap = np.diff(levels)
     jumps = int(np.sum(np.abs(np.diff(v)) > 0.5 * v.max()))
-    return bool(gap.max() > 0.25 * v.max() and FEWEST_JUMPS <= jumps < 0.2 * len(v))
+    if gap.max() <= 0.25 * v.max() or jumps < FEWEST_JUMPS:
+        return False
+    # What jumps to and fro all the time may have two states; folded at a number, both bands begin sharply (or end so).
+    low, high = v[v <= levels[int(np.argmax(gap))]], v[v > levels[int(np.argmax(gap))]]
+    return jumps < 0.2 * len(v) or (_sharp(low) and (_sharp(high) or _sharp(-high)))
+
+
+def _sharp(band: Array) -> bool:
+    """Whether values begin at an edge, densely, as the sizes of what goes to and fro about zero do."""
+    least, tenth, most = np.quantile(band, [0.0, 0.1, 0.9])
+    return bool(tenth - least < 0.2 * (most - least))
 
 
 def _upper_band(values: Array) -> tuple[float, float]:

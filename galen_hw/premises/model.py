@@ -129,7 +129,7 @@ def body_problems(robot: UrdfRobot) -> list[ModelProblem]:
             out.append(_refused(f"a moment of inertia below zero ({least:.3g} kg m^2)", where, link, _AGAIN))
         elif apart > reach > 0.0:
             what = f"an inertia of {most:.3g} kg m^2 at {link.mass:.3g} kg, as if it were {apart:.3g} m from its centre"
-            todo = f"give inertias in kg m^2{_in_unit(most, link.mass, reach)}"
+            todo = f"give masses in kg and inertias in kg m^2{_in_unit(most, link.mass, reach)}"
             out.append(_refused(f"{what}, beyond the arm's reach of {reach:.3g} m", where, link, todo))
         elif least + middle < (1.0 - ROUNDED) * most:
             odd.append(f"{link.name} ({least:.3g}, {middle:.3g}, {most:.3g})")
@@ -149,7 +149,7 @@ INERTIAS: Final = {"g m^2": 1e3, "kg cm^2": 1e4, "kg mm^2": 1e6, "g mm^2": 1e9}
 def _in_unit(inertia: float, mass: float, reach: float) -> str:
     """Units in which an inertia would be that of a body of this mass inside the reach (m), as a question; empty without."""
     names = [u for u, f in INERTIAS.items() if _densest(mass) <= inertia / f <= mass * reach**2]
-    return f" (is its unit {' or '.join(names)}?)" if names else ""
+    return f" (is the inertia's unit {' or '.join(names)}?)" if names else ""
 
 
 _AGAIN: Final = "export it again, in kg m^2 about the centre of mass"

@@ -223,6 +223,7 @@ class EffortUnits:
         slopes = np.array([s for _, s in known])
         low, high = 1.0 / CRITERIA.least_factor, CRITERIA.least_factor
         if not (np.all(slopes > high) or np.all((slopes < low) & (slopes > 0.0))):
+            yield from self._single([name for name, _ in known], slopes)
             return
         names = tuple(name for name, _ in known)
         each = ", ".join(f"{name.split('.', 1)[1].rsplit('.', 1)[0]} {s:.3g}" for name, s in known)
@@ -239,6 +240,17 @@ class EffortUnits:
             names,
             Action.REFUSED,
         )
+
+    def _single(self, names: list[str], slopes: Array) -> Iterator[Remark]:
+        """Yield a remark on the one column that is in another unit than all others: a load that nobody knows acts on more."""
+        off = np.flatnonzero(np.abs(np.log(np.maximum(slopes, 1e-300))) > np.log(CRITERIA.least_factor))
+        if len(off) != 1 or len(slopes) < 3 or slopes[off[0]] <= 0.0:
+            return
+        k = int(off[0])
+        units = units_of(float(slopes[k]), TORQUES)
+        if units:
+            what = f"{names[k]} is {slopes[k]:.4g} times what the model needs, the others are not: is it in {' or '.join(units)}?"
+            yield Remark(self.KEY, what, "give N m", (names[k],), Action.REFUSED)
 
 
 def _speed(scene: object, channel: str) -> Array:

@@ -57,6 +57,8 @@ class WrenchFrames:
         if seen.predict != "wrench" or not all(name in seen.columns for name in (*FORCE, *TORQUE)):
             return
         found = self._found(at_rest(comparable(seen, CRITERIA.most_rows)))
+        if found is not None and np.array_equal(found.Q, -IDENTITY):
+            found = self._found(comparable(seen)) or found
         if found is None and seen.belief.dynamic and seen.time is not None:
             # What accelerates the tool may be the larger part of the force.
             found = self._found(comparable(seen))
@@ -76,14 +78,18 @@ class WrenchFrames:
             return None
         if plain.unexplained <= CRITERIA.small_turn:
             # Turned round as a whole: a sign, which for the force alone is as gravity that points up.
-            return _Found(usable[0], plain.Q, plain.unexplained, "plain")
+            found = _Found(usable[0], plain.Q, plain.unexplained, "plain")
+            return found if _is_named(plain.Q) else _sign_or_gravity(seen, found)
         best = _best(usable, plain.unexplained if _is_named(plain.Q) else np.inf)
+        best = best if best is None or not np.array_equal(best.Q, -IDENTITY) else _sign_or_gravity(seen, best)
         return None if best is not None and best.kind == "gravity" and not _possible(seen, best) else best
 
     def _of_gravity(self, seen: Observations, found: _Found) -> Remark:
-        weight, _ = any_gravity(_rotations(found.reading.seen), found.reading.force)
+        weight = _weight(found.reading)
         size = float(np.linalg.norm(seen.belief.gravity))
         gravity = size * weight / np.linalg.norm(weight)
+        if np.linalg.norm(_between(-seen.belief.gravity, gravity)) < CRITERIA.least_turn:
+            gravity = -seen.belief.gravity  # hung upside down; what is left is small, and an effect's
         turn = _between(seen.belief.gravity, gravity)
         direction = ", ".join(f"{g:.2f}" for g in gravity)
         angle = np.degrees(np.linalg.norm(turn))
@@ -163,7 +169,7 @@ def _possible(seen: Observations, found: _Found) -> bool:
 
     A cable that pulls one way in the base is as a part of gravity, but of another size.
     """
-    weight, _ = any_gravity(_rotations(found.reading.seen), found.reading.force)
+    weight = _weight(found.reading)
     mass = sum(body.mass for body in seen.belief.hanging)
     size = float(np.linalg.norm(seen.belief.gravity))
     off = abs(float(np.linalg.norm(weight)) / (mass * size) - 1.0) if mass > 0.0 else 0.0
@@ -200,6 +206,25 @@ def _best(usable: list[Reading], plain: float) -> _Found | None:
     # What small effects leave is no reason for a less simple reading.
     enough = max(CRITERIA.as_good * min(o.unexplained for o in good), CRITERIA.small_turn)
     return next(o for o in good if o.unexplained <= enough)
+
+
+def _weight(reading: Reading) -> Array:
+    """(3,) N in the base, beside what accelerates the tool where the model says it."""
+    seen, force = reading.seen, reading.force
+    if seen.belief.dynamic and seen.time is not None and seen.simulation is None and len(seen.belief.hanging):
+        force = force - (scene_of(seen).simulated - scene_of(at_rest(seen)).simulated)[:, :3]
+    return any_gravity(_rotations(seen), force)[0]
+
+
+def _sign_or_gravity(seen: Observations, sign: _Found) -> _Found:
+    """A force of the opposite sign, or gravity that points up: at rest they are one, what accelerates tells them apart."""
+    if not seen.belief.dynamic or seen.time is None or seen.simulation is not None:
+        return sign
+    up = replace(seen, belief=replace(seen.belief, gravity=-seen.belief.gravity))
+    hangs = next(iter(readings(up))).plain
+    if not _is_named(hangs.Q) or hangs.unexplained > CRITERIA.half * sign.unexplained:
+        return sign
+    return _Found(sign.reading, IDENTITY, hangs.unexplained, "gravity")
 
 
 def _weighs(option: _Found) -> bool:
