@@ -1,6 +1,6 @@
 """Joints: angles that wrap, columns of velocity that are none, positions in degrees, millimetres or counts."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar, Final
 
@@ -23,8 +23,8 @@ SURELY_MOVED: Final = 50.0
 """Times the noise of a reading that a joint must have gone before its velocities are doubted."""
 FEWEST_JUMPS: Final = 3
 """Passages through zero from which on a jump is a sign."""
-SAME_TOP: Final = 1.01
-"""Ratio of the largest values of columns that are folded at one and the same number."""
+BY_CHANCE: Final = 0.01
+"""Chance that is taken that columns seem to be folded at one and the same number."""
 LEAST_MOTION: Final = 0.02
 """rad or m, the same of an encoder without noise."""
 LENGTHS: Final = {"mm": 1e3, "cm": 1e2, "um": 1e6}
@@ -145,6 +145,10 @@ class PositionUnits:
                 if _beyond(seen.columns[n], robot.lower[k], robot.upper[k], slides=slides) > 0.5
             ]
             if not beyond:
+                remark = self._by_simulation(seen, [robot.joint_names[k] for _, k in present], units)
+                if remark is not None and remark.repaired is not None:
+                    seen = remark.repaired
+                    yield remark
                 continue
             fitting = [
                 (unit, f)
@@ -167,6 +171,23 @@ class PositionUnits:
             else:
                 hint = " or ".join(unit for unit, _ in fitting) or ("mm" if slides else "degrees")
                 yield Remark(self.KEY, f"{what}: is it in {hint}?", "give rad and m", (name,), Action.REFUSED)
+
+    def _by_simulation(self, seen: Observations, joints: Sequence[str], units: Mapping[str, float]) -> Remark | None:
+        """Within all limits, as revolutions are: another unit with which the simulation follows, unlike the named one."""
+        if not joints:
+            return None
+        plain = _unexplained(seen)
+        if plain <= CRITERIA.gross_left:
+            return None
+        left = {u: _unexplained(with_columns(seen, _scaled(seen, joints, f))) for u, f in units.items()}
+        unit = min(left, key=lambda u: left[u])
+        if left[unit] > min(CRITERIA.gross_left, CRITERIA.gross_gain * plain):
+            return None
+        columns = _scaled(seen, joints, units[unit])
+        what = f"the simulation explains {1.0 - plain:.0%} of what is compared, and {1.0 - left[unit]:.0%} with joints in {unit}"
+        return Remark(
+            self.KEY, f"{what}: joints are in {unit}", "", tuple(columns), Action.REPAIRED, with_columns(seen, columns)
+        )
 
     def _by_size(self, seen: Observations) -> Iterator[Remark]:
         """Without a robot nobody knows a limit: only what no joint reaches is said."""
@@ -249,7 +270,7 @@ class SignMagnitude:
         folded = [n for n in compared_names(seen) if n in names and n not in columns and _folded(seen.columns[n])]
         upper = [_upper_band(seen.columns[n]) for n in folded]
         # A sign's bit is where all upper bands begin; with two's complement they end there.
-        ends = [x for x in zip(*upper, strict=True) if max(x) < SAME_TOP * min(x)]
+        ends = [x for x in zip(*upper, strict=True) if len(x) > 1 and max(x) < min(x) * (1.0 + _apart(len(x)))]
         if len(folded) > 1 and ends:
             what = (
                 f"{', '.join(folded)} lie near 0 or near {ends[0][0]:.6g} and jump between: numbers read as unsigned?"
@@ -284,6 +305,11 @@ def _sharp(band: Array) -> bool:
     """Whether values begin at an edge, densely, as the sizes of what goes to and fro about zero do."""
     least, tenth, most = np.quantile(band, [0.0, 0.1, 0.9])
     return bool(tenth - least < 0.2 * (most - least))
+
+
+def _apart(count: int) -> float:
+    """Relative spread of so many numbers that has this chance if they have nothing to do with one another; a tenth at most."""
+    return float(min(BY_CHANCE ** (1.0 / (count - 1)), 0.1))
 
 
 def _upper_band(values: Array) -> tuple[float, float]:

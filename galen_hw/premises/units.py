@@ -244,7 +244,7 @@ class EffortUnits:
     def _single(self, names: list[str], slopes: Array) -> Iterator[Remark]:
         """Yield a remark on the one column that is in another unit than all others: a load that nobody knows acts on more."""
         off = np.flatnonzero(np.abs(np.log(np.maximum(slopes, 1e-300))) > np.log(CRITERIA.least_factor))
-        if len(off) != 1 or len(slopes) < 3 or slopes[off[0]] <= 0.0:
+        if len(off) != 1 or len(slopes) < 2 or slopes[off[0]] <= 0.0:
             return
         k = int(off[0])
         units = units_of(float(slopes[k]), TORQUES)
