@@ -271,10 +271,12 @@ class SignMagnitude:
         upper = [_upper_band(seen.columns[n]) for n in folded]
         # A sign's bit is where all upper bands begin; with two's complement they end there.
         ends = [x for x in zip(*upper, strict=True) if len(x) > 1 and max(x) < min(x) * (1.0 + _apart(len(x)))]
-        if len(folded) > 1 and ends:
-            what = (
-                f"{', '.join(folded)} lie near 0 or near {ends[0][0]:.6g} and jump between: numbers read as unsigned?"
-            )
+        # One column alone must flicker between two bands that both begin at an edge: it goes to and fro about zero.
+        ends = ends or [(upper[0][0],) for n in folded if len(folded) == 1 and _flickers(seen.columns[n])]
+        if ends:
+            one = "s" if len(folded) == 1 else ""
+            bands = f"lie{one} near 0 or near {ends[0][0]:.6g} and jump{one} between"
+            what = f"{', '.join(folded)} {bands}: numbers read as unsigned?"
             yield Remark(self.KEY, what, "read them as signed", tuple(folded), Action.REFUSED)
             return
         if columns:
@@ -297,8 +299,15 @@ def _folded(values: Array) -> bool:
     if gap.max() <= 0.25 * v.max() or jumps < FEWEST_JUMPS:
         return False
     # What jumps to and fro all the time may have two states; folded at a number, both bands begin sharply (or end so).
-    low, high = v[v <= levels[int(np.argmax(gap))]], v[v > levels[int(np.argmax(gap))]]
-    return jumps < 0.2 * len(v) or (_sharp(low) and (_sharp(high) or _sharp(-high)))
+    return jumps < 0.2 * len(v) or _flickers(v)
+
+
+def _flickers(values: Array) -> bool:
+    """Whether values lie in two bands that both have a sharp edge, the lower one at its beginning."""
+    v = values[np.isfinite(values)]
+    begins, _ = _upper_band(v)
+    low, high = v[v < begins], v[v >= begins]
+    return _sharp(low) and (_sharp(high) or _sharp(-high))
 
 
 def _sharp(band: Array) -> bool:
