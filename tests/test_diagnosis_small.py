@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from galen_hw.cli import main
-from galen_hw.diagnosis.rows import folds
+from galen_hw.diagnosis.stats.sampling import folds
 from galen_hw.errors import EXIT_FOUND, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE
 
 POSES = 17

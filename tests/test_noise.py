@@ -16,18 +16,18 @@ import diagnosis_parts as parts
 from diagnosis_cases import SIGMA, WRENCH
 from diagnosis_cases import Bench as Cases
 
-from galen_hw.diagnosis.bench import Bench as DiagnosisBench
-from galen_hw.diagnosis.bumps import _jumps
-from galen_hw.diagnosis.episodes import contacts
-from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.judge import _noisier
-from galen_hw.diagnosis.noise import Noise, estimate
-from galen_hw.diagnosis.rows import Rows
-from galen_hw.diagnosis.slow_noise import shelves, whitest
-from galen_hw.physics.effect import Columns
-from galen_hw.physics.event_effects import Contact, Vibration
-from galen_hw.physics.sensor_effects import WALK
-from galen_hw.physics.table import scene_of
+from galen_hw.diagnosis.detection.contacts import contacts
+from galen_hw.diagnosis.detection.steps import _jumps
+from galen_hw.diagnosis.estimation.dataset import Bench as DiagnosisBench
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.noise.low_frequency import shelves, whitest
+from galen_hw.diagnosis.noise.spectrum import Noise, estimate
+from galen_hw.diagnosis.stats.sampling import Rows
+from galen_hw.diagnosis.validation.holdout import _noisier
+from galen_hw.physics.effects.base import Columns
+from galen_hw.physics.effects.events import Contact, Vibration
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.effects.sensor import WALK
 
 
 def noise(*lengths: int) -> Noise:

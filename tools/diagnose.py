@@ -9,15 +9,15 @@ from typing import Final
 from rich.console import Console
 
 from galen_hw.config.tool_store import write_atomic
-from galen_hw.diagnosis.bench import Progress
-from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.estimation.dataset import Progress
+from galen_hw.diagnosis.pipeline import Work, diagnose
 from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
+from galen_hw.physics.concatenate import joined
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.table import scene_of
-from galen_hw.physics.together import joined
 from galen_hw.recording import Recording, read_recording
-from galen_hw.tools.diagnose_input import named_in, observations_of
+from galen_hw.recording.observations import named_in, observations_of
 from galen_hw.tools.diagnose_screen import counting, show, working
 from galen_hw.tools.diagnose_tool import model_to_save, tool_named, with_tool
 from galen_hw.tools.recorded_robot import model_notes
@@ -118,8 +118,8 @@ def _whole(
     """Diagnose one recording (or some as one) and write what was asked for; with several, its name goes into the file's name."""
     (work, recording), path = one(paths, args, progress), paths[0]
     if args.report:
-        from galen_hw.diagnosis.draw import traces_of
-        from galen_hw.diagnosis.page import write_page
+        from galen_hw.diagnosis.report.collect import traces_of
+        from galen_hw.diagnosis.report.page import write_page
 
         write_page(_named(args.report, path, several=several), work.diagnosis, traces_of(work))
     if args.save_model:

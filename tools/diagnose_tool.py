@@ -11,14 +11,14 @@ from scipy.stats import trim_mean
 
 from galen_hw.config.tool_file import Term, ToolFile, parse_tool
 from galen_hw.errors import UsageError
-from galen_hw.physics.table import effect_of
-from galen_hw.physics.terms import DATED, dated, why_not_live
+from galen_hw.physics.effects.registry import effect_of
+from galen_hw.physics.effects.terms import DATED, dated, why_not_live
 from galen_hw.recording import Recording
 from galen_hw.recording.from_mcap import tool_info
 
 if TYPE_CHECKING:
-    from galen_hw.diagnosis.engine import Work
-    from galen_hw.physics.scene import Scene
+    from galen_hw.diagnosis.pipeline import Work
+    from galen_hw.physics.scenes.base import Scene
     from galen_hw.spatial import Array
 
 TRIMMED: Final = 0.01

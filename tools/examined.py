@@ -7,8 +7,8 @@ from galen_hw.physics.observations import Group
 from galen_hw.premises import Claim, Examination, examined
 from galen_hw.premises.load import LoadChange
 from galen_hw.recording import Recording
+from galen_hw.recording.observations import observations_of
 from galen_hw.spatial import Array
-from galen_hw.tools.diagnose_input import observations_of
 
 
 @dataclass(frozen=True)

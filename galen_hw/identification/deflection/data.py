@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from galen_hw.errors import UsageError
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.scene_pose import APPLIED, PoseScene
+from galen_hw.physics.scenes.pose import APPLIED, PoseScene
 from galen_hw.spatial import Array
 
 SATURATED_SHARE = 0.02
