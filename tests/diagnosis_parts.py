@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from galen_hw.diagnosis.pipeline import Work, diagnose
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.work import Work
 from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations

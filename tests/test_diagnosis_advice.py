@@ -9,13 +9,13 @@ from numpy.testing import assert_allclose
 from scipy.linalg import subspace_angles
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.nonlinear import unclocked
 from galen_hw.diagnosis.findings.localisation import organised, regions
 from galen_hw.diagnosis.findings.variables import Variable, variables
 from galen_hw.diagnosis.identifiability.experiment import Pair, best_of, next_experiment, options_of
 from galen_hw.diagnosis.identifiability.motions import recipes
 from galen_hw.diagnosis.identifiability.rivals import rivals
 from galen_hw.diagnosis.identifiability.simulate import Eye, beside, stage
+from galen_hw.diagnosis.selection.comparison import unclocked
 from galen_hw.physics.effects.load import Payload
 from galen_hw.physics.effects.registry import effect_class
 from galen_hw.physics.effects.sensor import Drift, Gain, Temperature
@@ -197,7 +197,7 @@ def test_a_recipes_worth_is_the_squared_distance_in_units_of_the_noise() -> None
 
 def test_all_words_are_of_the_vocabulary() -> None:
     """Every key that is confused, settled or drawn is a word of the vocabulary."""
-    from galen_hw.diagnosis.findings.from_model import wording
+    from galen_hw.diagnosis.findings import wording
 
     keys = (
         {key for pair in (*wording.WHY, *wording.SETTLED_BY) for key in pair}

@@ -12,9 +12,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import Array, lagged, played, tracked
 
-from galen_hw.diagnosis.pipeline import Work, diagnose
+from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.report.effect_curves import axis_of
 from galen_hw.diagnosis.result import Finding
+from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.backlash import Backlash
 from galen_hw.physics.effects.registry import scene_of
 

@@ -15,9 +15,10 @@ from test_tendons import pulled
 
 from galen_hw.diagnosis.detection import outliers
 from galen_hw.diagnosis.estimation.linearisation import tangent
-from galen_hw.diagnosis.pipeline import Work, diagnose
+from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.selection import search
 from galen_hw.diagnosis.selection.moves.pairs import hidden
+from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.cable import CableDrag
 from galen_hw.physics.effects.geometry import JointOffset

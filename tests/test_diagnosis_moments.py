@@ -12,15 +12,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import SIGMA, WRENCH, Bench
 
+from galen_hw.diagnosis.estimation.cross_validation import left_out
 from galen_hw.diagnosis.estimation.dataset import Bench as DiagnosisBench
-from galen_hw.diagnosis.estimation.least_squares import left_out
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.selection.moves.step_times import timed
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.validation.contact_or_place import outstanding
-from galen_hw.diagnosis.validation.holdout import Judged, earned, judge
+from galen_hw.diagnosis.validation.holdout import earned, judge
+from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.diagnosis.validation.verdict import beyond
 from galen_hw.physics.effects.events import Contact, Step, Vibration
 from galen_hw.physics.effects.registry import scene_of

@@ -11,7 +11,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import Beam, Servo, friction, heavier, slow_servo, tracked
 
-from galen_hw.diagnosis.pipeline import Work, diagnose
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 

@@ -10,9 +10,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import SIGMA, Bench, hanging, payload, rotation, sines
 
-from galen_hw.diagnosis.estimation.model import merit
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.pipeline import Work, diagnose
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.selection.criterion import merit
+from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.cable import CableDrag
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.effects.sensor import CrossTalk, Gain

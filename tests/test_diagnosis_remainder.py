@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import SIGMA, WRENCH, Bench, contact, creep, lagged
 
-from galen_hw.diagnosis.detection.spectral_lines import spikes
+from galen_hw.diagnosis.detection.outliers import spikes
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.findings.from_model import dependence
 from galen_hw.diagnosis.lack_of_fit import structure_test
@@ -23,12 +23,13 @@ from galen_hw.diagnosis.lack_of_fit.pursuit import MOST_FUNCTIONS, Pursuit
 from galen_hw.diagnosis.lack_of_fit.regression import Blend
 from galen_hw.diagnosis.lack_of_fit.residual_model import RIDGES, Ridge, learn
 from galen_hw.diagnosis.lack_of_fit.trees import beside
-from galen_hw.diagnosis.pipeline import Work, diagnose
+from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.diagnosis.validation.contact_or_place import foretold
 from galen_hw.diagnosis.validation.flexible_effects import _finished
 from galen_hw.diagnosis.validation.holdout import judge_remainder
 from galen_hw.diagnosis.validation.support import support
+from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.events import Contact
 from galen_hw.physics.effects.registry import scene_of
 

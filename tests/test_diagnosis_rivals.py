@@ -13,14 +13,15 @@ sys.path.insert(0, str(Path(__file__).parent))
 import diagnosis_cases as cases
 from diagnosis_cases import WRENCH, Beam, Bench, Servo
 
-from galen_hw.diagnosis.estimation.nonlinear import ahead, in_place
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.identifiability import rivals
-from galen_hw.diagnosis.pipeline import Work, diagnose
-from galen_hw.diagnosis.selection.acceptance import WORTH, worth
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.selection.acceptance import WORTH, shows_in_noise, worth
+from galen_hw.diagnosis.selection.comparison import ahead, in_place
 from galen_hw.diagnosis.selection.search import sought
+from galen_hw.diagnosis.stats.paired_test import sure
 from galen_hw.diagnosis.validation.holdout import judge
-from galen_hw.diagnosis.validation.support import shows_in_noise, sure
+from galen_hw.diagnosis.work import Work
 from galen_hw.kinematics import GalenRobot, UrdfRobot
 from galen_hw.physics.effects.backlash import Backlash
 from galen_hw.physics.effects.compliance import Hardening

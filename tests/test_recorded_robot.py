@@ -15,8 +15,8 @@ from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.recording import Recording, read_recording
 from galen_hw.recording.observations import observations_of
+from galen_hw.recording.robot import model_notes, robot_of
 from galen_hw.tools.calibration.poses import poses_of
-from galen_hw.tools.recorded_robot import model_notes, robot_of
 from tests.urdf_parts import arm_with_gripper, joint, link, robot
 
 T = np.arange(0.0, 4.0, 0.02)

@@ -15,8 +15,10 @@ from physics_scenes import scene
 from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside, descended
 from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.estimation.model import Model
-from galen_hw.diagnosis.pipeline import Work, diagnose
-from galen_hw.diagnosis.validation.holdout import Judged, earned
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.validation.holdout import earned
+from galen_hw.diagnosis.validation.judgement import Judged
+from galen_hw.diagnosis.work import Work
 from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.effects.cable import CableDrag
 from galen_hw.physics.effects.registry import scene_of

@@ -15,7 +15,7 @@ from galen_hw.services.deflection.store import DeflectionFile
 from galen_hw.version import VERSION
 
 if TYPE_CHECKING:
-    from galen_hw.diagnosis.pipeline import Work
+    from galen_hw.diagnosis.work import Work
     from galen_hw.physics.observations import Belief
     from galen_hw.recording import Recording
 

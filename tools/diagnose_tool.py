@@ -17,7 +17,7 @@ from galen_hw.recording import Recording
 from galen_hw.recording.from_mcap import tool_info
 
 if TYPE_CHECKING:
-    from galen_hw.diagnosis.pipeline import Work
+    from galen_hw.diagnosis.work import Work
     from galen_hw.physics.scenes.base import Scene
     from galen_hw.spatial import Array
 
@@ -58,14 +58,6 @@ def with_tool(recording: Recording, tool: ToolFile) -> Recording:
     old = {k: v for k, v in old.items() if k not in ("tool", "bias_body", "zeroed_at")}
     info = type(recording.info).model_validate({"schema": 1} | old | new | {"model": model})
     return replace(recording, info=info, tool_file=tool.to_json())
-
-
-def terms_of(recording: Recording) -> tuple[dict[str, Any], ...]:
-    """The further effects of the tool in hand."""
-    if not recording.tool_file:
-        return ()
-    terms = parse_tool(recording.tool_file, f"{recording.path}: tool's file").terms
-    return tuple({"effect": t.effect, "parameters": dict(t.parameters)} for t in terms)
 
 
 @dataclass(frozen=True, slots=True)

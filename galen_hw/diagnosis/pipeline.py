@@ -9,9 +9,10 @@ from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
 from galen_hw.diagnosis.detection import outliers
-from galen_hw.diagnosis.estimation.dataset import Bench, Hypothesis
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.initial_state import left_open, supposable
-from galen_hw.diagnosis.estimation.model import MERIT, Model, merit, offsets, settle_model, weighed
+from galen_hw.diagnosis.estimation.model import MERIT, Model
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.estimation.signal_chain import arrived
 from galen_hw.diagnosis.findings.claims import add_claims, claim_before
@@ -20,15 +21,20 @@ from galen_hw.diagnosis.findings.localisation import channels_of, episodes_of, w
 from galen_hw.diagnosis.identifiability.experiment import next_experiment
 from galen_hw.diagnosis.identifiability.rivals import confusions
 from galen_hw.diagnosis.lack_of_fit import structure_test, trees
-from galen_hw.diagnosis.preprocessing.checks import Premise, held_out, premises
+from galen_hw.diagnosis.preprocessing.checks import held_out, premises
+from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.result import Diagnosis
+from galen_hw.diagnosis.selection.criterion import merit
+from galen_hw.diagnosis.selection.finalise import offsets, settle_model, weighed
 from galen_hw.diagnosis.selection.moves.clock_offset import far_off
 from galen_hw.diagnosis.selection.search import at_first_sight, library, select
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.validation.contact_or_place import outstanding
 from galen_hw.diagnosis.validation.flexible_effects import left_by, left_of_another, might_yield, predict_unnamed
-from galen_hw.diagnosis.validation.holdout import Judged, earned
+from galen_hw.diagnosis.validation.holdout import earned
+from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.diagnosis.validation.verdict import beyond, contradicted, outlying, strong, trifles, verdict_of
+from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.base import Columns, Downstream, Effect
 from galen_hw.physics.effects.events import Contact, Glitches
 from galen_hw.physics.effects.registry import scene_of
@@ -43,18 +49,6 @@ LEAST_SHARE = 12
 """Rows for each direction that may be kept from passing for noise."""
 COARSE = 3000
 """Rows of the first look: motion is slow beside a force sensor's samples."""
-
-
-@dataclass
-class Work:
-    """What the diagnosis went through, for reports and tests; `left`: what was worth saying of what is left."""
-
-    bench: Bench
-    selection: Selection
-    model: Model
-    judged: Judged
-    left: list[structure_test.Left]
-    diagnosis: Diagnosis
 
 
 Progress = Callable[[str, float], None]

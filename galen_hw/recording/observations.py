@@ -1,8 +1,9 @@
 """From a recording to what the effects read: columns, simulation, and what the simulation believes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -11,10 +12,11 @@ from galen_hw.kinematics import Robot, UrdfRobot
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.rigid import Body
 from galen_hw.recording import Recording
+from galen_hw.recording.robot import IN_JOINTS, robot_of, zeroed_joints, zeroed_names
 from galen_hw.spatial import Array, rotation_from_quaternion
-from galen_hw.tools.diagnose_tool import terms_of
-from galen_hw.tools.recorded_robot import IN_JOINTS, robot_of, zeroed_joints, zeroed_names
 
+Terms = Sequence[dict[str, Any]]
+"""As in a tool's file: effect and parameters."""
 FIXED = 1e-3
 """Of a pose, in m and in parts of a turn's matrix: what moves less stands still."""
 LARGEST = float(np.finfo(float).max) ** 0.25
@@ -32,17 +34,20 @@ def named_in(recording: Recording) -> Iterator[None]:
         raise UsageError(error.what, where=recording.place(error.where), todo=error.todo) from error
 
 
-def observations_of(recording: Recording) -> Observations:
+def observations_of(recording: Recording, terms: Terms = ()) -> Observations:
     """What the effects read, from a recording and its own notes.
+
+    Args:
+        terms: further effects of the tool in hand, which the simulation adds.
 
     Raises:
         UsageError: the recording does not say what is compared.
     """
     with named_in(recording):
-        return _observations(recording)
+        return _observations(recording, terms)
 
 
-def _observations(recording: Recording) -> Observations:
+def _observations(recording: Recording, terms: Terms) -> Observations:
     info = recording.info
     if info.predict is None:
         where = f"{recording.about}: predict"
@@ -52,7 +57,7 @@ def _observations(recording: Recording) -> Observations:
             _finite_squares(each)
     columns, simulation = dict(recording.columns), recording.simulation
     simulated = None if simulation is None else _matched(recording, simulation)
-    belief = _belief(recording)
+    belief = replace(_belief(recording), terms=tuple(terms))
     names = () if belief.robot is None else belief.robot.joint_names
     if info.predict == "position" and any(f"joint.{name}.position" not in columns for name in names):
         # Servos are compared one by one; where some joints were not recorded nothing is known of how the arm stands.
@@ -116,7 +121,6 @@ def _belief(recording: Recording) -> Belief:
         compliance={} if info.model.compliance is None else dict(info.model.compliance.joint),
         distal=() if info.predict in IN_JOINTS else _distal(recording, robot),
         ranges=dict(info.ranges),
-        terms=terms_of(recording),
         epoch=recording.epoch,
     )
     if info.predict in IN_JOINTS and isinstance(robot, UrdfRobot):

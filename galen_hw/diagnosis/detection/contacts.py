@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
-from galen_hw.diagnosis.detection.spectral_lines import FEW_ROWS, Sought, moment
+from galen_hw.diagnosis.detection.proposal import FEW_ROWS, Sought, moment
 from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.physics.effects.events import Contact
 from galen_hw.physics.scenes.base import Scene

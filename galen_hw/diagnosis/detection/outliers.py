@@ -5,13 +5,12 @@ from typing import Final
 import numpy as np
 from scipy.stats import norm
 
-from galen_hw.diagnosis.detection import spectral_lines
 from galen_hw.diagnosis.detection.stuck_samples import repeated
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.physics.effects.events import Glitches
-from galen_hw.physics.signals.differentiation import ALONE
+from galen_hw.physics.signals.differentiation import ALONE, isolated
 from galen_hw.spatial import Array
 
 FEWEST: Final = 2
@@ -28,9 +27,15 @@ Student's t of three degrees of freedom has four times as many, of two still twi
 """
 
 
+MOST_SPOILT = 0.03
+"""Share of a channel's samples: more isolated ones are another kind of noise."""
+HANDFUL = 4
+"""Isolated samples of one channel that may always be told."""
+
+
 def marked(bench: Bench, faint: Mask | None = None) -> list[Glitches]:
     """Marks isolated and repeated samples, and those (N, C) that a model has shown, and leaves them out of everything."""
-    spiky = spectral_lines.spikes(bench.scene.raw_residual, tuple(bench.scene.segments))
+    spiky = spikes(bench.scene.raw_residual, tuple(bench.scene.segments))
     spiky |= repeated(bench.scene)
     spiky = spiky if faint is None else spiky | faint
     spoilt = np.asarray(spiky.any(axis=1))
@@ -97,7 +102,7 @@ def faint(model: Model) -> Mask | None:
                 quick = np.max(np.abs(np.diff(said[first:last, c])))
                 beside = np.max(z[[*range(first, a), *range(b, last)], c])
                 out[a:b, c] = beside < NEAR and SAMPLES * quick < np.min(np.abs(rest[a:b, c]))
-    out &= ~_heavy_tailed(z, out.sum(axis=0)) & (out.sum(axis=0) <= spectral_lines.MOST_SPOILT * len(out))
+    out &= ~_heavy_tailed(z, out.sum(axis=0)) & (out.sum(axis=0) <= MOST_SPOILT * len(out))
     out &= ~(bench.spoilt | bench.scene.ends | bench.scene.unanswered)[:, None]
     return out if out.any(axis=1).sum() >= FEWEST else None
 
@@ -107,3 +112,16 @@ def _heavy_tailed(z: Array, far: Array) -> Mask:
     between = np.sum((z > NEAR) & (z <= FAR), axis=0)
     usual = 2.0 * len(z) * float(norm.sf(NEAR))
     return np.asarray(between - 2.0 * usual > TAIL * far)
+
+
+def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
+    """(N, C) isolated samples, see `smoothing.isolated`; a channel with more than 3 % of them has another kind of noise.
+
+    Of a sweep of few poses a handful is more than that.
+    """
+    out = np.zeros(residual.shape, dtype=bool)
+    for part in segments:
+        for c in range(residual.shape[1]):
+            out[part, c] = isolated(residual[part, c])
+    out[:, out.sum(axis=0) > max(MOST_SPOILT * len(out), HANDFUL)] = False
+    return out

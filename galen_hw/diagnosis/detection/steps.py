@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.fft import dct, fft, idct
 
-from galen_hw.diagnosis.detection.spectral_lines import FEW_ROWS, SHARED, Sought, moment, slow_spread
+from galen_hw.diagnosis.detection.proposal import FEW_ROWS, SHARED, Sought, moment, slow_spread
 from galen_hw.diagnosis.noise.spectrum import Noise
 from galen_hw.physics.effects.events import Step
 from galen_hw.physics.scenes.base import Scene

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from galen_hw.diagnosis.detection.spectral_lines import FEW_ROWS
+from galen_hw.diagnosis.detection.proposal import FEW_ROWS
 from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.physics.scenes.base import Scene
 

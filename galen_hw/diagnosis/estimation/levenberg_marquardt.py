@@ -4,7 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.dataset import Bench, Hypothesis
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import rests
 from galen_hw.diagnosis.estimation.linearisation import does, tangent
 from galen_hw.diagnosis.estimation.normal_equations import Scorer

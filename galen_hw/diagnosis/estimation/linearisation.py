@@ -4,7 +4,8 @@ from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.dataset import Bench, Hypothesis
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.estimation.signal_chain import arrived
 from galen_hw.physics.effects.base import Columns, Effect

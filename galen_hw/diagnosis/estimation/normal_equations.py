@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.dataset import Bench, Hypothesis
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.stats.linear_algebra import log_tail, pinned_at, quadratic, solve_sym
 from galen_hw.spatial import Array
 

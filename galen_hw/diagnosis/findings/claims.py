@@ -6,7 +6,7 @@ import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.result import Diagnosis, Finding, Value, Verdict
-from galen_hw.diagnosis.validation.holdout import Judged
+from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.premises import Claim, Examination
 from galen_hw.spatial import Array, rotation_exp, rotation_log

@@ -7,7 +7,8 @@ import numpy as np
 from scipy.special import erfc
 
 from galen_hw.diagnosis.detection import outliers
-from galen_hw.diagnosis.estimation.dataset import Bench, Hypothesis
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.line_frequency import mean_frequency
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.findings.quantities import SIGNAL, headline
@@ -15,11 +16,11 @@ from galen_hw.diagnosis.findings.variables import joint_units
 from galen_hw.diagnosis.findings.wording import BELIEVED, SAYS
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
-from galen_hw.diagnosis.preprocessing.checks import Premise
+from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.result import Finding, Value
 from galen_hw.diagnosis.selection.search import CHANCE
 from galen_hw.diagnosis.selection.search_state import Selection
-from galen_hw.diagnosis.validation.holdout import ELSEWHERE, Judged
+from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged
 from galen_hw.diagnosis.validation.verdict import FEW_SAMPLES, NOTHING_ELSEWHERE
 from galen_hw.physics.effects.events import Glitches, Vibration
 from galen_hw.physics.effects.sensor import Saturation

@@ -13,7 +13,7 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.findings.variables import Variable, variables
 from galen_hw.diagnosis.stats.sampling import Mask
-from galen_hw.diagnosis.validation.holdout import Judged
+from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.physics.effects.events import Contact, Glitches, Step
 from galen_hw.spatial import Array
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.dataset import Hypothesis
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.findings.quantities import SIGNAL
 from galen_hw.diagnosis.findings.wording import NEXT, settled_by

@@ -14,13 +14,13 @@ import numpy as np
 from scipy.linalg import subspace_angles
 from scipy.optimize import minimize_scalar
 
-from galen_hw.diagnosis.estimation.dataset import Hypothesis
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.linearisation import unbent
 from galen_hw.diagnosis.estimation.model import Model
-from galen_hw.diagnosis.estimation.nonlinear import ahead, bent, unclocked
 from galen_hw.diagnosis.estimation.normal_equations import Left, Scorer
 from galen_hw.diagnosis.findings.wording import structural, why
 from galen_hw.diagnosis.result import Confusion, Finding
+from galen_hw.diagnosis.selection.comparison import ahead, bent, unclocked
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.linear_algebra import WEAK, orthonormal, pinned_at, scaled, solve_sym
 from galen_hw.physics.effects.base import Effect

@@ -2,18 +2,18 @@
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
+from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.stats.sampling import Index, Mask
 from galen_hw.errors import UsageError
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.pose import QUATERNION
 from galen_hw.physics.signals.differentiation import at_rest, denoised
-from galen_hw.premises import Action, Examination
 from galen_hw.spatial import Array
 
 FEWEST: Final = 8
@@ -30,37 +30,6 @@ SURELY: Final = 4.0
 SEEN: Final = 1.1
 """Times the variance of what the simulation misses that it may become without a joint's noise; more is motion taken for noise."""
 ORIENTATION: Final = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
-
-
-@dataclass
-class Premise:
-    """What the guards say.
-
-    Args:
-        scene: without the rows that cannot be compared.
-        notes: one line each.
-        wrong: lines that make every finding worthless (axes, signs, units); channels they concern.
-    """
-
-    scene: Scene
-    notes: list[str] = field(default_factory=list)
-    wrong: list[str] = field(default_factory=list)
-    channels: list[str] = field(default_factory=list)
-
-    def take(self, examination: Examination) -> None:
-        """Take up what the premises say of the recording; what they claim as physics becomes a finding as well."""
-        first = [r for r in examination.remarks if r.action is not Action.REFUSED]
-        self.notes[:0] = [r.line for r in first] + [r.line for r in examination.refused]
-        if examination.refused:
-            # What is refused is the cause; what later checks see are its consequences.
-            self.notes = [line for line in self.notes if line not in self.wrong]
-            self.wrong = [r.line for r in examination.refused]
-            self.channels = [c for r in examination.refused for c in r.columns]
-
-    def refuse(self, channel: str, line: str) -> None:
-        """A line that makes every finding worthless."""
-        self.wrong.append(line)
-        self.channels.append(channel)
 
 
 def premises(scene: Scene) -> Premise:

@@ -8,9 +8,9 @@ from galen_hw.diagnosis.findings.localisation import baseline_rest, organised
 from galen_hw.diagnosis.findings.variables import Variable, variables
 from galen_hw.diagnosis.identifiability.experiment import options_of
 from galen_hw.diagnosis.identifiability.rivals import rivals
-from galen_hw.diagnosis.pipeline import Work
 from galen_hw.diagnosis.report.effect_curves import curves_of
 from galen_hw.diagnosis.report.plot_data import Alike, Along, Evidence, Option, Traces
+from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
 

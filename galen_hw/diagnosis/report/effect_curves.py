@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from galen_hw.diagnosis.findings.variables import Variable, joint_units, variables
-from galen_hw.diagnosis.pipeline import Work
 from galen_hw.diagnosis.report.plot_data import Curve
 from galen_hw.diagnosis.report.summary import channel_words
+from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.backlash import Backlash
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.events import Vibration

@@ -2,10 +2,12 @@
 
 import numpy as np
 
+from galen_hw.diagnosis.estimation.cross_validation import errors
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import errors
+from galen_hw.diagnosis.estimation.least_squares import PROVED, rests
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.stats.paired_test import sure
 from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.events import Contact, Step
@@ -13,40 +15,26 @@ from galen_hw.spatial import Array
 
 WORTH = 0.25
 """An effect must take at least this share of the excess that is left in some channel, on data it did not learn from."""
-
-
 MATTERS = 0.03
 """Where the best model still misses much (real machines), an effect must take this share of the whole excess as well."""
-
-
 LOUD = 400.0
 """Mean square over noise from which a recording is so loud that a hundredth of it is no matter."""
-
-
 NEARLY_ALL = 0.95
 """Share of the excess that is left from which it does not matter how small a part of the whole that is."""
-
-
 STAIRS = 0.9
 """Share of the excess that is left of which several jumps are worth their place together."""
-
-
 MOSTLY = 0.8
 """The same where noise alone is left besides: the rest of that share is the error of a small effect."""
 ALONE = 1.05
 """Whitened mean square below which it is."""
-
-
-PROVED = 1.25
-"""Whitened mean square below which a model leaves hardly more than noise."""
-
-
 OUTSTANDING = 9.0
 """Mean square of what is left during a contact over that at all other times from which it is judged by its own moments."""
-
-
 UNDONE = 0.1
 """Share of either of two effects that their sum must reach: what they do is not to cancel."""
+LEAST_SIZE = 0.1
+"""Rms over the noise, in the channels where it acts, from which what raw errors do not show may be believed."""
+BESIDE = 5.0
+"""And any of several: what joins a model was chosen among all that its rest resembles."""
 
 
 def asked(bench: Bench, out: Selection, effect: Effect | None, misfit: float) -> tuple[float, float]:
@@ -158,3 +146,23 @@ def _undone(bench: Bench, scorer: Scorer, chosen: list[int], theta: Array) -> bo
     return any(
         float(np.linalg.norm(last + other)) < UNDONE * min(size, float(np.linalg.norm(other))) for other in changes[:-1]
     )
+
+
+def shows_in_noise(bench: Bench, scorer: Scorer, out: Selection, i: int) -> bool:
+    """Whether blocks left out surely want a hypothesis beside a model, in whitened units where noise alone is left with it.
+
+    Raw errors are mostly slow noise there, in which a small effect is lost that whitened ones show. What belongs to moments
+    fits nearly any noise, and a thousandth of a loud recording is no matter: of these raw errors must speak. What is smaller
+    still may be the joints' own noise, which a dead band as narrow makes quieter.
+    """
+    effect = scorer.library[i].effect
+    if effect is None or not effect.lasting() or not bench.scene.clock:
+        return False
+    if scorer.misfit([*out.chosen, i]) >= PROVED or float(np.max(out.start / bench.noise.sigma**2)) > LOUD:
+        return False
+    seen = (rests(bench, scorer, out.chosen)[0] - rests(bench, scorer, [*out.chosen, i])[0])[bench.train]
+    size = np.mean(seen**2, axis=0) / bench.noise.sigma**2
+    if float(size @ size) < LEAST_SIZE**2 * float(size.sum()):
+        return False
+    rest, without = (errors(bench, scorer, model, whitened=True) for model in ([*out.chosen, i], out.chosen))
+    return sure(rest, without) >= BESIDE

@@ -2,15 +2,16 @@
 
 import numpy as np
 
-from galen_hw.diagnosis.detection import spectral_lines, steps
+from galen_hw.diagnosis.detection import clipping, drift, proposal, spectral_lines, steps
 from galen_hw.diagnosis.detection.contacts import contacts
+from galen_hw.diagnosis.estimation.cross_validation import crossed
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import cost_without, load, retime, settle_together
-from galen_hw.diagnosis.estimation.least_squares import crossed, missed, rests
+from galen_hw.diagnosis.estimation.least_squares import missed, rests
 from galen_hw.diagnosis.estimation.linearisation import as_if, rebase, unbent
-from galen_hw.diagnosis.estimation.nonlinear import bent, in_place, loosens, polished
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer, threshold
-from galen_hw.diagnosis.selection.acceptance import WORTH, asked, completes, plausible, worth
+from galen_hw.diagnosis.selection.acceptance import WORTH, asked, completes, plausible, shows_in_noise, worth
+from galen_hw.diagnosis.selection.comparison import bent, in_place, loosens, polished
 from galen_hw.diagnosis.selection.kinds import kind_first
 from galen_hw.diagnosis.selection.moves.cable import tightened
 from galen_hw.diagnosis.selection.moves.clipping import clipped, levelled
@@ -25,7 +26,6 @@ from galen_hw.diagnosis.selection.moves.step_times import parted, timed
 from galen_hw.diagnosis.selection.moves.timing import one_clock, own_clocks, reclocked
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import ALIKE, favour, handicap, plainest, slack
-from galen_hw.diagnosis.validation.support import shows_in_noise
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.events import Vibration
 from galen_hw.physics.effects.registry import EFFECTS, effect_class
@@ -47,20 +47,20 @@ def library(bench: Bench) -> list[Effect]:
     return [e for key in EFFECTS if key not in constant for e in effect_class(key).propose(bench.scene)]
 
 
-def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[spectral_lines.Sought]:
+def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sought]:
     """What the rest of the present model shows by itself."""
     load(bench, scorer, chosen)
     rest, _ = rests(bench, scorer, chosen)
     found = steps.steps(bench.scene, rest, bench.noise) + steps.staircases(bench.scene, rest, bench.noise)
     found += contacts(bench.scene, rest)
     found += steps.slips(bench.scene, rest, bench.rows.average)
-    found += spectral_lines.walks(bench.scene, rest, bench.noise)
-    found += spectral_lines.drifts(bench.scene, rest, bench.rows.average(bench.scene.time))
-    found += spectral_lines.temperatures(bench.scene, rest, bench.rows.average)
+    found += drift.walks(bench.scene, rest, bench.noise)
+    found += drift.drifts(bench.scene, rest, bench.rows.average(bench.scene.time))
+    found += drift.temperatures(bench.scene, rest, bench.rows.average)
     # A limit that was found before something else was is sought again as if it had not been.
     added = bench.rows.average(np.asarray(bench.stream.standing + bench.stream.carried))
     stream, seen = bench.rows.average(bench.scene.simulated) + added, ~bench.dropped
-    found += spectral_lines.saturations(bench.scene, np.asarray(bench.whole - added)[seen], stream[seen])
+    found += clipping.saturations(bench.scene, np.asarray(bench.whole - added)[seen], stream[seen])
     known = [effect for i in chosen if isinstance(effect := scorer.library[i].effect, Vibration)]
     return (
         found
@@ -83,7 +83,7 @@ def _known(bench: Bench, scorer: Scorer, effect: Effect) -> bool:
     return any(isinstance(one, Vibration) and abs(one.frequency - effect.frequency) < near for one in alike)
 
 
-def at_first_sight(bench: Bench) -> list[spectral_lines.Sought]:
+def at_first_sight(bench: Bench) -> list[proposal.Sought]:
     """What belongs to moments and shows in the residual itself: it must not pass for noise, whatever it is to be called."""
     rest = bench.whole - np.median(bench.whole, axis=0)
     found = contacts(bench.scene, rest) + spectral_lines.lines(bench.scene, rest, bench.rows.runs, narrow=np.inf)

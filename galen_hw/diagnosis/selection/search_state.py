@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.dataset import Hypothesis
+from galen_hw.diagnosis.estimation.candidate import Hypothesis, place_of
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
@@ -50,23 +50,7 @@ class Selection:
         return [self.scorer.library[i] for i in self.chosen]
 
 
-def place_of(effect: Effect | None) -> tuple[str, ...]:
-    """Where an effect sits: one hypothesis of a kind a place; those of moments may stand side by side."""
-    if effect is None or effect.KEY in ("step", "vibration", "torque_ripple", "contact"):
-        return (str(id(effect)),)
-    names = ("joint", "channel", "driver", "source", "place", "part", "axis", "upper")
-    place = [str(getattr(effect, name, "")) for name in names]
-    errors = getattr(effect, "errors", ())
-    form = getattr(effect, "form", "") if effect.KEY == "compliance" else ""
-    return (effect.KEY, *place, *map(str, errors), form)
-
-
 def elsewhere(scorer: Scorer, model: Iterable[int], candidates: Iterable[int]) -> list[int]:
     """The candidates, in their order, whose place nothing in the model has."""
     taken = {place_of(scorer.library[i].effect) for i in model}
     return [j for j in candidates if place_of(scorer.library[j].effect) not in taken]
-
-
-def told(effect: Effect | None) -> tuple[object, ...]:
-    """What an effect is, and which of its numbers are searched: a bearing with friction is not one without."""
-    return () if effect is None else (effect.family, *effect.searched())

@@ -3,8 +3,8 @@
 import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.nonlinear import ahead
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
+from galen_hw.diagnosis.selection.comparison import ahead
 
 SLACK = 0.25
 NOISE_ALONE = 1.1

@@ -61,3 +61,20 @@ def paired(without: Array, rest: Array, excess: Array, *, parameters: int = 0) -
     spread = float(np.std(falls, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
     error = min(float(np.sqrt(np.sum(lucky**2))), spread)
     return Gain(float(falls.sum() - 2.0 * parameters) / n, error / n, float(np.sum(np.maximum(excess, 0.0))))
+
+
+def sure(rest: Array, without: Array) -> float:
+    """By how many standard errors held-out rows want an effect, in units of the noise: its match with what is there without it.
+
+    With d the effect as learnt and r the rest, what is there without it is w = r + d, and d is wanted as far as the sum of w d
+    is above what luck makes of it. A sum over neighbouring rows is one value (slow noise is one piece of luck). Luck is in r d
+    alone: that an effect acts in few pieces, as a delay does where all but a few moves are rests, makes it no less sure. Where
+    physics is missing r d is large, but a match in nearly every piece is no luck either: the larger of the two counts.
+    """
+    effect = without - rest
+    luck = np.sum(rest * effect, axis=1)
+    match = np.sum(effect**2, axis=1) + luck
+    count = min(PIECES, len(match))
+    each, lucky = (np.array([piece.sum() for piece in np.array_split(x, count)]) for x in (match, luck))
+    spread = float(np.std(each, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
+    return float(each.sum()) / max(min(float(np.sqrt(np.sum(lucky**2))), spread), 1e-300)

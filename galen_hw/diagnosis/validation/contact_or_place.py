@@ -7,13 +7,14 @@ from typing import Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from galen_hw.diagnosis.estimation.dataset import Bench, Hypothesis
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit import trees
 from galen_hw.diagnosis.lack_of_fit.basis_functions import POSITION, Inputs
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.stats.sampling import Mask
-from galen_hw.diagnosis.validation.holdout import Judged, touched
+from galen_hw.diagnosis.validation.judgement import Judged, touched
 from galen_hw.physics.effects.events import Contact
 
 FORETOLD: Final = 0.4

@@ -5,13 +5,15 @@ from typing import Final
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.model import MERIT, Model, merit
+from galen_hw.diagnosis.estimation.model import MERIT, Model
 from galen_hw.diagnosis.lack_of_fit import structure_test, trees
 from galen_hw.diagnosis.lack_of_fit.gram import Functions
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder, learn
+from galen_hw.diagnosis.selection.criterion import merit
 from galen_hw.diagnosis.selection.moves.split import FLEXIBLE
 from galen_hw.diagnosis.validation.contact_or_place import foretold, touches_of
-from galen_hw.diagnosis.validation.holdout import Judged, earned, judge_remainder
+from galen_hw.diagnosis.validation.holdout import earned, judge_remainder
+from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.diagnosis.validation.other_recording import left_elsewhere
 from galen_hw.diagnosis.validation.verdict import beyond, strong
 from galen_hw.physics.scenes.base import Scene

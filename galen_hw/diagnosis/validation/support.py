@@ -4,21 +4,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import errors, rests
+from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.model import Model
-from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.acceptance import LOUD, PROVED
-from galen_hw.diagnosis.selection.search_state import Selection
-from galen_hw.diagnosis.stats.paired_test import PIECES, Gain, paired
+from galen_hw.diagnosis.selection.acceptance import BESIDE
+from galen_hw.diagnosis.stats.paired_test import PIECES, Gain, paired, sure
 from galen_hw.spatial import Array
 
 LEAST_SURE = 3.5
 """Standard errors by which held-out data must want the one effect that was found."""
-BESIDE = 5.0
-"""And any of several: what joins a model was chosen among all that its rest resembles."""
-LEAST_SIZE = 0.1
-"""Rms over the noise, in the channels where it acts, from which what raw errors do not show may be believed."""
 LEAST_SUPPORT = 0.05
 """An effect must take this share of what would be left above the noise of the channels in which it acts without it."""
 
@@ -30,8 +23,6 @@ def poor(support: float, sure: float, *, alone: bool) -> bool:
 
 ROUGHLY = 0.05
 """Share of its mean square by which the noise of held-out rows may be other than was learnt."""
-
-
 AMISS = 0.1
 """Share of a channel's noise by which an effect may worsen it: its parameters are known to more than that."""
 
@@ -42,43 +33,6 @@ def support(without: Array, rest: Array) -> float:
     lost = float(np.sum(left - np.mean(rest**2, axis=0)))
     excess = max(float(np.sum(np.maximum(left - 1.0 - ROUGHLY, 0.0))), abs(lost))
     return lost / excess if excess > 0.0 else 0.0
-
-
-def shows_in_noise(bench: Bench, scorer: Scorer, out: Selection, i: int) -> bool:
-    """Whether blocks left out surely want a hypothesis beside a model, in whitened units where noise alone is left with it.
-
-    Raw errors are mostly slow noise there, in which a small effect is lost that whitened ones show. What belongs to moments
-    fits nearly any noise, and a thousandth of a loud recording is no matter: of these raw errors must speak. What is smaller
-    still may be the joints' own noise, which a dead band as narrow makes quieter.
-    """
-    effect = scorer.library[i].effect
-    if effect is None or not effect.lasting() or not bench.scene.clock:
-        return False
-    if scorer.misfit([*out.chosen, i]) >= PROVED or float(np.max(out.start / bench.noise.sigma**2)) > LOUD:
-        return False
-    seen = (rests(bench, scorer, out.chosen)[0] - rests(bench, scorer, [*out.chosen, i])[0])[bench.train]
-    size = np.mean(seen**2, axis=0) / bench.noise.sigma**2
-    if float(size @ size) < LEAST_SIZE**2 * float(size.sum()):
-        return False
-    rest, without = (errors(bench, scorer, model, whitened=True) for model in ([*out.chosen, i], out.chosen))
-    return sure(rest, without) >= BESIDE
-
-
-def sure(rest: Array, without: Array) -> float:
-    """By how many standard errors held-out rows want an effect, in units of the noise: its match with what is there without it.
-
-    With d the effect as learnt and r the rest, what is there without it is w = r + d, and d is wanted as far as the sum of w d
-    is above what luck makes of it. A sum over neighbouring rows is one value (slow noise is one piece of luck). Luck is in r d
-    alone: that an effect acts in few pieces, as a delay does where all but a few moves are rests, makes it no less sure. Where
-    physics is missing r d is large, but a match in nearly every piece is no luck either: the larger of the two counts.
-    """
-    effect = without - rest
-    luck = np.sum(rest * effect, axis=1)
-    match = np.sum(effect**2, axis=1) + luck
-    count = min(PIECES, len(match))
-    each, lucky = (np.array([piece.sum() for piece in np.array_split(x, count)]) for x in (match, luck))
-    spread = float(np.std(each, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
-    return float(each.sum()) / max(min(float(np.sqrt(np.sum(lucky**2))), spread), 1e-300)
 
 
 def belied(rest: Array, without: Array) -> bool:

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.dataset import Bench, Hypothesis
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
-from galen_hw.diagnosis.preprocessing.checks import Premise
+from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.result import Finding, Verdict
-from galen_hw.diagnosis.validation.holdout import ELSEWHERE, Judged, touched
+from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, touched
 from galen_hw.physics.effects.events import Vibration
 from galen_hw.physics.effects.registry import effect_class
 from galen_hw.spatial import Array

@@ -8,8 +8,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import Columns, Effect, Parameter, Searched, in_channel, log_grid, spacing
-from galen_hw.physics.effects.timing import joint_of
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 

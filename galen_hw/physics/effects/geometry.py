@@ -6,6 +6,7 @@ from typing import Self
 
 import numpy as np
 
+from galen_hw.physics.channels import joint_unit
 from galen_hw.physics.effects.base import Columns, Effect, Parameter, in_all
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.pose import ArmScene
@@ -231,11 +232,6 @@ def answers(scene: Scene, joint: str) -> bool:
     """Whether any channel answers to the joint."""
     port = scene.joint_port(joint)
     return port is not None and bool(np.nanmax(np.abs(port), initial=0.0) > 1e-12)
-
-
-def joint_unit(joint: str) -> str:
-    """Metres for the Galen's carriages, radians otherwise."""
-    return "m" if joint.startswith("carriage") else "rad"
 
 
 def _less_zero(scene: Scene, change: Callable[[Scene], Array | None]) -> Array | None:

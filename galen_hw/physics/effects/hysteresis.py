@@ -6,6 +6,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import (
     LOADS,
     Columns,
@@ -18,7 +19,6 @@ from galen_hw.physics.effects.base import (
     log_grid,
     through,
 )
-from galen_hw.physics.effects.timing import joint_of
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import Lagging
 from galen_hw.spatial import Array

@@ -67,7 +67,8 @@ def effect_class(key: str) -> type[Effect]:
 
 def scene_of(observations: Observations, **options: Any) -> Scene:
     """The scene of the compared group; options as in `Scene`."""
-    return _load(SCENES[observations.predict])(observations, **options)  # type: ignore[no-any-return]
+    known = _load("galen_hw.physics.effects.terms:known_change") if observations.belief.terms else None
+    return _load(SCENES[observations.predict])(observations, known=known, **options)  # type: ignore[no-any-return]
 
 
 def effect_of(term: Mapping[str, Any]) -> Effect:

@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import Columns, Downstream, Parameter, Searched, log_grid, spacing
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import Beginning, Lagging
@@ -195,8 +196,3 @@ def second_order(scene: Scene, x: Array, constant: float, damping: float, betwee
     """The same behind one of second order."""
     straight = scene.straightened("bow", x) if between == "bows" else x
     return scene.second_order("lag", straight, constant, damping, held=scene.commanded or between == "steps")
-
-
-def joint_of(channel: str) -> str:
-    """NAME of joint.NAME.kind."""
-    return channel.split(".", 1)[1].rsplit(".", 1)[0] if channel.startswith("joint.") else ""

@@ -5,7 +5,7 @@ An effect is then the same few lines whichever group is compared, and does nothi
 """
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property, wraps
@@ -26,6 +26,9 @@ BANDS = (40.0, 20.0, 10.0, 5.0, 2.5)
 """Low-passes in Hz that are tried on noisy motion."""
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+Known = Callable[["Scene", Sequence[Mapping[str, Any]]], Array]
+"""Gives (N, C) what the terms of the tool's file add to a scene's simulation; effects know that, scenes do not."""
 
 
 _FIRST = threading.RLock()
@@ -55,6 +58,7 @@ class Scene(Operated):
         observations: the recording or one live sample.
         rates: joint velocities and accelerations (N, n) where they are known better than by differentiating.
         memory: states of the operators; None for a batch, which starts afresh in every segment.
+        known: needed where the belief holds further terms of a tool.
     """
 
     channels: tuple[str, ...] = ()
@@ -72,9 +76,13 @@ class Scene(Operated):
     """Of a single row: the recording that it belongs to, which knows what one row cannot show."""
 
     def __init__(
-        self, observations: Observations, rates: tuple[Array, Array] | None = None, memory: Memory | None = None
+        self,
+        observations: Observations,
+        rates: tuple[Array, Array] | None = None,
+        memory: Memory | None = None,
+        known: Known | None = None,
     ) -> None:
-        self.observations, self._rates, self.memory = observations, rates, memory
+        self.observations, self._rates, self.memory, self.known = observations, rates, memory, known
         self.belief: Belief = observations.belief
         self.segments = observations.segments
         self.joint_names = observations.joint_names
@@ -155,7 +163,8 @@ class Scene(Operated):
     def row(self, k: int, memory: Memory) -> Self:
         """Row k by itself, as a live sample; `memory` is handed on from row to row."""
         at = slice(k, k + 1)
-        one = type(self)(self.observations.taken(at), rates=(self.rates[0][at], self.rates[1][at]), memory=memory)
+        rates = (self.rates[0][at], self.rates[1][at])
+        one = type(self)(self.observations.taken(at), rates=rates, memory=memory, known=self.known)
         one.whole = self
         return one
 
@@ -175,10 +184,9 @@ class Scene(Operated):
 
     def _known_effects(self) -> Array:
         """(N, C) what the terms of the tool's file add; they see the simulation without them, as in the live services."""
-        from galen_hw.physics.effects.terms import known_change
-
+        assert self.known is not None, "a scene whose tool has further terms is told what they add"
         plain = replace(self.observations, belief=replace(self.belief, terms=()))
-        return known_change(type(self)(plain, rates=self.rates), self.belief.terms)
+        return self.known(type(self)(plain, rates=self.rates), self.belief.terms)
 
     def _simulate(self) -> Array:
         raise AssertionError("a scene without its own simulation needs a given one")
@@ -236,7 +244,7 @@ class Scene(Operated):
         step = float(np.median(np.diff(self.time)))
         middle = max(self.segments, key=lambda part: part.stop - part.start)
         rows = slice(middle.start, min(middle.stop, middle.start + 8000))
-        part = type(self)(self.observations.taken(rows))
+        part = type(self)(self.observations.taken(rows), known=self.known)
         bands = [None, *(b for b in BANDS if b < 0.25 / step and not part.loses(b))]
         errors = [part.error_with(band) for band in bands]
         best = int(np.argmin(errors))
@@ -268,7 +276,7 @@ class Scene(Operated):
 
         The spread is the median's: jumps of force, which any low-pass smears, are few and must not decide.
         """
-        rest = type(self)(self.observations, rates=self._derivatives(band)).raw_residual
+        rest = type(self)(self.observations, rates=self._derivatives(band), known=self.known).raw_residual
         rest = rest[len(rest) // 20 : -max(len(rest) // 20, 1)]
         quick = np.diff(rest, axis=0)
         return float(np.mean(np.log(_spread(rest) + 1e-300) + np.log(_spread(quick) + 1e-300)))
@@ -387,12 +395,3 @@ class Scene(Operated):
 def _spread(x: Array) -> Array:
     """(C,) robust spread of (N, C)."""
     return np.asarray(np.nanmedian(np.abs(x - np.nanmedian(x, axis=0)), axis=0))
-
-
-def kind_of(name: str) -> str:
-    """The unit of a channel."""
-    if name.startswith("wrench.force"):
-        return "N"
-    if name.startswith("wrench.torque"):
-        return "N m"
-    return "m" if "position" in name and not name.startswith("joint.") else "rad"

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.dataset import Bench, Hypothesis
-from galen_hw.diagnosis.estimation.least_squares import crossed
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.cross_validation import crossed
+from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside, descended
 from galen_hw.diagnosis.estimation.linearisation import as_if, rebase
 from galen_hw.diagnosis.estimation.nonlinear import settle

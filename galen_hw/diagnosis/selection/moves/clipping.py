@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from galen_hw.diagnosis.estimation.cross_validation import crossed
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import retime, settle_together
-from galen_hw.diagnosis.estimation.least_squares import crossed
 from galen_hw.diagnosis.estimation.linearisation import as_if, rebase
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere

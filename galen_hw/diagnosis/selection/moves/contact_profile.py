@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import rests
+from galen_hw.diagnosis.estimation.least_squares import PROVED, rests
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.acceptance import PROVED
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.physics.effects.events import Contact
 

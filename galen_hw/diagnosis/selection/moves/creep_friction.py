@@ -5,11 +5,12 @@ from typing import Final
 import numpy as np
 from scipy.optimize import minimize
 
-from galen_hw.diagnosis.estimation.dataset import Bench, Hypothesis
-from galen_hw.diagnosis.estimation.least_squares import crossed
+from galen_hw.diagnosis.estimation.candidate import Hypothesis, told
+from galen_hw.diagnosis.estimation.cross_validation import crossed
+from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import plausible
-from galen_hw.diagnosis.selection.search_state import Selection, told
+from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.selection.simplicity import ALIKE
 from galen_hw.physics.effects.compliance import Compliance
 from galen_hw.physics.effects.hysteresis import Creep, Hysteresis

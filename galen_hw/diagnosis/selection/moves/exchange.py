@@ -5,12 +5,13 @@ from itertools import combinations
 
 import numpy as np
 
+from galen_hw.diagnosis.estimation.candidate import place_of, told
+from galen_hw.diagnosis.estimation.cross_validation import crossed
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import settle_together
-from galen_hw.diagnosis.estimation.least_squares import crossed
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.acceptance import plausible
-from galen_hw.diagnosis.selection.search_state import Selection, elsewhere, place_of, told
+from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import ALIKE, slack
 
 RIGID = ("base_tilt", "joint_offset", "joint_scale", "link_geometry", "payload", "sensor_mounting")

@@ -4,10 +4,11 @@ from typing import Final
 
 import numpy as np
 
+from galen_hw.diagnosis.estimation.cross_validation import crossed
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import crossed
+from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.acceptance import PROVED, WORTH, plausible, taken, where_it_acts
+from galen_hw.diagnosis.selection.acceptance import WORTH, plausible, taken, where_it_acts
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 
 LEADERS: Final = 3

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from galen_hw.diagnosis.estimation.cross_validation import crossed
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import crossed
-from galen_hw.diagnosis.estimation.nonlinear import polished
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import plausible, taken
+from galen_hw.diagnosis.selection.comparison import polished
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.physics.effects.base import Effect
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from galen_hw.diagnosis.estimation.cross_validation import crossed
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import crossed
 from galen_hw.diagnosis.estimation.linearisation import as_if, unbent
-from galen_hw.diagnosis.estimation.nonlinear import in_place
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.acceptance import plausible
+from galen_hw.diagnosis.selection.comparison import in_place
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import slack
 from galen_hw.physics.effects.base import Effect

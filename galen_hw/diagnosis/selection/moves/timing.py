@@ -10,9 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.dataset import Bench, Hypothesis
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.cross_validation import crossed, errors
+from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import settle_together
-from galen_hw.diagnosis.estimation.least_squares import crossed, errors
 from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
 from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.estimation.nonlinear import settle
