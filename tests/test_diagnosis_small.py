@@ -79,7 +79,7 @@ def test_a_fault_of_the_program_is_no_finding(
     def broken(*_: object, **__: object) -> None:
         raise ValueError("two\nlines")
 
-    monkeypatch.setattr("galen_hw.tools.diagnose.diagnose", broken)
+    monkeypatch.setattr("galen_hw.diagnosis.recordings.diagnose", broken)
     assert main(["diagnose", str(poses(tmp_path / "r", "none", 1))]) == EXIT_INTERNAL
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert line.startswith("galen-hw diagnose: internal error: ValueError two lines (test_diagnosis_small.py:")
