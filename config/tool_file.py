@@ -216,6 +216,16 @@ def parse_tool(text: str, where: str) -> ToolFile:
     return parse_sealed(text, where)[0]
 
 
+def terms_in(text: str, where: str) -> tuple[dict[str, Any], ...]:
+    """Return the further effects of a tool's file; none where there is no file.
+
+    Raises:
+        UsageError: the file is damaged.
+    """
+    found = parse_tool(text, where).terms if text else ()
+    return tuple({"effect": term.effect, "parameters": dict(term.parameters)} for term in found)
+
+
 def parse_sealed(text: str, where: str) -> tuple[ToolFile, bool]:
     """As `parse_tool`; and whether the text has a digest (files of 0.1 have none)."""
     try:

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.work import Work
 from galen_hw.kinematics import GalenRobot
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.scene import Scene
-from galen_hw.physics.table import scene_of
+from galen_hw.physics.scenes.base import Scene
 from tests import physics_scenes
 
 SIGMA = np.array([0.01, 0.01, 0.01, 2e-4, 2e-4, 2e-4])

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 
 from galen_hw.kinematics import GalenRobot
-from galen_hw.physics.body_effects import Payload
-from galen_hw.physics.cable_effects import CableDrag
-from galen_hw.physics.event_effects import Contact, Glitches, Step, Vibration
-from galen_hw.physics.joint_effects import TorqueRipple
-from galen_hw.physics.memory_effects import Creep
+from galen_hw.physics.effects.cable import CableDrag
+from galen_hw.physics.effects.events import Contact, Glitches, Step, Vibration
+from galen_hw.physics.effects.friction import TorqueRipple
+from galen_hw.physics.effects.hysteresis import Creep
+from galen_hw.physics.effects.load import Payload
+from galen_hw.physics.effects.registry import EFFECTS, effect_class, scene_of
+from galen_hw.physics.effects.sensor import Drift
+from galen_hw.physics.effects.timing import BETWEEN, Lag, TimeDelay
 from galen_hw.physics.observations import Belief, Group, Observations
 from galen_hw.physics.rigid import Body
-from galen_hw.physics.scene import Scene
-from galen_hw.physics.sensor_effects import Drift
-from galen_hw.physics.table import EFFECTS, effect_class, scene_of
-from galen_hw.physics.time_effects import BETWEEN, Lag, TimeDelay
+from galen_hw.physics.scenes.base import Scene
 
 JOINTS = GalenRobot().joint_names
 WRENCH = tuple(f"wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, f
 
-from galen_hw.diagnosis.algebra import log_tail, quadratic
+from galen_hw.diagnosis.stats.linear_algebra import log_tail, quadratic
 
 
 def test_many_hypotheses_at_once_are_each_the_quadratic_form_of_its_own() -> None:

@@ -13,9 +13,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from physics_scenes import scene
 
-from galen_hw.physics.beginnings import FEW, GONE, MOST_UNKNOWN, Beginning, Lagging, fading
-from galen_hw.physics.memory_effects import Creep
-from galen_hw.physics.operators import LagState, lag
+from galen_hw.physics.effects.hysteresis import Creep
+from galen_hw.physics.operators.filters import LagState, lag
+from galen_hw.physics.scenes.initial_state import FEW, GONE, MOST_UNKNOWN, Beginning, Lagging, fading
 
 
 @given(st.floats(0.0, 30.0), st.floats(0.0, 30.0), st.lists(st.integers(5, 60), min_size=1, max_size=4))

@@ -9,13 +9,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from galen_hw import spatial
-from galen_hw.diagnosis.engine import diagnose
-from galen_hw.diagnosis.guards import quiet
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.preprocessing.checks import quiet
 from galen_hw.kinematics import GalenRobot, UrdfRobot
-from galen_hw.physics.scene import Scene
-from galen_hw.physics.table import scene_of
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.scenes.base import Scene
 from galen_hw.recording import read_recording
-from galen_hw.tools.diagnose_input import observations_of
+from galen_hw.recording.observations import observations_of
 
 pytest.importorskip("mujoco", reason="the generator needs MuJoCo: pip install mujoco")
 

@@ -13,9 +13,9 @@ from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.elastic_stream import Jitter
 from galen_hw.identification.deflection.elastic_terms import Term, Weight
 from galen_hw.identification.deflection.stream import Place
-from galen_hw.physics.elastic_effects import Compliance
-from galen_hw.physics.memory_effects import Hysteresis
-from galen_hw.physics.scene_giving import RestingLoad
+from galen_hw.physics.effects.compliance import Compliance
+from galen_hw.physics.effects.hysteresis import Hysteresis
+from galen_hw.physics.scenes.elastic_arm import RestingLoad
 from galen_hw.tools.deflection import robots
 from galen_hw.tools.deflection.robots import NOISE_M, GivingRobot
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from galen_hw.cli import main
-from galen_hw.diagnosis.guards import premises
-from galen_hw.physics.smoothing import derivatives
-from galen_hw.physics.table import scene_of
+from galen_hw.diagnosis.preprocessing.checks import premises
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.signals.differentiation import derivatives
 from galen_hw.premises import examined
 from tests import physics_scenes
 from tests.diagnosis_cases import Bench

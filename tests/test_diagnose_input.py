@@ -10,10 +10,10 @@ import pytest
 
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import UrdfRobot
-from galen_hw.physics.scene import Scene
-from galen_hw.physics.table import scene_of
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.scenes.base import Scene
 from galen_hw.recording import read_recording
-from galen_hw.tools.diagnose_input import observations_of
+from galen_hw.recording.observations import observations_of
 
 G = 9.80665
 ARM = """<robot name="arm"><link name="base"/>

@@ -19,9 +19,9 @@ from galen_hw.errors import UsageError
 from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.identification.deflection.table import model_of
 from galen_hw.kinematics import GalenRobot
-from galen_hw.physics.scene_pose import APPLIED
-from galen_hw.physics.streams import build_streams
-from galen_hw.physics.table import scene_of
+from galen_hw.physics.effects.live import build_streams
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.scenes.pose import APPLIED
 from galen_hw.recording import Recording, RecordingInfo, write_table
 from galen_hw.services.deflection.store import DeflectionStore
 from tests.compensation_parts import tool_file

@@ -13,12 +13,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 import diagnosis_cases as cases
 from diagnosis_cases import IN_EFFORT, IN_POSITION, IN_WRENCH, SIGMA, Beam, Bench, Servo
 
-from galen_hw.diagnosis.engine import diagnose
+from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.result import Diagnosis
-from galen_hw.diagnosis.verdict import _followed
+from galen_hw.diagnosis.validation.verdict import _followed
 from galen_hw.kinematics import GalenRobot
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.table import scene_of
 
 
 def answer(observations: Observations) -> Diagnosis:

@@ -8,17 +8,17 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import subspace_angles
 
-from galen_hw.diagnosis.bench import Bench
-from galen_hw.diagnosis.confusion import rivals
-from galen_hw.diagnosis.experiment import Pair, best_of, next_experiment, options_of
-from galen_hw.diagnosis.locate import organised, regions
-from galen_hw.diagnosis.nonlinear import unclocked
-from galen_hw.diagnosis.recipes import recipes
-from galen_hw.diagnosis.staging import Eye, beside, stage
-from galen_hw.diagnosis.variables import Variable, variables
-from galen_hw.physics.body_effects import Payload
-from galen_hw.physics.sensor_effects import Drift, Gain, Temperature
-from galen_hw.physics.table import effect_class
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.findings.localisation import organised, regions
+from galen_hw.diagnosis.findings.variables import Variable, variables
+from galen_hw.diagnosis.identifiability.experiment import Pair, best_of, next_experiment, options_of
+from galen_hw.diagnosis.identifiability.motions import recipes
+from galen_hw.diagnosis.identifiability.rivals import rivals
+from galen_hw.diagnosis.identifiability.simulate import Eye, beside, stage
+from galen_hw.diagnosis.selection.comparison import unclocked
+from galen_hw.physics.effects.load import Payload
+from galen_hw.physics.effects.registry import effect_class
+from galen_hw.physics.effects.sensor import Drift, Gain, Temperature
 from tests import diagnosis_parts as parts
 from tests import physics_scenes
 
@@ -197,8 +197,12 @@ def test_a_recipes_worth_is_the_squared_distance_in_units_of_the_noise() -> None
 
 def test_all_words_are_of_the_vocabulary() -> None:
     """Every key that is confused, settled or drawn is a word of the vocabulary."""
-    from galen_hw.diagnosis import words
+    from galen_hw.diagnosis.findings import wording
 
-    keys = {key for pair in (*words.WHY, *words.SETTLED_BY) for key in pair} | set(words.NEXT) | set(words.BELIEVED)
+    keys = (
+        {key for pair in (*wording.WHY, *wording.SETTLED_BY) for key in pair}
+        | set(wording.NEXT)
+        | set(wording.BELIEVED)
+    )
     assert all(effect_class(key) for key in keys)
-    assert set(words.BELIEVED) | {"unknown", "glitches"} == set(words.SAYS)
+    assert set(wording.BELIEVED) | {"unknown", "glitches"} == set(wording.SAYS)

@@ -12,11 +12,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import Array, lagged, played, tracked
 
-from galen_hw.diagnosis.curves import axis_of
-from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.report.effect_curves import axis_of
 from galen_hw.diagnosis.result import Finding
-from galen_hw.physics.play_effects import Backlash
-from galen_hw.physics.table import scene_of
+from galen_hw.diagnosis.work import Work
+from galen_hw.physics.effects.backlash import Backlash
+from galen_hw.physics.effects.registry import scene_of
 
 ROWS: Final = 2400
 FRICTION: Final = 0.1

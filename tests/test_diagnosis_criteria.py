@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from galen_hw.diagnosis.criteria import Criteria
-from galen_hw.diagnosis.paired import Gain, paired
+from galen_hw.diagnosis.stats.criteria import Criteria
+from galen_hw.diagnosis.stats.paired_test import Gain, paired
 
 ROWS = 4000
 

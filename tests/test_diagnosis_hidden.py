@@ -13,16 +13,17 @@ sys.path.insert(0, str(Path(__file__).parent))
 from diagnosis_cases import SIGMA, WRENCH, Bench, hanging, rotation
 from test_tendons import pulled
 
-from galen_hw.diagnosis import glitches
-from galen_hw.diagnosis import select as search
-from galen_hw.diagnosis.bends import tangent
-from galen_hw.diagnosis.engine import Work, diagnose
-from galen_hw.diagnosis.partners import hidden
-from galen_hw.physics.body_effects import BaseTilt
-from galen_hw.physics.cable_effects import CableDrag
-from galen_hw.physics.effect import Effect
-from galen_hw.physics.geometry_effects import JointOffset
-from galen_hw.physics.table import scene_of
+from galen_hw.diagnosis.detection import outliers
+from galen_hw.diagnosis.estimation.linearisation import tangent
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.selection import search
+from galen_hw.diagnosis.selection.moves.pairs import hidden
+from galen_hw.diagnosis.work import Work
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.cable import CableDrag
+from galen_hw.physics.effects.geometry import JointOffset
+from galen_hw.physics.effects.load import BaseTilt
+from galen_hw.physics.effects.registry import scene_of
 
 
 def diagnosed(bench: Bench) -> Work:
@@ -95,12 +96,12 @@ def test_spoilt_samples_stand_off_the_model_where_their_neighbours_hide_them(siz
 def test_what_a_model_shows_to_be_spoilt_is_isolated() -> None:
     """Three in a row at most and nothing beside them: a hump of a fifth of a second is none."""
     bench = Bench(12, rows=3000, rate=50.0)
-    assert glitches.faint(diagnosed(bench).model) is None
+    assert outliers.faint(diagnosed(bench).model) is None
     work = diagnosed(Bench(12, rows=3000, rate=50.0))
     bench.wrench[[500, 1600, 1601], 0] += 9.0 * SIGMA[0]
     bench.wrench[2000:2010, 0] += 9.0 * SIGMA[0]
     work.model.bench.scene = scene_of(bench.observations())
-    found = glitches.faint(work.model)
+    found = outliers.faint(work.model)
     assert found is not None
     assert np.flatnonzero(found.any(axis=1)).tolist() == [500, 1600, 1601]
 
@@ -115,12 +116,12 @@ def test_where_the_signal_turns_quickly_half_a_sample_is_no_spoilt_one() -> None
     bench.wrench[1500] += 0.2 * (bench.wrench[1501] - bench.wrench[1499])
     bench.wrench[700] += 0.2 * (swung[1501] - swung[1499])
     work.model.bench.scene = scene_of(bench.observations())
-    found = glitches.faint(work.model)
-    off = np.abs(glitches.off(work.model)) > 6.0 * work.model.bench.noise.sigma
+    found = outliers.faint(work.model)
+    off = np.abs(outliers.off(work.model)) > 6.0 * work.model.bench.noise.sigma
     assert off[[700, 1500]].any(axis=1).all()
     assert found is None  # the other is one alone, and one is no finding
     bench.wrench[900] = bench.wrench[900] + bench.wrench[700] - swung[700]
     work.model.bench.scene = scene_of(bench.observations())
-    found = glitches.faint(work.model)
+    found = outliers.faint(work.model)
     assert found is not None
     assert np.flatnonzero(found.any(axis=1)).tolist() == [700, 900]

@@ -12,10 +12,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import COM, MASS, Bench, G, Servo, hanging, lagged, rotation
 
-from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.work import Work
 from galen_hw.kinematics import GalenRobot
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.table import scene_of
 
 
 def late(constant: float, damping: float | None, between: str, quiet: float) -> Work:

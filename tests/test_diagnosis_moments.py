@@ -12,19 +12,20 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import SIGMA, WRENCH, Bench
 
-from galen_hw.diagnosis.bench import Bench as DiagnosisBench
-from galen_hw.diagnosis.engine import diagnose
-from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.judge import Judged, earned, judge
-from galen_hw.diagnosis.jumps import timed
-from galen_hw.diagnosis.linear import left_out
-from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.selection import Selection
-from galen_hw.diagnosis.touches import outstanding
-from galen_hw.diagnosis.verdict import beyond
-from galen_hw.physics.event_effects import Contact, Step, Vibration
-from galen_hw.physics.sensor_effects import Drift, Gain, Saturation
-from galen_hw.physics.table import scene_of
+from galen_hw.diagnosis.estimation.cross_validation import left_out
+from galen_hw.diagnosis.estimation.dataset import Bench as DiagnosisBench
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.selection.moves.step_times import timed
+from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.validation.contact_or_place import outstanding
+from galen_hw.diagnosis.validation.holdout import earned, judge
+from galen_hw.diagnosis.validation.judgement import Judged
+from galen_hw.diagnosis.validation.verdict import beyond
+from galen_hw.physics.effects.events import Contact, Step, Vibration
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.effects.sensor import Drift, Gain, Saturation
 
 
 def test_offsets_are_learnt_beside_the_drift_that_is_told() -> None:
@@ -143,7 +144,7 @@ def test_a_hum_that_takes_nothing_of_its_own_recording_is_not_claimed(monkeypatc
         floor = bench.noise.sigma**2
         return Judged("", floor, floor, dict.fromkeys(support, floor), floor, support, dict.fromkeys(support, 0.0))
 
-    monkeypatch.setattr("galen_hw.diagnosis.judge.judge", told)
+    monkeypatch.setattr("galen_hw.diagnosis.validation.holdout.judge", told)
     assert earned(model, None)[0].effects == [touch]
     assert earned(model, bench.scene)[0] is model
     took["vibration"] = 0.3

@@ -12,12 +12,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 from diagnosis_cases import COM, MASS, SIGMA, WRENCH, hanging, sines
 from physics_scenes import scene
 
-from galen_hw.diagnosis import seek
-from galen_hw.diagnosis.engine import diagnose
-from galen_hw.physics.event_effects import Vibration
+from galen_hw.diagnosis.detection import spectral_lines
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.physics.effects.events import Vibration
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.rigid import Body
-from galen_hw.physics.table import scene_of
 
 
 def turning(seed: int, rows: int = 3000, rate: float = 50.0) -> tuple[np.random.Generator, np.ndarray, np.ndarray]:
@@ -114,10 +114,12 @@ def test_a_line_that_may_wander_as_far_as_it_is_high_is_no_vibration() -> None:
     made = scene_of(seen(t, R, hanging(R), rng))
     rest = rng.normal(size=(len(t), 6)) + np.sin(2.0 * np.pi * 11.0 * t)[:, None]
     runs = (slice(0, len(t)),)
-    for found in (seek.lines(made, rest, runs), seek.lines(made, rest, runs, narrow=0.02)):
+    for found in (spectral_lines.lines(made, rest, runs), spectral_lines.lines(made, rest, runs, narrow=0.02)):
         hums = [one.effect for one in found]
-        assert all(isinstance(h, Vibration) and h.breadth(made) <= seek.NARROW * h.frequency for h in hums)
+        assert all(isinstance(h, Vibration) and h.breadth(made) <= spectral_lines.NARROW * h.frequency for h in hums)
         assert any(abs(h.frequency - 11.0) < 0.1 for h in hums)  # type: ignore[union-attr]
     slow = 8.0 * np.sin(2.0 * np.pi * 4.0 * t)[:, None] + rng.normal(size=(len(t), 6))
-    wanders = {one.effect.wander for one in seek.lines(made, slow, runs) if abs(one.effect.frequency - 4.0) < 0.1}  # type: ignore[attr-defined]
+    wanders = {
+        one.effect.wander for one in spectral_lines.lines(made, slow, runs) if abs(one.effect.frequency - 4.0) < 0.1
+    }  # type: ignore[attr-defined]
     assert wanders == {0, 5}

@@ -11,9 +11,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import Beam, Servo, friction, heavier, slow_servo, tracked
 
-from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.work import Work
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.table import scene_of
 
 TRACKER_NOISE = 7e-5
 PER_KELVIN = 1.2 * TRACKER_NOISE

@@ -11,9 +11,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import Bench, hanging, rotation
 
-from galen_hw.diagnosis import regroup, select
-from galen_hw.diagnosis.engine import diagnose
-from galen_hw.physics.table import scene_of
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.selection import search
+from galen_hw.diagnosis.selection.moves import exchange
+from galen_hw.physics.effects.registry import scene_of
 
 
 def turned(bench: Bench, angle: float, offset: float) -> Bench:
@@ -44,13 +45,13 @@ def test_a_model_that_does_not_come_to_rest_is_compared_with_no_other(monkeypatc
 
     def asked(on, scorer, out):
         before = len(out.regrouped)
-        found = regroup.regrouped(on, scorer, out)
+        found = exchange.regrouped(on, scorer, out)
         if on.restless:
             tried.append(len(out.regrouped) - before)
         return found
 
-    monkeypatch.setattr(select, "regrouped", asked)
-    monkeypatch.setattr(select, "clock_offset", lambda *_: None)
+    monkeypatch.setattr(search, "regrouped", asked)
+    monkeypatch.setattr(search, "clock_offset", lambda *_: None)
     bench = Bench(5, rows=1500)
     bench.wrench = np.stack([np.interp(bench.t + 1.7, bench.t, c) for c in bench.wrench.T], axis=1)
     diagnose(scene_of(bench.observations()))

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from galen_hw.diagnosis.judge import _places
-from galen_hw.diagnosis.wanted import BESIDE, Guard, belied, poor
-from galen_hw.physics.elastic_effects import Hardening
+from galen_hw.diagnosis.selection.acceptance import BESIDE
+from galen_hw.diagnosis.validation.holdout import _places
+from galen_hw.diagnosis.validation.support import Guard, belied, poor
+from galen_hw.physics.effects.compliance import Hardening
 
 ROWS = 4000
 

@@ -11,11 +11,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import Array, carriage, sines
 
-from galen_hw.diagnosis.engine import diagnose
+from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.kinematics import UrdfRobot
+from galen_hw.physics.effects.backlash import Backlash
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.play_effects import Backlash
-from galen_hw.physics.table import scene_of
 
 MASS: Final = 4.0
 HALF_GAP: Final = 1e-3

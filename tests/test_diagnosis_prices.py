@@ -10,12 +10,13 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import SIGMA, Bench, hanging, payload, rotation, sines
 
-from galen_hw.diagnosis.engine import Work, diagnose
-from galen_hw.diagnosis.final import merit
-from galen_hw.diagnosis.score import Scorer
-from galen_hw.physics.cable_effects import CableDrag
-from galen_hw.physics.sensor_effects import CrossTalk, Gain
-from galen_hw.physics.table import scene_of
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.selection.criterion import merit
+from galen_hw.diagnosis.work import Work
+from galen_hw.physics.effects.cable import CableDrag
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.effects.sensor import CrossTalk, Gain
 
 
 def diagnosed(bench: Bench) -> Work:

@@ -13,24 +13,25 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import SIGMA, WRENCH, Bench, contact, creep, lagged
 
-from galen_hw.diagnosis import adequacy
-from galen_hw.diagnosis.engine import Work, diagnose
-from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.findings import dependence
-from galen_hw.diagnosis.generic import PLAIN, WARM, Inputs, dictionaries, factors
-from galen_hw.diagnosis.inner_products import Functions, by_name
-from galen_hw.diagnosis.judge import judge_remainder
-from galen_hw.diagnosis.pursuit import MOST_FUNCTIONS, Pursuit
-from galen_hw.diagnosis.regression import Blend
-from galen_hw.diagnosis.remainder import RIDGES, Ridge, learn
-from galen_hw.diagnosis.rows import Rows
-from galen_hw.diagnosis.seek import spikes
-from galen_hw.diagnosis.touches import foretold
-from galen_hw.diagnosis.trees import beside
-from galen_hw.diagnosis.unnamed import _finished
-from galen_hw.diagnosis.wanted import support
-from galen_hw.physics.event_effects import Contact
-from galen_hw.physics.table import scene_of
+from galen_hw.diagnosis.detection.outliers import spikes
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.findings.from_model import dependence
+from galen_hw.diagnosis.lack_of_fit import structure_test
+from galen_hw.diagnosis.lack_of_fit.basis_functions import PLAIN, WARM, Inputs, dictionaries, factors
+from galen_hw.diagnosis.lack_of_fit.gram import Functions, by_name
+from galen_hw.diagnosis.lack_of_fit.pursuit import MOST_FUNCTIONS, Pursuit
+from galen_hw.diagnosis.lack_of_fit.regression import Blend
+from galen_hw.diagnosis.lack_of_fit.residual_model import RIDGES, Ridge, learn
+from galen_hw.diagnosis.lack_of_fit.trees import beside
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.stats.sampling import Rows
+from galen_hw.diagnosis.validation.contact_or_place import foretold
+from galen_hw.diagnosis.validation.flexible_effects import _finished
+from galen_hw.diagnosis.validation.holdout import judge_remainder
+from galen_hw.diagnosis.validation.support import support
+from galen_hw.diagnosis.work import Work
+from galen_hw.physics.effects.events import Contact
+from galen_hw.physics.effects.registry import scene_of
 
 
 def judged(learnt: Bench, other: Bench | None = None) -> Work:
@@ -228,11 +229,13 @@ def test_inner_products_say_what_the_predictions_do() -> None:
 def test_models_asked_together_leave_what_each_leaves_alone() -> None:
     """The generic functions are whitened once for all; the answers are those of asking one by one."""
     work = of_stray()
-    generic, white = adequacy.families(work.bench), [h.white for h in work.model.parts]
-    some = [adequacy.Fitted(parts, work.model.rest(), work.model.rest(white=True)) for parts in (white, white[:1])]
-    together = adequacy.leftovers(work.bench, generic, some)
+    generic, white = structure_test.families(work.bench), [h.white for h in work.model.parts]
+    some = [
+        structure_test.Fitted(parts, work.model.rest(), work.model.rest(white=True)) for parts in (white, white[:1])
+    ]
+    together = structure_test.leftovers(work.bench, generic, some)
     for mine, one in zip(together, some, strict=True):
-        (alone,) = adequacy.leftovers(work.bench, generic, [one])
+        (alone,) = structure_test.leftovers(work.bench, generic, [one])
         assert [(x.channel, x.kind, x.z) for x in mine] == [(x.channel, x.kind, x.z) for x in alone]
     assert together[1]
 
@@ -354,7 +357,7 @@ def test_what_touches_in_a_place_is_told_in_the_channel_and_size_that_it_has() -
     episodes = tuple((float(corner.t[a]) - 0.3, float(corner.t[b - 1]) + 0.3) for a, b in on.reshape(-1, 2))
     assert len(episodes) >= 3
 
-    def found(episodes: tuple[tuple[float, float], ...]) -> list[adequacy.Left]:
+    def found(episodes: tuple[tuple[float, float], ...]) -> list[structure_test.Left]:
         touches = work.bench.add(Contact(("wrench.torque.x",), episodes))
         whole = Model(work.bench, work.model.nuisances, [touches], work.model.white)
         return foretold(whole, whole.without([touches]))

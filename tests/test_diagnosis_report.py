@@ -11,12 +11,12 @@ import pytest
 from rich.console import Console
 
 from galen_hw.cli import main
-from galen_hw.diagnosis.draw import traces_of
-from galen_hw.diagnosis.page import write_page
+from galen_hw.diagnosis.findings.quantities import headline, quantity, text
+from galen_hw.diagnosis.report.collect import traces_of
+from galen_hw.diagnosis.report.page import write_page
+from galen_hw.diagnosis.report.plot_data import Curve, Traces
+from galen_hw.diagnosis.report.summary import lines, summary, times_words
 from galen_hw.diagnosis.result import Diagnosis, Finding, Value
-from galen_hw.diagnosis.sizes import headline, quantity, text
-from galen_hw.diagnosis.summary import lines, summary, times_words
-from galen_hw.diagnosis.traces import Curve, Traces
 from galen_hw.tools.diagnose_screen import counting, show, table, working
 from tests import diagnosis_parts as parts
 

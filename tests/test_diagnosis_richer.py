@@ -10,11 +10,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import Array, Bench, lagged, sines
 
-from galen_hw.diagnosis.engine import diagnose
-from galen_hw.physics.memory_effects import Creep
-from galen_hw.physics.operators import lag
-from galen_hw.physics.sensor_effects import Drift, Temperature
-from galen_hw.physics.table import scene_of
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.physics.effects.hysteresis import Creep
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.effects.sensor import Drift, Temperature
+from galen_hw.physics.operators.filters import lag
 
 
 def in_a_room(seed: int, rows: int, rate: float) -> tuple[Bench, Array]:

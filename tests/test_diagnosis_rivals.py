@@ -13,23 +13,24 @@ sys.path.insert(0, str(Path(__file__).parent))
 import diagnosis_cases as cases
 from diagnosis_cases import WRENCH, Beam, Bench, Servo
 
-from galen_hw.diagnosis import confusion
-from galen_hw.diagnosis.engine import Work, diagnose
-from galen_hw.diagnosis.judge import judge
-from galen_hw.diagnosis.nonlinear import ahead, in_place
-from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.select import sought
-from galen_hw.diagnosis.wanted import shows_in_noise, sure
-from galen_hw.diagnosis.worth import WORTH, worth
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.identifiability import rivals
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.selection.acceptance import WORTH, shows_in_noise, worth
+from galen_hw.diagnosis.selection.comparison import ahead, in_place
+from galen_hw.diagnosis.selection.search import sought
+from galen_hw.diagnosis.stats.paired_test import sure
+from galen_hw.diagnosis.validation.holdout import judge
+from galen_hw.diagnosis.work import Work
 from galen_hw.kinematics import GalenRobot, UrdfRobot
-from galen_hw.physics.elastic_effects import Hardening
-from galen_hw.physics.geometry_effects import JointOffset
-from galen_hw.physics.memory_effects import Hysteresis
+from galen_hw.physics.effects.backlash import Backlash
+from galen_hw.physics.effects.compliance import Hardening
+from galen_hw.physics.effects.geometry import JointOffset
+from galen_hw.physics.effects.hysteresis import Hysteresis
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.effects.timing import Lag, TimeDelay
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.play_effects import Backlash
 from galen_hw.physics.rigid import Body
-from galen_hw.physics.table import scene_of
-from galen_hw.physics.time_effects import Lag, TimeDelay
 
 
 def work_of(bench: Bench | Servo) -> Work:
@@ -247,23 +248,23 @@ def test_a_lead_that_the_blocks_do_not_agree_on_is_none(monkeypatch: pytest.Monk
     work = work_of(scaled_servo())
     finding = work.diagnosis.findings[0]
     assert finding.effect == "joint_scale"
-    near = [r for r in confusion.rivals(work.selection, finding, everyone=True) if np.isfinite(r.agreed)]
+    near = [r for r in rivals.rivals(work.selection, finding, everyone=True) if np.isfinite(r.agreed)]
     assert near, "some rival is so near that the blocks are asked"
     key = max(near, key=lambda r: r.agreed).key
     for clear, stated in ((-10.0, False), (100.0, True)):
-        monkeypatch.setattr(confusion, "CLEAR", clear)
-        assert (key in [c.effect for c in confusion.confusions(work.model, work.selection, finding)]) == stated
+        monkeypatch.setattr(rivals, "CLEAR", clear)
+        assert (key in [c.effect for c in rivals.confusions(work.model, work.selection, finding)]) == stated
 
 
 def test_a_play_wider_than_the_motion_is_no_rival_of_a_scale() -> None:
     """A thousandth of it would make the same signal, but a play is seen whole: as such it is far away and far behind."""
     work = work_of(scaled_servo())
     finding = work.diagnosis.findings[0]
-    everyone = confusion.rivals(work.selection, finding, everyone=True)
+    everyone = rivals.rivals(work.selection, finding, everyone=True)
     play = [r for r in everyone if r.key == "backlash"]
     assert play
-    assert play[0].angle > confusion.NEAR
-    assert play[0].lead > confusion.CLOSE
+    assert play[0].angle > rivals.NEAR
+    assert play[0].lead > rivals.CLOSE
     assert "backlash" not in [c.effect for c in finding.confounded_with]
 
 

@@ -11,16 +11,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import SIGMA, WRENCH, Bench
 
-from galen_hw.diagnosis import engine
-from galen_hw.diagnosis.bench import Bench as DiagnosisBench
-from galen_hw.diagnosis.engine import Search, diagnose
-from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.selection import Selection
-from galen_hw.diagnosis.worth import plausible
-from galen_hw.physics.effect import Effect
-from galen_hw.physics.sensor_effects import Drift, Gain
-from galen_hw.physics.table import scene_of
+from galen_hw.diagnosis import pipeline
+from galen_hw.diagnosis.estimation.dataset import Bench as DiagnosisBench
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.pipeline import Search, diagnose
+from galen_hw.diagnosis.selection.acceptance import plausible
+from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.effects.sensor import Drift, Gain
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_where_a_name_is_refused_the_other_search_is_asked(warming: DiagnosisBen
     """A gain of what does not read wrong holds on no block that was set aside; the drift does."""
     drift = Drift(WRENCH[2], "linear", None, 0.0, float(warming.scene.time[-1]))
     wrong, right = search(warming, Gain(WRENCH[0])), search(warming, drift)
-    selection, chosen, model, judged = engine._held_up(warming, [wrong, right], None)
+    selection, chosen, model, judged = pipeline._held_up(warming, [wrong, right], None)
     assert selection is right[0]
     assert chosen is wrong[1]
     assert [h.effect for h in model.effects] == [drift]
@@ -56,9 +56,9 @@ def test_what_holds_is_kept_and_what_is_no_better_does_not_take_its_place(warmin
     """The better model stays as long as no name of it is refused, and where the other has nothing that holds either."""
     drift = Drift(WRENCH[2], "linear", None, 0.0, float(warming.scene.time[-1]))
     right, wrong = search(warming, drift), search(warming, Gain(WRENCH[0]))
-    assert engine._held_up(warming, [right, wrong], None)[0] is right[0]
+    assert pipeline._held_up(warming, [right, wrong], None)[0] is right[0]
     other = search(warming, Gain(WRENCH[4]))
-    selection, chosen, model, _ = engine._held_up(warming, [wrong, other], None)
+    selection, chosen, model, _ = pipeline._held_up(warming, [wrong, other], None)
     assert selection is wrong[0]
     assert model is not chosen
     assert not model.effects

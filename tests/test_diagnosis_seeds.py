@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from galen_hw.diagnosis.engine import diagnose
+from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.kinematics import UrdfRobot
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.table import scene_of
 
 LINK = (
     '<link name="{}"><inertial><origin xyz="{} 0 0" rpy="0 0 0"/><mass value="{}"/>'

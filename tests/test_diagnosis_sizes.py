@@ -11,17 +11,17 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import COM, WRENCH, Bench, hanging, lagged, rotation, sines
 
-from galen_hw.diagnosis import stream
-from galen_hw.diagnosis.engine import diagnose
-from galen_hw.diagnosis.final import Model, together
-from galen_hw.diagnosis.retiming import settle_together
-from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.slow_noise import smoothed
-from galen_hw.physics.body_effects import Payload
-from galen_hw.physics.memory_effects import Creep
+from galen_hw.diagnosis.estimation import signal_chain
+from galen_hw.diagnosis.estimation.interactions import settle_together
+from galen_hw.diagnosis.estimation.model import Model, together
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.noise.low_frequency import smoothed
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.physics.effects.hysteresis import Creep
+from galen_hw.physics.effects.load import Payload
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.effects.sensor import Drift, Gain
 from galen_hw.physics.rigid import Body
-from galen_hw.physics.sensor_effects import Drift, Gain
-from galen_hw.physics.table import scene_of
 
 
 def slowly(seed: int) -> Bench:
@@ -217,7 +217,7 @@ def test_what_does_not_come_to_rest_is_left_as_if_alone(
         calls.append(1)
         return [growth ** len(calls) * np.ones((len(scene), 6)) for _ in placed]
 
-    monkeypatch.setattr(stream, "beside", growing)
+    monkeypatch.setattr(signal_chain, "beside", growing)
     assert together(model) is model
     assert len(calls) == rounds
     scorer = Scorer(bench, effects)

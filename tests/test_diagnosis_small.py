@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from galen_hw.cli import main
-from galen_hw.diagnosis.rows import folds
+from galen_hw.diagnosis.stats.sampling import folds
 from galen_hw.errors import EXIT_FOUND, EXIT_INTERNAL, EXIT_OK, EXIT_USAGE
 
 POSES = 17
@@ -79,7 +79,7 @@ def test_a_fault_of_the_program_is_no_finding(
     def broken(*_: object, **__: object) -> None:
         raise ValueError("two\nlines")
 
-    monkeypatch.setattr("galen_hw.tools.diagnose.diagnose", broken)
+    monkeypatch.setattr("galen_hw.diagnosis.recordings.diagnose", broken)
     assert main(["diagnose", str(poses(tmp_path / "r", "none", 1))]) == EXIT_INTERNAL
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert line.startswith("galen-hw diagnose: internal error: ValueError two lines (test_diagnosis_small.py:")

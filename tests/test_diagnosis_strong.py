@@ -12,15 +12,15 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import Array, Bench, Servo, cable_drag, lagged
 
-from galen_hw.diagnosis.adequacy import Left
-from galen_hw.diagnosis.engine import diagnose
-from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.verdict import FORM, strong, tolerated, trifles
-from galen_hw.diagnosis.wanted import Guard
-from galen_hw.physics.event_effects import Contact, Vibration
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.validation.support import Guard
+from galen_hw.diagnosis.validation.verdict import FORM, strong, tolerated, trifles
+from galen_hw.physics.effects.events import Contact, Vibration
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.effects.sensor import Gain
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.sensor_effects import Gain
-from galen_hw.physics.table import scene_of
 
 
 def wandering(rng: np.random.Generator, t: Array, frequency: float) -> Array:

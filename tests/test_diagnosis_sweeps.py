@@ -11,12 +11,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import ARM, COM, JOINTS, MASS, SIGMA, WRENCH, Bench, hanging, rotation, sines
 
-from galen_hw.diagnosis import engine
+from galen_hw.diagnosis import pipeline
 from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.kinematics import GalenRobot, UrdfRobot
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.rigid import Body
-from galen_hw.physics.table import scene_of
 from galen_hw.spatial import Array
 
 AVERAGED = SIGMA / 5.0
@@ -37,7 +37,7 @@ def sweep(rng: np.random.Generator, besides: Array | None = None, *, clock: bool
     columns = {f"joint.{name}.position": q[:, i] for i, name in enumerate(JOINTS)}
     columns |= dict(zip(WRENCH, y.T, strict=True)) | extra | ({"time": 6.0 * np.arange(56.0)} if clock else {})
     belief = Belief(robot=GalenRobot(), tool=Body(MASS, COM), dynamic=False, bias_free=True)
-    return engine.diagnose(scene_of(Observations("wrench", columns, None, belief))).diagnosis
+    return pipeline.diagnose(scene_of(Observations("wrench", columns, None, belief))).diagnosis
 
 
 @pytest.mark.parametrize("clock", [True, False])
@@ -90,7 +90,7 @@ def tracked(rng: np.random.Generator, give: float) -> Diagnosis:
         seen = (T[:, :3, 3] + T[:, :3, :3] @ point) @ away + [0.2, -0.1, 1.1] + 1e-4 * rng.normal(size=(n, 3))
         columns |= {f"target.{k}.position.{a}": seen[:, i] for i, a in enumerate("xyz")}
     belief = Belief(robot=robot, tool=Body(MASS, COM), dynamic=False, bias_free=False, tip=tip)
-    return engine.diagnose(scene_of(Observations("targets", columns, None, belief))).diagnosis
+    return pipeline.diagnose(scene_of(Observations("targets", columns, None, belief))).diagnosis
 
 
 def test_random_poses_under_a_clock_are_no_noise_of_the_encoders() -> None:
@@ -105,7 +105,7 @@ def test_a_weight_that_nothing_accelerates_is_a_payload_and_no_cable() -> None:
     """Poses that were simulated at rest: a body that accelerates fits less well than the pull of a cable hung far below."""
     case = Bench(11, rows=6000, rate=50.0)
     case.wrench += hanging(case.R, 0.02, np.array([0.03, 0.0, -0.05]))
-    told = engine.diagnose(scene_of(case.observations())).diagnosis
+    told = pipeline.diagnose(scene_of(case.observations())).diagnosis
     assert [f.effect for f in told.findings] == ["payload"]
     mass = told.findings[0].parameters["mass"]
     assert mass.value == pytest.approx(0.02, abs=4.0 * mass.std)
@@ -120,7 +120,7 @@ def test_slow_noise_at_rest_is_noise() -> None:
     columns = {"time": 0.5 * np.arange(2000.0)} | {f"joint.{name}.position": q[:, i] for i, name in enumerate(JOINTS)}
     belief = Belief(robot=GalenRobot(), tool=Body(MASS, COM), dynamic=False, bias_free=True)
     seen = Observations("wrench", columns | dict(zip(WRENCH, y.T, strict=True)), None, belief)
-    assert engine.diagnose(scene_of(seen)).diagnosis.verdict == "agrees"
+    assert pipeline.diagnose(scene_of(seen)).diagnosis.verdict == "agrees"
 
 
 ELBOW = """<link name="fore"><inertial><origin xyz="0.15 0 0"/><mass value="1.5"/>
@@ -147,5 +147,6 @@ def test_a_law_of_two_joints_that_no_family_holds_is_not_called_noise() -> None:
         efforts = clean + noise + np.stack([besides, np.zeros(len(t))], axis=1)
         columns |= {f"joint.{name}.effort": efforts[:, i] for i, name in enumerate(("shoulder", "elbow"))}
         assert (
-            engine.diagnose(scene_of(Observations("effort", dict(columns), None, belief))).diagnosis.verdict == verdict
+            pipeline.diagnose(scene_of(Observations("effort", dict(columns), None, belief))).diagnosis.verdict
+            == verdict
         )

@@ -12,9 +12,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from diagnosis_cases import Array, Bench
 from test_diagnosis_sweeps import AVERAGED, sweep
 
-from galen_hw.diagnosis.engine import diagnose
+from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.result import Diagnosis
-from galen_hw.physics.table import scene_of
+from galen_hw.physics.effects.registry import scene_of
 
 pytestmark = pytest.mark.inject
 

@@ -11,13 +11,13 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from physics_scenes import scene
 
-from galen_hw.physics.cable_effects import CableDrag
-from galen_hw.physics.effect import Effect
-from galen_hw.physics.event_effects import Contact, Step, Vibration
-from galen_hw.physics.joint_effects import TorqueRipple
-from galen_hw.physics.scene import Scene
-from galen_hw.physics.sensor_effects import Drift
-from galen_hw.physics.table import EFFECTS, effect_class, scene_of
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.cable import CableDrag
+from galen_hw.physics.effects.events import Contact, Step, Vibration
+from galen_hw.physics.effects.friction import TorqueRipple
+from galen_hw.physics.effects.registry import EFFECTS, effect_class, scene_of
+from galen_hw.physics.effects.sensor import Drift
+from galen_hw.physics.scenes.base import Scene
 
 GROUPS = ("wrench", "pose", "targets", "effort", "position")
 ROWS = 120

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from galen_hw.physics.gap import gap
-from galen_hw.physics.operators import impulse, play
+from galen_hw.physics.operators.filters import impulse, play
+from galen_hw.physics.operators.gap_dynamics import gap
 
 COASTING = np.array([0.003, 0.05, 0.4])
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from galen_hw.diagnosis.engine import diagnose
+from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.kinematics import GalenRobot
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.rigid import Body
-from galen_hw.physics.table import scene_of
 
 WRENCH = tuple(f"wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz")
 G = np.array([0.0, 0.0, -9.80665])

@@ -13,20 +13,20 @@ sys.path.insert(0, str(Path(__file__).parent))
 from diagnosis_cases import carriage
 
 from galen_hw.cli import main
-from galen_hw.diagnosis.engine import diagnose
+from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import UrdfRobot
-from galen_hw.physics.elastic_effects import Compliance
-from galen_hw.physics.joint_effects import Friction
-from galen_hw.physics.memory_effects import Hysteresis
+from galen_hw.physics.concatenate import PAUSE, joined
+from galen_hw.physics.effects.backlash import Backlash
+from galen_hw.physics.effects.compliance import Compliance
+from galen_hw.physics.effects.friction import Friction
+from galen_hw.physics.effects.hysteresis import Hysteresis
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.effects.sensor import Drift
+from galen_hw.physics.effects.timing import Lag, TimeDelay
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.play_effects import Backlash
-from galen_hw.physics.sensor_effects import Drift
-from galen_hw.physics.smoothing import at_rest, denoised, derivatives, ends, has_line, isolated
-from galen_hw.physics.splines import motion_band
-from galen_hw.physics.table import scene_of
-from galen_hw.physics.time_effects import Lag, TimeDelay
-from galen_hw.physics.together import PAUSE, joined
+from galen_hw.physics.signals.differentiation import at_rest, denoised, derivatives, ends, has_line, isolated
+from galen_hw.physics.signals.splines import motion_band
 
 
 def run(rows: int, start: float = 0.0, **columns: np.ndarray) -> Observations:

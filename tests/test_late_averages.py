@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from galen_hw.diagnosis.bench import Bench
-from galen_hw.diagnosis.bends import does
-from galen_hw.diagnosis.rows import Rows
-from galen_hw.diagnosis.score import Scorer
-from galen_hw.diagnosis.select import library
-from galen_hw.physics.joint_effects import Friction
-from galen_hw.physics.operators import delay
-from galen_hw.physics.table import scene_of
-from galen_hw.physics.time_effects import Lag, TimeDelay
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.linearisation import does
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.selection.search import library
+from galen_hw.diagnosis.stats.sampling import Rows
+from galen_hw.physics.effects.friction import Friction
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.effects.timing import Lag, TimeDelay
+from galen_hw.physics.operators.filters import delay
 from galen_hw.tools.bench_diagnosis import recording
 
 

@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from galen_hw.physics.moves import moved
-from galen_hw.physics.smoothing import denoised, derivatives
-from galen_hw.physics.splines import spline
+from galen_hw.physics.signals.differentiation import denoised, derivatives
+from galen_hw.physics.signals.rest_to_rest import moved
+from galen_hw.physics.signals.splines import spline
 
 DT = 0.01
 

@@ -16,18 +16,18 @@ import diagnosis_parts as parts
 from diagnosis_cases import SIGMA, WRENCH
 from diagnosis_cases import Bench as Cases
 
-from galen_hw.diagnosis.bench import Bench as DiagnosisBench
-from galen_hw.diagnosis.bumps import _jumps
-from galen_hw.diagnosis.episodes import contacts
-from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.judge import _noisier
-from galen_hw.diagnosis.noise import Noise, estimate
-from galen_hw.diagnosis.rows import Rows
-from galen_hw.diagnosis.slow_noise import shelves, whitest
-from galen_hw.physics.effect import Columns
-from galen_hw.physics.event_effects import Contact, Vibration
-from galen_hw.physics.sensor_effects import WALK
-from galen_hw.physics.table import scene_of
+from galen_hw.diagnosis.detection.contacts import contacts
+from galen_hw.diagnosis.detection.steps import _jumps
+from galen_hw.diagnosis.estimation.dataset import Bench as DiagnosisBench
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.noise.low_frequency import shelves, whitest
+from galen_hw.diagnosis.noise.spectrum import Noise, estimate
+from galen_hw.diagnosis.stats.sampling import Rows
+from galen_hw.diagnosis.validation.other_recording import noisier
+from galen_hw.physics.effects.base import Columns
+from galen_hw.physics.effects.events import Contact, Vibration
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.effects.sensor import WALK
 
 
 def noise(*lengths: int) -> Noise:
@@ -213,7 +213,7 @@ def test_rounding_that_hides_the_noise_of_another_recording_is_not_less_noise() 
     model = Model(bench, [bench.made(None, c) for c in bench.constants()], [], bench.whitened(bench.whole))
     quiet = 0.1 * model.rest()
     quiet[:, 0] = step * (np.arange(len(quiet)) == 1000)
-    ratio = _noisier(model, quiet)
+    ratio = noisier(model, quiet)
     assert ratio[0] == 1.0
     assert ratio[1:] == pytest.approx(0.01, rel=0.05)
 
@@ -226,7 +226,7 @@ def test_the_edges_of_a_touch_are_not_the_first_recording_s_noise() -> None:
     bench.learn_noise([])
     touch = bench.add(Contact((WRENCH[2],), ((29.5, 36.5),), 4))
     model = Model(bench, [bench.made(None, c) for c in bench.constants()], [touch], bench.whitened(bench.whole))
-    assert _noisier(model, Cases(5, rows=len(bench.rows)).noise)[2] == pytest.approx(1.0, rel=0.2)
+    assert noisier(model, Cases(5, rows=len(bench.rows)).noise)[2] == pytest.approx(1.0, rel=0.2)
 
 
 def test_few_bands_that_scatter_as_white_noise_does_are_white() -> None:

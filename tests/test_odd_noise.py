@@ -11,8 +11,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import SIGMA, Bench
 
-from galen_hw.diagnosis.engine import diagnose
-from galen_hw.physics.table import scene_of
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.physics.effects.registry import scene_of
 
 
 def stamped_unevenly(bench: Bench) -> None:

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from galen_hw.physics.operators import LagState, bow, delay, impulse, lag, play, second_order
-from galen_hw.physics.servo import MANY_SERVOS, ServoState, servo
-from galen_hw.physics.wear import wear
+from galen_hw.physics.operators.bouc_wen import wear
+from galen_hw.physics.operators.filters import LagState, bow, delay, impulse, lag, play, second_order
+from galen_hw.physics.operators.stick_slip_servo import MANY_SERVOS, ServoState, servo
 
 
 def play_by_definition(x: np.ndarray, half_width: np.ndarray, state: np.ndarray | None) -> np.ndarray:
@@ -46,12 +46,12 @@ def test_play_is_its_definition_to_the_last_bit_wherever_it_is_cut(x, widths, st
 
 def test_play_walks_corners_where_there_are_few_and_doubles_where_there_are_many(monkeypatch):
     """Both ways are taken, and give the same."""
-    from galen_hw.physics import operators
+    from galen_hw.physics.operators import filters
 
     x = np.sin(np.linspace(0.0, 20.0, 1000))[:, None]
     walked = []
-    along = operators._along
-    monkeypatch.setattr(operators, "_along", lambda *a: walked.append(1) or along(*a))
+    along = filters._along
+    monkeypatch.setattr(filters, "_along", lambda *a: walked.append(1) or along(*a))
     slow = play(x, np.array([0.2]), None)[0]
     assert walked
     walked.clear()

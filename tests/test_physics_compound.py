@@ -15,16 +15,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 from physics_scenes import JOINTS, URDF, WRENCH, belief, motion, proposals
 
 from galen_hw.kinematics import UrdfRobot
-from galen_hw.physics.body_effects import INERTIA, BaseTilt, Payload
-from galen_hw.physics.compound import READERS, STANDS, compound, meet
-from galen_hw.physics.geometry_effects import JointOffset, JointScale, LinkGeometry, SensorMounting
-from galen_hw.physics.memory_effects import Creep
+from galen_hw.physics.effects.geometry import JointOffset, JointScale, LinkGeometry, SensorMounting
+from galen_hw.physics.effects.hysteresis import Creep
+from galen_hw.physics.effects.interactions import READERS, STANDS, compound, meet
+from galen_hw.physics.effects.live import EffectStream
+from galen_hw.physics.effects.load import INERTIA, BaseTilt, Payload
+from galen_hw.physics.effects.registry import EFFECTS, scene_of
+from galen_hw.physics.effects.sensor import CrossTalk, Gain
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.rigid import Body
-from galen_hw.physics.scene_wrench import ORIENTATION
-from galen_hw.physics.sensor_effects import CrossTalk, Gain
-from galen_hw.physics.streams import EffectStream
-from galen_hw.physics.table import EFFECTS, scene_of
+from galen_hw.physics.scenes.wrench import ORIENTATION
 from galen_hw.spatial import rotation_exp
 
 BODY = np.array([0.05, 0.001, -0.002, 0.003])

@@ -14,13 +14,13 @@ from physics_scenes import JOINTS, belief, proposals, scene
 
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import GalenRobot
-from galen_hw.physics.body_effects import Payload
-from galen_hw.physics.effect import Effect
-from galen_hw.physics.elastic_effects import Compliance
-from galen_hw.physics.geometry_effects import JointOffset, JointScale
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.compliance import Compliance
+from galen_hw.physics.effects.geometry import JointOffset, JointScale
+from galen_hw.physics.effects.live import EffectStream, build_streams
+from galen_hw.physics.effects.load import Payload
+from galen_hw.physics.effects.registry import EFFECTS, effect_class, scene_of
 from galen_hw.physics.rigid import predicted_wrench
-from galen_hw.physics.streams import EffectStream, build_streams
-from galen_hw.physics.table import EFFECTS, effect_class, scene_of
 
 GROUPS = ("wrench", "pose", "targets", "effort", "position")
 

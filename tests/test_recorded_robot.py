@@ -11,12 +11,12 @@ from numpy.testing import assert_allclose
 
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import UrdfRobot
-from galen_hw.physics.scene import Scene
-from galen_hw.physics.table import scene_of
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.scenes.base import Scene
 from galen_hw.recording import Recording, read_recording
+from galen_hw.recording.observations import observations_of
+from galen_hw.recording.robot import model_notes, robot_of
 from galen_hw.tools.calibration.poses import poses_of
-from galen_hw.tools.diagnose_input import observations_of
-from galen_hw.tools.recorded_robot import model_notes, robot_of
 from tests.urdf_parts import arm_with_gripper, joint, link, robot
 
 T = np.arange(0.0, 4.0, 0.02)
@@ -94,7 +94,7 @@ def test_a_load_is_sought_at_the_sensor_whatever_stands_beside(tmp_path: Path, g
 
 
 def test_a_joint_on_the_way_is_asked_for_by_name(tmp_path: Path) -> None:
-    from galen_hw.diagnosis.guards import premises
+    from galen_hw.diagnosis.preprocessing.checks import premises
 
     columns = {"joint.shoulder.position": Q[:, 0]} | dict.fromkeys(WRENCH, 0.0 * T)
     made = scene(written(tmp_path, arm_with_gripper(), columns, predict="wrench"))

@@ -12,11 +12,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import SIGMA, WRENCH, Bench
 
-from galen_hw.diagnosis.engine import diagnose
-from galen_hw.diagnosis.repeats import repeated
+from galen_hw.diagnosis.detection.stuck_samples import repeated
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.scene import Scene
-from galen_hw.physics.table import scene_of
+from galen_hw.physics.scenes.base import Scene
 
 ROWS = (300, 900, 1500)
 

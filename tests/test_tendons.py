@@ -12,16 +12,18 @@ import diagnosis_cases as cases
 from diagnosis_cases import Bench, rotation
 from physics_scenes import scene
 
-from galen_hw.diagnosis.bends import tangent
-from galen_hw.diagnosis.descent import Beside, descended
-from galen_hw.diagnosis.engine import Work, diagnose
-from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.judge import Judged, earned
+from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside, descended
+from galen_hw.diagnosis.estimation.linearisation import tangent
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.validation.holdout import earned
+from galen_hw.diagnosis.validation.judgement import Judged
+from galen_hw.diagnosis.work import Work
 from galen_hw.kinematics import GalenRobot
-from galen_hw.physics.cable_effects import CableDrag
-from galen_hw.physics.scene_joint import EffortScene
-from galen_hw.physics.scene_wrench import WrenchScene
-from galen_hw.physics.table import scene_of
+from galen_hw.physics.effects.cable import CableDrag
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.scenes.joint import EffortScene
+from galen_hw.physics.scenes.wrench import WrenchScene
 
 CLIP, ANCHOR = np.array([0.02, 0.0, -0.03]), np.array([0.2, 0.05, 0.45])
 
@@ -207,7 +209,7 @@ def test_a_tendon_whose_stiffness_is_not_known_is_no_cable(stiffness: float, mon
         without = dict.fromkeys(keys, floor)
         return Judged("", floor, floor, without, floor, dict.fromkeys(keys, 0.9), dict.fromkeys(keys, 100.0))
 
-    monkeypatch.setattr("galen_hw.diagnosis.judge.judge", wanted)
+    monkeypatch.setattr("galen_hw.diagnosis.validation.holdout.judge", wanted)
     assert earned(model, None)[0].effects == ([tendon] if stiffness else [])
 
 

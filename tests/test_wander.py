@@ -11,11 +11,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 from diagnosis_cases import SIGMA, WRENCH, Array
 from diagnosis_cases import Bench as Run
 
-from galen_hw.diagnosis.bench import Bench
-from galen_hw.diagnosis.final import Model
-from galen_hw.diagnosis.wander import mean_frequency
-from galen_hw.physics.event_effects import Vibration
-from galen_hw.physics.table import scene_of
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.line_frequency import mean_frequency
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.physics.effects.events import Vibration
+from galen_hw.physics.effects.registry import scene_of
 
 RATE, ROWS, FREQUENCY = 100.0, 6000, 11.3
 

@@ -54,7 +54,7 @@ CONFORMANCE = """
 import importlib
 from galen_hw.cli import COMMANDS
 from galen_hw.drivers.table import DRIVERS, VIRTUAL_DEVICES
-from galen_hw.physics.table import EFFECTS
+from galen_hw.physics.effects.registry import EFFECTS
 from galen_hw.services.table import SERVICES
 for module, _ in COMMANDS.values():
     importlib.import_module(module)

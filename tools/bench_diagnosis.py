@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from galen_hw.diagnosis.engine import diagnose
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.table import scene_of
 
 if TYPE_CHECKING:
     from galen_hw.spatial import Array

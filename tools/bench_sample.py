@@ -22,9 +22,9 @@ from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.elastic_terms import Term, Weight
 from galen_hw.kinematics import GalenRobot
 from galen_hw.messages import JointsState, Vector3, WrenchCompensated
-from galen_hw.physics.elastic_effects import Compliance, Hardening
-from galen_hw.physics.memory_effects import Creep, Hysteresis
-from galen_hw.physics.play_effects import Backlash
+from galen_hw.physics.effects.backlash import Backlash
+from galen_hw.physics.effects.compliance import Compliance, Hardening
+from galen_hw.physics.effects.hysteresis import Creep, Hysteresis
 from galen_hw.services.deflection.service import DeflectionService
 from galen_hw.services.deflection.settings import DeflectionSettings
 from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore

@@ -41,7 +41,7 @@ def _asked(path: Path) -> dict[str, Any]:
     """
     from galen_hw.premises import examined
     from galen_hw.recording import read_recording
-    from galen_hw.tools.diagnose_input import named_in, observations_of
+    from galen_hw.recording.observations import named_in, observations_of
 
     recording = read_recording(path)
     with named_in(recording):

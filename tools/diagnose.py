@@ -2,25 +2,20 @@
 
 import argparse
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from rich.console import Console
 
 from galen_hw.config.tool_store import write_atomic
-from galen_hw.diagnosis.bench import Progress
-from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.estimation.dataset import Progress
+from galen_hw.diagnosis.recordings import diagnose_recordings
 from galen_hw.diagnosis.result import Diagnosis
+from galen_hw.diagnosis.work import Work
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
-from galen_hw.physics.observations import Observations
-from galen_hw.physics.table import scene_of
-from galen_hw.physics.together import joined
 from galen_hw.recording import Recording, read_recording
-from galen_hw.tools.diagnose_input import named_in, observations_of
 from galen_hw.tools.diagnose_screen import counting, show, working
 from galen_hw.tools.diagnose_tool import model_to_save, tool_named, with_tool
-from galen_hw.tools.recorded_robot import model_notes
 
 STDOUT: Final = "-"
 
@@ -118,8 +113,8 @@ def _whole(
     """Diagnose one recording (or some as one) and write what was asked for; with several, its name goes into the file's name."""
     (work, recording), path = one(paths, args, progress), paths[0]
     if args.report:
-        from galen_hw.diagnosis.draw import traces_of
-        from galen_hw.diagnosis.page import write_page
+        from galen_hw.diagnosis.report.collect import traces_of
+        from galen_hw.diagnosis.report.page import write_page
 
         write_page(_named(args.report, path, several=several), work.diagnosis, traces_of(work))
     if args.save_model:
@@ -153,37 +148,17 @@ def one(paths: list[Path], args: argparse.Namespace, progress: Progress | None =
         recording = read_recording(path, simulation=simulation)
         return recording if tool is None else with_tool(recording, tool)
 
-    recordings = [read(path, args.simulation) for path in paths]
-    observations, notes = _joined(recordings, paths)
-    holdout = None
-    if judges:
-        others = [read(path) for path in judges]
-        other = _joined(others, judges)[0]
-        with named_in(others[0]):
-            order = {k: other.columns[k] for k in observations.columns if k in other.columns}
-            holdout = scene_of(replace(other, columns=order | dict(other.columns)))
-    with named_in(recordings[0]):
-        scene = scene_of(observations)
-    if holdout is not None and holdout.channels != scene.channels:
-        todo = "judge on a recording that compares the same channels"
-        raise UsageError(f"does not compare the channels of {paths[0]}", where=f"--holdout {judges[0]}", todo=todo)
-    name = ", ".join(map(str, paths))
-    with named_in(recordings[0]):
-        work = diagnose(
-            scene, name=name, holdout=holdout, share=share, seed=args.seed, progress=progress, repair=not args.no_repair
-        )
-    work.diagnosis.units = dict(zip(scene.channels, scene.units, strict=True))
-    concerned = [name for remark in work.diagnosis.premises for name in remark["columns"]]
-    work.diagnosis.notes[:0] = [line for line in notes if not _said_better(line, concerned)]
-    if holdout is not None:
-        work.diagnosis.holdout = ", ".join(map(str, judges))
+    work = diagnose_recordings(
+        recordings := [read(path, args.simulation) for path in paths],
+        holdout=[read(path) for path in judges],
+        share=share,
+        seed=args.seed,
+        repair=not args.no_repair,
+        progress=progress,
+        names=[str(path) for path in paths],
+        holdout_names=[str(path) for path in judges],
+    )
     return work, recordings[0]
-
-
-def _said_better(line: str, columns: list[str]) -> bool:
-    """Whether a line of the reader is about cells of which a premise has said what they are."""
-    name = line.partition(":")[0].partition(",")[0].strip()
-    return any(column.startswith(name) for column in columns)
 
 
 def _holdout(given: list[str]) -> tuple[float, list[Path]]:
@@ -196,30 +171,3 @@ def _holdout(given: list[str]) -> tuple[float, list[Path]]:
         where = f"--holdout {' '.join(given)}"
         raise UsageError("not a share", where=where, todo="give a number from 0 to 0.9, or recordings")
     return share, []
-
-
-def _joined(recordings: list[Recording], paths: list[Path]) -> tuple[Observations, list[str]]:
-    """The recordings as one, and what is odd about each."""
-    _same_machine(recordings, paths)
-    names = [str(path) for path in paths]
-    each = [observations_of(recording) for recording in recordings]
-    odd = [
-        [*r.warnings, *model_notes(r, one.belief.robot, r.info.predict)]
-        for r, one in zip(recordings, each, strict=True)
-    ]
-    observations, begins = joined(each, names)
-    if len(paths) == 1:
-        return observations, odd[0]
-    notes = [f"{name}: {line}" for name, lines in zip(names, odd, strict=True) for line in lines]
-    clock = "at {:.2f} s" if observations.time is not None else "with row {:.0f}"
-    return observations, [*notes, *(f"{n} begins {clock.format(b)}" for n, b in zip(names, begins, strict=True))]
-
-
-def _same_machine(recordings: list[Recording], paths: list[Path]) -> None:
-    """That all recordings are of one machine and one model, so that one set of parameters can stand for all."""
-    first = recordings[0]
-    for recording in recordings[1:]:
-        for key in ("robot", "tool", "predict", "model", "distal_bodies"):
-            if getattr(recording.info, key) != getattr(first.info, key):
-                todo = f"make {key} agree, or diagnose them one by one"
-                raise UsageError(f"{key} is not that of {paths[0]}", where=recording.about, todo=todo)

@@ -9,13 +9,13 @@ import numpy as np
 
 from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.elastic_terms import Term, Weight
-from galen_hw.physics.elastic_effects import Compliance, Hardening
-from galen_hw.physics.memory_effects import Creep
+from galen_hw.physics.effects.compliance import Compliance, Hardening
+from galen_hw.physics.effects.hysteresis import Creep
 from galen_hw.services.deflection.store import DeflectionFile
 from galen_hw.version import VERSION
 
 if TYPE_CHECKING:
-    from galen_hw.diagnosis.engine import Work
+    from galen_hw.diagnosis.work import Work
     from galen_hw.physics.observations import Belief
     from galen_hw.recording import Recording
 

@@ -11,8 +11,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 from rich.text import Text
 
+from galen_hw.diagnosis.report.summary import VERDICTS, lines, summary
 from galen_hw.diagnosis.result import Diagnosis
-from galen_hw.diagnosis.summary import VERDICTS, lines, summary
 
 COLOURS = {"agrees": "green", "explained": "cyan", "partly_explained": "yellow", "unexplained": "red"}
 LINES = 10

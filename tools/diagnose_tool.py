@@ -11,14 +11,14 @@ from scipy.stats import trim_mean
 
 from galen_hw.config.tool_file import Term, ToolFile, parse_tool
 from galen_hw.errors import UsageError
-from galen_hw.physics.table import effect_of
-from galen_hw.physics.terms import DATED, dated, why_not_live
+from galen_hw.physics.effects.registry import effect_of
+from galen_hw.physics.effects.terms import DATED, dated, why_not_live
 from galen_hw.recording import Recording
 from galen_hw.recording.from_mcap import tool_info
 
 if TYPE_CHECKING:
-    from galen_hw.diagnosis.engine import Work
-    from galen_hw.physics.scene import Scene
+    from galen_hw.diagnosis.work import Work
+    from galen_hw.physics.scenes.base import Scene
     from galen_hw.spatial import Array
 
 TRIMMED: Final = 0.01
@@ -58,14 +58,6 @@ def with_tool(recording: Recording, tool: ToolFile) -> Recording:
     old = {k: v for k, v in old.items() if k not in ("tool", "bias_body", "zeroed_at")}
     info = type(recording.info).model_validate({"schema": 1} | old | new | {"model": model})
     return replace(recording, info=info, tool_file=tool.to_json())
-
-
-def terms_of(recording: Recording) -> tuple[dict[str, Any], ...]:
-    """The further effects of the tool in hand."""
-    if not recording.tool_file:
-        return ()
-    terms = parse_tool(recording.tool_file, f"{recording.path}: tool's file").terms
-    return tuple({"effect": t.effect, "parameters": dict(t.parameters)} for t in terms)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass, replace
 
+from galen_hw.config.tool_file import terms_in
 from galen_hw.errors import UsageError
 from galen_hw.physics.observations import Group
 from galen_hw.premises import Claim, Examination, examined
 from galen_hw.premises.load import LoadChange
 from galen_hw.recording import Recording
+from galen_hw.recording.observations import observations_of
 from galen_hw.spatial import Array
-from galen_hw.tools.diagnose_input import observations_of
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,8 @@ def examine_recording(recording: Recording, group: Group, *, repair: bool = True
         UsageError: a premise refuses it: what, where, what to do.
     """
     info = recording.info.model_copy(update={"predict": group})
-    seen = observations_of(replace(recording, info=info))
+    terms = terms_in(recording.tool_file, f"{recording.path}: tool's file")
+    seen = observations_of(replace(recording, info=info), terms)
     found = examined(seen, repair=repair)
     refused = list(found.refused)
     if one_load:

@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
 def _premises(recording: "Recording") -> list[str]:
     """What the premises say of what is compared; the file holds the cells as they were."""
     from galen_hw.premises import examined
-    from galen_hw.tools.diagnose_input import observations_of
+    from galen_hw.recording.observations import observations_of
 
     if recording.info.predict is None:
         return []

@@ -33,7 +33,7 @@ class Belief:
         compliance: joint name to rad/(N m) or m/N that the baseline holds.
         distal: links of the robot that hang on the sensor beside the tool.
         ranges: column to rated (low, high).
-        terms: of the tool's file, which the simulation adds (`physics/terms.py`).
+        terms: of the tool's file, which the simulation adds (`physics/effects/terms.py`).
         epoch: seconds since the epoch at time 0 of the recording; None where it is not known.
     """
 

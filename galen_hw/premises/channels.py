@@ -5,9 +5,9 @@ from typing import ClassVar, Final
 
 import numpy as np
 
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.scene import Scene
-from galen_hw.physics.table import scene_of
+from galen_hw.physics.scenes.base import Scene
 from galen_hw.premises.base import Action, Remark, Stage, with_columns
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.sampling import compared_names

@@ -7,8 +7,8 @@ from typing import ClassVar, Final
 import numpy as np
 
 from galen_hw.kinematics import Robot, UrdfRobot
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.table import scene_of
 from galen_hw.premises.base import Action, Remark, Stage, with_columns, without_columns
 from galen_hw.premises.clock import travelled
 from galen_hw.premises.criteria import CRITERIA

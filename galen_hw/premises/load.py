@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.table import scene_of
 from galen_hw.premises.base import Action, Claim, Remark, Stage, with_columns
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.wrench_reading import FORCE, TORQUE, at_rest, comparable

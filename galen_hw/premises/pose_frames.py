@@ -6,10 +6,10 @@ from typing import ClassVar, Final
 
 import numpy as np
 
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.scene import Scene
-from galen_hw.physics.scene_pose import POSITION, QUATERNION
-from galen_hw.physics.table import scene_of
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.physics.scenes.pose import POSITION, QUATERNION
 from galen_hw.premises.base import Action, Claim, Remark, Stage, with_columns
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.rotations import Similarity, angle_of, as_axes, as_turn, nearest_axes, scaled, similarity

@@ -6,8 +6,8 @@ from typing import ClassVar, Final
 
 import numpy as np
 
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.table import scene_of
 from galen_hw.premises.base import Action, Claim, Remark, Stage
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.rotations import angle_of, as_axes, as_turn, nearest_axes, signed_permutations

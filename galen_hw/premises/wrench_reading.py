@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.rigid import gravity_in_sensor
-from galen_hw.physics.scene import Scene
-from galen_hw.physics.table import scene_of
+from galen_hw.physics.scenes.base import Scene
 from galen_hw.premises.base import with_columns
 from galen_hw.premises.rotations import Similarity, scaled, similarity
 from galen_hw.spatial import Array, skew

@@ -169,7 +169,7 @@ def _streams(tool: ToolFile, robot: Robot, turning: tuple[int, ...]) -> tuple[Te
     names = robot.joint_names
     order = tuple(names[i] for i in turning) + tuple(n for i, n in enumerate(names) if i not in turning)
     try:
-        build = importlib.import_module("galen_hw.physics.streams").build_streams
+        build = importlib.import_module("galen_hw.physics.effects.live").build_streams
     except ModuleNotFoundError:
         effects = ", ".join(term.effect for term in tool.terms)
         where, todo = f"tool {tool.name!r}: terms", f"galen-hw tool rollback {tool.name}"

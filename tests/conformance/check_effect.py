@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from galen_hw.physics.effect import Effect
-from galen_hw.physics.scene import Scene
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.scenes.base import Scene
 
 
 def check_null(effect: Effect, scene: Scene) -> None:

@@ -16,11 +16,11 @@ from scipy.signal import savgol_filter
 from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
-from galen_hw.diagnosis.guards import quiet
-from galen_hw.physics.scene import Scene
-from galen_hw.physics.table import scene_of
+from galen_hw.diagnosis.preprocessing.checks import quiet
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.scenes.base import Scene
 from galen_hw.recording import read_recording
-from galen_hw.tools.diagnose_input import observations_of
+from galen_hw.recording.observations import observations_of
 
 Array = NDArray[np.float64]
 LAGS = (1, 2, 4, 8, 16, 32, 64)

@@ -13,9 +13,9 @@ from galen_hw.physics.rigid import Body
 from galen_hw.premises import Remark
 from galen_hw.recording import WRENCH, Recording
 from galen_hw.recording.recording import SENSOR_ORIENTATION
+from galen_hw.recording.robot import model_notes, robot_of, zeroed_joints, zeroed_names
 from galen_hw.spatial import Array, quaternion_from_rotation, rotation_from_quaternion
 from galen_hw.tools.examined import examine_recording
-from galen_hw.tools.recorded_robot import model_notes, robot_of, zeroed_joints, zeroed_names
 
 SAME_ORIENTATION = 0.005
 """rad between two visits of one pose."""

@@ -15,8 +15,8 @@ from functools import cached_property
 import numpy as np
 
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.scene import once
-from galen_hw.physics.scene_giving import FRAMES, GivingScene, Slip
+from galen_hw.physics.scenes.base import once
+from galen_hw.physics.scenes.elastic_arm import FRAMES, GivingScene, Slip
 from galen_hw.spatial import Array
 
 

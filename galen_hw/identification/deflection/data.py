@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.errors import UsageError
+from galen_hw.physics.effects.terms import known_change
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.scene_pose import APPLIED, PoseScene
+from galen_hw.physics.scenes.pose import APPLIED, PoseScene
 from galen_hw.spatial import Array
 
 SATURATED_SHARE = 0.02
@@ -49,11 +50,11 @@ class DeflectionSet:
             UsageError: no forces, or no rows without force to register on.
         """
         observations = replace(observations, belief=replace(observations.belief, compliance={}))
-        scene = PoseScene(observations)
+        scene = PoseScene(observations, known=known_change)
         seen = np.isfinite(scene.residual).all(axis=1) & np.isfinite(observations.matrix(*APPLIED)).all(axis=1)
         if not seen.all() and seen.any():  # Where the tool was hidden nothing can be learned.
             observations = observations.taken(seen)
-            scene = PoseScene(observations)
+            scene = PoseScene(observations, known=known_change)
         force, give = scene.force, scene.residual
         size = np.linalg.norm(force, axis=1)
         if not np.any(size > 0.0):

@@ -19,9 +19,9 @@ from galen_hw.identification.deflection.elastic_stream import ElasticStream, Jit
 from galen_hw.identification.deflection.elastic_terms import Term, Weight, scenes
 from galen_hw.identification.deflection.model import DeflectionModel
 from galen_hw.identification.deflection.stream import GiveStream
-from galen_hw.physics.memory_effects import Hysteresis
-from galen_hw.physics.operators import play
-from galen_hw.physics.scene_giving import Slip
+from galen_hw.physics.effects.hysteresis import Hysteresis
+from galen_hw.physics.operators.filters import play
+from galen_hw.physics.scenes.elastic_arm import Slip
 from galen_hw.spatial import Array
 
 SURE = 0.1

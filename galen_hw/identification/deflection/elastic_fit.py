@@ -23,8 +23,8 @@ from galen_hw.identification.deflection.elastic_terms import (
     settled_candidates,
     zoomed,
 )
-from galen_hw.physics.memory_effects import Hysteresis
-from galen_hw.physics.scene_giving import Slip
+from galen_hw.physics.effects.hysteresis import Hysteresis
+from galen_hw.physics.scenes.elastic_arm import Slip
 from galen_hw.spatial import Array
 
 DELAY: Final = "delay"

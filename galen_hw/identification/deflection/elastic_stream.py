@@ -12,10 +12,10 @@ from galen_hw.identification.deflection.bent import chain_order
 from galen_hw.identification.deflection.elastic_terms import Term, Weight
 from galen_hw.identification.deflection.stream import GiveStream, Place, Six, Triple
 from galen_hw.kinematics import NOMINAL_GRAVITY
-from galen_hw.physics.elastic_effects import Hardening
-from galen_hw.physics.memory_effects import Creep, Hysteresis
-from galen_hw.physics.play_effects import Backlash
-from galen_hw.physics.scene_giving import FRAMES, RestingLoad, Slip
+from galen_hw.physics.effects.backlash import Backlash
+from galen_hw.physics.effects.compliance import Hardening
+from galen_hw.physics.effects.hysteresis import Creep, Hysteresis
+from galen_hw.physics.scenes.elastic_arm import FRAMES, RestingLoad, Slip
 from galen_hw.spatial import Array
 
 

@@ -9,11 +9,11 @@ import numpy as np
 from galen_hw.errors import UsageError
 from galen_hw.identification.deflection.bent import BentScene, GiveScene
 from galen_hw.identification.deflection.data import DeflectionSet
-from galen_hw.physics.effect import Effect
-from galen_hw.physics.elastic_effects import Compliance, Hardening
-from galen_hw.physics.memory_effects import Creep, Hysteresis
-from galen_hw.physics.play_effects import Backlash
-from galen_hw.physics.scene_giving import GivingScene, Slip
+from galen_hw.physics.effects.backlash import Backlash
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.compliance import Compliance, Hardening
+from galen_hw.physics.effects.hysteresis import Creep, Hysteresis
+from galen_hw.physics.scenes.elastic_arm import GivingScene, Slip
 from galen_hw.spatial import Array
 
 KINDS: Final[dict[str, type[Effect]]] = {

@@ -1,0 +1,1 @@
+"""Effects of one recording, proposed by looking at a residual."""

@@ -1,0 +1,94 @@
+"""Looks into a residual for touches: episodes in which it stays away from its usual level."""
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import chi2
+
+from galen_hw.diagnosis.detection.proposal import FEW_ROWS, Sought, moment
+from galen_hw.diagnosis.stats.sampling import Mask
+from galen_hw.physics.effects.events import Contact
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.spatial import Array
+
+MOST = 12
+"""Episodes; more are no touches."""
+COVERED = 0.35
+"""Share of the rows that they may cover."""
+FELT = 3.0
+"""Mean square of running means during the episodes, noise alone being one, from which a channel feels them."""
+FEW_POSES = 200
+"""Rows below which a running mean of five is wider than many a touch."""
+SHARES = (0.004, 0.01, 0.02)
+"""Of the rows that running means are wide."""
+
+WIDE = 4
+"""Times the width of a mean that an episode may be for a knock: a mean opens what it is as wide as to three times that."""
+
+Episode = tuple[int, int]
+
+
+def contacts(scene: Scene, rest: Array) -> list[Sought]:
+    """Episodes in which the rest (M, C) stays far above its usual level: at most a third of the time, rest before and after.
+
+    Running means over three lengths, all channels together, in units of their own robust spread (so slow noise counts as
+    noise). A mean is wider than a knock, or than a touch in a sweep of few poses: these also as narrow as their level says.
+    An episode that begins with the recording or ends with it is a step. Without a clock the row is the time.
+    """
+    N, C = rest.shape
+    if N < FEW_ROWS:
+        return []
+    away = rest - np.median(rest, axis=0)
+    away = away / np.maximum(1.4826 * np.median(np.abs(away), axis=0), 1e-300)
+    out: dict[Contact, Sought] = {}
+    for share in SHARES:
+        length = max(int(share * N), 5)
+        z = uniform_filter1d(away, length, axis=0)
+        spread = 1.4826 * np.median(np.abs(z), axis=0)
+        # A channel that hardly ever differs shows no touch by that.
+        z = np.where(spread > 0.0, z / np.where(spread > 0.0, spread, 1.0), 0.0)
+        loud = np.sum(z**2, axis=1) > chi2.isf(1e-3 * length / N, C)
+        wide = [(a, b) for a, b in _loud(loud, length) if a > 0 and b < N]
+        if not wide or sum(b - a for a, b in wide) > COVERED * N or len(wide) > MOST:
+            continue
+        narrow = []
+        if N < FEW_POSES or (share == SHARES[0] and max(b - a for a, b in wide) <= WIDE * length):
+            own = [_level(away, *one) for one in wide]
+            # What a mean is as wide as, it shows by itself.
+            narrow = [own] if N < FEW_POSES or max(b - a for a, b in own) <= length else []
+        for own in (wide, *narrow):
+            for names in _felt(scene, own, away, z):
+                times = tuple((moment(scene, a, N), moment(scene, b - 1, N)) for a, b in own)
+                touch = Contact(names, times)
+                out.setdefault(touch, Sought(touch, N // length))
+    return list(out.values())
+
+
+def _loud(loud: Mask, length: int) -> list[Episode]:
+    """Runs of loud rows, joined over short gaps, shorter ones left out, ends opened a little."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], loud, [False]]).astype(int)))
+    out: list[list[int]] = []
+    for a, b in edges.reshape(-1, 2):
+        if out and a - out[-1][1] < 3 * length:
+            out[-1][1] = int(b)
+        else:
+            out.append([int(a), int(b)])
+    return [(max(a - length // 2, 0), min(b + length // 2, len(loud))) for a, b in out if b - a >= length]
+
+
+def _level(away: Array, start: int, end: int) -> Episode:
+    """The part of an episode whose mean, held over it, takes most of the rest (N, C) over its spread."""
+    total = np.cumsum(np.concatenate([np.zeros((1, away.shape[1])), away[start:end]]), axis=0)
+    first, last = np.triu_indices(len(total), 1)
+    best = int(np.argmax(np.sum((total[last] - total[first]) ** 2, axis=1) / (last - first)))
+    return start + int(first[best]), start + int(last[best])
+
+
+def _felt(scene: Scene, episodes: list[Episode], away: Array, z: Array) -> list[tuple[str, ...]]:
+    """Channels whose sample shows the episodes, and those of which only the mean `z` (N, C) of many does."""
+    inside = np.zeros(len(away), dtype=bool)
+    for a, b in episodes:
+        inside[a:b] = True
+    share = np.sum(away[inside] ** 2, axis=0) / np.maximum(np.sum(away**2, axis=0), 1e-300)
+    ways = (share > 1.2 * inside.mean() + 0.02, np.mean(z[inside] ** 2, axis=0) > FELT)
+    channels = [tuple(n for n, there in zip(scene.channels, way, strict=True) if there) for way in ways]
+    return [names for names in channels if names]

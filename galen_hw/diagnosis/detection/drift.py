@@ -1,0 +1,65 @@
+"""Slow movement in a residual: wanders, drifts and temperatures that several channels share."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from galen_hw.diagnosis.detection.proposal import FEW_ROWS, SHARED, Sought, slow_spread
+from galen_hw.diagnosis.noise.spectrum import Noise
+from galen_hw.physics.effects.sensor import WALK, Drift, Temperature
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.spatial import Array
+
+
+def walks(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
+    """A wander with every wave that is slower than noise, of each channel of which the rest (M, C) walks."""
+    proposed = {d.channel: d for d in Drift.propose(scene) if d.form == "wander"}
+    walking = [name for name, walks in zip(scene.channels, noise.walks(rest, WALK), strict=True) if walks]
+    return [Sought(replace(proposed[name], waves=WALK), 1) for name in walking if name in proposed]
+
+
+def drifts(scene: Scene, rest: Array, time: Array) -> list[Sought]:
+    """Slow movement that several channels share: of each form the one that takes most, in the channels that it is in.
+
+    Args:
+        rest: (M, C); time: (M,) of its rows, s.
+    """
+    if len(scene.channels) < 2 or len(rest) < FEW_ROWS:
+        return []
+    z, best = _scaled(rest), dict[str, tuple[float, Drift]]()
+    proposed = {(d.form, d.constant): d for d in Drift.propose(scene)}
+    for one in proposed.values():
+        names, gain = _shared(scene, z, one.shapes(time))
+        if len(names) > 1 and gain > best.get(one.form, (0.0, one))[0]:
+            best[one.form] = gain, replace(one, channel="", channels=names)
+    return [Sought(effect, len(scene.channels)) for _, effect in best.values()]
+
+
+def temperatures(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[Sought]:
+    """Every thermometer that several channels follow, in these: a drift in all of them at once would be before it in one.
+
+    At once, and with the delay that takes most.
+
+    Args:
+        rest: (M, C); average: rows (N, ...) to (M, ...).
+    """
+    if len(scene.channels) < 2 or len(rest) < FEW_ROWS:
+        return []
+    z, best = _scaled(rest), dict[tuple[str, bool], tuple[float, Temperature]]()
+    for one in {(t.place, t.constant): t for t in Temperature.propose(scene)}.values():
+        kind = one.place, one.constant is None
+        names, gain = _shared(scene, z, average(one.warmth(scene)[:, None]))
+        if len(names) > 1 and gain > best.get(kind, (0.0, one))[0]:
+            best[kind] = gain, replace(one, channel="", channels=names)
+    return [Sought(effect, len(scene.channels)) for _, effect in best.values()]
+
+
+def _scaled(rest: Array) -> Array:
+    return np.asarray((rest - rest.mean(axis=0)) / np.maximum(slow_spread(rest), 1e-300))
+
+
+def _shared(scene: Scene, z: Array, shapes: Array) -> tuple[tuple[str, ...], float]:
+    """Channels of a scaled rest (M, C) that shapes (M, k) are in, and what these take of all together."""
+    gain = np.sum((np.linalg.qr(shapes - shapes.mean(axis=0))[0].T @ z) ** 2, axis=0)
+    return tuple(n for n, g in zip(scene.channels, gain, strict=True) if g > SHARED * gain.max()), float(gain.sum())

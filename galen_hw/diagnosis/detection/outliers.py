@@ -1,0 +1,127 @@
+"""Isolated samples: marked before anything is fitted, believed once the physics does not explain them either."""
+
+from typing import Final
+
+import numpy as np
+from scipy.stats import norm
+
+from galen_hw.diagnosis.detection.stuck_samples import repeated
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.stats.sampling import Mask
+from galen_hw.physics.effects.events import Glitches
+from galen_hw.physics.signals.differentiation import ALONE, isolated
+from galen_hw.spatial import Array
+
+FEWEST: Final = 2
+"""Isolated samples that are a finding."""
+FAR: Final = 6.0
+"""Standard deviations by which a glitch must stand off what the model says, not only off its neighbours."""
+NEAR: Final = 3.5
+SAMPLES: Final = 2.0
+"""By which a model may be early or late at a bend of the motion: what that explains is not spoilt."""
+TAIL: Final = 1.0
+"""Noise with heavy tails: so many times as many samples between so many standard deviations and `FAR` as beyond it.
+
+Student's t of three degrees of freedom has four times as many, of two still twice; outliers of a uniform size hardly any.
+"""
+
+
+MOST_SPOILT = 0.03
+"""Share of a channel's samples: more isolated ones are another kind of noise."""
+HANDFUL = 4
+"""Isolated samples of one channel that may always be told."""
+
+
+def marked(bench: Bench, faint: Mask | None = None) -> list[Glitches]:
+    """Marks isolated and repeated samples, and those (N, C) that a model has shown, and leaves them out of everything."""
+    spiky = spikes(bench.scene.raw_residual, tuple(bench.scene.segments))
+    spiky |= repeated(bench.scene)
+    spiky = spiky if faint is None else spiky | faint
+    spoilt = np.asarray(spiky.any(axis=1))
+    rows = np.flatnonzero(spoilt)
+    if len(rows) < FEWEST:
+        return []
+    bench.leave_out(spoilt)
+    names = tuple(n for n, m in zip(bench.scene.channels, np.asarray(spiky.any(axis=0)), strict=True) if m)
+    return [Glitches(names, tuple(int(r) for r in rows))]
+
+
+def off(model: Model) -> Array:
+    """(N, C) how far every single sample is off what the model says."""
+    bench = model.bench
+    place = np.searchsorted(bench.rows.starts, np.arange(len(bench.scene)), side="right") - 1
+    return np.asarray(bench.scene.raw_residual - (bench.whole - model.rest())[place])
+
+
+def deviations(bench: Bench, rest: Array) -> Array:
+    """(N, C) what samples are off, in standard deviations of a single one; 0 where nothing was recorded."""
+    return np.asarray(np.nan_to_num(np.abs(rest) / (np.sqrt(bench.rows.stride) * bench.noise.sigma)))
+
+
+def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
+    """Isolated samples that the model does not explain either: a cusp of physics looks isolated until it is modelled.
+
+    Of repeated samples all, once some of them stand off what the model says: what is old need not be wrong.
+    """
+    if not glitch:
+        return []
+    bench, out = model.bench, []
+    z, again = deviations(bench, off(model)), repeated(bench.scene)
+    single = np.where(again, 0.0, z)
+    for one in glitch:
+        rows = np.array(one.rows)
+        channels = [bench.scene.channels.index(name) for name in one.channels]
+        alone, old = z[rows] > FAR, again[rows]
+        alone &= old | ~_heavy_tailed(single, (single[rows] > FAR).sum(axis=0))
+        kept = alone[:, channels].any(axis=1)
+        names = tuple(bench.scene.channels[c] for c in channels if alone[kept, c].any())
+        hung = old.any(axis=1)
+        kept |= hung & (np.sum(kept & hung) >= FEWEST)
+        if kept.sum() >= FEWEST:
+            out.append(Glitches(names, tuple(int(r) for r in rows[kept])))
+    return out
+
+
+def faint(model: Model) -> Mask | None:
+    """(N, C) isolated samples that stand off what the model says, but too little off their neighbours; None where there are none.
+
+    What noise does to the neighbours, and steps of a coarse converter, hide what is six to nine standard deviations large. At the
+    ends of a segment nobody knows what is late, and where the motion bends or friction turns no model knows the moment to a
+    sample: what is off there is not spoilt for that.
+    """
+    bench, rest = model.bench, off(model)
+    z = deviations(bench, rest)
+    said = bench.scene.simulated + bench.scene.raw_residual - rest
+    far, out = z > FAR, np.zeros(z.shape, dtype=bool)
+    for c in np.flatnonzero(far.any(axis=0)):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], far[:, c], [False]]).astype(int)))
+        for a, b in edges.reshape(-1, 2):
+            first, last = a - ALONE, b + ALONE
+            if b - a <= ALONE and any(part.start <= first and last <= part.stop for part in bench.scene.segments):
+                quick = np.max(np.abs(np.diff(said[first:last, c])))
+                beside = np.max(z[[*range(first, a), *range(b, last)], c])
+                out[a:b, c] = beside < NEAR and SAMPLES * quick < np.min(np.abs(rest[a:b, c]))
+    out &= ~_heavy_tailed(z, out.sum(axis=0)) & (out.sum(axis=0) <= MOST_SPOILT * len(out))
+    out &= ~(bench.spoilt | bench.scene.ends | bench.scene.unanswered)[:, None]
+    return out if out.any(axis=1).sum() >= FEWEST else None
+
+
+def _heavy_tailed(z: Array, far: Array) -> Mask:
+    """(C,) whether so many far samples (C,) are but the end of a tail, in deviations (N, C), that thins out towards them."""
+    between = np.sum((z > NEAR) & (z <= FAR), axis=0)
+    usual = 2.0 * len(z) * float(norm.sf(NEAR))
+    return np.asarray(between - 2.0 * usual > TAIL * far)
+
+
+def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
+    """(N, C) isolated samples, see `smoothing.isolated`; a channel with more than 3 % of them has another kind of noise.
+
+    Of a sweep of few poses a handful is more than that.
+    """
+    out = np.zeros(residual.shape, dtype=bool)
+    for part in segments:
+        for c in range(residual.shape[1]):
+            out[part, c] = isolated(residual[part, c])
+    out[:, out.sum(axis=0) > max(MOST_SPOILT * len(out), HANDFUL)] = False
+    return out

@@ -1,0 +1,121 @@
+"""Looks into a residual for spectral lines, and for ripple along the way of a joint."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from galen_hw.diagnosis.detection.proposal import Sought
+from galen_hw.physics.channels import joint_of
+from galen_hw.physics.effects.events import Vibration
+from galen_hw.physics.effects.friction import TorqueRipple
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.spatial import Array
+
+WANDERS = (0, 5, 15)
+"""Half cosines over the recording that the phase of a hum may follow."""
+WIDEST = 45
+"""And where the line stands out beyond the reach of these."""
+STANDS_OUT = 3.0
+"""Mean of its power there over that of what lies further away."""
+NARROW = 0.1
+"""Share of its frequency that a line may reach to either side: what is broader is no narrow band (a quality of five)."""
+
+
+def lines(
+    scene: Scene, rest: Array, runs: tuple[slice, ...], known: Sequence[Vibration] = (), *, narrow: float = NARROW
+) -> list[Sought]:
+    """The strongest line of the spectrum over its neighbourhood, over all channels and in each.
+
+    `narrow`: share of its frequency that it may reach to either side.
+
+    What is left within the breadth of a known line is its own: two lines so near would be each other's wander.
+    """
+    long = max(runs, key=lambda r: r.stop - r.start)
+    n = long.stop - long.start
+    if not scene.clock or n < 256:
+        return []
+    span = (
+        scene.time[min(len(scene) - 1, int(long.stop * len(scene) / len(rest)) - 1)]
+        - scene.time[int(long.start * len(scene) / len(rest))]
+    )
+    x = rest[long] - rest[long].mean(axis=0)
+    pad = 4 * n
+    power = np.abs(np.fft.rfft(x * np.hanning(n)[:, None], pad, axis=0)) ** 2
+    ground = _ground(power, 4 * 61) + 1e-300
+    ratio = power / ground
+    ratio[: _above_motion(scene, runs, pad, n)] = 0.0
+    dt = span / max(n - 1, 1)
+    frequency = np.arange(len(ratio)) / (pad * dt)
+    for line in known:
+        near = np.abs(frequency - line.frequency) < line.breadth(scene)
+        ratio[np.ix_(near, [scene.channels.index(name) for name in line.channels])] = 0.0
+    out = []
+    joint = ratio.sum(axis=1)
+    for score, names in [
+        (joint, scene.channels),
+        *((ratio[:, c], (scene.channels[c],)) for c in range(ratio.shape[1])),
+    ]:
+        f = _peak(score) / (pad * dt)
+        hums = [Vibration(tuple(names), float(f), wander) for wander in (*WANDERS, WIDEST)]
+        reach, widest, away = hums[-2].breadth(scene), hums[-1].breadth(scene), np.abs(frequency - f)
+        skirt, around = (away >= reach) & (away < widest), (away >= widest) & (away < 3.0 * widest)
+        mine = power[:, [scene.channels.index(name) for name in names]]
+        if not around.any() or np.all(mine[skirt].mean(axis=0) < STANDS_OUT * mine[around].mean(axis=0)):
+            hums.pop()
+        out += [Sought(hum, n // 2) for hum in hums if hum.breadth(scene) <= narrow * hum.frequency]
+    return out
+
+
+def _peak(score: Array) -> float:
+    """Place of the highest value, between the lines: the top of a parabola through the logarithms of three."""
+    k = int(np.argmax(score))
+    if not 0 < k < len(score) - 1 or not np.all(score[k - 1 : k + 2] > 0.0):
+        return float(k)
+    before, top, after = np.log(score[k - 1 : k + 2])
+    bend = before - 2.0 * top + after
+    return float(k + 0.5 * (before - after) / bend) if bend < 0.0 else float(k)
+
+
+def _ground(power: Array, width: int) -> Array:
+    """Running median (F, C) over about `width` lines, from medians of half-overlapping pieces."""
+    half = width // 2
+    count = max(len(power) // half - 1, 1)
+    middle = np.array([np.median(power[k * half : k * half + width], axis=0) for k in range(count)])
+    at = half * (np.arange(count) + 1.0)
+    lines = np.arange(len(power))
+    return np.stack([np.interp(lines, at, middle[:, c]) for c in range(power.shape[1])], axis=-1)
+
+
+def _above_motion(scene: Scene, runs: tuple[slice, ...], pad: int, n: int) -> int:
+    """First place of the padded spectrum that lies above what the arm itself does: a line below is motion."""
+    least = (pad // n) * 8
+    rows = np.linspace(0, len(scene) - 1, sum(run.stop - run.start for run in runs)).astype(int)
+    moving = [scene.joint_index(joint) for joint in scene.moved]
+    # Where no joints are known, what is simulated of a recorded orientation shows the motion.
+    x = scene.q[rows][:, moving] if moving else scene.simulated[rows]
+    x = x[:, np.ptp(x, axis=0) > 0.0]
+    if not x.shape[1]:
+        return least
+    power = np.abs(np.fft.rfft((x - x.mean(axis=0)) * np.hanning(len(x))[:, None], axis=0)) ** 2
+    share = np.cumsum(power, axis=0) / power.sum(axis=0)
+    reach = int(np.max(np.argmax(share > 0.999, axis=0)))
+    return max(least, int(2.0 * reach * pad / len(x)))
+
+
+def ripples(scene: Scene, rest: Array) -> list[Sought]:
+    """For every joint effort the wave number at which a sine of the joint's position fits best."""
+    if scene.observations.predict != "effort":
+        return []
+    out = []
+    rows = np.linspace(0, len(scene) - 1, len(rest)).astype(int)
+    for c, name in enumerate(scene.channels):
+        joint = joint_of(name)
+        if joint not in scene.moved:
+            continue
+        q = scene.q[rows, scene.joint_index(joint)]
+        reach = float(np.ptp(q))
+        numbers = np.arange(2.5, 160.0, 0.4) * 2.0 * np.pi / reach / 2.0
+        r = rest[:, c] - rest[:, c].mean()
+        power = np.array([np.abs(np.mean(r * np.exp(-1j * k * q))) ** 2 for k in numbers])
+        out.append(Sought(TorqueRipple(joint, float(numbers[int(np.argmax(power))])), len(numbers)))
+    return out

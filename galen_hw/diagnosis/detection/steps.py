@@ -1,0 +1,190 @@
+"""Where a residual jumps: once, or several times, of which none may tell by itself."""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.fft import dct, fft, idct
+
+from galen_hw.diagnosis.detection.proposal import FEW_ROWS, SHARED, Sought, moment, slow_spread
+from galen_hw.diagnosis.noise.spectrum import Noise
+from galen_hw.physics.effects.events import Step
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.spatial import Array
+
+MOST_JUMPS = 6
+"""Of one staircase: more stairs are a slope, or a walk."""
+WORTH_A_JUMP = 25.0
+"""Fall of the whitened sum of squares in a channel for which another jump is sought beside those that are there."""
+HARDLY = 0.2
+"""Share of the excess that two jumps must take for others to be sought beside them: what never rests is no staircase."""
+SAME = 0.01
+"""Share of the larger jump's square by which two levels may differ and be one."""
+SURE = 4.0
+"""And variances of the difference."""
+MOMENTS = 400
+"""Moments at which something carried may have slipped."""
+
+
+def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]:
+    """The moment at which a jump takes most out of the rest (M, C), channel by channel and over all together.
+
+    Where the noise is known to have a memory its slow wander is told from a jump.
+    """
+    N, C = rest.shape
+    if N < FEW_ROWS:
+        return []
+    gain, names, places = _gains(rest, noise), scene.channels, places_of(N)
+    found = [Sought(Step((names[c],), moment(scene, int(np.argmax(gain[:, c])) + 1, N)), places) for c in range(C)]
+    if C > 1:
+        row = int(np.argmax(gain.sum(axis=1)))
+        found.append(Sought(Step(tuple(names), moment(scene, row + 1, N)), places))
+        some = tuple(n for n, g in zip(names, gain[row], strict=True) if g > SHARED * gain[row].max())
+        if 1 < len(some) < C:
+            found.append(Sought(Step(some, moment(scene, row + 1, N)), places))
+    return found
+
+
+def places_of(rows: int) -> int:
+    """At how many places a jump is looked for in so many rows: neighbours are nearly the same place."""
+    return rows // 4
+
+
+def staircases(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
+    """Up to `MOST_JUMPS` jumps of each channel, and at moments that channels share, that together take most out of a rest (M, C).
+
+    Each is where it takes most beside those before it, and is placed once more beside all others. What comes back to where it
+    was is no staircase: somebody touched the arm.
+    """
+    N, C = rest.shape
+    if N < FEW_ROWS:
+        return []
+    found = [([c], _stairs(rest[:, [c]], noise, [c])) for c in range(C)]
+    if C > 1:
+        rows = _stairs(rest, noise, list(range(C)))
+        taken = (rest.var(axis=0) - _treads(rest, rows).var(axis=0)) / np.maximum(slow_spread(rest) ** 2, 1e-300)
+        found.append((np.flatnonzero(taken > SHARED * taken.max()).tolist(), rows))
+    out = []
+    for own, rows in found:
+        if len(rows) > 1 and not _returns(rest[:, own], rows):
+            first, *later = (moment(scene, row, N) for row in sorted(rows))
+            step = Step(tuple(scene.channels[c] for c in own), first, later=tuple(later))
+            out.append(Sought(step, places_of(N) ** len(rows)))
+    return out
+
+
+def _stairs(rest: Array, noise: Noise, own: list[int]) -> list[int]:
+    """First rows of up to `MOST_JUMPS` treads of a staircase in the rest (M, c) of channels `own`, most telling first."""
+    rows: list[int] = []
+    whole = rest.var(axis=0)
+    excess = whole - slow_spread(rest) ** 2
+    while len(rows) < MOST_JUMPS:
+        gain = _gains(_treads(rest, rows), noise, own).sum(axis=1)
+        row = int(np.argmax(gain)) + 1
+        if gain[row - 1] < WORTH_A_JUMP * len(own) or row in rows:
+            break
+        rows.append(row)
+        for k in range(len(rows)):
+            others = rows[:k] + rows[k + 1 :]
+            again = int(np.argmax(_gains(_treads(rest, others), noise, own).sum(axis=1))) + 1
+            rows[k] = rows[k] if again in others else again
+        if len(rows) > 1 and np.all(whole - _treads(rest, rows).var(axis=0) < HARDLY * excess):
+            break
+    return rows
+
+
+def _treads(rest: Array, rows: list[int]) -> Array:
+    """(M, C) of a rest without its mean between jumps."""
+    edges = [0, *sorted(rows), len(rest)]
+    return np.concatenate([rest[a:b] - rest[a:b].mean(axis=0) for a, b in itertools.pairwise(edges)])
+
+
+def _returns(rest: Array, rows: list[int]) -> bool:
+    """Whether a staircase in a rest (M, c) ever goes back from a tread to the one before, by its jumps and by the noise."""
+    edges, spread = [0, *sorted(rows), len(rest)], np.maximum(slow_spread(rest), 1e-300)
+    level = np.stack([rest[a:b].mean(axis=0) / spread for a, b in itertools.pairwise(edges)])
+    error = rest.shape[1] / np.diff(edges)
+    jump = np.sum(np.diff(level, axis=0) ** 2, axis=1)
+    back = np.sum((level[2:] - level[:-2]) ** 2, axis=1)
+    return bool(np.any(back < SAME * np.maximum(jump[1:], jump[:-1]) + SURE * (error[2:] + error[:-2])))
+
+
+def again(scene: Scene, rest: Array, step: Step, noise: Noise) -> Sought:
+    """A jump at the moment where it takes most out of a rest (M, C) that it is still in, in its own channels.
+
+    Found beside a model that had not all of the rest, it may be off by what a touch between the two moments then makes up for.
+    """
+    own = [scene.channels.index(name) for name in step.channels]
+    row = int(np.argmax(_gains(rest[:, own], noise, own).sum(axis=1)))
+    return Sought(replace(step, moment=moment(scene, row + 1, len(rest))), places_of(len(rest)))
+
+
+def _gains(rest: Array, noise: Noise | None, own: list[int] | None = None) -> Array:
+    """(M - 1, c) how much a jump before each row but the first takes out of the rest (M, c) of channels `own` (all).
+
+    None near its ends.
+    """
+    plain = noise is None or not len(noise.edges) or len(noise.rows.runs) > 1
+    gain = _white_jumps(rest) if noise is None or plain else _jumps(rest, noise, own)
+    margin = max(len(rest) // 60, 3)
+    gain[:margin], gain[-margin:] = 0.0, 0.0
+    return gain
+
+
+def _white_jumps(rest: Array) -> Array:
+    """(M - 1, C) how much a jump before each row but the first takes out of a rest with white noise."""
+    N = len(rest)
+    z = (rest - rest.mean(axis=0)) / np.maximum(slow_spread(rest), 1e-300)
+    k = np.arange(1, N)[:, None]
+    return np.asarray(np.cumsum(z, axis=0)[:-1] ** 2 / (k * (N - k) / N))
+
+
+def _jumps(rest: Array, noise: Noise, own: list[int] | None = None) -> Array:
+    """The same by generalised least squares, all moments at once: in cosine lines noise is diagonal.
+
+    Line j of a jump before row k of N is -sqrt(2 / N) sin(pi j k / N) / (2 sin(pi j / (2 N))).
+    """
+    N = len(rest)
+    lines = np.arange(1, N)[:, None]
+    level = noise.spectrum(lines[:, 0] / (2.0 * N))[:, slice(None) if own is None else own]
+    weighed = np.zeros_like(rest)
+    weighed[1:] = dct(rest, axis=0, norm="ortho")[1:] / level
+    inner = np.cumsum(idct(weighed, axis=0, norm="ortho"), axis=0)[:-1]
+    power = np.zeros_like(rest)
+    power[1:] = 1.0 / (2.0 * N * np.sin(np.pi * lines / (2.0 * N)) ** 2 * level)
+    square = 0.5 * (power.sum(axis=0) - fft(power, axis=0).real[1:])
+    return np.asarray(inner**2 / square)
+
+
+def slips(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[Sought]:
+    """For all that the arm carries the moment at which a slip of it takes most out of the rest (M, C).
+
+    With A the answer to a slip and b its product with the rest, both summed over the rows behind a moment, and S of all rows
+    what constants of the baseline take of it, the gain is b (A - A S^-1 A)^-1 b.
+
+    Args:
+        average: rows (N, ...) to (M, ...).
+    """
+    M = len(rest)
+    if M < FEW_ROWS:
+        return []
+    margin, out = max(M // 60, 3), []
+    sigma = np.maximum(slow_spread(rest), 1e-300)
+    for one in scene.slipping():
+        own = list(one.channels)
+        X, r = average(one.values) / sigma[own, None], (rest - rest.mean(axis=0))[:, own] / sigma[own]
+        # Moves in metres and in radians, made comparable.
+        X = X / np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)
+        behind = [
+            np.cumsum(each[::-1], axis=0)[::-1]
+            for each in (np.einsum("mck,mcl->mkl", X, X), np.einsum("mck,mc->mk", X, r))
+        ]
+        moments = np.unique(np.linspace(margin, M - margin - 1, MOMENTS).astype(int))
+        A, b = behind[0][moments], behind[1][moments]
+        free = A - A @ np.linalg.pinv(behind[0][0], rcond=1e-9, hermitian=True) @ A
+        gain = np.einsum("mk,mkl,ml->m", b, np.linalg.pinv(free, rcond=1e-6, hermitian=True), b)
+        when = moment(scene, int(moments[int(np.argmax(gain))]), M)
+        names = tuple(scene.channels[c] for c in own)
+        out.append(Sought(Step(names, when, one.name), places_of(M)))
+    return out

@@ -1,0 +1,153 @@
+"""One candidate term of a model: an effect at a place, with its columns plain and whitened."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from galen_hw.diagnosis.stats.linear_algebra import pinned_at
+from galen_hw.diagnosis.stats.sampling import Index, Mask
+from galen_hw.physics.effects.base import Columns, Effect
+from galen_hw.physics.effects.events import Contact
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.spatial import Array
+
+if TYPE_CHECKING:
+    from galen_hw.diagnosis.estimation.dataset import Bench
+
+LEAST_TOLD = float(np.exp(2.0))
+"""Independent values at which a number costs what it takes of noise alone on average and as much again (Akaike 1974)."""
+
+
+@dataclass(eq=False)
+class Hypothesis:
+    """One effect on the bench.
+
+    Args:
+        effect: the piece of physics; None: a nuisance or a generic term.
+        raw: averaged columns, unfiltered.
+        white: the same, whitened channel by channel.
+        looked: at how many places it was looked for; each of several touches at as many.
+        theta: parameters at which `raw` is the slope (nonlinear effects); None: at zero.
+        bend: (M, C) what it predicts at theta beyond slope times theta; None where it is linear.
+        beside: (M, C) what it adds in a settled model because the others are there too; None: nothing.
+        unseen: see `aside`; telling: see `lasts`; None: not asked yet.
+    """
+
+    effect: Effect | None
+    raw: Columns
+    white: Columns
+    looked: int = 1
+    name: str = ""
+    theta: Array | None = None
+    bend: Array | None = None
+    beside: Array | None = None
+    unseen: int | None = None
+    telling: float | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of linear parameters."""
+        return self.raw.count
+
+    def own(self, channel: int) -> tuple[Index, Array]:
+        """Its columns in a channel that are not zero throughout: their numbers, and whitened (M, n)."""
+        i = self.white.channels.index(channel)
+        at = np.flatnonzero(self.live[i])
+        return at, self.white.values[:, i] if len(at) == self.count else self.white.values[:, i, at]
+
+    def aside(self, train: Mask) -> int:
+        """How many parameters belong to moments of which no row is learnt from: they gain nothing there, and cost nothing.
+
+        Told once, for it is asked at every turn of a search: the rows `train` (M,) of a bench stay as they are.
+        """
+        if self.unseen is None:
+            episodic = self.effect is not None and self.effect.EPISODIC
+            self.unseen = sum(not self._seen(j, train) for j in range(self.count)) if episodic else 0
+        return self.unseen
+
+    def _seen(self, column: int, train: Mask) -> bool:
+        """Whether a column is other than zero in any row that is learnt from; only channels in which it lives are looked at."""
+        return any(bool(self.raw.values[train, i, column].any()) for i in np.flatnonzero(self.live[:, column]))
+
+    @cached_property
+    def live(self) -> Mask:
+        """(len(channels), k) where a column is not zero throughout."""
+        return self.raw.live()
+
+    @cached_property
+    def family(self) -> Any:
+        """Of its effect; None: a nuisance."""
+        return None if self.effect is None else self.effect.family
+
+    @property
+    def held(self) -> Array:
+        """(k,) values of its parameters that are not fitted in a model, nan for those that are."""
+        held = None if self.effect is None else self.effect.held
+        return np.full(self.count, np.nan) if held is None else held
+
+    def owed(self, count: int | None = None, *, whole: bool = False) -> int:
+        """Numbers that it pays for: those that its physics has, searched values included, of `count` columns that show (all).
+
+        `whole`: with all parameters of a loose hypothesis, which stands for physics with fewer and may not be it.
+        """
+        shown = self.count if count is None else count
+        if self.effect is None:
+            return shown
+        relaxed = self.effect.freedom is not None and not (whole and self.effect.loose)
+        return (min(shown, self.effect.freedom or 0) if relaxed else shown) + len(self.effect.searched())
+
+    def lasts(self, train: Mask) -> float:
+        """Share of the rows that are learnt from which tell of its parameters: of touches those while they last, else all.
+
+        Told once, as `aside` is.
+        """
+        if self.telling is None:
+            touching = isinstance(self.effect, Contact)
+            self.telling = float(np.mean(self.raw.values[train].any(axis=(1, 2)))) if touching else 1.0
+        return self.telling
+
+    def price(self, bench: "Bench") -> float:
+        """Of one of its numbers: the log of how many independent values tell of it (Schwarz 1978)."""
+        return float(np.log(max(bench.noise.effective * self.lasts(bench.train), LEAST_TOLD)))
+
+    def ways(self, train: Mask) -> float:
+        """Log of how many ways it could have been found in: each of several touches, of which rows are learnt from, anywhere."""
+        times = 1.0
+        if isinstance(self.effect, Contact) and self.count:
+            times = len(self.effect.episodes) * (1.0 - self.aside(train) / self.count)
+        return times * math.log(self.looked)
+
+    def does(self, theta: Array) -> Array:
+        """(M, len(channels)) its change with parameters theta (k,), what it is bent by included."""
+        more = [x[:, list(self.raw.channels)] for x in (self.bend, self.beside) if x is not None]
+        return np.asarray(sum(more, self.raw.values @ theta))
+
+    def pinned_gain(self, scene: Scene, A: Array, r: Array) -> float | None:
+        """Fall of the whitened sum of squares at the one value its parameters can have, by inner products; None: free.
+
+        What is fitted instead could be something else: a lag of share two is a delay.
+        """
+        at = None if self.effect is None else self.effect.pinned(scene)
+        if at is None:
+            return None
+        at = pinned_at(at, A, r)
+        return float(2.0 * at @ r - at @ A @ at)
+
+
+def place_of(effect: Effect | None) -> tuple[str, ...]:
+    """Where an effect sits: one hypothesis of a kind a place; those of moments may stand side by side."""
+    if effect is None or effect.KEY in ("step", "vibration", "torque_ripple", "contact"):
+        return (str(id(effect)),)
+    names = ("joint", "channel", "driver", "source", "place", "part", "axis", "upper")
+    place = [str(getattr(effect, name, "")) for name in names]
+    errors = getattr(effect, "errors", ())
+    form = getattr(effect, "form", "") if effect.KEY == "compliance" else ""
+    return (effect.KEY, *place, *map(str, errors), form)
+
+
+def told(effect: Effect | None) -> tuple[object, ...]:
+    """What an effect is, and which of its numbers are searched: a bearing with friction is not one without."""
+    return () if effect is None else (effect.family, *effect.searched())

@@ -1,0 +1,77 @@
+"""Errors on blocks left out."""
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.least_squares import fit, predicted
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.stats.sampling import Chosen, Index, folds
+from galen_hw.spatial import Array
+
+PIECES = 400
+"""Of so many pieces of a recording every fifth is left out to judge what belongs to moments."""
+LEAST_PIECE = 8
+"""Rows of one where noise has a memory."""
+
+
+def crossed(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False) -> Array:
+    """(C,) mean squared error of a model on training blocks left out in turn, see `left_out`."""
+    return np.asarray(np.mean(errors(bench, scorer, chosen, fine=fine) ** 2, axis=0))
+
+
+def errors(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False, whitened: bool = False) -> Array:
+    """(n, C) errors of a model on the training rows, raw or whitened, each predicted from blocks that it is not in."""
+    model = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
+    return _errors(bench, model, scorer.white, fine=fine, whitened=whitened)
+
+
+def left_out(bench: Bench, model: list[Hypothesis], white: Array, *, fine: bool = False) -> Array:
+    """(C,) mean squared error, raw, on training blocks left out in turn; `fine`: on short pieces left out in turn."""
+    return np.asarray(np.mean(_errors(bench, model, white, fine=fine) ** 2, axis=0))
+
+
+def white_left_out(bench: Bench, model: list[Hypothesis], white: Array) -> Array:
+    """(n, C) white errors on the training rows, each block predicted from the others."""
+    return _errors(bench, model, white, fine=False, whitened=True)
+
+
+def _errors(bench: Bench, model: list[Hypothesis], white: Array, *, fine: bool, whitened: bool = False) -> Array:
+    """(n, C) errors on the training rows, each block or piece predicted from the others."""
+    train = np.flatnonzero(bench.train)
+    if fine:
+        # Noise with a memory would tell one row from the next; poses of a sweep know nothing of each other.
+        piece = max(len(bench.rows) // PIECES, LEAST_PIECE if len(bench.noise.edges) else 1)
+        fold = folds(np.asarray(train // piece))
+    else:
+        fold = folds(bench.block[train])
+    out = np.zeros((len(train), bench.width))
+    stays = _of_moments(model, white, train, fold, bench.width, fine=fine)
+    for k in range(int(fold.max(initial=0)) + 1):
+        learn, aside = fold != k, fold == k
+        theta = fit(model, white, train[learn], bench.width, stays)
+        target = white if whitened else bench.y
+        out[aside] = target[train[aside]] - predicted(model, theta, train[aside], bench.width, whitened=whitened)
+    return out
+
+
+LIVES = 0.9
+"""Share of the square of what belongs to a moment that must lie in blocks left out for these to be all that tells of it."""
+
+
+def _of_moments(
+    model: list[Hypothesis], white: Array, rows: Chosen, fold: Index, width: int, *, fine: bool
+) -> Array | None:
+    """(k,) parameters of what lies in one fold alone, as learnt on all rows, else nan; None where nothing does.
+
+    A touch that lies in the blocks left out cannot be foretold from the others: what then stands there would decide between
+    models that have the same one. Nor can what fades from a beginning; it may be quicker than a short piece, which no touch is.
+    """
+    held = np.zeros(sum(h.count for h in model), dtype=bool)
+    done = 0
+    for h in model:
+        if h.effect is None or (h.effect.EPISODIC and not fine):
+            square = np.stack([np.sum(h.white.values[rows[fold == k]] ** 2, axis=(0, 1)) for k in np.unique(fold)])
+            held[done : done + h.count] = square.max(axis=0) > LIVES * square.sum(axis=0)
+        done += h.count
+    return np.where(held, fit(model, white, rows, width), np.nan) if held.any() else None

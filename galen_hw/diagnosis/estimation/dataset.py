@@ -1,0 +1,278 @@
+"""The bench: one recording (or several at once) averaged, its noise known, every hypothesis' columns whitened once.
+
+All decisions are then small solves: inner products of columns with each other and with the residual.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.signal_chain import through
+from galen_hw.diagnosis.noise.spectrum import Noise, estimate, quantisation
+from galen_hw.diagnosis.stats.linear_algebra import orthonormal, scaled, solve_sym
+from galen_hw.diagnosis.stats.sampling import Index, Mask, Rows, blocks, set_aside
+from galen_hw.physics.effects.base import Columns, Downstream, Effect, spacing
+from galen_hw.physics.effects.timing import TimeDelay, Timing
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.physics.scenes.initial_state import fading
+from galen_hw.spatial import Array
+
+MOST_ROWS = 12500
+SURROGATES = 48
+MOST_OF_MOTION = 0.995
+POSE = 1.0
+"""Seconds from row to row from which they are poses of a sweep."""
+IN_ORDER = 1000
+"""Rows without a clock from which their order shows what the noise is like; poses that were averaged are fewer, and apart."""
+
+
+@dataclass
+class Bench:
+    """See the module.
+
+    Args:
+        scene: what was measured and simulated.
+        held: share of blocks set aside.
+        seed: of the choice of blocks and of surrogates.
+        most: rows that it may have; neighbours are averaged until there are no more.
+    """
+
+    scene: Scene
+    held: float = 0.3
+    seed: int = 0
+    most: int = MOST_ROWS
+    rows: Rows = field(init=False)
+    block: Index = field(init=False)
+    aside: Mask = field(init=False)
+    hollow: Mask = field(init=False)
+    dropped: Mask = field(init=False)
+    noise: Noise = field(init=False)
+    timing: list[tuple[Downstream, Array]] = field(default_factory=list)
+    company: Array | float = 0.0
+    """(M, C) what the effects of the present model add because of each other: a gain scales a new load too."""
+    plain: dict[Effect, Hypothesis] = field(default_factory=dict)
+    """See `know`."""
+    restless: bool = False
+    """Whether that grows round after round: one part of the model undoes another."""
+
+    def __post_init__(self) -> None:
+        """Averages the residual and marks the rows set aside."""
+        n = len(self.scene)
+        # A scene that low-passes what it compares says how many neighbouring rows hold nothing new.
+        self.rows = Rows(tuple(self.scene.segments), max(1, self.scene.grain, -(-n // self.most)))
+        count = 40 if len(self.rows) >= 400 else max(min(len(self.rows) // 4, 14), 4)
+        self.block = blocks(self.rows.runs, count)
+        self.aside = set_aside(self.block, self.held, self.seed) if self.held > 0 else np.zeros(len(self.rows), bool)
+        self.whole = self.rows.average(self.scene.residual)
+        self.y = self.whole
+        self.steps = quantisation(self.scene.measured)
+        self.width = len(self.scene.channels)
+        self.leave_out(np.zeros(n, dtype=bool))
+
+    def leave_out(self, spoilt: Mask) -> None:
+        """Rows (N,) of the recording that no fit may see, its ends among them; the averaged rows that hold one are bridged."""
+        self.spoilt = spoilt
+        scene = self.scene
+        self.hollow = self.rows.spread(spoilt | scene.ends)
+        self.dropped = self.hollow | self.rows.spread(scene.unanswered)
+        good = np.flatnonzero(~self.hollow)
+        if self.hollow.any() and len(good):
+            at = np.arange(len(self.hollow))
+            self.whole = np.stack([np.interp(at, good, self.whole[good, c]) for c in range(self.width)], axis=-1)
+        self.y = self.whole
+        self.stream = scene.carrying(np.median(self.whole[good], axis=0) if len(good) else 0.0, 0.0)
+
+    def begun(self, scene: Scene) -> None:
+        """The same scene with another beginning."""
+        self.scene = scene
+        self.leave_out(self.spoilt)
+
+    def begin(self) -> None:
+        """As before anything was chosen, but for what the stream is known to carry."""
+        self.y, self.timing, self.company, self.restless = self.whole, [], 0.0, False
+
+    @property
+    def train(self) -> Mask:
+        """Rows to learn from."""
+        return ~self.aside & ~self.dropped
+
+    @property
+    def judged(self) -> Mask:
+        """Rows to judge on."""
+        return self.aside & ~self.dropped
+
+    def averaged(self, columns: Columns) -> Columns:
+        """Columns (N, c, k) on the bench's rows, (M, c, k)."""
+        return Columns(columns.channels, self.rows.average(columns.values))
+
+    def add(self, effect: Effect, looked: int = 1) -> Hypothesis:
+        """A hypothesis with its columns, averaged and whitened."""
+        known = self.plain.get(effect) if looked == 1 and not through(effect, self.timing) else None
+        return self.made(effect, self.raw(effect), looked) if known is None else known
+
+    def know(self, hypotheses: Iterable[Hypothesis]) -> None:
+        """Keeps what effects do by themselves, whatever the stream carries, until the noise is another: it is asked again."""
+        each = ((h.effect, h) for h in hypotheses)
+        self.plain = {e: h for e, h in each if e is not None and (not e.DOWNSTREAM or isinstance(e, Timing))}
+
+    def raw(self, effect: Effect) -> Columns:
+        """An effect's averaged columns, as the late, lagging or clipping stream delivers them."""
+        ends = through(effect, self.timing)
+        if not ends:
+            known = self.plain.get(effect)
+            return effect.averaged(self.scene_of(effect), self.rows.average) if known is None else known.raw
+        columns = effect.columns(self.scene_of(effect))
+        for downstream, theta in ends[:-1]:
+            columns = downstream.delivered(self.stream, columns, theta)
+        last, theta = ends[-1]
+        if not isinstance(last, TimeDelay) or not columns.count:
+            return self.averaged(last.delivered(self.stream, columns, theta))
+        places, late = last.places(self.stream), float(theta[0])
+        mine = [i for i, c in enumerate(columns.channels) if c in places]
+        if not mine:
+            return self.averaged(columns)
+        if len(mine) == len(columns.channels):
+            return Columns(columns.channels, self.late(columns.values, late, bowed=last.bowed))
+        values = np.empty((len(self.rows), *columns.values.shape[1:]))
+        rest = [i for i in range(len(columns.channels)) if i not in mine]
+        values[:, rest] = self.rows.average(columns.values[:, rest])
+        values[:, mine] = self.late(columns.values[:, mine], late, bowed=last.bowed)
+        return Columns(columns.channels, values)
+
+    @property
+    def spacing(self) -> float:
+        """Between its rows, s."""
+        return spacing(self.scene) * self.rows.stride
+
+    def late(self, x: Array, seconds: float, *, bowed: bool = False) -> Array:
+        """(M, ...) averages of signals (N, ...) that come later by seconds, see `operators.delay`."""
+        if self.scene.even:
+            return self.rows.late(x, [seconds / step for step in self.scene.steps], bowed=bowed)
+        flat = self.stream.delay("delay", x.reshape(len(x), -1), seconds, bowed=bowed)
+        return self.rows.average(flat).reshape(-1, *x.shape[1:])
+
+    @cached_property
+    def simulated(self) -> Array:
+        """(M, C) averages of what was simulated."""
+        return self.rows.average(self.scene.simulated)
+
+    def scene_of(self, effect: Effect) -> Scene:
+        """The scene as an effect meets it: at the end of the stream with all that the model adds."""
+        return self.stream if effect.DOWNSTREAM else self.scene
+
+    def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
+        """A hypothesis of given averaged columns."""
+        out = Hypothesis(effect, raw, raw, looked, name)
+        if out.live.all():
+            white = self.noise.whitened_each(self.noise.transformed(raw.values), raw.channels)
+        else:
+            white = np.zeros((*out.live.shape, len(self.rows))).transpose(2, 0, 1)
+            at, k = np.nonzero(out.live)
+            flat = self.noise.transformed(raw.values[:, at, k])
+            white[:, at, k] = self.noise.whitened_each(flat[:, :, None], tuple(raw.channels[i] for i in at))[:, :, 0]
+        out.white = Columns(raw.channels, white)
+        return out
+
+    def constants(self) -> list[Columns]:
+        """What is always fitted: offsets of all channels, the baseline's own nuisances, and what fades from the beginning."""
+        ones = np.ones((len(self.rows), 1, 1))
+        out = [Columns((c,), ones) for c in range(self.width)]
+        everywhere = tuple(range(self.width))
+        out += [Columns(everywhere, self.rows.average(n)[:, :, None]) for n in self.scene.nuisances()]
+        return out + [Columns(channels, self.rows.average(x)[:, :, None]) for channels, x in fading(self.scene)]
+
+    def learn_noise(self, hypotheses: Iterable[Columns], extra: Iterable[Columns] = (), *, above: float = 0.0) -> None:
+        """Noise from the rest of a fit: principal directions of all columns, channel by channel, and `extra` whole.
+
+        Below `above` (cycles a row) it is not measured but taken as at that frequency.
+        """
+        self.plain = {}
+        constants, library = self.constants(), list(hypotheses)
+        always = [*constants, *extra]
+        M, good = len(self.rows), ~self.dropped
+
+        def left(c: int) -> tuple[Array, Array]:
+            whole = [_of(col, c) for col in always if c in col.channels]
+            rich = [_of(col, c) for col in library if c in col.channels]
+            Q = rich_basis(np.concatenate(whole, axis=1), rich, M)
+            fit = Q @ solve_sym(Q[good].T @ Q[good], Q[good].T @ self.y[good, c][:, None])[:, 0]
+            return np.where(good, self.y[:, c] - fit, 0.0), Q
+
+        rest, basis = zip(
+            *Parallel(n_jobs=2, require="sharedmem")(delayed(left)(c) for c in range(self.width)), strict=True
+        )
+        rows, whole = self.rows, np.stack(rest, axis=-1)
+        self.noise = estimate(
+            whole, list(basis), rows, ordered=self.ordered, apart=self.apart, steps=self.steps, above=above
+        )
+
+    @property
+    def ordered(self) -> bool:
+        """Whether the noise of successive rows may be of one piece: on a clock, or where so many rows have only their order."""
+        return self.scene.clock or len(self.rows) >= IN_ORDER
+
+    @property
+    def apart(self) -> bool:
+        """Whether each row is a pose by itself, held for a second or for nobody knows how long."""
+        return not self.scene.clock or self.spacing >= POSE
+
+    def motion_band(self) -> float:
+        """Cycles a row below which nearly all of the motion and of its products lies; 0 where nothing moves."""
+        scene = self.scene
+        moving = [scene.joint_index(joint) for joint in scene.moved]
+        run = max(self.rows.runs, key=lambda r: r.stop - r.start)
+        n = run.stop - run.start
+        if not scene.clock or not moving or n < 64:
+            return 0.0
+        x = self.rows.average(scene.rates[0][:, moving])[run]
+        power = np.abs(np.fft.rfft(x * np.hanning(n)[:, None], axis=0)) ** 2
+        share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
+        reach = int(np.max(np.argmax(share > MOST_OF_MOTION, axis=0)))
+        return float(min(2.0 * reach / n, 0.2))
+
+    def whitened(self, y: Array) -> Array:
+        """(M, C) residual whitened; rows that hold nothing are bridged first."""
+        return self.noise.bridged(y, ~self.hollow)
+
+    def surrogates(self, count: int = SURROGATES) -> Array:
+        """(M, C, count) whitened noise like this recording's, quantised where its channels are."""
+        rng = np.random.default_rng(self.seed + 1)
+        mix = np.linalg.cholesky(self.noise.correlation + 1e-6 * np.eye(self.width))
+        z = rng.normal(size=(len(self.rows), count, self.width)) @ mix.T
+        out = np.moveaxis(z, 1, 2).copy()
+        for c in np.flatnonzero(self.steps > 0).tolist():
+            if self.rows.stride > 1:
+                continue
+            step = self.steps[c]
+            own = max(float(self.noise.sigma[c] ** 2 - step**2 / 12.0), 0.0) ** 0.5 / float(self.noise.sigma[c])
+            coloured = self.noise.colour(out[:, c], c) * own
+            simulated = self.rows.average(self.scene.simulated)[:, [c]] + float(np.median(self.y[:, c]))
+            read = np.round((simulated + coloured) / step) * step - simulated
+            out[:, c] = self.noise.whiten(read, c)
+        return out
+
+
+def _of(columns: Columns, channel: int) -> Array:
+    return columns.values[:, columns.channels.index(channel)]
+
+
+def rich_basis(whole: Array, rich: list[Array], rows: int) -> Array:
+    """Orthonormal (M, r): `whole` and the leading directions of the `rich` columns in order, r at most a twelfth of the rows."""
+    most = int(min(70, max(rows // 12, 4)))
+    Q = orthonormal(scaled(whole))
+    if not rich:
+        return Q
+    X = scaled(np.concatenate(rich, axis=1))
+    X = scaled(X - Q @ (Q.T @ X), keep=1e-4)
+    if not X.size:
+        return Q
+    P = orthonormal(X, most=most)
+    # Once more against what rounding left of `whole`; QR keeps the order, the strongest first.
+    return np.concatenate([Q, np.linalg.qr(P - Q @ (Q.T @ P))[0]], axis=1)
+
+
+Progress = Callable[[str, float], None]

@@ -1,0 +1,62 @@
+"""Models of hypotheses fitted by generalised least squares, on all rows or with blocks left out in turn."""
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.stats.linear_algebra import pinned_at
+from galen_hw.diagnosis.stats.sampling import Chosen
+from galen_hw.spatial import Array
+
+PROVED = 1.25
+"""Whitened mean square below which a model leaves hardly more than noise."""
+
+
+def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int, stays: Array | None = None) -> Array:
+    """Generalised least squares of a model on some rows; `stays`: (k,) values that parameters keep besides, else nan."""
+    size = sum(h.count for h in model)
+    G, b = np.zeros((size, size)), np.zeros(size)
+    starts = np.cumsum([0, *(h.count for h in model)])
+    for c in range(width):
+        mine = [(h, s) for h, s in zip(model, starts, strict=False) if c in h.white.channels]
+        if not mine:
+            continue
+        at = np.concatenate([np.arange(s, s + h.count) for h, s in mine])
+        X = np.concatenate([h.white.values[:, h.white.channels.index(c)] for h, _ in mine], axis=1)[rows]
+        G[np.ix_(at, at)] += X.T @ X
+        b[at] += X.T @ white[rows, c]
+    held = np.concatenate([np.empty(0), *(h.held for h in model)])
+    return pinned_at(held if stays is None else np.where(np.isnan(held), stays, held), G, b)
+
+
+def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int, *, whitened: bool = False) -> Array:
+    """(len(rows), C) of a model in raw units, or whitened."""
+    out, done = np.zeros((len(rows), width)), 0
+    for h in model:
+        columns = h.white if whitened else h.raw
+        out[:, list(columns.channels)] += columns.values[rows] @ theta[done : done + h.count]
+        done += h.count
+    return out
+
+
+def rests(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, Array]:
+    """(M, C) rest of a model, raw and whitened."""
+    theta = scorer.solve(chosen)[0]
+    rest, white, done = bench.y.copy(), scorer.white.copy(), 0
+    for i in [*range(len(scorer.base)), *chosen]:
+        h = scorer.library[i]
+        t = theta[done : done + h.count]
+        done += h.count
+        rest[:, list(h.raw.channels)] -= h.raw.values @ t
+        white[:, list(h.white.channels)] -= h.white.values @ t
+    return rest, white
+
+
+def missed(bench: Bench, scorer: Scorer, chosen: list[int]) -> float:
+    """Mean square of what a model leaves over the noise's, 1 where noise alone is left: whitened, or raw where that is more.
+
+    Physics that is missing passes for slow noise in the weights of a short recording; a single sample knows better.
+    """
+    rest = rests(bench, scorer, chosen)[0][bench.train]
+    return max(scorer.misfit(chosen), float(np.mean(rest**2 / (bench.noise.sigma**2 * bench.noise.slower))))

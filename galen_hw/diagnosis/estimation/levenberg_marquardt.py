@@ -1,0 +1,117 @@
+"""What one more effect adds to a model, and the damped steps that lead one that is not linear to its optimum beside it."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.least_squares import rests
+from galen_hw.diagnosis.estimation.linearisation import does, tangent
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.stats.linear_algebra import solve_sym
+from galen_hw.physics.effects.base import Columns
+from galen_hw.spatial import Array
+
+if TYPE_CHECKING:
+    from galen_hw.diagnosis.stats.sampling import Index
+
+
+STEPS = 30
+AGAIN = 4
+"""Steps of what was at its optimum before something else changed."""
+ENOUGH = 0.1
+"""Fall of twice the log likelihood by which a step must have paid for another."""
+DAMPING = 1e-3
+"""Of the first step, of the square of each column; ten times more where a step does not pay, a tenth where it does."""
+STUCK = 1e6
+
+
+class Beside:
+    """What one more hypothesis would add to a model, from inner products with that model's columns alone."""
+
+    def __init__(self, bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
+        model = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
+        model = [h for h in model if np.isnan(h.held).all()]
+        rest, rows = rests(bench, scorer, chosen)[1], bench.train
+        self.train, self.width, self.scene = rows, bench.width, bench.scene
+        self.rest = [rest[rows, c] for c in range(bench.width)]
+        ends = np.cumsum([0, *(h.count for h in model)])
+        self.at: list[Index] = []
+        self.columns: list[Array] = []
+        self.G = np.zeros((ends[-1], ends[-1]))
+        for c in range(bench.width):
+            mine = [(h, k) for k, h in enumerate(model) if c in h.white.channels and h.count]
+            at = [np.arange(ends[k], ends[k + 1]) for _, k in mine]
+            parts = [h.white.values[:, h.white.channels.index(c)][rows] for h, _ in mine]
+            self.at.append(np.concatenate([np.empty(0, dtype=np.intp), *at]))
+            self.columns.append(np.concatenate([np.empty((int(rows.sum()), 0)), *parts], axis=1))
+            self.G[np.ix_(self.at[c], self.at[c])] += self.columns[c].T @ self.columns[c]
+
+    def gain(self, h: Hypothesis) -> float:
+        """Fall of the whitened sum of squares when it joins."""
+        own, r = self.products(h)
+        pinned = h.pinned_gain(self.scene, own, r)
+        return pinned if pinned is not None else float(r @ solve_sym(own, r[:, None])[:, 0])
+
+    def whole(self, h: Hypothesis) -> float:
+        """The same of what is known by size: its columns as they are."""
+        own, r = self.products(h)
+        return float(2.0 * r.sum() - own.sum())
+
+    def products(self, h: Hypothesis) -> tuple[Array, Array]:
+        """(k, k) of its columns beside the model, and (k,) with what that leaves."""
+        own, r, cross = np.zeros((h.count, h.count)), np.zeros(h.count), np.zeros((len(self.G), h.count))
+        for i, c in enumerate(h.white.channels):
+            X = h.white.values[:, i][self.train]
+            own += X.T @ X
+            r += X.T @ self.rest[c]
+            cross[self.at[c]] += self.columns[c].T @ X
+        if len(self.G):
+            own -= cross.T @ solve_sym(self.G, cross)
+        return own, r
+
+
+def descended(
+    bench: Bench, beside: Beside, h: Hypothesis, theta: Array, steps: int = STEPS
+) -> tuple[float, Hypothesis]:
+    """The least cost beside a model that damped steps from theta (k,) lead to within the effect's bounds, and the tangent there.
+
+    Source: Levenberg 1944, Marquardt 1963; the model's own parameters are solved for at each step (variable projection).
+    """
+    assert h.effect is not None, "nuisances are linear"
+    named = h.effect.parameters(bench.scene)
+    low, high = np.array([max(p.low, -p.furthest) for p in named]), np.array([min(p.high, p.furthest) for p in named])
+    theta = np.clip(theta, low, high)
+    here, cost, A, r = _step_from(bench, beside, h, theta)
+    damping = DAMPING
+    for _ in range(steps):
+        further = np.clip(theta + solve_sym(A + damping * np.diag(np.diag(A)), r[:, None])[:, 0], low, high)
+        paid = cost - _cost(bench, beside, h, further)
+        if not paid > 0.0:
+            damping *= 10.0
+            if damping > STUCK:
+                break
+            continue
+        theta, damping = further, 0.1 * damping
+        here, cost, A, r = _step_from(bench, beside, h, theta)
+        if paid < ENOUGH:
+            break
+    return cost, here
+
+
+def _cost(bench: Bench, beside: Beside, h: Hypothesis, theta: Array) -> float:
+    """Whitened sum of squares beside a model with the effect at theta, less that without it."""
+    assert h.effect is not None, "nuisances are linear"
+    there = does(bench, h.effect, theta)
+    return -beside.whole(bench.made(None, Columns(tuple(range(bench.width)), there[:, :, None])))
+
+
+def _step_from(bench: Bench, beside: Beside, h: Hypothesis, theta: Array) -> tuple[Hypothesis, float, Array, Array]:
+    """The tangent at theta, its cost beside the model, and normal equations A (k, k), r (k,) of a step from there."""
+    here = tangent(bench, h, theta)
+    assert here.bend is not None, "a tangent has one"
+    own = here.bend + here.raw.values @ theta
+    raw = Columns(here.raw.channels, np.concatenate([here.raw.values, own[:, :, None]], axis=2))
+    G, b = beside.products(bench.made(None, raw))
+    return here, float(G[-1, -1] - 2.0 * b[-1]), G[:-1, :-1], b[:-1] - G[:-1, -1]

@@ -1,0 +1,306 @@
+"""The chosen model, settled: what is held constant, its parameters with honest errors, and how it does on held-out rows."""
+
+import itertools
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation import signal_chain
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.least_squares import fit, predicted
+from galen_hw.diagnosis.estimation.linearisation import does
+from galen_hw.diagnosis.stats.linear_algebra import solve_sym
+from galen_hw.diagnosis.stats.sampling import Chosen
+from galen_hw.physics.effects.base import Columns
+from galen_hw.physics.effects.sensor import Saturation
+from galen_hw.spatial import Array
+
+STEP: Final = 0.02
+"""Of the logarithm of the factor within which a searched value is sought: by as much its slope is told."""
+NEVER: Final = 1e-9
+"""Share of the square of a slope that must be left beside the effect's own columns."""
+STAYS: Final = 1e-2
+"""Of the noise of one row: what moves by less stays."""
+NOTHING: Final = 1e-3
+"""Mean square, of the noise's, that is no matter."""
+MERIT: Final = 6.0
+"""Difference of merit from which the other of two models is taken."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Errors of a model's parameters, all of them unknown at once.
+
+    Args:
+        covariance: (k, k) of the linear parameters, whatever the searched ones are.
+        searched: standard deviation of every searched value, by the place of its effect in the model and its name.
+    """
+
+    covariance: Array
+    searched: dict[tuple[int, str], float]
+
+
+@dataclass
+class Model:
+    """Nuisances and effects with parameters.
+
+    Args:
+        bench: on which it was found.
+        nuisances: what the baseline itself fits; effects: what was found.
+        white: whitened residual, less what the effects predict beyond their slopes (y: the same unfiltered).
+        plain: all frequencies weighed alike, for a model that leaves physics over.
+        theta: parameters learnt on the training rows (those of moments on all), nuisances first; final: on all rows,
+    """
+
+    bench: Bench
+    nuisances: list[Hypothesis]
+    effects: list[Hypothesis]
+    white: Array
+    plain: bool = False
+    y: Array = field(init=False)
+    theta: Array = field(init=False)
+    final: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Fits."""
+        self.y = self.bench.whole - _beyond(self.effects, self.bench.whole)
+        train, everything = np.flatnonzero(self.bench.train), np.flatnonzero(~self.bench.dropped)
+        parts, y = self.flat() if self.plain else (self.parts, self.white)
+        self.final = self._fitted(parts, y, everything)
+        # What belongs to moments has no rows to be learnt on but its own; the others are learnt beside it as it is.
+        moments = np.full(len(self.final), np.nan)
+        for h, s in zip(self.parts, self.slices(), strict=True):
+            if h.effect is not None and h.effect.EPISODIC:
+                moments[s] = self.final[s]
+        self.theta = self._fitted(parts, y, train, moments)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(k, k) of the parameters learnt on all rows."""
+        parts, y = self.flat() if self.plain else (self.parts, self.white)
+        return self._covariance(parts, y, np.flatnonzero(~self.bench.dropped))
+
+    @cached_property
+    def joint(self) -> Joint:
+        """Errors with the searched values as unknowns too: what is not sure of one is not sure of what it can be made up by.
+
+        The model is linear in a searched value where it stands (Gauss and Newton). One that the others can make up for
+        altogether is not known at all.
+        """
+        ways: dict[tuple[int, str], Hypothesis] = {}
+        lost: dict[tuple[int, str], float] = {}
+        for k, h in enumerate(self.effects):
+            for name, value in (h.effect.searched() if h.effect is not None else {}).items():
+                way = self._way(k, name)
+                if way is None:
+                    lost[k, name] = abs(value)
+                else:
+                    ways[k, name] = way
+        if not ways:
+            return Joint(self.covariance, lost)
+        parts, y = self.flat() if self.plain else (self.parts, self.white)
+        more = [self._plain(way) for way in ways.values()] if self.plain else list(ways.values())
+        whole, size = self._covariance(parts, y, np.flatnonzero(~self.bench.dropped), more), len(self.final)
+        spread = np.sqrt(np.maximum(np.diag(whole)[size:], 0.0)).tolist()
+        return Joint(whole[:size, :size], lost | dict(zip(ways, spread, strict=True)))
+
+    def _way(self, k: int, name: str) -> Hypothesis | None:
+        """How the k-th effect changes with a searched value, as a column; None where the model's own columns do the same."""
+        h, s = self.effects[k], self.slices()[len(self.nuisances) + k]
+        assert h.effect is not None, "effects, not nuisances"
+        value, channels = h.effect.searched()[name], list(h.raw.channels)
+        step = STEP * float(np.log(h.effect.doubt(self.bench.scene))) * value
+        up, down = (self.bench.raw(h.effect.with_searched({name: value + sign * step})) for sign in (1.0, -1.0))
+        slope = (up.values - down.values) @ self.final[s] / (2.0 * step)
+        way = self.bench.made(None, Columns(h.raw.channels, slope[:, :, None]))
+        ones = np.eye(len(channels))[np.tile(np.arange(len(channels)), len(slope))]
+        X = np.concatenate([h.white.values.reshape(-1, h.count), ones], axis=1)
+        X, y = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300), way.white.values.reshape(-1)
+        left = y - X @ np.linalg.lstsq(X, y, rcond=1e-9)[0]
+        return way if float(left @ left) > NEVER * float(y @ y) else None
+
+    @cached_property
+    def variance(self) -> Array:
+        """(k,) of the parameters, with what they would be by another convention that fits as well: nobody can tell which holds.
+
+        What settles after a load is more in the end, or was less at first, and a load that was read wrong is the difference.
+        """
+        out = np.maximum(np.diag(self.joint.covariance), 0.0)
+        for k, h in enumerate(self.effects):
+            other = None if h.effect is None else h.effect.otherwise()
+            if other is None or len(self.effects) < 2:
+                continue
+            effects = [
+                *self.effects[:k],
+                replace(self.bench.add(other, h.looked), beside=h.beside),
+                *self.effects[k + 1 :],
+            ]
+            rival = Model(self.bench, self.nuisances, effects, self.white, self.plain).retold()
+            own, its = (float(np.sum(m.rest(white=True)[self.bench.train] ** 2)) for m in (self, rival))
+            if abs(its - own) < MERIT:
+                out = out + (rival.final - self.final) ** 2
+        return out
+
+    def retold(self) -> "Model":
+        """The same with every law that binds parameters placed anew by what they are here: a small body where it now sits."""
+        effects, slices = list(self.effects), self.slices()[len(self.nuisances) :]
+        for k, (h, s) in enumerate(zip(self.effects, slices, strict=True)):
+            told = h.effect.told_by(self.final[s]) if h.effect is not None and h.effect.bound else None
+            if told is not None:
+                effects[k] = replace(self.bench.add(told, h.looked), beside=h.beside)
+        return self if effects == self.effects else Model(self.bench, self.nuisances, effects, self.white, self.plain)
+
+    def _fitted(self, parts: list[Hypothesis], y: Array, rows: Chosen, known: Array | None = None) -> Array:
+        """Parameters learnt on some rows; what is curved stays where it was settled if its tangent does not reach so far.
+
+        Args:
+            parts, y: a model and what it is to give; rows: to learn on; known: (k,) parameters that are given, else nan.
+        """
+        held = np.full(sum(h.count for h in parts), np.nan) if known is None else known.copy()
+        theta = fit(parts, y, rows, self.bench.width, held)
+        far = False
+        for h, s in zip(parts, self.slices(), strict=True):
+            if h.theta is not None and h.effect is not None and h.effect.curved and not self._reaches(h, theta[s]):
+                held[s], far = h.theta, True
+        return fit(parts, y, rows, self.bench.width, held) if far else theta
+
+    def _reaches(self, h: Hypothesis, theta: Array) -> bool:
+        """Whether an effect does at theta (k,) what its tangent says, by the noise."""
+        assert h.effect is not None, "nuisances are linear"
+        assert h.bend is not None, "a tangent has one"
+        off = does(self.bench, h.effect, theta) - h.bend - h.raw.values @ theta
+        return bool(np.max(np.mean(off**2, axis=0) / self.bench.noise.sigma**2) < NOTHING)
+
+    @property
+    def parts(self) -> list[Hypothesis]:
+        """Nuisances, then effects."""
+        return [*self.nuisances, *self.effects]
+
+    def slices(self) -> list[slice]:
+        """Where each part's parameters stand."""
+        ends = np.cumsum([0, *(h.count for h in self.parts)])
+        return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+
+    def without(self, out: list[Hypothesis]) -> "Model":
+        """The same with some effects left out, fitted again; without a limit the others show where the readings clipped."""
+        kept, limits = (
+            [h for h in self.effects if h not in out],
+            [h.effect for h in out if isinstance(h.effect, Saturation)],
+        )
+        if not limits:
+            bent = any(h.bend is not None or h.beside is not None for h in out)
+            white = self.bench.whitened(self.y + _beyond(out, self.y)) if bent else self.white
+            return Model(self.bench, self.nuisances, kept, white, self.plain)
+        bench = copy(self.bench)
+        bench.timing = [(effect, theta) for effect, theta in bench.timing if effect not in limits]
+        whole = [
+            h if h.effect is None or h.theta is not None else replace(bench.add(h.effect, h.looked), beside=h.beside)
+            for h in kept
+        ]
+        return Model(bench, self.nuisances, whole, self.white, self.plain)
+
+    def flat(self) -> tuple[list[Hypothesis], Array]:
+        """Parts and residual with all frequencies weighed alike."""
+        return [self._plain(h) for h in self.parts], self.y / self.bench.noise.sigma
+
+    def _plain(self, h: Hypothesis) -> Hypothesis:
+        values = h.raw.values / self.bench.noise.sigma[list(h.raw.channels)][:, None]
+        return replace(h, white=Columns(h.raw.channels, values))
+
+    def rest(self, *, white: bool = False) -> Array:
+        """(M, C) what the model learnt on the training rows leaves."""
+        if not white:
+            rows = np.arange(len(self.y))
+            return self.y - predicted(self.parts, self.theta, rows, self.bench.width)
+        out = self.white.copy()
+        for h, s in zip(self.parts, self.slices(), strict=True):
+            out[:, list(h.white.channels)] -= h.white.values @ self.theta[s]
+        return out
+
+    def mse(self, rows: Chosen) -> Array:
+        """(C,) mean squared error on rows."""
+        return np.asarray(np.mean(self.rest()[rows] ** 2, axis=0))
+
+    def _covariance(
+        self, parts: list[Hypothesis], white: Array, rows: Chosen, more: Sequence[Hypothesis] = ()
+    ) -> Array:
+        """Sandwich over contiguous blocks: valid when the whitening is not perfect; never below the classical one.
+
+        Nor below what it would be if the noise had no more scatter from band to band than its spectrum shows for certain.
+        `more`: single columns whose factors are unknown too, and stand behind the parameters.
+        """
+        size = len(self.final) + len(more)
+        G, meat = np.zeros((size, size)), np.zeros((size, size))
+        even = np.zeros((size, size))
+        scores = np.zeros((int(self.bench.block.max()) + 1, size))
+        left = white.copy()
+        for h, s in zip(parts, self.slices(), strict=True):
+            left[:, list(h.white.channels)] -= h.white.values @ self.final[s]
+        total = 0.0
+        behind = [slice(len(self.final) + k, len(self.final) + k + 1) for k in range(len(more))]
+        placed = list(zip([*parts, *more], [*self.slices(), *behind], strict=True))
+        for c in range(self.bench.width):
+            mine = [(h, s) for h, s in placed if c in h.white.channels]
+            if not mine:
+                continue
+            at = np.concatenate([np.arange(s.start, s.stop) for _, s in mine])
+            X = np.concatenate([h.white.values[:, h.white.channels.index(c)] for h, _ in mine], axis=1)[rows]
+            e = left[rows, c]
+            total += float(e @ e)
+            G[np.ix_(at, at)] += X.T @ X
+            if not self.plain:
+                even_out = [
+                    self.bench.noise.as_smooth(h.white.values[:, h.white.channels.index(c)], c) for h, _ in mine
+                ]
+                S = np.concatenate(even_out, axis=1)[rows]
+                even[np.ix_(at, at)] += S.T @ S
+            np.add.at(scores, (self.bench.block[rows][:, None], at[None, :]), X * e[:, None])
+        bread = solve_sym(G, np.eye(size))
+        blocks = max(len(np.unique(self.bench.block[rows])), 2)
+        meat = scores.T @ scores * blocks / max(blocks - 1, 1)
+        variance = max(1.0, total / max(len(rows) * self.bench.width - size, 1))
+        robust, plain = bread @ meat @ bread, bread * variance
+        ratio = np.sqrt(np.maximum(np.diag(robust), 0.0) / np.maximum(np.diag(plain), 1e-300))
+        smooth = np.diag(bread @ even @ bread) / np.maximum(np.diag(bread), 1e-300)
+        factor = np.maximum(ratio, np.sqrt(np.maximum(smooth, 1.0)))
+        return np.asarray(plain * np.outer(factor, factor))
+
+
+def _beyond(effects: list[Hypothesis], like: Array) -> Array:
+    """(M, C) what effects add beyond slope times parameters."""
+    return sum((x for h in effects for x in (h.bend, h.beside) if x is not None), np.zeros_like(like))
+
+
+TOGETHER_ROUNDS: Final = 4
+
+
+def together(model: Model) -> Model:
+    """The model with what its effects do to each other, fitted again until that stays: a gain scales a new load too.
+
+    Where it does not come to rest, the effects are left each as if alone.
+    """
+    bench, alone, last = model.bench, model, np.inf
+    kinds = [(k, h.effect) for k, h in enumerate(model.effects) if h.effect is not None]
+    before = [np.zeros_like(bench.whole) for _ in kinds]
+    for _ in range(TOGETHER_ROUNDS):
+        slices = model.slices()[len(model.nuisances) :]
+        placed = [(effect, model.final[slices[k]]) for k, effect in kinds]
+        now = [bench.rows.average(x) for x in signal_chain.beside(bench.scene, placed, bench.timing)]
+        moved = max(
+            (float(np.max(np.abs(a - b) / bench.noise.sigma)) for a, b in zip(now, before, strict=False)), default=0.0
+        )
+        if moved < STAYS:
+            break
+        if not moved < last:
+            return alone
+        before, last, effects = now, moved, list(model.effects)
+        for (k, _), x in zip(kinds, now, strict=True):
+            effects[k] = replace(effects[k], beside=x if x.any() else None)
+        white = alone.white - bench.whitened(sum(now, np.zeros_like(bench.whole)))
+        model = Model(bench, model.nuisances, effects, white, model.plain)
+    return model

@@ -1,0 +1,51 @@
+"""What is not linear in its parameters: linearised anew where it stands, compared at its optimum, searched values polished."""
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.levenberg_marquardt import AGAIN, Beside, descended
+from galen_hw.diagnosis.estimation.linearisation import rebase, tangent, unbent
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+
+
+def settle(bench: Bench, scorer: Scorer, chosen: list[int], *, anew: bool = False) -> None:
+    """Nonlinear effects are linearised anew where they stand; what they do beyond their slope is taken off the residual.
+
+    `anew`: even where they stand as before, since all that they do arrives otherwise.
+    """
+    rebase(scorer, chosen)
+    for _ in range(3):
+        theta = scorer.solve(chosen)[0]
+        done = sum(h.count for h in scorer.base)
+        beyond, fresh, moved = np.zeros_like(bench.y), [], False
+        for place, i in enumerate(chosen):
+            h = scorer.library[i]
+            t, done = theta[done : done + h.count], done + h.count
+            if h.effect is None or not h.effect.bends(bench.scene, t):
+                continue
+            new = _settled(bench, scorer, chosen, i) if h.effect.curved else tangent(bench, h, t)
+            assert new.bend is not None, "a tangent has one"
+            assert new.theta is not None, "a tangent has one"
+            beyond += new.bend
+            moved = (
+                moved or h.theta is None or bool(np.max(np.abs(h.theta - new.theta)) > 1e-3 * np.max(np.abs(new.theta)))
+            )
+            fresh.append((place, new))
+        if not fresh or not (moved or anew):
+            return
+        anew = False
+        bench.y = bench.whole - bench.company - beyond
+        scorer.append([h for _, h in fresh])
+        for k, (place, _) in enumerate(fresh):
+            chosen[place] = len(scorer.library) - len(fresh) + k
+        scorer.retarget(bench.y)
+
+
+def _settled(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Hypothesis:
+    """The chosen hypothesis i, which is curved, at its optimum beside the others."""
+    h = scorer.library[i]
+    assert h.theta is not None, "it is chosen as a tangent"
+    with unbent(scorer, i):
+        beside = Beside(bench, scorer, [j for j in chosen if j != i])
+    return descended(bench, beside, h, h.theta, AGAIN)[1]

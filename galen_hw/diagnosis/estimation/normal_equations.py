@@ -1,0 +1,351 @@
+"""Likelihood ratios of all hypotheses against what is already in the model, from inner products alone."""
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.stats.linear_algebra import log_tail, pinned_at, quadratic, solve_sym
+from galen_hw.spatial import Array
+
+if TYPE_CHECKING:
+    from galen_hw.diagnosis.stats.sampling import Index
+
+
+@dataclass(frozen=True)
+class Score:
+    """How much one hypothesis adds.
+
+    Args:
+        gain: fall of the whitened sum of squares.
+        count: parameters that it really adds.
+        surprise: minus log of the chance of such a gain under noise, places looked at included.
+        rank: gain less the price of its parameters (k log n) and of the places of its kind, in units of the log likelihood ratio.
+        beyond: what more it may gain between the points of its grid, where its searched value is its size.
+    """
+
+    gain: float
+    count: int
+    surprise: float
+    rank: float
+    beyond: float = 0.0
+
+
+class Left(NamedTuple):
+    """What a model's parameters that are held leave for those that are fitted.
+
+    Args:
+        at: column numbers of what is fitted; b: (K,) inner products of all columns with what is left; total: its sum of squares.
+    """
+
+    at: "Index"
+    b: Array
+    total: float
+
+
+TOGETHER = 32
+"""Columns for which there is room where few come: inner products with many narrow arrays cost more than with a wide one."""
+
+
+class _Beside(NamedTuple):
+    """Columns side by side.
+
+    Args:
+        at: their numbers; room: (n, m) whose first columns they are: who goes back to fewer leaves the rest to be overwritten.
+    """
+
+    at: "Index"
+    room: Array
+
+    @classmethod
+    def of(cls, at: "Index", X: Array) -> "_Beside":
+        """With room for more, if they are few."""
+        if len(at) >= TOGETHER:
+            return cls(at, X)
+        return cls(at[:0], np.empty((len(X), TOGETHER), order="F")).joined(at, X)
+
+    @property
+    def columns(self) -> Array:
+        """(n, len(at))."""
+        return self.room[:, : len(self.at)]
+
+    def takes(self, count: int) -> bool:
+        """Whether there is room for so many more."""
+        return bool(len(self.at) + count <= self.room.shape[1])
+
+    def joined(self, at: "Index", X: Array) -> "_Beside":
+        """With more columns X (n, k)."""
+        self.room[:, len(self.at) : len(self.at) + len(at)] = X
+        return _Beside(np.concatenate([self.at, at]), self.room)
+
+
+class Scorer:
+    """Scores hypotheses on the training rows.
+
+    Args:
+        bench: with noise.
+        library: hypotheses in a fixed order; more may be appended.
+        free: constant offsets are always in the model; else only what the baseline itself fits.
+    """
+
+    def __init__(self, bench: Bench, library: list[Hypothesis], *, free: bool = True) -> None:
+        self.bench, self.free = bench, free
+        self.library: list[Hypothesis] = []
+        own = bench.constants() if free else bench.constants()[0 if bench.scene.belief.bias_free else bench.width :]
+        self.base = [bench.made(None, columns, name="constant") for columns in own]
+        self.white = bench.whitened(bench.y)
+        self.fake = bench.surrogates()
+        self._train = bench.train
+        self._fake_rows = [self.fake[self._train, c] for c in range(bench.width)]
+        self._occam = _occam(library)
+        self._room, self.b = np.empty((0, 0)), np.empty(0)
+        self.fakes = np.empty((0, self.fake.shape[2]))
+        self.places: list[slice] = []
+        # Per channel: column numbers and the columns themselves on the training rows, side by side.
+        self._stacks: list[list[_Beside]] = [[] for _ in range(bench.width)]
+        self.append([*self.base, *library])
+
+    @property
+    def G(self) -> Array:
+        """(K, K) inner products of all columns."""
+        size = self.places[-1].stop if self.places else 0
+        return self._room[:size, :size]
+
+    def append(self, new: list[Hypothesis]) -> None:
+        """Inner products of more hypotheses with all others."""
+        old = len(self.b)
+        first = old
+        for h in new:
+            self.places.append(slice(first, first + h.count))
+            first += h.count
+        self.library += new
+        if first > len(self._room):
+            # With room to spare: a search appends thousands of times.
+            room = np.zeros((first + first // 2, first + first // 2))
+            room[:old, :old] = self._room[:old, :old]
+            self._room = room
+        G, b, fakes = self._room, np.zeros(first), np.zeros((first, self.fake.shape[2]))
+        G[old:first, :first], G[:old, old:first] = 0.0, 0.0
+        b[:old], fakes[:old] = self.b, self.fakes
+        for c, stack in enumerate(self._stacks):
+            fresh = [i for i in range(len(self.library) - len(new), len(self.library)) if self._acts(i, c)]
+            if not fresh:
+                continue
+            own = [self.library[i].own(c) for i in fresh]
+            at_new = np.concatenate([self.places[i].start + at for i, (at, _) in zip(fresh, own, strict=True)])
+            Xn = np.concatenate([part for _, part in own], axis=1)[self._train]
+            for part in stack:
+                cross = part.columns.T @ Xn
+                G[np.ix_(part.at, at_new)] += cross
+                G[np.ix_(at_new, part.at)] += cross.T
+            G[np.ix_(at_new, at_new)] += Xn.T @ Xn
+            b[at_new] += Xn.T @ self.white[self._train, c]
+            fakes[at_new] += Xn.T @ self._fake_rows[c]
+            if stack and stack[-1].takes(len(at_new)):
+                stack[-1] = stack[-1].joined(at_new, Xn)
+            else:
+                stack.append(_Beside.of(at_new, Xn))
+        self.b, self.fakes = b, fakes
+
+    def _acts(self, i: int, c: int) -> bool:
+        return c in self.library[i].white.channels and self.library[i].count > 0
+
+    def retime(self) -> None:
+        """All columns anew as the bench's late or lagging stream delivers them."""
+        library = [self.retimed(h) for h in self.library]
+        self.library, self.places = [], []
+        self._stacks = [[] for _ in self._stacks]
+        self._room, self.b, self.fakes = np.empty((0, 0)), np.empty(0), np.empty((0, self.fake.shape[2]))
+        self.append(library)
+
+    def retimed(self, h: Hypothesis) -> Hypothesis:
+        """Its columns anew, unless it belongs to a moment, is the end of the stream itself, or is bent at its optimum."""
+        if (
+            h.effect is None
+            or h.theta is not None
+            or h.effect.EPISODIC
+            or (h.effect.DOWNSTREAM and not h.effect.BEHIND and not h.effect.BRIEF)
+        ):
+            return h
+        return self.bench.made(h.effect, self.bench.raw(h.effect), h.looked, h.name)
+
+    def retarget(self, y: Array) -> None:
+        """Another residual (M, C) for the same columns: what nonlinear effects predict beyond their slope is taken off."""
+        self.white = self.bench.whitened(y)
+        self.b = np.zeros_like(self.b)
+        for c, stack in enumerate(self._stacks):
+            target = self.white[self._train, c]
+            for part in stack:
+                self.b[part.at] += part.columns.T @ target
+
+    @contextmanager
+    def against(self, y: Array) -> Iterator[None]:
+        """Another residual (M, C) for a while."""
+        bench, before = self.bench, (self.bench.y, self.white, self.b)
+        bench.y = y
+        self.retarget(y)
+        try:
+            yield
+        finally:
+            grown = len(self.b) > len(before[2])
+            bench.y, self.white, self.b = before
+            if grown:
+                self.b = np.zeros(len(self.G))
+                self.retarget(bench.y)
+
+    @contextmanager
+    def trying(self, new: list[Hypothesis]) -> Iterator[None]:
+        """More hypotheses for a while; whatever joins meanwhile leaves with them."""
+        kept = self.library, self.places, self._stacks, self._room, self.b, self.fakes
+        self.library, self.places, self._stacks = list(kept[0]), list(kept[1]), [list(stack) for stack in kept[2]]
+        try:
+            self.append(new)
+            yield
+        finally:
+            self.library, self.places, self._stacks, self._room, self.b, self.fakes = kept
+
+    @property
+    def total(self) -> float:
+        """Whitened sum of squares of the residual itself."""
+        return float(np.sum(self.white[self._train] ** 2))
+
+    def base_with(self, chosen: list[int]) -> "Index":
+        """Column numbers of the constants and the chosen hypotheses."""
+        return self._numbers([*range(len(self.base)), *chosen])
+
+    def _numbers(self, which: list[int]) -> "Index":
+        parts = [np.arange(self.places[i].start, self.places[i].stop) for i in which]
+        return np.concatenate([np.empty(0, dtype=np.intp), *parts])
+
+    def solve(self, chosen: list[int], *, asked: int | None = None) -> tuple[Array, "Index", float]:
+        """Parameters, column numbers and whitened sum of squares of a model; what is `asked` may have any parameters."""
+        at = self.base_with(chosen)
+        held = self._held(chosen)
+        if asked is not None:
+            own = self.places[asked]
+            held[(at >= own.start) & (at < own.stop)] = np.nan
+        G, b = self.G[np.ix_(at, at)], self.b[at]
+        theta = pinned_at(held, G, b)
+        return theta, at, self.total - float(2.0 * theta @ b - theta @ G @ theta)
+
+    def beside(self, chosen: list[int]) -> Left:
+        """A model's free columns, and what its held ones leave."""
+        at, held = self.base_with(chosen), self._held(chosen)
+        fixed = ~np.isnan(held)
+        value, own = held[fixed], at[fixed]
+        off = self.G[:, own] @ value
+        return Left(at[~fixed], self.b - off, self.total - float(value @ (2.0 * self.b[own] - off[own])))
+
+    def _held(self, chosen: list[int]) -> Array:
+        return np.concatenate([np.empty(0), *(self.library[i].held for i in [*range(len(self.base)), *chosen])])
+
+    def scores(
+        self, chosen: list[int], which: list[int] | None = None, *, surrogates: bool = False
+    ) -> tuple[dict[int, Score], Array]:
+        """Scores of hypotheses beside the chosen ones, and the largest surprise of each surrogate, if these are asked too."""
+        every = self.fakes if surrogates else self.fakes[:, :0]
+        asked = list(range(len(self.base), len(self.library))) if which is None else which
+        at, b, _ = self.beside(chosen)
+        # Columns of what is asked alone: most calls compare two hypotheses, not all.
+        own = self._numbers(asked)
+        starts = dict(zip(asked, np.cumsum([0, *(self.library[i].count for i in asked)]).tolist(), strict=False))
+        GS, cross, K = self.G[np.ix_(at, at)], self.G[np.ix_(at, own)], len(own)
+        P = solve_sym(GS, np.concatenate([cross, b[at][:, None], every[at]], axis=1))
+        rest_b = b[own] - cross.T @ P[:, K]
+        rest_f = every[own] - cross.T @ P[:, K + 1 :]
+        out: dict[int, Score] = {}
+        highest = np.zeros(every.shape[1])
+        families = self._families()
+        by_count: dict[int, list[int]] = {}
+        for i in asked:
+            if i not in chosen and self.library[i].count:
+                by_count.setdefault(self.library[i].count, []).append(i)
+        for count, group in by_count.items():
+            rows = np.array([starts[i] for i in group])[:, None] + np.arange(count)
+            places = np.array([self.places[i].start for i in group])[:, None] + np.arange(count)
+            G = self.G[places[:, :, None], places[:, None, :]]
+            A = G - np.einsum("smk,sml->mkl", cross[:, rows], P[:, rows])
+            squares = np.diagonal(G, axis1=1, axis2=2)
+            gains, fakes, counts = quadratic(A, squares, rest_b[rows], rest_f[rows])
+            free = gains.copy()
+            for m, i in enumerate(group):
+                pinned = self.library[i].pinned_gain(self.bench.scene, A[m], rest_b[rows[m]])
+                gains[m] = gains[m] if pinned is None else pinned
+            looked = np.array([self.library[i].ways(self._train) + np.log(families[i]) for i in group])
+            surprise = self._surprise(gains, counts) - looked
+            # What was sought in the residual has no counterpart in the surrogates: `looked` pays for it instead.
+            mirrored = (counts > 0) & (np.array([self.library[i].looked for i in group]) == 1)
+            if surrogates and mirrored.any():
+                reached = self._surprise(fakes[mirrored], counts[mirrored, None]) - looked[mirrored, None]
+                highest = np.maximum(highest, reached.max(axis=0))
+            for m, i in enumerate(group):
+                if counts[m]:
+                    score = self._score(i, float(gains[m]), int(counts[m]), float(surprise[m]))
+                    out[i] = replace(score, beyond=float(free[m] - gains[m]))
+        # In the order of the library: between equals the first is taken.
+        return {i: out[i] for i in asked if i in out}, highest
+
+    def _score(self, i: int, gain: float, count: int, surprise: float) -> Score:
+        h = self.library[i]
+        price = h.owed(max(count - h.aside(self._train), 0)) * h.price(self.bench)
+        # What was sought in the residual pays for the places it was sought at.
+        places = 2.0 * h.ways(self._train) if h.looked > 1 else self._occam.get(self._key(i), 0.0)
+        return Score(gain, count, surprise, float(gain - price - places))
+
+    def in_full(self, i: int, score: Score) -> Score:
+        """A score with the price of all numbers that a loose hypothesis has; of another the same."""
+        h = self.library[i]
+        owed = h.owed(score.count, whole=True) - h.owed(score.count)
+        return replace(score, rank=score.rank - owed * h.price(self.bench))
+
+    def covariance(self, at: "Index") -> Array:
+        """Of the parameters of the columns `at`, for noise of unit variance."""
+        return solve_sym(self.G[np.ix_(at, at)], np.eye(len(at)))
+
+    def spread(self, at: "Index") -> Array:
+        """Standard deviations of the parameters of the columns `at`."""
+        return np.sqrt(np.maximum(np.diag(self.covariance(at)), 0.0))
+
+    def misfit(self, chosen: list[int]) -> float:
+        """Whitened mean square of a model's rest: 1 when only noise is left, more when physics is missing."""
+        _, at, rest = self.solve(chosen)
+        return max(1.0, rest / max(int(self._train.sum()) * self.bench.width - len(at), 1))
+
+    def _key(self, i: int) -> str:
+        effect = self.library[i].effect
+        return "" if effect is None else effect.KEY
+
+    def _families(self) -> list[float]:
+        names = [h.family for h in self.library]
+        counts: dict[object, int] = {}
+        for name in names:
+            counts[name] = counts.get(name, 0) + 1
+        return [1.0 if name is None else float(min(counts[name], 8)) for name in names]
+
+    def _surprise(self, gain: Array, count: "Index") -> Array:
+        """Minus log p; by F where the noise rests on few degrees of freedom."""
+        return -log_tail(gain, np.maximum(count, 1), self.bench.noise.degrees)
+
+
+def _occam(library: list[Hypothesis]) -> dict[str, float]:
+    """Per kind, twice the log of how many hypotheses of it there are, searched values apart.
+
+    Kinds are equally likely beforehand, and so are the places and forms of one: the best of thirty must be better than the one
+    and only by as much as luck makes it (MacKay 1992, the factor named after Occam).
+    """
+    families = {h.effect.family for h in library if h.effect is not None}
+    return {key: 2.0 * float(np.log(n)) for key, n in Counter(family[0] for family in families).items()}
+
+
+def threshold(highest: Array, chance: float) -> float:
+    """Surprise that noise reaches with `chance`: a Gumbel law of unit scale or wider through the surrogates' maxima."""
+    if not len(highest):
+        return float(-np.log(chance))
+    scale = max(1.0, float(np.std(highest)) * np.sqrt(6.0) / np.pi)
+    place = float(np.mean(highest)) - 0.5772 * scale
+    return float(place - scale * np.log(-np.log1p(-chance)))

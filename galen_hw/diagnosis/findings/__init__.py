@@ -1,0 +1,1 @@
+"""What a model says, where and in which words."""

@@ -1,0 +1,247 @@
+"""From hypotheses to findings: one for each key, with all its channels, joints and parameters."""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import erfc
+
+from galen_hw.diagnosis.detection import outliers
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.line_frequency import mean_frequency
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.findings.quantities import SIGNAL, headline
+from galen_hw.diagnosis.findings.variables import joint_units
+from galen_hw.diagnosis.findings.wording import BELIEVED, SAYS
+from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
+from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.preprocessing.data_quality import Premise
+from galen_hw.diagnosis.result import Finding, Value
+from galen_hw.diagnosis.selection.search import CHANCE
+from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged
+from galen_hw.diagnosis.validation.verdict import FEW_SAMPLES, NOTHING_ELSEWHERE
+from galen_hw.physics.effects.events import Glitches, Vibration
+from galen_hw.physics.effects.sensor import Saturation
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.spatial import Array
+
+AS_CERTAIN = 0.95
+"""Share of a score within which the recording does not say which of two is more certain."""
+
+
+def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list[Glitches]) -> list[Finding]:
+    """All findings, most certain and largest first."""
+    by_key: dict[str, list[Hypothesis]] = {}
+    for h in model.effects:
+        assert h.effect is not None, "effects, not nuisances"
+        by_key.setdefault(h.effect.KEY, []).append(h)
+    out = [_finding(model, selection, judged, key, parts) for key, parts in by_key.items()]
+    out.sort(key=lambda f: -f.evidence["score"])
+    for k in range(len(out) - 1, 0, -1):
+        before, own = out[k - 1].evidence, out[k].evidence
+        # As certain as the one before, and larger: it moves up.
+        if own["score"] > AS_CERTAIN * before["score"] and own["heldout_gain"] > before["heldout_gain"]:
+            out[k - 1], out[k] = out[k], out[k - 1]
+    isolated = [_glitch(model, judged, g) for g in glitch]
+    return out + [one for one in isolated if one.evidence["false_alarm_probability"] < CHANCE]
+
+
+def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts: list[Hypothesis]) -> Finding:
+    bench = model.bench
+    where = dict(zip(map(id, model.parts), model.slices(), strict=True))
+    signal = np.zeros((len(bench.rows), bench.width))
+    variance = np.zeros(bench.width)
+    parameters: dict[str, Value] = {}
+    free = _free(model)
+    for n, h in enumerate(parts):
+        s = where[id(h)]
+        signal[:, list(h.raw.channels)] += h.does(model.final[s])
+        variance[list(h.raw.channels)] += _rms_variance(h, model.final[s], model.covariance[s, s], free)
+        parameters |= _parameters(model, h, s, prefix=_prefix(h) if len(parts) > 1 else "", number=n)
+    power = np.mean((signal - free * signal.mean(axis=0)) ** 2, axis=0)
+    energy = power / bench.noise.sigma**2
+    channels = [bench.scene.channels[c] for c in np.argsort(-energy) if energy[c] > 0.02 * energy.max()]
+    strongest = int(np.argmax(energy))
+    parameters[SIGNAL] = Value(
+        float(np.sqrt(power[strongest])), float(np.sqrt(variance[strongest])), bench.scene.units[strongest]
+    )
+    joints = list(dict.fromkeys(j for h in parts if h.effect is not None for j in h.effect.joints))
+    score, surprise = _evidence(model, selection, parts)
+    gain = judged.gain(key)
+    chance = float(min(1.0, CHANCE * np.exp(np.clip(selection.needed - surprise, -650.0, 6.0))))
+    evidence = {"heldout_gain": gain, "score": score, "false_alarm_probability": chance}
+    finding = Finding(key, channels, joints, "", parameters, evidence)
+    remarks = dict.fromkeys(h.effect.remark for h in parts if h.effect is not None and h.effect.remark)
+    if key in judged.at_home:
+        remarks["The other recording hardly rouses it; that was told by blocks left out of this one."] = None
+    finding.says = " ".join([says(finding), *remarks])
+    return finding
+
+
+def says(finding: Finding) -> str:
+    """What physics and how much of it; why it is believed."""
+    key = finding.effect
+    names = finding.joints or finding.channels
+    place = ", ".join(names) if len(names) < 4 else f"{', '.join(names[:3])} and {len(names) - 3} more"
+    first = f"{SAYS[key][0].upper()}{SAYS[key][1:]} ({place}): {headline(finding)}."
+    return f"{first} {BELIEVED[key][0].upper()}{BELIEVED[key][1:]}; on data it did not learn from it {finding.takes}."
+
+
+def _free(model: Model) -> Array:
+    """(C,) 1 where the baseline fits a constant offset, which is then no part of an effect's size."""
+    out = np.zeros(model.bench.width)
+    for h in model.nuisances:
+        if len(h.raw.channels) == 1:
+            out[h.raw.channels[0]] = 1.0
+    return out
+
+
+def _rms_variance(h: Hypothesis, theta: Array, covariance: Array, free: Array) -> Array:
+    """Variance of the rms of a signal in each of its channels, to first order in its parameters."""
+    free, does = free[list(h.raw.channels)], h.does(theta)
+    centred = h.raw.values - free[:, None] * h.raw.values.mean(axis=0)
+    signal = does - free * does.mean(axis=0)
+    size = np.sqrt(np.maximum(np.mean(signal**2, axis=0), 1e-300))
+    slope = np.einsum("nc,nck->ck", signal, centred) / (len(signal) * size[:, None])
+    return np.asarray(np.einsum("ck,kl,cl->c", slope, covariance, slope))
+
+
+def _prefix(h: Hypothesis) -> str:
+    place = getattr(h.effect, "channel", "") or getattr(h.effect, "joint", "")
+    if isinstance(h.effect, Saturation):
+        place += " high" if h.effect.upper else " low"
+    return f"{place}: " if place else ""
+
+
+def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int) -> dict[str, Value]:
+    bench, effect = model.bench, h.effect
+    assert effect is not None, "effects, not nuisances"
+    variance = model.variance[s]
+    values = effect.searched()
+    searched = {name: model.joint.searched[model.effects.index(h), name] for name in values}
+    if isinstance(effect, Vibration):
+        values["frequency"], wandering = mean_frequency(model, effect)
+        searched["frequency"] = float(np.hypot(searched["frequency"], wandering))
+    named = zip(effect.parameters(bench.scene), model.final[s], np.sqrt(variance), strict=True)
+    mark = prefix or (f"{number + 1}: " if number else "")
+    out = {f"{mark}{p.name}": Value(float(v), float(d), _unit(bench.scene, effect.joints, p.unit)) for p, v, d in named}
+    for name, value in values.items():
+        unit = _unit(bench.scene, effect.joints, effect.searched_unit(name))
+        out[f"{mark}{name}"] = Value(value, searched[name], unit)
+    if hasattr(effect, "moment"):
+        out[f"{mark}moment"] = Value(float(effect.moment), 0.0, "s")
+    if hasattr(effect, "limit"):
+        unit = bench.scene.units[h.raw.channels[0]]
+        out[f"{mark}limit"] = Value(float(effect.limit), 0.0, unit)
+    return out
+
+
+def _unit(scene: Scene, joints: tuple[str, ...], unit: str) -> str:
+    """Of "rad or m" and its like, inside a unit too, the one that the joint has."""
+    if " or " not in unit or not joints or joints[0] not in scene.joint_names:
+        return unit
+    slides = joint_units(scene, joints[0])[0] == "m"
+    inner = re.sub(r"\((\S+) or (\S+)\)", r"\2" if slides else r"\1", unit)
+    first, either, second = inner.partition(" or ")
+    return second if slides and either else first
+
+
+def _evidence(model: Model, selection: Selection, parts: list[Hypothesis]) -> tuple[float, float]:
+    """Score and surprise of a finding: of its parts together, or the z of a constant."""
+    score, surprise = 0.0, 0.0
+    for i, h in zip(selection.chosen, selection.hypotheses, strict=True):
+        if any(h.effect is p.effect for p in parts) and i in selection.evidence:
+            score += selection.evidence[i].rank
+            surprise = max(surprise, selection.evidence[i].surprise)
+    if score == 0.0:
+        where = dict(zip(map(id, model.parts), model.slices(), strict=True))
+        for h in parts:
+            s = where[id(h)]
+            gain = float(np.sum(model.final[s] ** 2 / np.maximum(np.diag(model.covariance)[s], 1e-300)))
+            score += gain
+            surprise = max(surprise, 0.5 * gain)
+    return float(score), float(surprise)
+
+
+def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
+    """Rows that stand off what the model says; their share is of the whole excess of the recording, theirs included."""
+    bench, rows = model.bench, np.asarray(glitch.rows)
+    places = [bench.scene.channels.index(name) for name in glitch.channels]
+    rest = outliers.off(model)
+    away, z = (x[rows][:, places] for x in (np.abs(rest), outliers.deviations(bench, rest)))
+    # In the channel that stands out most often: newtons and newton metres have no common size.
+    strongest = np.argmax(z, axis=1)
+    first = int(np.bincount(strongest).argmax())
+    size = float(np.median(away[strongest == first, first]))
+    own = float(np.sum(z**2))
+    others = float(np.sum(np.maximum(judged.before / judged.floor - 1.0, 0.0))) * len(bench.scene)
+    # Of samples that came again some stand nowhere off.
+    least = np.min(z, where=z > outliers.FAR, initial=np.max(z))
+    chance = float(np.clip(len(bench.scene) * bench.width * erfc(least / np.sqrt(2.0)), 1e-300, 1.0))
+    return Finding(
+        "glitches",
+        list(glitch.channels),
+        [],
+        f"{len(rows)} isolated or repeated samples stand far off what is measured around them; they are left out of every fit.",
+        {"count": Value(float(len(rows)), 0.0, "1"), "size": Value(size, 0.0, bench.scene.units[places[first]])},
+        {"heldout_gain": own / max(own + others, 1e-300), "score": own, "false_alarm_probability": chance},
+    )
+
+
+ALIKE = 0.9
+"""Share of the strongest evidence with which a plainer family of functions is named in its place."""
+
+
+def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Premise) -> Finding:
+    """What nothing named explains."""
+    names = bench.scene.channels
+    channels = list(dict.fromkeys([*premise.channels, *(names[one.channel] for one in left)]))
+    if premise.wrong:
+        says, share, z = premise.wrong[0], 0.0, 10.0
+    else:
+        # What says the same in plainer words is what people want to read.
+        alike = [one for one in left if one.channel == left[0].channel and one.z >= ALIKE * left[0].z]
+        best = min(alike, key=lambda one: one.place)
+        share, z = best.share, best.z
+        where = names[best.channel] + (f" of {ELSEWHERE}" if best.elsewhere else "")
+        if best.basis.shape[1]:
+            follows = dependence(best.kind, Inputs.of(bench.scene, bench.rows).names)
+            says = (
+                f"Structure is left in {where} that no named effect explains: {follows}, "
+                f"which makes up {100 * share:.2g} % of what is left and holds on blocks that it was not fitted on."
+            )
+        elif best.kind == FEW_SAMPLES:
+            says = (
+                f"Few samples hold {100 * share:.0f} % of the mean square of {where}, which is {z:.0f} times a usual sample's: "
+                "knocks, or a fault of the sensor, too short or too many to be told."
+            )
+        elif best.kind == NOTHING_ELSEWHERE:
+            says = (
+                f"In the recording itself the error in {where} is {z**0.5:.2g} times the noise, and nothing that holds in "
+                f"{ELSEWHERE} too explains what is left."
+            )
+        else:
+            says = (
+                f"On held-out data the error in {where} is {z**0.5:.2g} times the noise, and nothing that was recorded "
+                "explains what is left."
+            )
+    gain = judged.unnamed_gain()
+    if gain > 0.0:
+        says += f" Generic functions of the inputs, without a name, take {100 * gain:.2g} % of the held-out excess"
+        says += "; they are not saved."
+    parameters = {"share_left": Value(float(share), 0.0, "1")}
+    for c in np.flatnonzero(judged.reached != judged.after):
+        # What the findings with a name leave on held-out data: a saved model reaches this, not `rmse_after`.
+        parameters[f"rmse_named_{names[c]}"] = Value(float(np.sqrt(judged.after[c])), 0.0, bench.scene.units[c])
+    evidence = {"heldout_gain": gain, "score": float(z), "false_alarm_probability": 2e-4}
+    return Finding("unknown", channels, [], says, parameters, evidence)
+
+
+def dependence(kind: str, names: Sequence[str]) -> str:
+    """What generic functions found, in words; inputs by their names, see `generic.Inputs`."""
+    number = re.fullmatch(r"periodic in input (\d+)", kind)
+    if number:
+        return f"it repeats along {names[int(number[1]) - 1]}"
+    return "it follows " + re.sub(r"input (\d+)", lambda found: names[int(found[1]) - 1], kind)

@@ -1,0 +1,358 @@
+"""What this recording cannot tell apart: by likelihood, by the angle between the effects' signals, and by structure.
+
+Everything is read off the inner products of whitened columns. Beside the rest of the model (nuisances and the other
+effects, projected out) a found effect leaves the columns A with parameters t and a rival the columns B. The rival can make
+the share R^2 = |P_B A t|^2 / |A t|^2 of the found signal; its angle is arccos R. The smallest principal angle between the
+spans of A and B (Bjoerck and Golub 1973) says whether any signal of one could be any of the other. The likelihood decides,
+angles say why.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import subspace_angles
+from scipy.optimize import minimize_scalar
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.linearisation import unbent
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.estimation.normal_equations import Left, Scorer
+from galen_hw.diagnosis.findings.wording import structural, why
+from galen_hw.diagnosis.result import Confusion, Finding
+from galen_hw.diagnosis.selection.comparison import ahead, bent, unclocked
+from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.stats.linear_algebra import WEAK, orthonormal, pinned_at, scaled, solve_sym
+from galen_hw.physics.effects.base import Effect
+from galen_hw.spatial import Array
+
+CLOSE = 7.0
+"""Twice a log likelihood below which two effects count as equal: odds of about thirty to one."""
+CLEAR = 2.0
+"""Standard errors over the blocks of the recording below which a lead is none, whatever the likelihood says of it."""
+ASKED = 60.0
+"""Twice a log likelihood from which the blocks need not be asked: they would have to disagree four times over."""
+UNSURE = 0.2
+"""Standard deviation that a rival's share is allowed: its searched value stands where it is most like the found signal."""
+MOST = 5
+SHARPENED = 2
+"""So many rivals of each effect are looked at between the points of their grids."""
+ALREADY, NEAR = 0.5, 40.0
+"""Degrees: nearer ones need no sharpening, farther ones will not be alike."""
+REACH = 8.0
+"""Factor up and down within which the searched value of a rival is sought."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect in the place of a found one.
+
+    Args:
+        place: of the rival in the scorer's library; instead: of the found one.
+        key: of the rival.
+        lead: twice the log likelihood by which the found one is better, prices paid.
+        angle: deg between the found signal and what the rival can make of it.
+        nearest: deg, smallest principal angle between the two spans.
+        theta: (k,) the rival's parameters in the found one's place; own: the found one's.
+        effect: the rival, its searched value where it is most like the found one.
+        agreed: the lead in standard errors over the blocks of the recording; infinite where they were not asked.
+    """
+
+    place: int
+    instead: int
+    key: str
+    lead: float
+    angle: float
+    nearest: float
+    theta: Array
+    own: Array
+    effect: Effect
+    agreed: float = np.inf
+
+
+@dataclass(frozen=True)
+class Own:
+    """A found effect in its place.
+
+    Args:
+        i: place in the scorer's library; chosen: the model it belongs to.
+        gain: fall of the whitened sum of squares by it; theta: (k,) its parameters.
+        straight: (k,) where its slopes alone come nearest to what it does; theta, where it is linear.
+    """
+
+    i: int
+    chosen: tuple[int, ...]
+    gain: float
+    theta: Array
+    straight: Array
+
+
+def confusions(model: Model, selection: Selection, finding: Finding) -> list[Confusion]:
+    """Other effects that, put in the finding's place, would do as well; and those that are the same by structure."""
+    out = {rival.key: Confusion(rival.key, _why(finding.effect, rival)) for rival in rivals(selection, finding)}
+    for key in structural(finding.effect, model.bench.scene, finding.parameters):
+        out.setdefault(key, Confusion(key, why(finding.effect, key)))
+    return [*list(out.values())[:MOST], *_in_other_joints(selection, finding)]
+
+
+def _in_other_joints(selection: Selection, finding: Finding) -> list[Confusion]:
+    """The same effect where it would do as well: joints about parallel axes turn gravity alike."""
+    scorer, out = selection.scorer, []
+    for i in _places(selection, finding):
+        effect = scorer.library[i].effect
+        if effect is None or not effect.joints:
+            continue
+        own, best = _own(scorer, selection.chosen, i), dict[tuple[str, ...], Rival]()
+        with unbent(scorer, i), unclocked(scorer, i):
+            for rival in sorted(_in_place(scorer, own, own_key=True), key=lambda r: -r.angle):
+                if rival.angle < NEAR and rival.effect.joints not in ((), effect.joints):
+                    best[rival.effect.joints] = rival
+            near = [_at_its_best(scorer, own, rival) for rival in list(best.values())[-MOST:]]
+        alike = [r for r in near if r.lead < CLOSE and _is_what_it_is_called(scorer, r)]
+        others = " or ".join(", ".join(r.effect.joints) for r in sorted(alike, key=lambda r: r.lead))
+        if others:
+            why_not = f"in {others} instead of {', '.join(effect.joints)} it makes the same signal in this recording"
+            out.append(Confusion(finding.effect, f"{why_not}, to within its noise"))
+    return out
+
+
+def rivals(selection: Selection, finding: Finding, *, everyone: bool = False) -> list[Rival]:
+    """The best rival of every other key that ties with the finding (or `everyone` at all near), nearest first."""
+    scorer = selection.scorer
+    found: dict[str, Rival] = {}
+    misfit = scorer.misfit(selection.chosen)
+    for i in _places(selection, finding):
+        own = _own(scorer, selection.chosen, i)
+        # Where physics is missing, differences of a few hundredths are that physics.
+        margin = CLOSE + 0.05 * min(1.0, misfit - 1.0) * own.gain
+        best: dict[str, Rival] = {}
+        with unbent(scorer, i), unclocked(scorer, i):
+            for rival in _in_place(scorer, own):
+                if rival.key != finding.effect and rival.lead < best.get(rival.key, rival).lead + 1e-9:
+                    best[rival.key] = rival
+            near = sorted(best.values(), key=lambda rival: rival.angle)
+            coarse = [(_coarse(r) and k < SHARPENED) or _pinned(scorer, r.effect) for k, r in enumerate(near)]
+            sharp = Sharpener(scorer, own) if any(coarse) else None
+            for k, rival in enumerate(near):
+                one = sharp.sharpened(rival) if sharp and coarse[k] else rival
+                one = _at_its_best(scorer, own, one) if k < SHARPENED else one
+                if margin <= one.lead < margin + ASKED and one.angle < NEAR:
+                    one = replace(one, agreed=_agreed(scorer, own, one))
+                alike = (one.lead < margin or one.agreed < CLEAR) and _is_what_it_is_called(scorer, one)
+                if (everyone or alike) and one.lead < found.get(one.key, one).lead + 1e-9:
+                    found[one.key] = one
+    return sorted(found.values(), key=lambda rival: rival.lead)
+
+
+def _at_its_best(scorer: Scorer, own: Own, rival: Rival) -> Rival:
+    """A rival that is not linear, by its own optimum instead of by its slope at zero."""
+    bench, h = scorer.bench, scorer.library[rival.place]
+    if h.effect is None or not h.effect.bends(bench.scene, np.zeros(h.count)):
+        return rival
+    others = [j for j in own.chosen if j != own.i]
+    score = scorer.scores(others, [rival.place])[0].get(rival.place)
+    if score is None:
+        return rival
+    return replace(rival, lead=rival.lead + score.gain - bent(bench, scorer, others, rival.place, score).gain)
+
+
+def _is_what_it_is_called(scorer: Scorer, rival: Rival) -> bool:
+    """A play wider than the motion with a share of a thousandth is a scale, and no rival under the name of play."""
+    parameters = rival.effect.parameters(scorer.bench.scene)
+    near = all(p.near(float(value), UNSURE) for p, value in zip(parameters, rival.theta, strict=True))
+    return near and rival.effect.at_work(scorer.bench.scene)
+
+
+def _agreed(scorer: Scorer, own: Own, rival: Rival) -> float:
+    """The lead over a rival by what the blocks make of it: noise that the whitening has missed makes likelihoods too sure."""
+    others = [j for j in own.chosen if j != own.i]
+    with scorer.trying([scorer.bench.add(rival.effect, scorer.library[rival.place].looked)]):
+        return ahead(scorer.bench, scorer, others, own.i, len(scorer.library) - 1)
+
+
+def _coarse(rival: Rival) -> bool:
+    """Whether a searched value between the points of its grid could make a near rival nearer."""
+    return len(rival.effect.searched()) == 1 and ALREADY < rival.angle < NEAR
+
+
+def _pinned(scorer: Scorer, effect: Effect) -> bool:
+    """Whether its searched value is its size: what it would add at a point of the grid says nothing of it."""
+    return effect.pinned(scorer.bench.scene) is not None
+
+
+class Sharpener:
+    """Rivals of one chosen effect between the points of their grids: the library's grid must not decide what is alike.
+
+    Args:
+        scorer: with the residual `unbent`; own: the effect in whose place the rivals stand.
+    """
+
+    def __init__(self, scorer: Scorer, own: Own) -> None:
+        self.scorer, self.i, self.gain = scorer, own.i, own.gain
+        i = own.i
+        rest = [j for j in [*range(len(scorer.base)), *own.chosen] if j != i]
+        nothing = self._rows(scorer.library[i])[:, :0]  # a model without nuisances has nothing else in it
+        others = [self._rows(scorer.library[j]) for j in rest]
+        self.base = orthonormal(scaled(np.concatenate([nothing, *others], axis=1)))
+        self.own = self._left(self._rows(scorer.library[i]))
+        self.signal = self.own @ own.theta
+        bend = scorer.library[i].bend
+        if bend is not None:
+            self.signal = self.signal + self._left(scorer.bench.whitened(bend)[scorer.bench.train].reshape(-1, 1))[:, 0]
+        self.white = self._left(scorer.white[scorer.bench.train].reshape(-1, 1))[:, 0]
+
+    def _rows(self, h: Hypothesis) -> Array:
+        """(n C, k) whitened columns on the training rows."""
+        bench = self.scorer.bench
+        full = h.white.full(bench.width)[bench.train]
+        return full.reshape(full.shape[0] * full.shape[1], h.count)
+
+    def _left(self, X: Array) -> Array:
+        return np.asarray(X - self.base @ (self.base.T @ X))
+
+    def sharpened(self, rival: Rival) -> Rival:
+        """The rival with its searched values, one after the other, where it makes most of the found signal."""
+        effect = rival.effect.unlimited()
+        pinned = self._pinned(effect)
+        # Where the size is not free, the searched value is the size: without its limit it may lie far below the grid.
+        down = 1.0 / REACH if pinned is None or effect == rival.effect else 0.0
+        for name, value in rival.effect.searched().items():
+            effect = self._along(effect, name, (down * value, REACH * value), finely=pinned is not None)
+        rest, X = self._rest(effect)
+        share = max(1.0 - rest / float(self.signal @ self.signal), 0.0)
+        if pinned is None and _angle(np.sqrt(share)) >= rival.angle:
+            return rival
+        A, r, library = X.T @ X, X.T @ self.white, self.scorer.library
+        if not A.any():  # Where it comes nearest it does nothing.
+            return rival
+        theta = solve_sym(A, r[:, None])[:, 0] if pinned is None else pinned_at(pinned, A, r)
+        worth = float(2.0 * theta @ r - theta @ A @ theta)
+        paid = price(library[rival.place]) - price(library[self.i])
+        nearest = float(np.degrees(np.min(subspace_angles(self.own, X))))
+        angle = _angle(np.sqrt(share))
+        return replace(rival, lead=self.gain - worth + paid, angle=angle, nearest=nearest, theta=theta, effect=effect)
+
+    def _along(self, effect: Effect, name: str, within: tuple[float, float], *, finely: bool) -> Effect:
+        bound = effect.SEARCHED[name]
+        low, high = np.log(max(within[0], bound.low)), np.log(min(within[1], bound.high))
+
+        def missed(at: float) -> float:
+            return self._rest(effect.with_searched({name: float(np.exp(at))}))[0]
+
+        # Where the size is not free, the searched value is the size.
+        options = {"xatol": 1e-3, "maxiter": 30} if finely else {"xatol": 0.02, "maxiter": 14}
+        best = minimize_scalar(missed, bounds=(low, high), method="bounded", options=options)
+        return effect.with_searched({name: float(np.exp(best.x))})
+
+    def _pinned(self, effect: Effect) -> Array | None:
+        return effect.pinned(self.scorer.bench.scene)
+
+    def _rest(self, effect: Effect) -> tuple[float, Array]:
+        """Squares of the found signal that an effect does not make, and its columns beside the model."""
+        X = self._left(self._rows(self.scorer.bench.add(effect)))
+        pinned = self._pinned(effect)
+        A, r = X.T @ X, X.T @ self.signal
+        theta = solve_sym(A, r[:, None])[:, 0] if pinned is None else pinned_at(pinned, A, r)
+        answer = X @ theta
+        return float(np.sum((self.signal - answer) ** 2)), X
+
+
+def _places(selection: Selection, finding: Finding) -> list[int]:
+    """Where the finding stands in the scorer's library: among the chosen, or as a constant that is always fitted."""
+    scorer = selection.scorer
+    chosen = [(i, scorer.library[i].effect) for i in selection.chosen]
+    mine = [i for i, effect in chosen if effect is not None and finding.effect == effect.KEY]
+    if mine or finding.effect not in ("bias", "joint_offset"):
+        return mine
+    names = scorer.bench.scene.channels
+    constant = [i for i, h in enumerate(scorer.base) if len(h.raw.channels) == 1]
+    return [i for i in constant if names[scorer.base[i].raw.channels[0]] in finding.channels]
+
+
+def _others(scorer: Scorer, chosen: list[int], i: int) -> Left:
+    """What the model without hypothesis i leaves, which may be one of the constants."""
+    at, b, total = scorer.beside([j for j in chosen if j != i])
+    own = scorer.places[i]
+    return Left(np.asarray(at[(at < own.start) | (at >= own.stop)], dtype=np.intp), b, total)
+
+
+def _own(scorer: Scorer, chosen: list[int], i: int) -> Own:
+    """Hypothesis i as it stands in the model."""
+    theta, every, rest = scorer.solve(chosen)
+    place = scorer.places[i]
+    with unbent(scorer, i):
+        straight = scorer.solve(chosen)[0]
+        at, b, total = _others(scorer, chosen, i)
+        alone = solve_sym(scorer.G[np.ix_(at, at)], b[at][:, None])[:, 0]
+        without = total - float(alone @ b[at])
+    mine = (every >= place.start) & (every < place.stop)
+    return Own(i, tuple(chosen), without - rest, theta[mine], straight[mine])
+
+
+def _in_place(scorer: Scorer, found: Own, *, own_key: bool = False) -> list[Rival]:
+    """Every hypothesis of another key (or of its `own_key`) that can make at least half of the found signal."""
+    i, gain, theta = found.i, found.gain, found.straight
+    at, b, _ = _others(scorer, list(found.chosen), i)
+    own = scorer.places[i]
+    every = scorer.G[at]
+    P = solve_sym(scorer.G[np.ix_(at, at)], np.column_stack([every, b[at]]))
+    A = scorer.G[own, own] - scorer.G[own, at] @ P[:, own]
+    signal = float(theta @ A @ theta)
+    mine, out = scorer.library[i].effect, []
+    for j, h in enumerate(scorer.library):
+        same = h.effect is not None and mine is not None and h.effect.KEY == mine.KEY
+        if h.effect is None or same != own_key or j in found.chosen or not h.count or signal <= 0.0:
+            continue
+        s = scorer.places[j]
+        B = scorer.G[s, s] - scorer.G[s, at] @ P[:, s]
+        W = _whitening(B, np.diag(scorer.G)[s])
+        cross = scorer.G[s, own] - scorer.G[s, at] @ P[:, own]
+        share = float(np.sum((W.T @ (cross @ theta)) ** 2)) / signal
+        if not W.shape[1] or share < 0.5:
+            continue
+        r = b[s] - scorer.G[s, at] @ P[:, -1]
+        worth = float(np.sum((W.T @ r) ** 2))
+        lead = (gain - price(scorer.library[i])) - (worth - price(h))
+        U = _whitening(A, np.diag(scorer.G)[own])
+        nearest = float(np.linalg.norm(W.T @ cross @ U, 2)) if U.shape[1] else 0.0
+        out.append(
+            Rival(
+                j, i, h.effect.KEY, lead, _angle(np.sqrt(share)), _angle(nearest), W @ (W.T @ r), found.theta, h.effect
+            )
+        )
+    return out
+
+
+def _whitening(A: Array, before: Array) -> Array:
+    """(k, r) with W W' = A^-1 on the directions of which enough is left beside the model."""
+    size = np.sqrt(np.maximum(before, 1e-300))
+    value, vector = np.linalg.eigh(A / np.outer(size, size))
+    good = value > WEAK
+    return np.asarray((vector[:, good] / np.sqrt(value[good])) / size[:, None])
+
+
+def price(h: Hypothesis) -> float:
+    """What freedom takes of noise alone (Akaike 1974), and twice the log of the places looked at.
+
+    What is likely beforehand has no say here: an effect with one parameter more is not ruled out by having it.
+    """
+    if h.effect is None:
+        return 1.0
+    return float(h.owed() + 2.0 * math.log(h.looked))
+
+
+def _angle(cosine: float) -> float:
+    return float(np.degrees(np.arccos(np.clip(cosine, 0.0, 1.0))))
+
+
+def _why(found: str, rival: Rival) -> str:
+    """The reason with its numbers."""
+    odds = float(np.exp(np.clip(0.5 * rival.lead, -50.0, 50.0)))
+    likely = f"it is {odds:.2g} times less likely" if odds >= 1.5 else "it is as likely"
+    if odds < 0.67:
+        likely = (
+            f"by likelihood alone it would do better ({1.0 / odds:.2g} times), held-out data and form speak against it"
+        )
+    if rival.lead >= CLOSE and rival.agreed < CLEAR:
+        likely += f", but the blocks of the recording do not agree on that ({rival.agreed:.1f} standard errors)"
+    return f"{why(found, rival.key)}: the two signals are {rival.angle:.1f} deg apart beside the rest, and {likely}"

@@ -1,0 +1,1 @@
+"""Structure that a model leaves, found and predicted without a name."""

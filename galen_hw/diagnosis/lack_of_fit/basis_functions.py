@@ -1,0 +1,296 @@
+"""Generic functions of the known inputs and their past: what explains without a name is sought, and predicted, with these."""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from scipy.signal import lfilter
+
+from galen_hw.diagnosis.stats.sampling import Mask, Rows
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.physics.scenes.wrench import WrenchScene
+from galen_hw.spatial import Array
+
+POSITION = "the joint positions, finely"
+"""What quick waves over all positions at once are functions of, and trees on the positions."""
+WARM = (
+    "the joint positions times the temperatures",
+    "the simulated channels times the temperatures",
+    "speeds times the temperatures",
+)
+"""Families where a temperature was recorded: what it changes in what motion and load do."""
+PLAIN = (
+    "products of joint positions",
+    "products of the simulated channels",
+    "the simulated channels times the joint positions",
+    "cubes of the simulated channels",
+    "speeds and accelerations",
+    "products of speeds",
+    "positions times speeds",
+    "the simulated channels times speeds",
+    *WARM,
+)
+"""Families of low powers of the inputs at the moment: what they say of one motion holds of another."""
+MOST_PRODUCTS = 40
+MOST_PAIRS = 25
+PLACES = np.array([-1.5, -0.5, 0.5, 1.5])
+WIDTH = 0.8
+"""Centres and width of local functions of one input, in its standard deviations."""
+LAGS = (2, 5, 12, 30, 80, 200)
+"""Rows by which inputs are taken from the past."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Columns made comparable: constant ones left out, zero mean and unit variance in the first recording."""
+
+    kept: Mask
+    centre: Array
+    spread: Array
+
+    @classmethod
+    def of(cls, x: Array) -> Self:
+        """That of columns (M, k)."""
+        spread = x.std(axis=0)
+        kept = np.asarray(spread > 1e-9 * np.maximum(np.abs(x).max(axis=0, initial=0.0), 1e-12))
+        return cls(kept, x[:, kept].mean(axis=0), spread[kept])
+
+    def __call__(self, x: Array) -> Array:
+        """(M, kept) of columns (M, k)."""
+        return np.asarray((x[:, self.kept] - self.centre) / self.spread)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a recording knows of its causes, on averaged rows, in the units of the recording that is learnt from.
+
+    Args:
+        position: (M, p) joint positions that move, the axes of a sensor of which no joints are known, or the simulated channels;
+            applied forces.
+        load: (M, c) simulated channels; rate, second: (M, p) of the positions, by the row; empty without a clock.
+        reach: (p,) of the positions.
+        warmth: (M, w) thermometers that move.
+        lags: rows by which the past is taken.
+        scales: of position, load, rate, second and warmth; joints, forces: which columns the positions are; places: of warmth.
+        period: s a row.
+        same: the simulated channels are positions themselves; turns: the positions are the sensor's axes.
+    """
+
+    position: Array
+    load: Array
+    rate: Array
+    second: Array
+    reach: Array
+    warmth: Array
+    lags: tuple[int, ...]
+    scales: tuple[Scale, Scale, Scale, Scale, Scale]
+    joints: tuple[str, ...]
+    forces: tuple[str, ...]
+    places: tuple[str, ...]
+    period: float
+    same: bool
+    turns: bool
+
+    @classmethod
+    def of(cls, scene: Scene, rows: Rows, like: "Inputs | None" = None) -> Self:
+        """Of a scene; `like`: in the units of those of another recording.
+
+        Raises:
+            KeyError: it does not have the other's inputs.
+        """
+        given = scene.observations.columns
+        joints = scene.moved if like is None else like.joints
+        forces = tuple(n for n in given if n.startswith("applied.force")) if like is None else like.forces
+        load = rows.average(np.nan_to_num(scene.simulated))
+        if joints:
+            raw = [rows.average(scene.q[:, [scene.joint_index(j) for j in joints]])]
+        elif isinstance(scene, WrenchScene):
+            # A wrench may follow the heading too (a cable, a magnet), which the weight in the sensor does not show.
+            raw = [rows.average(scene.R.reshape(len(scene), 9))]
+        else:
+            raw = [load]
+        raw += [rows.average(np.nan_to_num(given[name]))[:, None] for name in forces]
+        places = tuple(n for n in given if n.startswith("temperature.")) if like is None else like.places
+        warm = [rows.average(np.nan_to_num(given[name]))[:, None] for name in places]
+        named = joints, forces, places
+        still = np.zeros((len(rows), 0))
+        return cls._scaled(
+            scene, rows, np.concatenate(raw, axis=1), load, np.concatenate([still, *warm], axis=1), like, named
+        )
+
+    @classmethod
+    def _scaled(
+        cls,
+        scene: Scene,
+        rows: Rows,
+        raw: Array,
+        load: Array,
+        warm: Array,
+        like: "Inputs | None",
+        named: tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]],
+    ) -> Self:
+        scale = Scale.of(raw) if like is None else like.scales[0]
+        position = scale(raw)
+        weight = Scale.of(load) if like is None else like.scales[1]
+        still = np.zeros((len(rows), 0))
+        rate = np.gradient(position, axis=0) if scene.clock else still
+        speed = Scale.of(rate) if like is None else like.scales[2]
+        second = np.gradient(speed(rate), axis=0) if scene.clock else still
+        bend = Scale.of(second) if like is None else like.scales[3]
+        reach = np.maximum(np.ptp(position, axis=0), 1e-9) if like is None else like.reach
+        period = float(np.median(np.diff(rows.average(scene.time)))) if scene.clock and len(rows) > 1 else 0.0
+        lags = tuple(k for k in LAGS if k < len(rows) // 4) if like is None else like.lags
+        heat = Scale.of(warm) if like is None else like.scales[4]
+        scales = (scale, weight, speed, bend, heat)
+        return cls(
+            position,
+            weight(load),
+            speed(rate),
+            bend(second),
+            reach,
+            heat(warm),
+            lags,
+            scales,
+            *named,
+            period,
+            scene.observations.predict == "position",
+            not named[0] and isinstance(scene, WrenchScene),
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(p,) what each column of the positions is, in words."""
+        count = len(self.scales[0].kept) - len(self.forces)
+        axes = tuple(f"the sensor's {a} axis along base {b}" for b in "xyz" for a in "xyz")
+        simulated = tuple(f"simulated channel {k + 1}" for k in range(count))
+        own = self.joints or (axes if self.turns else simulated)
+        return tuple(itertools.compress((*own, *self.forces), self.scales[0].kept))
+
+    @cached_property
+    def past(self) -> Array:
+        """(M, lags p) changes of the positions since some rows ago; since the first row where there is no such row."""
+        z = self.position
+        each = [np.concatenate([np.repeat(z[:1], k, axis=0), z[:-k]]) - z for k in self.lags]
+        return np.concatenate(each, axis=1) if each else z[:, :0]
+
+    @property
+    def seen(self) -> Array:
+        """(M, k) all of it in one row, as what learns functions by itself wants it."""
+        return np.concatenate([self.position, self.rate, self.second, self.load, self.warmth, self.past], axis=1)
+
+    def comparable(self, other: "Inputs") -> bool:
+        """Whether what is by the row here holds there too: a row lasts as long, and there are enough of them."""
+        same = abs(self.period - other.period) <= 0.01 * self.period
+        return same and len(other.position) > max(self.lags, default=1)
+
+
+def dictionaries(inputs: Inputs) -> Iterator[tuple[str, Array]]:
+    """Generic functions (M, k) of the known inputs, a family at a time, with what they are functions of, plain ones first."""
+    yield from broad(inputs)
+    yield from local(inputs)
+
+
+def broad(inputs: Inputs) -> Iterator[tuple[str, Array]]:
+    """Functions that are large over most of the motion."""
+    z, load, rate, second = inputs.position, inputs.load, inputs.rate, inputs.second
+    if not z.size:
+        return
+    for scale, name in ((0.7, "the joint positions"), (2.0, POSITION)):
+        yield name, _waves(z, scale)
+    yield "products of joint positions", _products(z, z)
+    for j in range(min(z.shape[1], 8)):
+        numbers = np.arange(1, 31) * 2.0 * np.pi / inputs.reach[j] / 1.3
+        waves = [f(np.outer(z[:, j], numbers)) for f in (np.sin, np.cos)]
+        yield f"periodic in input {j + 1}", np.concatenate(waves, axis=1)
+    if load.shape[1] and not inputs.same:
+        yield "products of the simulated channels", _products(load, load)
+        yield "the simulated channels times the joint positions", _products(load, z)
+        yield "cubes of the simulated channels", np.concatenate([load**2, load**3, np.abs(load)], axis=1)
+    yield from _warm(inputs)
+    if rate.shape[1]:
+        speeds = [rate, np.abs(rate), np.tanh(4.0 * rate), second, rate * np.abs(rate)]
+        yield "speeds and accelerations", np.concatenate(speeds, axis=1)
+        yield "products of speeds", np.concatenate([_products(rate, rate), _products(rate, np.abs(rate))], axis=1)
+        yield "positions times speeds", _products(z, rate)
+        yield "positions and speeds together", _waves(np.concatenate([z, rate], axis=1), 0.7)
+        if load.shape[1]:
+            yield "the simulated channels times speeds", _products(load, rate)
+        for low in (0.004, 0.012, 0.035, 0.1):
+            yield "a resonance that motion excites", _resonators(second, low)
+        if inputs.lags:
+            yield "the past of the inputs", inputs.past
+
+
+def factors(inputs: Inputs) -> dict[str, Array]:
+    """(M, k) what the products of some families are made of, by family.
+
+    What a model's own effects have taken of a product is a straight line in them. None is sought by itself: it has a name.
+    """
+    z, load, rate = inputs.position, inputs.load, inputs.rate
+    return {
+        "products of joint positions": z,
+        "products of the simulated channels": load,
+        "the simulated channels times the joint positions": np.concatenate([load, z], axis=1),
+        "cubes of the simulated channels": load,
+        "products of speeds": rate,
+        "positions times speeds": rate,
+        "the simulated channels times speeds": rate,
+    }
+
+
+def _warm(inputs: Inputs) -> Iterator[tuple[str, Array]]:
+    """What a temperature changes in what motion and load do: it by itself is too slow to be told from noise."""
+    z, load, rate, warmth = inputs.position, inputs.load, inputs.rate, inputs.warmth
+    if not warmth.shape[1]:
+        return
+    positions, channels, of_speeds = WARM
+    yield positions, _products(z, warmth)
+    if load.shape[1] and not inputs.same:
+        yield channels, _products(load, warmth)
+    if rate.shape[1]:
+        speeds = np.concatenate([rate, np.tanh(4.0 * rate)], axis=1)
+        yield of_speeds, _products(speeds, warmth)
+
+
+def _products(a: Array, b: Array) -> Array:
+    """(M, k) products of columns, each pair once."""
+    pairs = [(i, j) for i in range(a.shape[1]) for j in range(b.shape[1]) if a is not b or j >= i]
+    return np.stack([a[:, i] * b[:, j] for i, j in pairs[:MOST_PRODUCTS]], axis=-1) if pairs else a[:, :0]
+
+
+def local(inputs: Inputs) -> Iterator[tuple[str, Array]]:
+    """Functions of two inputs each, large in one corner of their plane alone."""
+    z, rate = inputs.position, inputs.rate
+    yield from _planes("input {} and input {} together", z, z)
+    yield from _planes("input {} and the speed of input {}", z, rate)
+    yield from _planes("the speeds of input {} and input {}", rate, rate)
+
+
+def _planes(name: str, a: Array, b: Array) -> Iterator[tuple[str, Array]]:
+    """Bumps (M, 16) over the plane of each pair of columns."""
+    every = itertools.product(range(a.shape[1]), range(b.shape[1]))
+    for i, j in itertools.islice((pair for pair in every if a is not b or pair[0] < pair[1]), MOST_PAIRS):
+        first, second = (np.exp(-0.5 * ((x[:, None] - PLACES) / WIDTH) ** 2) for x in (a[:, i], b[:, j]))
+        yield name.format(i + 1, j + 1), (first[:, :, None] * second[:, None, :]).reshape(len(a), -1)
+
+
+def _waves(z: Array, scale: float) -> Array:
+    """Random Fourier features (Rahimi and Recht 2007): smooth functions of all inputs together."""
+    rng = np.random.default_rng(7)
+    w, phase = rng.normal(size=(z.shape[1], 24)) * scale, rng.uniform(0, 2 * np.pi, 24)
+    return np.asarray(np.cos(z @ w + phase))
+
+
+def _resonators(x: Array, frequency: float) -> Array:
+    """Two-pole resonances of (M, n) inputs around a frequency in cycles a row, in and out of phase."""
+    out = []
+    for f in frequency * np.array([1.0, 1.3, 1.7, 2.2]):
+        if f > 0.45:
+            continue
+        r = np.exp(-2.0 * np.pi * f * 0.05)
+        a = [1.0, -2.0 * r * np.cos(2.0 * np.pi * f), r * r]
+        out += [lfilter([1.0], a, x, axis=0), lfilter([1.0, -1.0], a, x, axis=0)]
+    return np.concatenate(out, axis=1) if out else x[:, :0]

@@ -1,0 +1,72 @@
+"""What every regression of a model's rest on generic functions is asked for, however it learns them."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+
+from galen_hw.diagnosis.lack_of_fit.gram import Sums
+from galen_hw.spatial import Array
+
+
+@dataclass
+class Regression(ABC):
+    """Of one channel's rest on families of functions.
+
+    Args:
+        plain, white: inner products of the families, the plain ones first, as they are and whitened.
+        rest, white_rest: (n,) over the noise's standard deviation, and whitened.
+        weighed: fitted as whitened (generalised) or as it is: the first is best where noise is the rest's larger part, the
+            second where physics is.
+        chosen: families of which it takes something; reached, white_gain: falls of the sum of squares on folds left out.
+    """
+
+    plain: Sums
+    white: Sums
+    rest: Array
+    white_rest: Array
+    weighed: bool
+    chosen: list[str] = field(init=False, default_factory=list)
+    reached: float = field(init=False, default=0.0)
+    white_gain: float = field(init=False, default=0.0)
+
+    @abstractmethod
+    def coefficients(self) -> dict[str, Array]:
+        """(k,) of every function of the chosen families, in the channel's unit."""
+
+    @abstractmethod
+    def crossed(self, *, white: bool = False) -> Array:
+        """(n,) what is predicted of each row from other folds, over the noise's deviation; or of the whitened rest."""
+
+
+@dataclass
+class Blend(Regression):
+    """Mean of two regressions: where neither is the truth their errors differ, and partly cancel (Bates and Granger 1969)."""
+
+    of: tuple[Regression, ...] = ()
+
+    @classmethod
+    def between(cls, *of: Regression) -> Self:
+        """Of regressions of one rest on the same families."""
+        one = of[0]
+        return cls(one.plain, one.white, one.rest, one.white_rest, one.weighed, of)
+
+    def __post_init__(self) -> None:
+        """Judges it on the same folds as each of them."""
+        self.chosen = list(dict.fromkeys(name for one in self.of for name in one.chosen))
+        for_plain, for_white = self.crossed(), self.crossed(white=True)
+        self.reached = float(for_plain @ (2.0 * self.rest - for_plain))
+        self.white_gain = float(for_white @ (2.0 * self.white_rest - for_white))
+
+    def coefficients(self) -> dict[str, Array]:
+        """Means of theirs; 0 where one takes nothing."""
+        out: dict[str, Array] = {}
+        for one in self.of:
+            for name, theta in one.coefficients().items():
+                out[name] = out.get(name, 0.0) + theta / len(self.of)
+        return {name: out[name] for name in self.chosen}
+
+    def crossed(self, *, white: bool = False) -> Array:
+        """(n,) mean of what they predict of each row from other folds."""
+        return np.asarray(sum(one.crossed(white=white) for one in self.of) / len(self.of))

@@ -1,0 +1,265 @@
+"""What physics left over, predicted without a name by generic functions of the inputs: the part of `unknown` that can be said.
+
+It shows how far any function of the known inputs and their past would go (the ceiling), and on what. It is never saved for the
+live services: a function that nobody can explain does not act on a robot.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from sklearn.ensemble import HistGradientBoostingRegressor
+
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.lack_of_fit.basis_functions import PLAIN, Inputs
+from galen_hw.diagnosis.lack_of_fit.gram import Functions, Sums, by_name
+from galen_hw.diagnosis.lack_of_fit.pursuit import Pursuit
+from galen_hw.diagnosis.lack_of_fit.regression import Blend, Regression
+from galen_hw.diagnosis.stats.sampling import Rows
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.spatial import Array
+
+RIDGES: Final = np.logspace(-2.0, 4.0, 13)
+"""Tried; in units of the noise's square over that of one function's whole contribution."""
+MOST_FAMILIES: Final = 3
+WORTH: Final = 0.1
+"""Share of what is explained by which a family must be better than a plainer one, or another family add."""
+PLAINER: Final = 0.03
+"""Share of what is explained by which a few low powers may fall short of all functions: they hold of another motion too."""
+LEAST: Final = 1e-3
+"""And share of the whole rest."""
+TRIED: Final = 8
+"""Families that are tried beside those chosen: the ones that explain most of what these leave."""
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """Regressions of what a model left on generic functions, channel by channel.
+
+    Args:
+        inputs: of the recording that it was learnt on.
+        parts: per channel, names of the families and the coefficient of each of their functions.
+        offsets: per channel, the mean of their sum over the rows that it was learnt on, less the constant beside them.
+        gain: fall of the whitened sum of squares on blocks left out, all channels together.
+        crossed: (M, C) prediction of each row that it was learnt on from other blocks, 0 elsewhere.
+        trees: per channel, what is the other half of a mean with the sum of the parts.
+    """
+
+    inputs: Inputs
+    parts: dict[int, dict[str, Array]]
+    offsets: dict[int, float]
+    gain: float
+    crossed: Array
+    trees: dict[int, HistGradientBoostingRegressor] = field(default_factory=dict)
+
+    def joined(self, other: "Remainder") -> "Remainder":
+        """With the other's channels, none of which are its own, as yet without trees."""
+        return replace(
+            self,
+            parts=self.parts | other.parts,
+            offsets=self.offsets | other.offsets,
+            gain=self.gain + other.gain,
+            crossed=self.crossed + other.crossed,
+        )
+
+    def predict(self, scene: Scene, rows: Rows, width: int) -> Array | None:
+        """(M, C) for another recording; None where it cannot speak of it."""
+        try:
+            inputs = Inputs.of(scene, rows, like=self.inputs)
+        except (KeyError, ValueError):
+            return None
+        return self._sum(inputs, width) if self.inputs.comparable(inputs) else None
+
+    def own(self, width: int) -> Array:
+        """(M, C) on the recording that it was learnt on."""
+        return self._sum(self.inputs, width)
+
+    def _sum(self, inputs: Inputs, width: int) -> Array:
+        out = np.zeros((len(inputs.position), width))
+        for kind, X in by_name(inputs).items():
+            for c, families in self.parts.items():
+                if kind in families:
+                    out[:, c] += X @ families[kind]
+        for c, offset in self.offsets.items():
+            out[:, c] -= offset
+        for c, trees in self.trees.items():
+            out[:, c] = 0.5 * (out[:, c] + trees.predict(inputs.seen))
+        return out
+
+
+def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None = None) -> Remainder | None:
+    """The remainder of a model, from its training rows.
+
+    Args:
+        kinds: per channel the families of functions that are tried.
+        functions: of the model's bench, where they are known already.
+    """
+    bench = model.bench
+    functions = functions if functions is not None and functions.bench is bench else Functions(bench)
+    rest, white = model.rest() / bench.noise.sigma, model.rest(white=True)
+    parts: dict[int, dict[str, Array]] = {}
+    offsets, gain, crossed = {}, 0.0, np.zeros_like(rest)
+    for c, kind in kinds.items():
+        names = [name for name in functions.columns if name in kind]
+        if not names:  # trees alone follow it
+            continue
+        best = _best(functions, names, c, rest[functions.rows, c], white[functions.rows, c])
+        if best.chosen:
+            parts[c] = best.coefficients()
+            level = functions.level(parts[c], c, white[functions.rows, c])
+            crossed[functions.rows, c] = best.crossed() * bench.noise.sigma[c] + level
+            # The functions of another recording are not less their mean on this one.
+            offsets[c] = float(sum(functions.means[n] @ t for n, t in parts[c].items())) - level
+            gain += best.white_gain
+    return Remainder(functions.inputs, parts, offsets, gain, crossed) if parts else None
+
+
+def _best(functions: Functions, names: list[str], channel: int, rest: Array, white_rest: Array) -> Regression:
+    """The regression of a channel's rest (n,) that explains most of blocks left out; one on low powers if it does nearly as well.
+
+    A resonance may be in step with a speed in one motion, and is not in the next.
+    """
+
+    def of(kind: type[Ridge | Pursuit], some: list[str]) -> Ridge | Pursuit:
+        plain, white = functions.plain(some, channel), functions.white(some, channel)
+        each = (kind(plain, white, rest, white_rest, weighed=weighed) for weighed in (True, False))
+        return max(each, key=lambda one: one.reached)
+
+    tried: list[Regression] = [of(Ridge, names), of(Pursuit, names)]
+    if all(one.chosen for one in tried):
+        tried.append(Blend.between(*tried))
+    best = max(tried, key=lambda one: one.reached)
+    powers = [name for name in functions.columns if name in PLAIN]
+    plainer = of(Pursuit, powers) if powers and best.chosen else best
+    return plainer if plainer.chosen and plainer.reached >= (1.0 - PLAINER) * best.reached else best
+
+
+@dataclass
+class Ridge(Regression):
+    """Ridge regression on families of functions, few of them."""
+
+    _ridge: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        """Chooses families, one after the other as long as each explains more of blocks left out.
+
+        Another motion is where many functions that say the same of this one differ: the plainest that does nearly as well
+        as the best is taken, and another beside it must be worth it.
+        """
+        self._learnt = self.white if self.weighed else self.plain
+        self._plain_b, self._white_b = self.plain.against(self.rest), self.white.against(self.white_rest)
+        self._b = self._white_b if self.weighed else self._plain_b
+        self._alone: dict[str, list[tuple[Array, Array]]] = {}
+        total, names = float(self.rest @ self.rest), list(self.plain.columns)
+        while len(self.chosen) < MOST_FAMILIES:
+            left = [n for n in names if n not in self.chosen]
+            if self.chosen:
+                promise = self._promises(left)
+                best_few = sorted(left, key=lambda n: -promise[n])[:TRIED]
+                left = [n for n in left if n in best_few]
+            tried = {n: self._gains([*self.chosen, n]) for n in left}
+            gains = {n: float(raw.max()) for n, (raw, _) in tried.items()}
+            best = max(gains.values(), default=0.0)
+            if best - self.reached < max(WORTH * best, LEAST * total):
+                return
+            name = next(n for n, gain in gains.items() if gain >= best - WORTH * (best - self.reached))
+            self.chosen.append(name)
+            self.reached, self._ridge = gains[name], int(np.argmax(tried[name][0]))
+            self.white_gain = float(tried[name][1][self._ridge])
+
+    @cached_property
+    def _sizes(self) -> dict[str, Array]:
+        """Norms (k,) of the columns as they are fitted; a column that is hardly there counts as none."""
+        out = {}
+        for name in self.plain.columns:
+            size = np.sqrt(np.einsum("fkk->k", self._learnt.pair(name, name)))
+            out[name] = np.where(size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300), size, np.inf)
+        return out
+
+    def coefficients(self) -> dict[str, Array]:
+        """Of every function of the chosen families, in the channel's unit."""
+        theta = self._whole(self.chosen)[:, self._ridge] / self._size(self.chosen)
+        ends = np.cumsum([len(self._sizes[n]) for n in self.chosen])[:-1]
+        return dict(zip(self.chosen, np.split(theta, ends), strict=True))
+
+    def crossed(self, *, white: bool = False) -> Array:
+        """(n,) what the chosen families predict of each row from other folds, over the noise's deviation."""
+        columns = (self.white if white else self.plain).joined(self.chosen)
+        out, X = np.zeros(len(self.rest)), columns / self._size(self.chosen)
+        for rows, theta in zip(self.plain.folds, self._thetas(self.chosen), strict=True):
+            out[rows] = X[rows] @ theta[:, self._ridge]
+        return out
+
+    def _size(self, names: list[str]) -> Array:
+        return np.concatenate([self._sizes[n] for n in names])
+
+    def _gains(self, names: list[str]) -> tuple[Array, Array]:
+        """Falls (len(RIDGES),) of the sum of squares on folds left out in turn, plain and whitened."""
+        thetas, size = self._thetas(names), self._size(names)
+        return tuple(  # type: ignore[return-value]
+            sum(
+                _falls(theta, G / np.outer(size, size), b / size)
+                for theta, G, b in zip(thetas, sums.gram(names), _joined(inner, names), strict=True)
+            )
+            for sums, inner in ((self.plain, self._plain_b), (self.white, self._white_b))
+        )
+
+    def _promises(self, names: list[str]) -> dict[str, float]:
+        """What each family takes of what the chosen ones leave, on folds left out: less than beside them, but soon told."""
+        chosen, size, out = self.chosen, self._size(self.chosen), {}
+        thetas = [theta[:, self._ridge] / size for theta in self._thetas(chosen)]
+        for name in names:
+            mine = self._sizes[name]
+            learnt = self._left(self._learnt, self._b, name, thetas)
+            judged = self._left(self.plain, self._plain_b, name, thetas)
+            G = self.plain.pair(name, name) / np.outer(mine, mine)
+            gain = np.zeros(len(RIDGES))
+            for f, (value, vector) in enumerate(self._eigen(name)):
+                others = sum(learnt[f][g] for g in range(len(thetas)) if g != f)
+                theta = _ridged(value, vector, np.asarray(others) / mine)
+                gain += _falls(theta, G[f], judged[f][f] / mine)
+            out[name] = float(gain.max())
+        return out
+
+    def _left(self, sums: Sums, inner: dict[str, Array], name: str, thetas: list[Array]) -> list[Array]:
+        """For each fold's parameters of the chosen families, (folds, k) of a family with what they leave."""
+        cross = np.concatenate([sums.pair(name, other) for other in self.chosen], axis=2)
+        return [inner[name] - cross @ theta for theta in thetas]
+
+    def _eigen(self, name: str) -> list[tuple[Array, Array]]:
+        """Of a family by itself without each fold, kept."""
+        if name not in self._alone:
+            G = self._learnt.pair(name, name) / np.outer(self._sizes[name], self._sizes[name])
+            self._alone[name] = [tuple(np.linalg.eigh(G.sum(axis=0) - one)) for one in G]  # type: ignore[misc]
+        return self._alone[name]
+
+    def _thetas(self, names: list[str]) -> list[Array]:
+        """For each fold (k, len(RIDGES)) coefficients learnt on the others, one column a ridge."""
+        b = _joined(self._b, names)
+        rests = (b.sum(axis=0) - b) / self._size(names)
+        if len(names) == 1:
+            return [_ridged(*eigen, rest) for eigen, rest in zip(self._eigen(names[0]), rests, strict=True)]
+        size = self._size(names)
+        G = self._learnt.gram(names) / np.outer(size, size)
+        return [_ridged(*np.linalg.eigh(G.sum(axis=0) - one), rest) for one, rest in zip(G, rests, strict=True)]
+
+    def _whole(self, names: list[str]) -> Array:
+        """(k, len(RIDGES)) coefficients learnt on all rows."""
+        size = self._size(names)
+        G = self._learnt.gram(names).sum(axis=0) / np.outer(size, size)
+        return _ridged(*np.linalg.eigh(G), _joined(self._b, names).sum(axis=0) / size)
+
+
+def _ridged(value: Array, vector: Array, b: Array) -> Array:
+    """(k, len(RIDGES)) solutions of normal equations by their eigenvalues and -vectors."""
+    return np.asarray(vector @ ((vector.T @ b)[:, None] / (np.maximum(value, 0.0)[:, None] + RIDGES)))
+
+
+def _falls(theta: Array, G: Array, b: Array) -> Array:
+    """(m,) falls of a sum of squares by parameters (k, m), from inner products with each other (k, k) and the target (k,)."""
+    return np.asarray(2.0 * b @ theta - np.einsum("km,km->m", theta, G @ theta))
+
+
+def _joined(inner: dict[str, Array], names: list[str]) -> Array:
+    return np.concatenate([inner[n] for n in names], axis=1)

@@ -1,0 +1,201 @@
+"""What physics left over, and where: whether any function of the known inputs and their past explains it."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from joblib import Parallel, delayed
+from scipy.stats import chi2
+
+from galen_hw.diagnosis.estimation.dataset import Bench, rich_basis
+from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs, broad, local
+from galen_hw.diagnosis.stats.linear_algebra import orthonormal, scaled
+from galen_hw.diagnosis.stats.sampling import Index, folds
+from galen_hw.physics.effects.base import Columns
+from galen_hw.spatial import Array
+
+Z_NEEDED = 4.5
+CHANCE = 2e-4
+LEAST_RIDGE = 0.1
+"""Of a function a tenth at least must lie in the blocks that it is learnt on before it is half believed in the others."""
+T_NEEDED = 3.0
+"""Standard errors by which generic functions must win on blocks that they were not fitted on."""
+LEAST_OWN = 1e-6
+"""Share of a function's square that the model must not be able to do."""
+T_SHUFFLED, Z_SHUFFLED, SHUFFLES, FEW_SHUFFLES = 1.2, 8.0, 60, 10
+"""And fewer where shuffled blocks show that no order of the same blocks is predicted nearly so well, by standard deviations."""
+
+
+@dataclass(frozen=True)
+class Left:
+    """One kind of structure that is left in one channel.
+
+    Args:
+        channel: place.
+        kind: what the generic functions were of; place: of that family, the plain ones first.
+        z: (T - k) / sqrt(2 k); for a model that does not hold on held-out data, its mean square over the noise's.
+        share: of the whitened rest's mean square, on blocks left out.
+        size: rms in raw units; basis: (M, k) the functions.
+        elsewhere: it is left of another recording, by what was learnt on the first.
+    """
+
+    channel: int
+    kind: str
+    z: float
+    share: float
+    size: float
+    basis: Array
+    place: int = 0
+    elsewhere: bool = False
+
+
+class Family(NamedTuple):
+    """Generic functions of one kind: what they are of, an orthonormal basis (M, k) of them, whether they are local."""
+
+    kind: str
+    basis: Array
+    local: bool
+
+
+def families(bench: Bench) -> list[Family]:
+    """The generic functions of a bench, in each family a constant first, the strongest directions next."""
+    ones, most = np.ones((len(bench.rows), 1)), max(int((~bench.dropped).sum()) // 6, 3)
+    inputs = Inputs.of(bench.scene, bench.rows)
+
+    def of(kind: str, X: Array, is_local: bool) -> Family:
+        return Family(kind, rich_basis(ones, [X], 12 * min(most, X.shape[1])), is_local)
+
+    functions = (
+        (kind, X, is_local) for is_local, every in ((False, broad), (True, local)) for kind, X in every(inputs)
+    )
+    return list(Parallel(n_jobs=2, require="sharedmem")(delayed(of)(*one) for one in functions if one[1].shape[1]))
+
+
+def compact(bench: Bench, generic: list[Family]) -> list[Columns]:
+    """The leading directions of every broad family, in all channels: what they explain must not pass for noise."""
+    if len(bench.rows) < 2000:
+        return []
+    return [Columns((c,), one.basis[:, None, 1:9]) for one in generic if not one.local for c in range(bench.width)]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model as far as what it leaves is concerned.
+
+    Args:
+        columns: whitened, of nuisances and effects, so that generic functions get no credit for what these could do.
+        rest, white: (M, C) of its rest, raw and whitened.
+    """
+
+    columns: list[Columns]
+    rest: Array
+    white: Array
+
+
+def leftovers(bench: Bench, generic: list[Family], models: Sequence[Fitted]) -> list[list[Left]]:
+    """Structure in the rest of each of some models, strongest first; only what also predicts blocks it was not fitted on.
+
+    All models of one bench are asked together: most of the work is to whiten the generic functions.
+
+    Args:
+        generic: `families` of the bench.
+    """
+    good, known = ~bench.dropped, [bench.noise.transformed(one.basis) for one in generic]
+
+    def of(c: int) -> list[list[Left]]:
+        asked: list[tuple[list[Left], Array, Array]] = []
+        for model in models:
+            own = [x.values[:, x.channels.index(c)] for x in model.columns if c in x.channels and x.count]
+            whole = np.concatenate([*own, np.zeros((len(model.rest), 0))], axis=1)[good]
+            base = orthonormal(scaled(whole), weakest=1e-12)
+            asked.append(([], base, model.white[good, c] - base @ (base.T @ model.white[good, c])))
+        for place, (one, transformed) in enumerate(zip(generic, known, strict=True)):
+            Xw = bench.noise.whitened(transformed, c)[good]
+            G = Xw.T @ Xw
+            for out, base, y in asked:
+                found = _found(Xw, G, base, y, bench.block[good], CHANCE / (len(generic) * bench.width))
+                if found is not None:
+                    z, gain, w = found
+                    # Slow structure is larger in raw units than the whitening makes it look.
+                    size = np.sqrt(gain / len(y)) * np.std(one.basis[good] @ w) / max(np.std(Xw @ w), 1e-300)
+                    share = gain / max(float(y @ y), 1e-300)
+                    out.append(Left(c, one.kind, z, share, float(size), one.basis, place))
+        return [out for out, _, _ in asked]
+
+    each = Parallel(n_jobs=2, require="sharedmem")(delayed(of)(c) for c in range(bench.width))
+    return [sorted(itertools.chain(*(mine[m] for mine in each)), key=lambda left: -left.z) for m in range(len(models))]
+
+
+def _found(
+    Xw: Array, squared: Array, base: Array, y: Array, block: Index, chance: float
+) -> tuple[float, float, Array] | None:
+    """Whether columns (n, k) explain a rest (n,) more than chance does: z, gain on blocks left out, weights (k,) of the columns.
+
+    Args:
+        squared: (k, k) inner products of the columns; base: (n, r) orthonormal, what the model can do; the rest has no part
+            in it.
+    """
+    B = base.T @ Xw
+    squares, V = np.diag(squared), np.zeros((Xw.shape[1], 0))
+    own = squares - np.einsum("rk,rk->k", B, B) > LEAST_OWN * squares
+    if own.any():
+        # Inner products of the columns less what the model can do.
+        G = squared[np.ix_(own, own)] - B[:, own].T @ B[:, own]
+        size = np.sqrt(np.diag(G))
+        value, vector = np.linalg.eigh(G / np.outer(size, size))
+        good = value > LEAST_OWN * float(value[-1])
+        V = np.zeros((Xw.shape[1], int(good.sum())))
+        V[own] = vector[:, good] / np.sqrt(value[good]) / size[:, None]
+    k, projected = V.shape[1], V.T @ (Xw.T @ y)
+    T = float(projected @ projected)
+    z = (T - k) / np.sqrt(2.0 * max(k, 1))
+    if not k or z < Z_NEEDED or chi2.sf(T, k) > chance:
+        return None
+    U, ridge = (Xw - base @ B) @ V, LEAST_RIDGE + k / T
+    each = _crossed(U, y[:, None], block, ridge=ridge)[:, 0]
+    sure = sureness(each)
+    if sure < T_NEEDED and not (sure >= T_SHUFFLED and _beyond_shuffled(U, y, block, ridge=ridge)):
+        return None
+    return z, float(each.sum()), V @ projected
+
+
+def _crossed(U: Array, Y: Array, block: Index, *, ridge: float) -> Array:
+    """(blocks, m) falls of the sums of squares of m residuals Y (n, m) by orthonormal functions U (n, k) learnt on other blocks.
+
+    Ridge regression, so that many functions of which few matter may win and none is trusted that mostly lives in the blocks
+    left out. Blocks are the unit: slow noise inside a block is one piece of luck.
+    """
+    number = np.unique(block, return_inverse=True)[1]
+    fold, gain = folds(block), np.zeros(Y.shape)
+    for f in range(int(fold.max()) + 1):
+        learn, judge = fold != f, fold == f
+        G = U[learn].T @ U[learn] + ridge * np.eye(U.shape[1])
+        predicted = U[judge] @ np.linalg.solve(G, U[learn].T @ Y[learn])
+        gain[judge] = predicted * (2.0 * Y[judge] - predicted)
+    return np.stack([np.bincount(number, column) for column in gain.T], axis=-1)
+
+
+def sureness(each: Array) -> float:
+    """Mean gain of the blocks over its standard error."""
+    spread = float(np.std(each, ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else np.inf
+    return float(np.mean(each)) / max(spread, 1e-300)
+
+
+def _beyond_shuffled(U: Array, y: Array, block: Index, *, ridge: float) -> bool:
+    """Whether functions predict blocks left out far better than they predict the same blocks in another order.
+
+    What acts in a few corners of the motion lies in a few blocks: their gains differ so much that a mean over its error says
+    little. That the rest is large at just the moments that the motion foretells is no luck.
+    """
+    rng = np.random.default_rng(len(y))
+    pieces = [np.flatnonzero(block == b) for b in np.unique(block)]
+    shuffled = [np.concatenate([pieces[i] for i in rng.permutation(len(pieces))]) for _ in range(SHUFFLES)]
+    # Most are far from it, and a few orders show that.
+    for count, needed in ((FEW_SHUFFLES, 0.5 * Z_SHUFFLED), (SHUFFLES, Z_SHUFFLED)):
+        orders = np.stack([y, *(y[order] for order in shuffled[:count])], axis=-1)
+        gains = _crossed(U, orders, block, ridge=ridge).sum(axis=0)
+        if gains[0] <= np.mean(gains[1:]) + needed * np.std(gains[1:]):
+            return False
+    return True

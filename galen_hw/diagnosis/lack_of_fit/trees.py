@@ -1,0 +1,119 @@
+"""Trees on the inputs: they bend where no family of functions does, and know nothing beyond the motion.
+
+Beside linear regressions of what has no name, and in search of what all families together have taken for slow noise.
+"""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from sklearn.ensemble import ExtraTreesRegressor, HistGradientBoostingRegressor
+from threadpoolctl import threadpool_limits
+
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
+from galen_hw.diagnosis.lack_of_fit.gram import Functions
+from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder
+from galen_hw.diagnosis.lack_of_fit.structure_test import Left, sureness
+from galen_hw.diagnosis.stats.sampling import Index, folds
+from galen_hw.spatial import Array
+
+TOGETHER: Final = "all inputs together, as no function that was tried does"
+"""What trees follow, in words."""
+SLOW: Final = 2.0
+"""Times the noise's lowest level that some of it must be for trees to look into it: else there is nothing to be found."""
+ROWS: Final = 3000
+"""On about which trees look for structure."""
+NUMBER, LEAF = 30, 10
+"""Of the trees, and of the rows that one of their leaves holds at least."""
+SURE: Final = 3.0
+"""Standard errors by which they must win on blocks that they have not seen."""
+BY_TIME: Final = 0.5
+"""Share of what they win that trees on the time alone may."""
+
+
+def new() -> HistGradientBoostingRegressor:
+    """Gradient-boosted trees (Friedman 2001) as the library sets them, the same ones every time."""
+    return HistGradientBoostingRegressor(early_stopping=False, random_state=0)
+
+
+# Threads of several diagnoses at once would spin and wait for one another: seven times as long on two cores.
+@threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
+def beside(remainder: Remainder, model: Model, functions: Functions) -> Remainder:
+    """A remainder's mean with trees on the inputs and their past, in the channels where it predicts blocks left out better.
+
+    Never trees alone: where another motion goes further they stay as they are. Errors of so different a kind partly cancel
+    in the mean (Bates and Granger 1969).
+    """
+    rows, X = functions.rows, remainder.inputs.seen
+    rest, crossed, trees = model.rest(), remainder.crossed.copy(), {}
+    for c in remainder.parts:
+        y, linear, own = rest[rows, c], remainder.crossed[rows, c], np.zeros(len(rows))
+        every = np.arange(len(rows))
+        for fold in functions.folds:
+            others = np.delete(every, fold)
+            own[fold] = new().fit(X[rows[others]], y[others]).predict(X[rows[fold]])
+        both = 0.5 * (linear + own)
+        if _left(y - both) < _left(y - linear):
+            trees[c] = new().fit(X[rows], y)
+            crossed[rows, c] = both
+    return replace(remainder, trees=trees, crossed=crossed)
+
+
+@threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
+def hidden(model: Model) -> list[Left]:
+    """Structure of a model's rest that passes for slow noise, a channel at a time: what trees predict of blocks left out.
+
+    A law of several inputs at once that is in no family is followed by none, and by its own slowness it is noise then. What
+    trees on the time alone foretell is slow noise, or drift: where a motion does not come back its place is a clock.
+    """
+    bench, good = model.bench, np.flatnonzero(~model.bench.dropped)
+    levels = bench.noise.levels
+    slow = np.flatnonzero(levels.max(axis=0) > SLOW * levels.min(axis=0)) if len(levels) else np.empty(0, dtype=int)
+    if not len(slow):
+        return []
+    inputs = Inputs.of(bench.scene, bench.rows)
+    X = np.concatenate([inputs.position, inputs.rate, inputs.second], axis=1)
+    if not X.shape[1]:  # nothing moves
+        return []
+    time = bench.rows.average(bench.scene.time)[:, None]
+    rest = model.rest()[:, slow] / bench.noise.sigma[slow]
+    fold = folds(bench.block)
+    number = np.unique(bench.block[good], return_inverse=True)[1]
+
+    def asked(of: Array) -> tuple[Array, Array]:
+        foretold = _foretold(of, rest, fold, good)
+        each = (foretold * (2.0 * rest - foretold))[good]
+        return foretold, np.stack([np.bincount(number, column) for column in each.T], axis=-1)
+
+    foretold, gain = asked(X)
+    if max(map(sureness, gain.T)) < SURE:
+        return []
+    out, by_time = [], asked(time)[1].sum(axis=0)
+    for k, c in enumerate(slow):
+        own, sure = float(gain[:, k].sum()), sureness(gain[:, k])
+        if sure >= SURE and by_time[k] <= BY_TIME * own:
+            basis = np.linalg.qr(np.stack([np.ones(len(rest)), foretold[:, k]], axis=-1))[0]
+            share, size = own / float(rest[good, k] @ rest[good, k]), np.sqrt(own / len(good)) * bench.noise.sigma[c]
+            out.append(Left(int(c), TOGETHER, sure, share, float(size), basis))
+    return sorted(out, key=lambda left: -left.z)
+
+
+def _foretold(X: Array, y: Array, fold: Index, good: Index) -> Array:
+    """(M, m) rests (M, m) as trees on inputs (M, k) predict them that were learnt on some of the good rows of other folds."""
+    out, seen = np.zeros(y.shape), good[:: max(len(good) // ROWS, 1)]
+    for f in range(int(fold.max()) + 1):
+        learn, aside = seen[fold[seen] != f], fold == f
+        if len(learn) and aside.any():
+            learnt = _many().fit(X[learn], y[learn] if y.shape[1] > 1 else y[learn, 0])
+            out[aside] = learnt.predict(X[aside]).reshape(-1, y.shape[1])
+    return out
+
+
+def _many() -> ExtraTreesRegressor:
+    """Extremely randomised trees (Geurts, Ernst and Wehenkel 2006): all channels at once, and quick."""
+    return ExtraTreesRegressor(NUMBER, min_samples_leaf=LEAF, random_state=0)
+
+
+def _left(rest: Array) -> float:
+    return float(rest @ rest)

@@ -1,0 +1,1 @@
+"""The readings' noise: its spectrum, and what grows ever slower."""

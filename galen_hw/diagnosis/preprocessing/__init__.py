@@ -1,0 +1,1 @@
+"""Rows and channels that can be compared."""

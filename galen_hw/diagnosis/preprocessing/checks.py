@@ -1,0 +1,250 @@
+"""Before any fitting: rows that can be compared, and what is odd about the rest. Each thing becomes one line."""
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from galen_hw.diagnosis.preprocessing.data_quality import Premise
+from galen_hw.diagnosis.stats.sampling import Index, Mask
+from galen_hw.errors import UsageError
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.physics.scenes.pose import QUATERNION
+from galen_hw.physics.signals.differentiation import at_rest, denoised
+from galen_hw.spatial import Array
+
+FEWEST: Final = 8
+SHORT: Final = 100
+"""Rows of a motion below which only gross effects can show."""
+DISORDER: Final = 0.05
+"""Share of rows out of order beyond which the clock is not one clock."""
+GAP_STEPS, GAP_S = 5.0, 0.5
+"""A step this many times the median, and at least so long, is a gap: what happened in it nobody knows."""
+PIECES: Final = 40
+"""Of a recording, by which the mean square of two simulations is compared."""
+SURELY: Final = 4.0
+"""Standard errors."""
+SEEN: Final = 1.1
+"""Times the variance of what the simulation misses that it may become without a joint's noise; more is motion taken for noise."""
+ORIENTATION: Final = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
+
+
+def premises(scene: Scene) -> Premise:
+    """Leave out rows that cannot be compared; axes, signs, units and clocks were looked at before (`galen_hw.premises`).
+
+    Raises:
+        UsageError: no channel, nothing to simulate from, a clock that is none, or too few rows to compare.
+    """
+    if not scene.channels:
+        group = scene.observations.predict
+        raise UsageError(f"no column of the group {group!r} is there to compare", where="recording", todo="see predict")
+    _drivable(scene)
+    out = Premise(scene)
+    for step in (_measured, _ordered, _parted, _driven):
+        out.scene = step(out.scene, out.notes)
+    out.scene = _complete(out.scene, out.notes, out.wrong)
+    out.scene = quiet(out.scene)
+    if out.scene.clock and len(out.scene) < SHORT:
+        out.notes.append(f"only {len(out.scene)} rows: too short to tell any but gross effects")
+    out.notes += out.wrong
+    return out
+
+
+def held_out(scene: Scene, notes: list[str]) -> Scene:
+    """A second recording, to be judged on, without the rows that cannot be compared; what is left out is noted.
+
+    Raises:
+        UsageError: as `premises`.
+    """
+    mine: list[str] = []
+    for step in (_ordered, _parted, _driven, _complete):
+        scene = step(scene, mine)
+    notes += [f"held-out recording: {line}" for line in mine]
+    return quiet(scene)
+
+
+def _drivable(scene: Scene) -> None:
+    """There is something to simulate from."""
+    seen, robot, columns = scene.observations, scene.belief.robot, scene.observations.columns
+    if seen.simulation is not None or seen.predict == "position":
+        return
+    turned = seen.predict == "wrench" and all(name in columns for name in ORIENTATION)
+    absent = [n for n in robot.joint_names if f"joint.{n}.position" not in columns] if robot is not None else []
+    if robot is None and not turned:
+        instead = " or the columns sensor.orientation.x y z w" if seen.predict == "wrench" else ""
+        raise UsageError(
+            "there is nothing to simulate from",
+            where="recording.json: robot",
+            todo=f"name the robot{instead}, or add a folder simulation/",
+        )
+    if absent and not turned:
+        what = f"{len(absent)} of the robot's joints have no position, first {absent[0]}"
+        raise UsageError(what, where="recording", todo=f"add the column joint.{absent[0]}.position")
+
+
+def _measured(scene: Scene, notes: list[str]) -> Scene:
+    """Without the joints and orientations of which nothing was measured: the others can be compared."""
+    columns = scene.observations.columns
+    may_lack = {name for name in scene.channels if name.startswith("joint.")}
+    may_lack |= set(QUATERNION) if scene.observations.predict == "pose" else set()
+    empty = {name for name in may_lack & set(columns) if not np.isfinite(columns[name]).any()}
+    if not empty or empty >= set(scene.channels):
+        return scene
+    notes += [f"{name} was not measured and is left out" for name in sorted(empty)]
+    return scene_of(replace(scene.observations, columns={k: v for k, v in columns.items() if k not in empty}))
+
+
+def _ordered(scene: Scene, notes: list[str]) -> Scene:
+    """Rows whose clock stands or runs backwards inside a segment go."""
+    if not scene.clock:
+        return scene
+    good, behind = np.ones(len(scene), dtype=bool), 0
+    for part in scene.segments:
+        t = scene.time[part]
+        if np.all(np.diff(t) > 0.0):
+            continue
+        rising = longest_rising(t)
+        behind += len(t) - len(rising)
+        kept = np.zeros(len(t), dtype=bool)
+        kept[rising[np.diff(t[rising], prepend=-np.inf) > 0.0]] = True
+        good[part] = kept
+    if good.all():
+        return scene
+    if behind > DISORDER * len(scene):
+        raise UsageError(
+            f"time runs backwards in {behind} of {len(scene)} rows",
+            where="recording: time",
+            todo="sort the rows, or number the runs 0, 1, 2 in a column segment",
+        )
+    notes.append(f"time repeats or runs backwards in {int((~good).sum())} rows, which are left out")
+    return scene_of(scene.observations.taken(good))
+
+
+def longest_rising(t: Array) -> Index:
+    """Places of a longest subsequence of (N,) that never falls (patience sorting, N log N)."""
+    tails: list[float] = []
+    ends: list[int] = []
+    before = np.full(len(t), -1, dtype=np.intp)
+    for i, x in enumerate(t.tolist()):
+        at = bisect_right(tails, x)
+        before[i] = ends[at - 1] if at else -1
+        tails[at : at + 1] = [x]
+        ends[at : at + 1] = [i]
+    out, i = [], ends[-1]
+    while i >= 0:
+        out.append(i)
+        i = int(before[i])
+    return np.array(out[::-1], dtype=np.intp)
+
+
+def _parted(scene: Scene, notes: list[str]) -> Scene:
+    """Rows on either side of a gap are no longer continuous with each other."""
+    if not scene.clock or len(scene) < 3:
+        return scene
+    steps = np.diff(scene.time)
+    edges = np.zeros(len(scene), dtype=bool)
+    for part in scene.segments:
+        edges[part.start] = True
+    inside = steps[~edges[1:]]
+    if not len(inside):
+        return scene
+    gap = (steps > max(GAP_STEPS * float(np.median(inside)), GAP_S)) & ~edges[1:]
+    if not gap.any():
+        return scene
+    longest = float(steps[gap].max())
+    notes.append(
+        f"time has {int(gap.sum())} gaps, the longest of {longest:.3g} s: what has a memory starts afresh there"
+    )
+    edges[1:] |= gap
+    observations = scene.observations
+    columns = dict(observations.columns) | {"segment": np.cumsum(edges).astype(float) - 1.0}
+    return scene_of(replace(observations, columns=columns))
+
+
+def _driven(scene: Scene, notes: list[str]) -> Scene:
+    """Rows without what the simulation is driven by go; a thermometer's missing cells are bridged."""
+    columns, robot = scene.observations.columns, scene.belief.robot
+    bridged = {}
+    for name, values in columns.items():
+        there = np.isfinite(values)
+        if name.startswith("temperature.") and there.any() and not there.all():
+            bridged[name] = np.interp(np.arange(len(values)), np.flatnonzero(there), values[there])
+            notes.append(f"{name}: {int((~there).sum())} empty cells are bridged from their neighbours")
+    drivers = ORIENTATION if robot is None else [f"joint.{n}.position" for n in robot.joint_names]
+    good = np.ones(len(scene), dtype=bool)
+    for name in drivers:
+        if name in columns and np.isfinite(columns[name]).any():
+            good &= np.isfinite(columns[name])
+    enough(good)
+    if not good.all():
+        notes.append(f"{int((~good).sum())} rows have no joint position or orientation and are left out")
+    if good.all() and not bridged:
+        return scene
+    observations = replace(scene.observations, columns=dict(columns) | bridged)
+    return scene_of(observations.taken(good))
+
+
+def quiet(scene: Scene) -> Scene:
+    """The scene with joints at rest where they stand and moving ones without noise, if that goes straight into what is compared.
+
+    In a tracked pose it is in all channels at once: an arm that is wrong by a foot would explain what shakes it at rest, and
+    a dead band or a filter that does no more than quieten the encoders would be believed. A wrench that is simulated from noisy
+    joints is noisy itself, and a lag quietens that where a delay does not. What looks like noise may be poses one
+    after the other: a joint that the tracker or the sensor saw go there stays as it was read.
+    """
+    seen = scene.observations
+    if seen.predict not in ("pose", "targets", "wrench") or not scene.clock or not np.isfinite(scene.q).all():
+        return scene
+    q = denoised(scene.time, at_rest(scene.time, scene.q, scene.segments), scene.segments)
+    places = {f"joint.{name}.position": q[:, i] for i, name in enumerate(scene.joint_names)}
+    whole = scene_of(replace(seen, columns=dict(seen.columns) | places))
+    if _as_near(whole, scene):
+        return whole
+    for name, values in places.items():
+        other = scene_of(replace(scene.observations, columns=dict(scene.observations.columns) | {name: values}))
+        scene = other if _as_near(other, scene) else scene
+    return scene
+
+
+def _as_near(other: Scene, scene: Scene) -> bool:
+    """Whether another simulation of a recording misses hardly more of it, all channels alike, and not surely more.
+
+    Joints that were read on an even clock and stamped unevenly are not where a smooth motion has them at those times.
+    """
+    rest, its = (one.residual - np.nanmean(one.residual, axis=0) for one in (scene, other))
+    more = (its**2 - rest**2) / np.maximum(np.nanvar(rest, axis=0), 1e-30)
+    pieces = [np.nanmean(x) for x in np.array_split(more, min(PIECES, len(more)))]
+    surely = np.mean(pieces) > SURELY * np.std(pieces) / np.sqrt(len(pieces))
+    return bool(np.nanmean(more) <= SEEN - 1.0 and not surely)
+
+
+def enough(good: Mask) -> None:
+    """Raise if too few rows (N,) can be compared.
+
+    Raises:
+        UsageError: fewer than `FEWEST`.
+    """
+    if good.sum() < FEWEST:
+        what = f"only {int(good.sum())} of {len(good)} rows can be compared"
+        raise UsageError(what, where="recording", todo=f"record at least {FEWEST}, with no empty cells")
+
+
+def _complete(scene: Scene, notes: list[str], wrong: Sequence[str] = ()) -> Scene:
+    """Rows without a measured or simulated value go; a dead channel is named."""
+    y, s = scene.measured, scene.simulated
+    for c, name in enumerate(scene.channels):
+        if not np.isfinite(y[:, c]).any():
+            raise UsageError(f"{name} has no value", where="recording", todo="add the column, or fill it")
+        if not np.isfinite(s[:, c]).any():
+            if wrong:
+                raise UsageError(wrong[0], where="recording", todo="give SI units")
+            raise UsageError(f"{name} cannot be simulated", where="recording", todo="check the joints' columns")
+    good = np.asarray(np.isfinite(y).all(axis=1) & np.isfinite(s).all(axis=1))
+    enough(good)
+    if good.all():
+        return scene
+    notes.append(f"{int((~good).sum())} rows have no value to compare and are left out")
+    return scene_of(scene.observations.taken(good))

@@ -1,0 +1,1 @@
+"""The answer for people: lines of text, figures, a page."""

@@ -1,0 +1,123 @@
+"""From the work of a diagnosis to what its page shows: traces, curves, maps, evidence, look-alikes, possible recordings."""
+
+from typing import Any
+
+import numpy as np
+
+from galen_hw.diagnosis.findings.localisation import baseline_rest, organised
+from galen_hw.diagnosis.findings.variables import Variable, variables
+from galen_hw.diagnosis.identifiability.experiment import options_of
+from galen_hw.diagnosis.identifiability.rivals import rivals
+from galen_hw.diagnosis.report.effect_curves import curves_of
+from galen_hw.diagnosis.report.plot_data import Alike, Along, Evidence, Option, Traces
+from galen_hw.diagnosis.work import Work
+from galen_hw.physics.effects.base import Effect
+from galen_hw.spatial import Array
+
+MOST_EVIDENCE = 40
+MOST_ALONG = 6
+LEAST_ALONG = 0.1
+"""Share of the excess from which a variable is worth a picture."""
+MOST_ALIKE = 6
+MOST_OPTIONS = 6
+
+
+def traces_of(work: Work) -> Traces:
+    """Everything that the page draws."""
+    bench, scene, before = work.bench, work.bench.scene, baseline_rest(work.model)
+    return Traces(
+        time=bench.rows.average(scene.time),
+        clock=scene.clock,
+        channels=tuple(scene.channels),
+        units=tuple(scene.units),
+        before=before,
+        after=work.model.rest(),
+        held_out=np.asarray(bench.aside),
+        along=_along(work, before),
+        plane=_plane(work, before),
+        curves=curves_of(work),
+        evidence=_evidence(work),
+        alike=_alike(work),
+        options=[Option(a.recipe.name, a.minutes, a.angle) for a in _options(work)],
+    )
+
+
+def _along(work: Work, before: Array) -> list[Along]:
+    """The variables that organise the excess best, one picture a variable, with the region where one was found."""
+    if work.diagnosis.verdict == "agrees":
+        return []
+    names, regions = work.bench.scene.channels, {w["variable"]: w["range"] for w in work.diagnosis.where}
+    out = []
+    for v, share, channel in organised(work.bench, variables(work.bench), before):
+        region = regions.get(v.name)
+        whole = region is None or (region[0] <= v.values.min() and region[1] >= v.values.max())
+        inside = None if whole or region is None else (float(region[0]), float(region[1]))
+        if share > LEAST_ALONG or inside is not None:
+            out.append(Along(_label(v), v.unit, names.index(channel), v.values, share, inside))
+    return out[:MOST_ALONG]
+
+
+def _label(v: Variable) -> str:
+    return v.name.removeprefix("joint.").replace(".", " ")
+
+
+def _plane(work: Work, before: Array) -> tuple[tuple[str, str, Array], tuple[str, str, Array]] | None:
+    """The two variables of motion, of two joints where it can be, that organise the excess best."""
+    motion = (".position", ".velocity")
+    known = [v for v in variables(work.bench) if v.name.endswith(motion) and v.about in work.bench.scene.moved]
+    order = [v for v, _, _ in organised(work.bench, known, before)]
+    if len(order) < 2 or work.diagnosis.verdict == "agrees":
+        return None
+    a = order[0]
+    b = next((v for v in order[1:] if v.about != a.about), order[1])
+    return (_label(a), a.unit, a.values), (_label(b), b.unit, b.values)
+
+
+def _alike(work: Work) -> list[Alike]:
+    """The nearest look-alikes of every finding, told apart or not."""
+    out = []
+    for finding in work.diagnosis.findings:
+        tied = {c.effect for c in finding.rivals}
+        near = rivals(work.selection, finding, everyone=True)
+        near.sort(key=lambda r: r.lead)
+        shown = [Alike(finding.effect, r.key, r.angle, r.nearest, 0.5 * r.lead, r.key not in tied) for r in near]
+        known = {one.rival for one in shown}
+        nan = float("nan")
+        shown += [Alike(finding.effect, key, nan, nan, nan, apart=False) for key in tied - known]
+        out += sorted(shown, key=lambda one: one.apart)[:MOST_ALIKE]
+    return out
+
+
+def _options(work: Work) -> list[Any]:
+    """Recipes for the first open question, quickest first."""
+    return options_of(work.model, work.selection, work.diagnosis.findings)[:MOST_OPTIONS]
+
+
+def _evidence(work: Work) -> list[Evidence]:
+    """The best of every family before anything was chosen, strongest first."""
+    selection, model = work.selection, work.model
+    rows: list[Evidence] = []
+    seen: set[tuple[Any, ...]] = set()
+    kept = {_place(h.effect) for h in model.effects if h.effect is not None}
+    refused = {_place(e): paid for e, paid in selection.refused}
+    for i in sorted(selection.first, key=lambda i: -selection.first[i].rank):
+        effect = selection.scorer.library[i].effect
+        if effect is None or _place(effect) in seen or len(rows) == MOST_EVIDENCE:
+            continue
+        seen.add(_place(effect))
+        score = selection.first[i]
+        where = ", ".join(effect.joints) or str(getattr(effect, "channel", "") or "")
+        gain = refused.get(_place(effect), float("nan"))
+        outcome, reason = "not needed", "nothing of it is left beside what was kept"
+        if _place(effect) in kept:
+            outcome, reason = "kept", ""
+        elif _place(effect) in refused:
+            outcome, reason = "refused", "does not pay on blocks left out"
+        elif score.surprise <= selection.needed:
+            reason = "chance reaches as much"
+        rows.append(Evidence(effect.KEY, where, score.rank, float(np.exp(-score.surprise)), gain, outcome, reason))
+    return rows
+
+
+def _place(effect: Effect) -> tuple[Any, ...]:
+    return (effect.KEY, *effect.joints, str(getattr(effect, "channel", "")))

@@ -1,0 +1,1 @@
+"""The search for the effects of a model."""

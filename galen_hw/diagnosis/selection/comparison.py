@@ -1,0 +1,217 @@
+"""Candidates compared in each other's place, each at its optimum."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis, place_of, told
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.least_squares import fit, rests
+from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
+from galen_hw.diagnosis.estimation.linearisation import tangent, unbent
+from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
+from galen_hw.physics.effects.base import DOUBT, Effect
+from galen_hw.physics.effects.timing import Lag, Timing
+from galen_hw.spatial import Array
+
+NEARLY = 0.1
+"""Share of a chosen effect's gain within which a rival may be better at its optimum than by its slope or on its grid."""
+SLOPED = 0.25
+"""The same of one that is not linear: its slope at zero is not yet what it does."""
+MOST_NEAR = 3
+
+
+def in_place(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> dict[int, Score]:
+    """Scores of every hypothesis in the place of the chosen one i, which is among them; near rivals at their optimum.
+
+    Where i is bent, the others are scored on the residual with its bend put back, as if i had never been there.
+    """
+    others, rest = [j for j in chosen if j != i], scorer.solve(chosen)[2]
+    firm, found = len(scorer.library), dict[object, tuple[Hypothesis, Score]]()
+    with unbent(scorer, i), unclocked(scorer, i) as for_a_while:
+        scores = scorer.scores(others)[0]
+        if i not in scores:
+            return {j: s for j, s in scores.items() if j < firm}
+        gain = scorer.solve(others)[2] - rest
+        scores[i] = replace(scores[i], gain=gain, rank=scores[i].rank + gain - scores[i].gain)
+        for j in _near(scorer, scores, i):
+            h = scorer.library[j]
+            if h.theta is None and j != i and _is_bent(bench, h):
+                scores[j] = bent(bench, scorer, others, j, scores[j])
+            elif _on_a_grid(h):
+                better = polished(bench, scorer, others, j)
+                if better != j:
+                    scores.update(scorer.scores(others, [better])[0])
+        if for_a_while:
+            for j in sorted((j for j in scores if j >= firm), key=lambda j: scores[j].rank):
+                h = scorer.library[j]
+                found[h.effect.family if h.effect else None] = h, scores.pop(j)
+    if found:
+        scorer.append([h for h, _ in found.values()])
+        scores |= {firm + k: score for k, (_, score) in enumerate(found.values())}
+    return scores
+
+
+@contextmanager
+def unclocked(scorer: Scorer, i: int) -> Iterator[bool]:
+    """The scorer for a while with other ends of the stream (a filter behind a delay) as if the chosen i had never been there.
+
+    Whether there are any: then what joins the library meanwhile leaves it again.
+    """
+    bench, own, before = scorer.bench, scorer.library[i].effect, scorer.bench.timing
+    others = [(end, theta) for end, theta in before if end != own]
+    key = "" if own is None or len(others) == len(before) else own.KEY
+    behind = [h for h in scorer.library if h.effect is not None and key in h.effect.BEHIND and h.theta is None]
+    if not behind:
+        yield False
+        return
+    bench.timing = others
+    try:
+        fresh = [bench.add(h.effect, h.looked) for h in behind if h.effect is not None]
+        with scorer.trying(fresh):
+            yield True
+    finally:
+        bench.timing = before
+
+
+def _is_bent(bench: Bench, h: Hypothesis) -> bool:
+    return h.effect is not None and h.effect.bends(bench.scene, np.zeros(h.count))
+
+
+def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:
+    """The chosen hypothesis and the best of the kinds that nearly reach it."""
+    leaders: dict[object, int] = {}
+    for j in sorted(scores, key=lambda j: -scores[j].rank - scores[j].beyond):
+        effect = scorer.library[j].effect
+        short = scores[i].rank - scores[j].rank - scores[j].beyond
+        if effect is None or short > SLOPED * scores[i].gain:
+            break
+        if loosens(effect, scorer.library[i].effect):
+            continue
+        if short > NEARLY * scores[i].gain and not _is_bent(scorer.bench, scorer.library[j]):
+            continue
+        leaders.setdefault(told(effect), j)
+    rivals = [j for j in leaders.values() if j != i][:MOST_NEAR]
+    return [i, *rivals]
+
+
+def loosens(other: Effect | None, effect: Effect | None) -> bool:
+    """Whether the other is of the kind that the effect was found from, linear in more parameters than its physics has.
+
+    Or a response of second order for a delay or a lag: quicker than the rows it follows noise between them, and the clocks
+    are asked all at once whether there is one.
+    """
+    if other is None or effect is None:
+        return False
+    if isinstance(other, Lag) and isinstance(effect, Timing):
+        return other.damping is not None and not (isinstance(effect, Lag) and effect.damping is not None)
+    return effect.curved and not other.curved and place_of(other) == place_of(effect)
+
+
+def _on_a_grid(h: Hypothesis) -> bool:
+    """Whether it has searched values, and these from a grid; what was sought in the residual has found its own."""
+    return h.effect is not None and bool(h.effect.searched()) and h.looked == 1
+
+
+def bent(bench: Bench, scorer: Scorer, chosen: list[int], i: int, score: Score) -> Score:
+    """The score of a nonlinear effect at its own optimum (Gauss and Newton) instead of by its slope at zero."""
+    rows = np.flatnonzero(bench.train)
+    before = float(np.sum(rests(bench, scorer, chosen)[1][rows] ** 2))
+    best = max(score.gain, *(before - float(np.sum(rest**2)) for rest in _approached(bench, scorer, chosen, i)))
+    return replace(score, gain=best, rank=score.rank + best - score.gain)
+
+
+def _approached(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Iterator[Array]:
+    """(n, C) whitened rests of the training rows by the model with a nonlinear effect, after each step of the search."""
+    h, y, theta = scorer.library[i], bench.y, scorer.solve([*chosen, i])[0][-scorer.library[i].count :]
+    base = [scorer.library[j] for j in [*range(len(scorer.base)), *chosen]]
+    rows = np.flatnonzero(bench.train)
+    for _ in range(2):
+        new = tangent(bench, h, theta)
+        assert new.bend is not None, "a tangent has one"
+        target = bench.whitened(y - new.bend)
+        model = [*base, new]
+        solved = fit(model, target, rows, bench.width)
+        rest, done = target[rows].copy(), 0
+        for part in model:
+            rest[:, list(part.white.channels)] -= part.white.values[rows] @ solved[done : done + part.count]
+            done += part.count
+        theta = solved[-h.count :]
+        yield rest
+
+
+def ahead(bench: Bench, scorer: Scorer, others: list[int], i: int, j: int) -> float:
+    """By how many standard errors hypothesis i explains the training blocks better than j, both beside the others.
+
+    Source: Vuong 1989, the likelihood ratio of models that are not nested, over blocks since rows depend on each other.
+    Beside its own spread from block to block a likelihood ratio shows whether it is evidence, or what both miss.
+    """
+    fall = np.sum(_best_rest(bench, scorer, others, j) ** 2 - _best_rest(bench, scorer, others, i) ** 2, axis=1)
+    _, block = np.unique(bench.block[bench.train], return_inverse=True)
+    each = np.bincount(block, weights=fall)
+    spread = float(each.std(ddof=1) * np.sqrt(len(each))) if len(each) > 1 else np.inf
+    return float(each.sum() / max(spread, 1e-300))
+
+
+def _best_rest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> Array:
+    """(n, C) whitened rest of the training rows with hypothesis i at its optimum."""
+    h = scorer.library[i]
+    if h.theta is None and _is_bent(bench, h):
+        return min(_approached(bench, scorer, others, i), key=lambda rest: float(np.sum(rest**2)))
+    # What a tangent predicts beyond its slope is not in its columns.
+    with nullcontext() if h.bend is None else scorer.against(bench.y - h.bend):
+        pinned = None if h.effect is None else h.effect.pinned(bench.scene)
+        if pinned is None or np.isnan(pinned).any():
+            return rests(bench, scorer, [*others, i])[1][bench.train]
+    own = np.zeros_like(bench.y)
+    own[:, list(h.raw.channels)] = h.raw.values @ pinned
+    with scorer.against(bench.y - own):
+        return rests(bench, scorer, others)[1][bench.train]
+
+
+SETTLED = 1.0
+"""Gain of a pass below which they are where they belong: a standard error's worth."""
+
+
+def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int, passes: int = 1) -> int:
+    """The same effect with its searched values at the optimum: a new place in the library, or the old one.
+
+    Of several values one after the other, so many times at most.
+    """
+    hypothesis = scorer.library[i]
+    effect = hypothesis.effect
+    if effect is None or not effect.searched():
+        return i
+    beside, best = Beside(bench, scorer, chosen), -np.inf
+    for left in reversed(range(passes if len(effect.searched()) > 1 else 1)):
+        for name, value in effect.searched().items():
+            effect = _along(bench, beside, effect, name, value)
+        if left:
+            before, best = best, beside.gain(bench.add(effect))
+            if best < before + SETTLED:
+                break
+    scorer.append([bench.add(effect, hypothesis.looked)])
+    last = len(scorer.library) - 1
+    pair, _ = scorer.scores(chosen, [i, last])
+    return last if last in pair and (i not in pair or pair[last].gain > pair[i].gain) else i
+
+
+def _along(bench: Bench, beside: Beside, effect: Effect, name: str, value: float) -> Effect:
+    bound = effect.SEARCHED[name]
+    wide = effect.doubt(bench.scene)
+
+    def cost(log_value: float) -> float:
+        h = bench.add(effect.with_searched({name: float(np.exp(log_value))}))
+        return -beside.gain(h)
+
+    low, high = max(np.log(value / wide), np.log(bound.low)), min(np.log(value * wide), np.log(bound.high))
+    if not high > low:
+        return effect
+    # Where the size is not free, the searched value is the size; a narrow peak is a number by itself.
+    coarse = wide >= DOUBT and effect.pinned(bench.scene) is None
+    tolerance, most = (3e-3, 12) if coarse else (min(1e-3, 1e-2 * np.log(wide)), 20)
+    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": tolerance, "maxiter": most})
+    return effect.with_searched({name: float(np.exp(found.x))}) if found.fun < cost(np.log(value)) else effect

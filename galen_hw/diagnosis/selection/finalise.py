@@ -1,0 +1,77 @@
+"""The chosen model, settled: which constants stand in it, and which weights."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.cross_validation import left_out
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.least_squares import PROVED
+from galen_hw.diagnosis.estimation.model import Model, together
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.physics.channels import joint_of
+from galen_hw.physics.effects.geometry import JointOffset
+from galen_hw.physics.effects.sensor import Bias
+
+if TYPE_CHECKING:
+    from galen_hw.physics.effects.base import Effect
+
+
+BETTER = 0.98
+"""Error on blocks left out, over that of the weighed fit, below which the plain one is taken."""
+
+
+def settle_model(bench: Bench, scorer: Scorer, selection: Selection) -> Model:
+    """Constants that the baseline may not fit become findings where they are significant, and go where they are not."""
+    chosen = selection.hypotheses
+    if not scorer.free:
+        return together(Model(bench, list(scorer.base), chosen, scorer.white))
+    allowed = [h for i, h in enumerate(scorer.base) if bench.scene.belief.bias_free or i >= bench.width]
+    questioned = [h for h in scorer.base if h not in allowed]
+    as_effects = [_named(bench, h) for h in questioned]
+    model = Model(bench, allowed, [*as_effects, *chosen], scorer.white)
+    misfit = max(1.0, float(np.mean(model.rest(white=True)[bench.train] ** 2)))
+    z = np.abs(model.final) / np.sqrt(np.maximum(np.diag(model.covariance), 1e-300))
+    keep = []
+    for h, s in zip(model.parts, model.slices(), strict=True):
+        if h not in as_effects:
+            continue
+        c = h.raw.channels[0]
+        matters = float(model.final[s][0] ** 2) > 0.02 * bench.noise.sigma[c] ** 2 * max(misfit, 1.0)
+        if z[s][0] > np.sqrt(2.0 * selection.needed * misfit) and matters:
+            keep.append(h)
+    return together(Model(bench, allowed, [*keep, *chosen], scorer.white))
+
+
+def weighed(model: Model) -> Model:
+    """The model by plain least squares where physics is missing and that predicts blocks left out better.
+
+    Generalised least squares is best when only noise is left. When the rest is physics, the weights of the noise favour
+    frequencies at which the model is wrong.
+    """
+    bench = model.bench
+    if not model.effects or float(np.mean(model.rest(white=True)[bench.train] ** 2)) < PROVED:
+        return model
+    parts, y = model.flat()
+    ours, plain = left_out(bench, model.parts, model.white), left_out(bench, parts, y)
+    if float(np.mean(plain / ours)) >= BETTER:
+        return model
+    return Model(bench, model.nuisances, model.effects, model.white, plain=True)
+
+
+def offsets(bench: Bench) -> list[Hypothesis]:
+    """The constants that the baseline may not fit, as the effects that they would be."""
+    if bench.scene.belief.bias_free:
+        return []
+    constants = bench.constants()[: bench.width]
+    return [_named(bench, bench.made(None, columns)) for columns in constants]
+
+
+def _named(bench: Bench, constant: Hypothesis) -> Hypothesis:
+    """The constant of a channel as the effect that it would be."""
+    name = bench.scene.channels[constant.raw.channels[0]]
+    position = bench.scene.observations.predict == "position"
+    effect: Effect = JointOffset(joint_of(name)) if position else Bias(name)
+    return Hypothesis(effect, constant.raw, constant.white)

@@ -1,0 +1,151 @@
+"""A tendon in the place of a spring: what the spring's many parameters took from others must be said by these."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.cross_validation import crossed
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside, descended
+from galen_hw.diagnosis.estimation.linearisation import as_if, rebase
+from galen_hw.diagnosis.estimation.nonlinear import settle
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
+from galen_hw.diagnosis.selection.simplicity import ALIKE
+from galen_hw.physics.effects.cable import TENDON, CableDrag
+from galen_hw.spatial import Array
+
+FIRST_STEPS = 6
+MARGIN = 6.0
+"""Beyond the price of a parameter, in units of the log likelihood ratio."""
+OFTEN = 3
+"""Times that a search asks for its tendon: where physics is missing its models never settle."""
+Start = tuple[CableDrag, Array]
+"""A tendon, and parameters (k,) from which it is sought."""
+MOST_BESIDE = 3
+"""Effects that may come to light beside a tendon before it is compared with the spring."""
+
+
+def tightened(bench: Bench, scorer: Scorer, out: Selection, just: int | None = None) -> bool:
+    """Whether a tendon took the place of a spring, with what then comes to light beside it.
+
+    A spring that is linear in all that is unknown has fifteen parameters for a tendon's eight: the others take a tilt, a
+    payload or a joint's zero with them. These are asked for again beside the tendon, and both models pay for every
+    parameter. Of a spring that was `just` chosen the tendon alone is asked: what is still to be found, a drift, is not
+    behind the spring.
+    """
+    model = frozenset((just is None, *(scorer.library[i].family for i in out.chosen)))
+    for i in out.chosen if just is None else [just]:
+        effect = scorer.library[i].effect
+        if not isinstance(effect, CableDrag) or model in out.tightened or len(out.tightened) == OFTEN:
+            continue
+        if effect.loose or (effect.curved and just is None):
+            out.tightened.add(model)
+            return _instead(bench, scorer, out, i, MOST_BESIDE if just is None else 0)
+    return False
+
+
+def _instead(bench: Bench, scorer: Scorer, out: Selection, i: int, most: int) -> bool:
+    """Whether a better tendon, with so many others at most, took the place of the chosen cable i."""
+    before, errors = scorer.solve(out.chosen)[2], crossed(bench, scorer, out.chosen)
+    others = [j for j in out.chosen if j != i]
+    starts = _starts(bench, scorer, others, i)
+    if not starts:
+        return False
+    trial = _with_tendon(bench, scorer, out, others, starts, most)
+    more = sum(_numbers(scorer, j) for j in trial) - sum(_numbers(scorer, j) for j in out.chosen)
+    price = more * float(np.log(bench.noise.effective)) + (MARGIN if more == 0 else 0.0)
+    if scorer.solve(trial)[2] + price < before and _as_good(errors, crossed(bench, scorer, trial)):
+        out.chosen = trial
+        return True
+    rebase(scorer, out.chosen)
+    return False
+
+
+def _starts(bench: Bench, scorer: Scorer, others: list[int], i: int) -> list[Start]:
+    """Tendons that pull as a spring does in the place of the cable i, wherever it is tied; and as that one does if it is one."""
+    h, out = scorer.library[i], list[Start]()
+    with as_if(scorer, others):
+        for j, one in enumerate(scorer.library):
+            spring = one.effect
+            if isinstance(spring, CableDrag) and spring.form == "spring":
+                theta = scorer.solve([*others, j])[0][-one.count :]
+                out += [(replace(spring, form="tendon"), start) for start in spring.tendons(bench.scene, theta)]
+    return out if h.theta is None else [*out, _start(h)]
+
+
+def _start(h: Hypothesis) -> Start:
+    """To begin with what is a tendon already."""
+    assert isinstance(h.effect, CableDrag), "a tendon is asked for"
+    assert h.theta is not None, "a tangent has one"
+    return replace(h.effect, form="tendon"), h.theta[: len(TENDON)]
+
+
+def _with_tendon(
+    bench: Bench, scorer: Scorer, out: Selection, others: list[int], starts: list[Start], most: int
+) -> list[int]:
+    """The others with the tendon that suits them, and with what comes to light beside it, best first."""
+    rebase(scorer, others)
+    while True:
+        found = _best(bench, Beside(bench, scorer, others), starts)
+        scorer.append([found])
+        trial = [*others, len(scorer.library) - 1]
+        settle(bench, scorer, trial)
+        best = _beside(scorer, out, trial) if most else None
+        if best is None:
+            return trial
+        # The tendon is sought anew beside it: what it had done in its place may be far from what it is.
+        others, starts, most = [*trial[:-1], best], [_start(found)], most - 1
+        rebase(scorer, others)
+
+
+def _beside(scorer: Scorer, out: Selection, trial: list[int]) -> int | None:
+    """The best hypothesis beside a model that chance does not explain, of those that a spring can have taken with it."""
+    scores = scorer.scores(trial)[0]
+    able = [j for j, s in scores.items() if s.surprise > out.needed and s.rank > 0.0 and _is_plain(scorer, j)]
+    return max(elsewhere(scorer, trial, able), key=lambda j: scores[j].rank, default=None)
+
+
+def _is_plain(scorer: Scorer, j: int) -> bool:
+    """Whether it lasts and nothing of it is searched: a spring that is linear knows neither the clock nor the past."""
+    h = scorer.library[j]
+    return h.effect is not None and not h.effect.EPISODIC and not h.effect.searched() and h.looked == 1
+
+
+def _as_good(before: Array, after: Array) -> bool:
+    """Whether errors (C,) on blocks left out do not rise."""
+    return float(np.mean(after / before)) <= 1.0 + ALIKE
+
+
+def _numbers(scorer: Scorer, i: int) -> int:
+    """Parameters that a hypothesis has, whatever its physics would need."""
+    h = scorer.library[i]
+    return h.count - int(np.sum(~np.isnan(h.held))) + (0 if h.effect is None else len(h.effect.searched()))
+
+
+def _best(bench: Bench, beside: Beside, starts: list[Start]) -> Hypothesis:
+    """The tendon that explains most beside a model, from tendons to begin with; one that rubs where that pays."""
+    cost, found = _least(bench, beside, starts)
+    effect, theta = _start(found)
+    forms = effect.rubbing(bench.scene, theta) if bench.scene.clock else {}
+    best = found
+    for form, rubbing in forms.items():
+        if not rubbing:
+            continue
+        less, other = _least(bench, beside, [(replace(effect, form=form), start) for start in rubbing])
+        price = (len(rubbing[0]) - len(theta)) * np.log(bench.noise.effective) + MARGIN
+        if less + price < cost:
+            cost, best = less + price, other
+    return best
+
+
+def _least(bench: Bench, beside: Beside, starts: list[Start]) -> tuple[float, Hypothesis]:
+    """From the start that promises most after a few steps."""
+    tendons = {effect: bench.add(effect) for effect, _ in starts}
+    effect, begun = starts[0]
+    if len(starts) > 1:
+        first = [(e, descended(bench, beside, tendons[e], start, FIRST_STEPS)) for e, start in starts]
+        effect, (_, found) = min(first, key=lambda end: end[1][0])
+        begun = begun if found.theta is None else found.theta
+    return descended(bench, beside, tendons[effect], begun)

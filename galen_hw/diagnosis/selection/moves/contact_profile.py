@@ -1,0 +1,78 @@
+"""The course of a touch: followed more finely where a level and a few half waves leave much of it."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.least_squares import PROVED, rests
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.physics.effects.events import Contact
+
+HAND = 5
+"""Half waves that a hand which swells and turns asks for at first, where a knock is a level and a bow."""
+FINEST = 96
+"""Half waves of an episode at most."""
+ROWS_A_WAVE = 4
+"""Rows of the shortest episode that a half wave has at least."""
+MOST = 1000
+"""Columns that a touch may have, level and waves of all episodes and channels."""
+MARGIN = 6.0
+"""In rank, beyond the price of the waves: less may be luck of the search."""
+
+
+def followed(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Whether a chosen touch was exchanged for the same with more half waves, twice as many while likelihood pays for them.
+
+    A hand that pushes a thousand times harder than the noise leaves of any plain shape more than noise, which is its own.
+    """
+    changed = False
+    for place, i in enumerate(list(out.chosen)):
+        out.chosen[place] = finest(bench, scorer, [k for k in out.chosen if k != i], i)
+        changed = changed or out.chosen[place] != i
+    return changed
+
+
+def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
+    """The same touch, in the library, with as many half waves as pay beside the others; what is none stays as it is.
+
+    So it does where more than noise is left at all other times: what other physics does in an episode would pass for its course.
+    """
+    effect = scorer.library[i].effect
+    if not isinstance(effect, Contact) or not _quiet_else(bench, scorer, [*others, i], effect):
+        return i
+    found, looked = None, scorer.library[i].looked
+    best = scorer.scores(others, [i])[0].get(i)
+    rank = -np.inf if best is None else best.rank
+    for waves in _counts(bench, effect):
+        new = bench.add(replace(effect, waves=waves), looked)
+        with scorer.trying([new]):
+            score = scorer.scores(others, [len(scorer.library) - 1])[0].get(len(scorer.library) - 1)
+        if score is None or score.rank <= rank + MARGIN:
+            break
+        found, rank = new, score.rank
+    if found is None:
+        return i
+    scorer.append([found])
+    return len(scorer.library) - 1
+
+
+def _counts(bench: Bench, effect: Contact) -> Iterator[int]:
+    """Numbers of half waves to try one after another: more than it has, and no more than its episodes and memory can bear."""
+    time = bench.rows.average(bench.scene.time)
+    shortest = min(int(np.sum((time >= start) & (time <= end))) for start, end in effect.episodes)
+    places = len(effect.episodes) * len(effect.channels)
+    waves = max(2 * effect.waves, HAND)
+    while waves <= min(FINEST, shortest // ROWS_A_WAVE, MOST // places):
+        yield waves
+        waves *= 2
+
+
+def _quiet_else(bench: Bench, scorer: Scorer, model: list[int], effect: Contact) -> bool:
+    """Whether a model leaves hardly more than noise on the rows outside a touch's episodes."""
+    time = bench.rows.average(bench.scene.time)
+    outside = bench.train & ~np.any([(time >= start) & (time <= end) for start, end in effect.episodes], axis=0)
+    rest = rests(bench, scorer, model)[0][outside]
+    return len(rest) > 0 and float(np.mean((rest / bench.noise.sigma) ** 2)) < PROVED

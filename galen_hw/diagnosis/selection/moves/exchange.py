@@ -1,0 +1,178 @@
+"""Two errors of geometry or load exchanged at once for one or two others: single exchanges pass through nothing in between."""
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.candidate import place_of, told
+from galen_hw.diagnosis.estimation.cross_validation import crossed
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.interactions import settle_together
+from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
+from galen_hw.diagnosis.selection.acceptance import plausible
+from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
+from galen_hw.diagnosis.selection.simplicity import ALIKE, slack
+
+RIGID = ("base_tilt", "joint_offset", "joint_scale", "link_geometry", "payload", "sensor_mounting")
+"""Constants of the arm and its load, which stand for each other in twos and threes: an axis that is turned is the joint
+before it with another zero, and the sensor turned back."""
+EXCHANGED = (*RIGID, "cable_drag", "gain")
+"""What may give way to them: a steady pull is the weight of a payload that hangs from a tilted arm, and a gain most of one at the
+end of a single link."""
+FIRSTS = 4
+"""Kinds that are tried as the first of the others."""
+LEAST_PART = 0.1
+"""Share of the gain of the two that the first of the others must have by itself."""
+NEARLY = 0.01
+"""Share of what the two take within which others are tried: by their slopes alone, they do not yet do what they do."""
+FAIRLY = 0.1
+"""The same of one effect counted from another zero, which meets all others otherwise: to settle it beside them takes long."""
+CHEAPER = 1.0
+"""In rank, from which one is: rounding is none."""
+TRIALS = 2
+CERTAIN = 6.0
+"""Log likelihood ratio, beyond the prices, by which others that are no plainer must be better, and two than one effect with as
+many numbers."""
+
+
+def regrouped(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Whether two rigid errors gave way to others that do as much with fewer numbers, or more.
+
+    Forward search takes what is best alone. Of an axis turned about one direction beside a joint's zero that is a turned sensor
+    with three numbers, and then the zero of the wrong joint: no single exchange is better, and each is the other's reason.
+    A model that does not come to rest has no optimum with which others could be compared, and takes long not to.
+    """
+    if bench.restless:
+        return False
+    able = [i for i in out.chosen if (effect := scorer.library[i].effect) is not None and effect.KEY in EXCHANGED]
+    for pair in combinations(able, 2):
+        tried = frozenset((scorer.library[i].family, i in pair) for i in out.chosen)
+        if tried in out.regrouped:
+            continue
+        out.regrouped.add(tried)
+        others = [i for i in out.chosen if i not in pair]
+        bends = sum((b for i in pair if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
+        with scorer.against(bench.y + bends):
+            scores = scorer.scores(others)[0]
+            price = {i: scores[i].gain - scores[i].rank for i in scores}
+            if not all(i in scores for i in pair):
+                continue
+            whole = scorer.solve(others)[2] - scorer.solve([*others, *pair])[2]
+            chains = [
+                _chain(scorer, others, first, scores, out.needed)
+                for first in _firsts(scorer, others, pair, scores, whole)
+            ]
+        for chain in _best(scorer, pair, chains, price, whole):
+            if _taken(bench, scorer, out, pair, chain, price):
+                return True
+    return _counted_otherwise(bench, scorer, out)
+
+
+def _counted_otherwise(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Whether an effect counted from another zero did without one that only made up for the difference.
+
+    What settles after a load is less at first than in the end: told as what is missing at first, it wants a heavier load.
+    """
+    for i in list(out.chosen):
+        h = scorer.library[i]
+        other = None if h.effect is None else h.effect.otherwise()
+        lasting = [j for j in out.chosen if j != i and (e := scorer.library[j].effect) is not None and not e.EPISODIC]
+        tried = frozenset((told(scorer.library[j].effect), j == i) for j in out.chosen)
+        if other is None or not lasting or tried in out.regrouped:
+            continue
+        out.regrouped.add(tried)
+        scorer.append([bench.add(other, h.looked)])
+        instead = len(scorer.library) - 1
+        for j in lasting:
+            others = [k for k in out.chosen if k not in (i, j)]
+            scores = scorer.scores(others, [i, j, instead])[0]
+            price = {k: score.gain - score.rank for k, score in scores.items()}
+            whole = scorer.solve(others)[2] - scorer.solve(out.chosen)[2]
+            if len(price) < 3 or scores[instead].gain < (1.0 - FAIRLY) * whole:
+                continue
+            if _taken(bench, scorer, out, (i, j), [instead], price):
+                return True
+    return False
+
+
+def _best(
+    scorer: Scorer, pair: tuple[int, ...], chains: list[tuple[float, list[int]]], price: dict[int, float], whole: float
+) -> list[list[int]]:
+    """The best chains of other kinds than the pair: better than that, or cheaper and nearly as good."""
+    own = sum(price[i] for i in pair)
+    ranked = sorted(((gain - sum(price[i] for i in chain), chain) for gain, chain in chains), reverse=True)
+    found: dict[frozenset[object], list[int]] = {_kinds(scorer, pair): []}
+    for rank, chain in ranked:
+        plainer = _needed(pair, chain, price) < CERTAIN
+        if rank > whole - own - plainer * NEARLY * whole:
+            found.setdefault(_kinds(scorer, chain), chain)
+    return [chain for chain in found.values() if chain][:TRIALS]
+
+
+def _needed(pair: Sequence[int], chain: Sequence[int], price: dict[int, float]) -> float:
+    """By how much a chain must be better than the pair, prices paid: one body need not be, beside its half and a shift."""
+    saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
+    if len(chain) < len(pair) and saved > -CHEAPER:
+        return -CERTAIN
+    return 0.0 if len(chain) <= len(pair) and saved > CHEAPER else CERTAIN
+
+
+def _kinds(scorer: Scorer, which: Sequence[int]) -> frozenset[object]:
+    """What they are, and where; a small body at another point is the same."""
+    return frozenset(place_of(scorer.library[i].effect) for i in which)
+
+
+def _firsts(
+    scorer: Scorer, others: list[int], pair: tuple[int, ...], scores: dict[int, Score], whole: float
+) -> list[int]:
+    """The best of each kind of rigid error and place that could be the first of the others."""
+    best: dict[object, int] = {}
+    for i in elsewhere(scorer, others, sorted(scores, key=lambda i: -scores[i].rank)):
+        effect = scorer.library[i].effect
+        if effect is None or effect.KEY not in RIGID or scores[i].gain < LEAST_PART * whole:
+            continue
+        if scorer.library[i].theta is None and i not in pair:
+            best.setdefault(place_of(effect), i)
+    return list(best.values())[:FIRSTS]
+
+
+def _chain(
+    scorer: Scorer, others: list[int], first: int, able: dict[int, Score], needed: float
+) -> tuple[float, list[int]]:
+    """The first and, where it adds anything, the best rigid error beside it; what both take."""
+    model, none = [*others, first], scorer.solve(others)[2]
+    scores = scorer.scores(model, [i for i in able if _rigid(scorer, i) and scorer.library[i].theta is None])[0]
+    second = max(elsewhere(scorer, model, scores), key=lambda i: scores[i].rank, default=None)
+    chain = (
+        [first]
+        if second is None or scores[second].rank <= 0.0 or scores[second].surprise <= needed
+        else [first, second]
+    )
+    return none - scorer.solve([*others, *chain])[2], chain
+
+
+def _rigid(scorer: Scorer, i: int) -> bool:
+    effect = scorer.library[i].effect
+    return effect is not None and effect.KEY in RIGID
+
+
+def _taken(
+    bench: Bench, scorer: Scorer, out: Selection, pair: tuple[int, ...], chain: list[int], price: dict[int, float]
+) -> bool:
+    """Whether the others, at their optimum, were better and were taken."""
+    before, y, company = scorer.solve(out.chosen)[2], bench.y, bench.company
+    errors, misfit = crossed(bench, scorer, out.chosen), scorer.misfit(out.chosen)
+    trial = [*(i for i in out.chosen if i not in pair), *chain]
+    kept = len(trial) - len(chain)
+    settle_together(bench, scorer, trial)
+    saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
+    fall = before - scorer.solve(trial)[2]
+    margin = _needed(pair, chain, price) + slack(misfit) * abs(fall)
+    real = not bench.restless and all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in trial[kept:])
+    if real and fall + saved > margin and float(np.mean(crossed(bench, scorer, trial) / errors)) <= 1.0 + ALIKE:
+        out.chosen = trial
+        return True
+    bench.y, bench.company, bench.restless = y, company, False
+    scorer.retarget(y)
+    return False

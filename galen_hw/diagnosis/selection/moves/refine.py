@@ -1,0 +1,72 @@
+"""A chosen effect in a richer form of its kind, where that pays."""
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.cross_validation import crossed
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.selection.acceptance import plausible, taken
+from galen_hw.diagnosis.selection.comparison import polished
+from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.physics.effects.base import Effect
+
+RICHER = 0.1
+"""Share of the excess that is left in some channel, on blocks left out, that a richer form must take."""
+RICHER_FORMS = 4
+"""Forms that are asked so, the best first."""
+PASSES = 4
+"""Over the values that a richer form searches: they make up for one another, and the optimum lies on a ridge."""
+
+
+def enriched(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """A richer form of a chosen effect (friction with a viscous part, by direction) takes its place where it pays.
+
+    Nested forms of one kind in one joint are judged by increment alone: likelihood beyond the price of the added
+    parameters, and a tenth of the excess that is left in some channel on blocks left out.
+    """
+    changed = False
+    for place, i in enumerate(list(out.chosen)):
+        effect = scorer.library[i].effect
+        forms = [] if effect is None else list(effect.richer(bench.scene))
+        if effect is None or not (_nests(effect) or forms):
+            continue
+        others = [j for j in out.chosen if j != i]
+        _grown(bench, scorer, others, forms)
+        scores, _ = scorer.scores(others)
+        kin = [j for j in scores if i in scores and _same_kind(scorer.library[j].effect, effect) and j != i]
+        best: dict[object, int] = {}
+        for j in sorted(kin, key=lambda j: -scores[j].rank):
+            if scores[j].rank > scores[i].rank + 6.0:
+                best.setdefault(scorer.library[j].effect.family, j)  # type: ignore[union-attr]
+        for j in list(best.values())[:RICHER_FORMS]:
+            trial = [*out.chosen[:place], j, *out.chosen[place + 1 :]]
+            before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, trial)
+            richer = float(np.max(taken(before, after, bench.noise.sigma**2)))
+            if richer >= RICHER and plausible(bench, scorer, trial[:place] + trial[place + 1 :], j):
+                out.chosen, changed = trial, True
+                break
+    return changed
+
+
+def _grown(bench: Bench, scorer: Scorer, others: list[int], forms: list[Effect]) -> None:
+    """The library is given richer forms of one effect, the best of them at its optimum, unless it has any."""
+    known = {(h.effect.family, *h.effect.searched()) for h in scorer.library if h.effect is not None}
+    if not forms or (forms[0].family, *forms[0].searched()) in known:
+        return
+    first = len(scorer.library)
+    scorer.append([bench.add(one) for one in forms])
+    scores = scorer.scores(others, list(range(first, len(scorer.library))))[0]
+    if scores:
+        polished(bench, scorer, others, max(scores, key=lambda j: scores[j].rank), PASSES)
+
+
+def _nests(effect: Effect) -> bool:
+    """Whether all forms of its kind in its joint are richer or poorer than one another."""
+    return bool(effect.joints) and not effect.EPISODIC
+
+
+def _same_kind(other: Effect | None, effect: Effect) -> bool:
+    """Whether another is of the kind and in the joint of an effect; without a joint, the same at other searched values."""
+    if other is None or other.KEY != effect.KEY:
+        return False
+    return other.joints == effect.joints if _nests(effect) else other.family == effect.family

@@ -1,0 +1,87 @@
+"""Two or three plain effects in the place of a flexible one that took what none of them could take alone."""
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.cross_validation import crossed
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.linearisation import as_if, unbent
+from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
+from galen_hw.diagnosis.selection.acceptance import plausible
+from galen_hw.diagnosis.selection.comparison import in_place
+from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
+from galen_hw.diagnosis.selection.simplicity import slack
+from galen_hw.physics.effects.base import Effect
+
+FLEXIBLE = ("cable_drag", "creep", "cross_talk", "hysteresis")
+"""Effects whose form bends enough to take what several constants of geometry or load do together."""
+PAIRED = 5
+"""Kinds that are tried as the first of a few."""
+LONGEST_CHAIN = 3
+LEAST_PART = 0.2
+"""Share of the gain of what they replace that the first of a few must have by itself."""
+
+
+def split(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Two or three plain effects in the place of a flexible one that took what none could take alone; whether that was better.
+
+    Forward search takes the best single hypothesis first: a spring with four parameters for a tilt and a zero together.
+    """
+    for i in list(out.chosen):
+        effect = scorer.library[i].effect
+        if effect is None or effect.KEY not in FLEXIBLE:
+            continue
+        others = [j for j in out.chosen if j != i]
+        ranks = {j: s for j, s in in_place(bench, scorer, out.chosen, i).items() if i == j or _apart(scorer, i, j)}
+        if i not in ranks:
+            continue
+        with unbent(scorer, i):
+            firsts = _firsts(scorer, others, ranks, LEAST_PART * ranks[i].gain, effect)
+            plain = {j: score for j, score in ranks.items() if j != i}
+            chains = [_chain(scorer, others, a, plain, out.needed) for a in firsts]
+        total, chain = max(chains, default=(0.0, []), key=lambda x: x[0])
+        misfit = scorer.misfit(out.chosen)
+        if len(chain) < 2 or total < ranks[i].rank + 6.0 + slack(misfit) * ranks[i].gain:
+            continue
+        real = all(plausible(bench, scorer, [*others, *(x for x in chain if x != one)], one) for one in chain)
+        before = crossed(bench, scorer, out.chosen)
+        with as_if(scorer, [*others, *chain]):
+            after = crossed(bench, scorer, [*others, *chain])
+        if real and float(np.mean(after / before)) < 1.0:
+            out.chosen = [*others, *chain]
+            return True
+    return False
+
+
+def _chain(
+    scorer: Scorer, others: list[int], first: int, able: dict[int, Score], needed: float
+) -> tuple[float, list[int]]:
+    """Up to three hypotheses out of the able ones that follow each other beside the others, and their ranks together."""
+    chain, total = [first], able[first].rank
+    while len(chain) < LONGEST_CHAIN:
+        model = [*others, *chain]
+        scores = scorer.scores(model)[0]
+        follow = elsewhere(scorer, model, [j for j in scores if j in able])
+        best = max(follow, key=lambda j: scores[j].rank, default=None)
+        if best is None or scores[best].rank <= 0.0 or scores[best].surprise <= needed:
+            break
+        chain.append(best)
+        total += scores[best].rank
+    return total, chain
+
+
+def _apart(scorer: Scorer, i: int, j: int) -> bool:
+    """Whether j is plain beside the flexible i: lasting, nothing searched, and not flexible itself."""
+    other = scorer.library[j]
+    effect = other.effect
+    plain = effect is not None and effect.KEY not in FLEXIBLE and not effect.EPISODIC and not effect.searched()
+    return plain and other.looked == 1 and j != i
+
+
+def _firsts(scorer: Scorer, others: list[int], ranks: dict[int, Score], least: float, own: Effect) -> list[int]:
+    """The best hypothesis of each family, strongest first, that could be the first of a few."""
+    out: dict[object, int] = {}
+    for j in elsewhere(scorer, others, sorted(ranks, key=lambda j: -ranks[j].rank)):
+        effect = scorer.library[j].effect
+        if effect is not None and effect.KEY != own.KEY and ranks[j].gain >= least:
+            out.setdefault(effect.family, j)
+    return list(out.values())[:PAIRED]

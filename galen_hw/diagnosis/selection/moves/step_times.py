@@ -1,0 +1,49 @@
+"""Jumps, each by itself and at the moment that the present model gives them: what was found beside a poorer one may be off."""
+
+from typing import Final
+
+from galen_hw.diagnosis.detection import steps
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.interactions import load
+from galen_hw.diagnosis.estimation.least_squares import rests
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.physics.effects.events import Step
+
+BETTER: Final = 1.0
+"""Fall of the whitened sum of squares for which a jump moves: less is no other moment."""
+
+
+def timed(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Whether a jump was moved, before a touch that lasts from one moment to the other makes up for it."""
+    moved = False
+    for place, i in enumerate(out.chosen):
+        step = scorer.library[i].effect
+        if not isinstance(step, Step) or step.carried:
+            continue
+        load(bench, scorer, out.chosen)
+        others = [j for j in out.chosen if j != i]
+        theta, at, misfit = scorer.solve(out.chosen)
+        h, own = scorer.library[i], scorer.places[i]
+        rest, _ = rests(bench, scorer, out.chosen)
+        rest[:, list(h.raw.channels)] += h.raw.values @ theta[(at >= own.start) & (at < own.stop)]
+        best = steps.again(bench.scene, rest, step, bench.noise)
+        if best.effect == step:
+            continue
+        scorer.append([bench.add(best.effect, best.looked)])
+        j = len(scorer.library) - 1
+        if scorer.solve([*others, j])[2] < misfit - BETTER:
+            out.chosen[place], moved = j, True
+    return moved
+
+
+def parted(bench: Bench, scorer: Scorer, out: Selection) -> None:
+    """Jumps that came in together stand in the model each by itself, to be moved, dropped and told alone."""
+    chosen: list[int] = []
+    for i in out.chosen:
+        effect = scorer.library[i].effect
+        single = effect.single if isinstance(effect, Step) and effect.later else ()
+        chosen += range(len(scorer.library), len(scorer.library) + len(single)) if single else [i]
+        if single:
+            scorer.append([bench.add(one, steps.places_of(len(bench.rows))) for one in single])
+    out.chosen[:] = chosen

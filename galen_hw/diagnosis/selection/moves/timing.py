@@ -1,0 +1,205 @@
+"""Clocks all at once: a delay and a lag together, of the whole stream or of each joint by itself.
+
+The search takes one hypothesis after the other. Of a dead time with a first-order lag behind it, the ordinary response of a
+servo on a bus, it takes one that is as late as both; beside that the other is worth nothing by its slope, and what is wrong
+about the shape goes to whatever bends. Where joints answer one by one, each with clocks of its own, no single exchange helps.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.cross_validation import crossed, errors
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.interactions import settle_together
+from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
+from galen_hw.diagnosis.estimation.linearisation import tangent
+from galen_hw.diagnosis.estimation.nonlinear import settle
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.selection.acceptance import taken
+from galen_hw.diagnosis.selection.moves.timing_search import MARGIN, Clocks, ClockSearch, numbers
+from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.selection.simplicity import ALIKE
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.friction import Friction
+from galen_hw.physics.effects.timing import Lag, TimeDelay, Timing
+from galen_hw.spatial import Array
+
+RICHER = 0.05
+"""Share of the excess that is left in some channel, on blocks left out, that the clocks must take."""
+COMPLETE = 0.9
+"""The same that each joint's own clocks must take before anything else is known."""
+OFTEN = 2
+"""Times that one model is asked for its clocks: its other values may have moved since."""
+
+
+def reclocked(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Whether the delays and lags of a model were exchanged for better ones: of the whole stream, or of each joint."""
+    # Not for ever: what the search takes back of an exchange, it would take back again.
+    model = frozenset(scorer.library[i].family for i in out.chosen)
+    again = _ends(scorer, out.chosen) and out.clocked[model] < OFTEN
+    proposed = list(TimeDelay.propose(bench.scene)) if again else []
+    out.clocked[model] += 1
+    if not proposed:
+        return False
+    groups = [e for e in proposed if not e.joint], [e for e in proposed if e.joint]
+    for clocks, instead in _sought(bench, scorer, out.chosen, groups):
+        if clocks and _exchanged(bench, scorer, out, clocks, instead):
+            return True
+    return False
+
+
+def own_clocks(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Whether the first clock gave way to those of each joint, which take nearly all that the best of one clock for all leaves.
+
+    Before anything else is chosen: of servos that answer each in its own time it would take the rest of their lateness.
+    """
+    proposed = list(TimeDelay.propose(bench.scene))
+    ends = [e for e in proposed if e.joint]
+    if not ends or len(out.chosen) != 1 or not _ends(scorer, out.chosen):
+        return False
+    # By its slope alone the one clock leaves what its own optimum does not.
+    settle_together(bench, scorer, out.chosen)
+    (one, _), (each, _) = _sought(bench, scorer, out.chosen, ([e for e in proposed if not e.joint], ends))
+    # A response of second order is larger or smaller than what it follows: it would take a scale that is off for its own.
+    swings = any(isinstance(end, Lag) and end.damping is not None for end, _ in one)
+    exchanged = bool(one) and _exchanged(bench, scorer, out, one, {}, nearly=1 if swings else 0)
+    if len({end.joint for end, _ in each}) < 2 or not _exchanged(bench, scorer, out, each, {}, nearly=2):
+        return exchanged
+    # What friction does is little beside all of the lateness, and much beside what the right clocks leave of it.
+    out.begun = errors(bench, scorer, out.chosen) ** 2
+    return True
+
+
+def _ends(scorer: Scorer, chosen: list[int]) -> list[int]:
+    """The delays and lags among the chosen."""
+    return [i for i in chosen if isinstance(scorer.library[i].effect, Timing)]
+
+
+def _sought(
+    bench: Bench, scorer: Scorer, chosen: list[int], groups: Sequence[list[TimeDelay]]
+) -> Iterator[tuple[Clocks, dict[Effect, Effect]]]:
+    """For each group of ends the best clocks where these act, instead of the chosen ones, once it is asked for.
+
+    And what stands instead of friction within them.
+    """
+    old = _ends(scorer, chosen)
+    # Friction of a servo has the servo's lag in it: it goes where that goes.
+    within = [e for i in chosen if (e := scorer.library[i].effect) is not None and "lag" in e.contains]
+    others = [i for i in chosen if i not in old and scorer.library[i].effect not in within]
+    swings = any("damping" in e.searched() for i in old if (e := scorer.library[i].effect) is not None)
+    none = bench.y + sum((b for i in old if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
+    with scorer.against(none):
+        beside = Beside(bench, scorer, others)
+    for ends in groups:
+        mine = [tuple(one for one in within if e.joint in ("", *one.joints)) for e in ends]
+        searches = [ClockSearch(bench, beside, e, some, swings) for e, some in zip(ends, mine, strict=True)]
+        clocks = [clock for search in searches for clock in search.either()]
+        yield clocks, {one: other for search in searches for one, other in search.instead.items()}
+
+
+def one_clock(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+    """Whether a delay or lag of the whole stream was taken for what had been a viscous part of the friction in several joints.
+
+    A servo with a viscous part c follows by c later. The search finds friction joint by joint, each with the lateness of all.
+    """
+    late = [i for i in out.chosen if _without_viscous(scorer.library[i].effect) is not None]
+    proposed = [e for e in (*TimeDelay.propose(bench.scene), *Lag.propose(bench.scene)) if not e.joint]
+    if len(late) < 2 or not proposed or any(isinstance(scorer.library[i].effect, Timing) for i in out.chosen):
+        return False
+    dry = [(_without_viscous(h.effect), h.looked) for h in (scorer.library[i] for i in late)]
+    plain = [bench.add(effect, looked) for effect, looked in dry if effect is not None]
+    first = len(scorer.library)
+    scorer.append([*plain, *(bench.add(end) for end in proposed)])
+    kept = [*(i for i in out.chosen if i not in late), *range(first, first + len(plain))]
+    trials = [[*kept, first + len(plain) + k] for k in range(len(proposed))]
+    best = min(trials, key=lambda trial: scorer.solve(trial)[2])
+    saved = (len(late) - 1) * float(np.log(bench.noise.effective))
+    if scorer.solve(best)[2] - scorer.solve(out.chosen)[2] >= saved:
+        return False
+    before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, best)
+    if float(np.mean(after / before)) > 1.0 + ALIKE:
+        return False
+    out.chosen = best
+    return True
+
+
+def _without_viscous(effect: Effect | None) -> Friction | None:
+    """Friction of a servo without its viscous part; None where there is none."""
+    if isinstance(effect, Friction) and effect.form.endswith("servo_viscous"):
+        return replace(effect, form=effect.form.removesuffix("_viscous"))
+    return None
+
+
+def _exchanged(
+    bench: Bench,
+    scorer: Scorer,
+    out: Selection,
+    clocks: Clocks,
+    instead: dict[Effect, Effect],
+    *,
+    nearly: int = 0,
+) -> bool:
+    """Whether a model with other clocks, and all else as it arrives through them, was better and was taken.
+
+    `nearly`: only if these take nearly all that is above the noise wherever they are better, in so many channels at least.
+    """
+    before, y, timing, old = scorer.solve(out.chosen)[2], bench.y, bench.timing, _ends(scorer, out.chosen)
+    missed, others = crossed(bench, scorer, out.chosen), [i for i in out.chosen if i not in old]
+    kept = [(end, theta) for end, theta in timing if not isinstance(end, Timing)]
+    bench.timing = [*kept, *((effect, np.array([1.0 if isinstance(effect, Lag) else size])) for effect, size in clocks)]
+    try:
+        fresh = [scorer.retimed(_in_place_of(bench, scorer.library[i], instead)) for i in others]
+        for effect, size in clocks:
+            h = bench.add(effect)
+            fresh.append(tangent(bench, h, np.array([size])) if isinstance(effect, TimeDelay) else h)
+        bench.y = bench.whole - bench.company - sum((h.bend for h in fresh if h.bend is not None), np.zeros_like(y))
+        scorer.append(fresh)
+        scorer.retarget(bench.y)
+        trial = list(range(len(scorer.library) - len(fresh), len(scorer.library)))
+        settle(bench, scorer, trial, anew=True)
+    finally:
+        bench.timing = timing  # the search brings all columns to the clocks that it finds chosen
+    gone = [one for i in old if (one := scorer.library[i].effect) is not None]
+    price = (numbers([one for one, _ in clocks]) - numbers(gone)) * float(np.log(bench.noise.effective))
+    fall = before - scorer.solve(trial)[2] - price
+    # What lies between two rows is no number more.
+    told = {one.between for one in gone if isinstance(one, TimeDelay | Lag)} != {one.between for one, _ in clocks}
+    plainer = numbers([one for one, _ in clocks]) < numbers(gone) + told
+    if fall > MARGIN and _pays(bench, missed, crossed(bench, scorer, trial), nearly=nearly, plainer=plainer):
+        out.chosen = trial
+        _as_told(scorer, clocks)
+        return True
+    bench.y = y
+    scorer.retarget(y)
+    return False
+
+
+def _as_told(scorer: Scorer, clocks: Clocks) -> None:
+    """What lies between two rows is one thing to all clocks of a stream: those that were not chosen are made anew by it."""
+    told = {end.joint: end.between for end, _ in clocks}
+    for i, h in enumerate(scorer.library):
+        end = h.effect
+        if isinstance(end, (TimeDelay, Lag)) and end.between != told.get(end.joint, end.between):
+            scorer.library[i] = replace(h, effect=replace(end, between=told[end.joint]))
+
+
+def _in_place_of(bench: Bench, h: Hypothesis, instead: dict[Effect, Effect]) -> Hypothesis:
+    """The one that stands instead of the hypothesis, or this one."""
+    return h if h.effect is None or h.effect not in instead else bench.add(instead[h.effect], h.looked)
+
+
+def _pays(bench: Bench, before: Array, after: Array, *, nearly: int, plainer: bool) -> bool:
+    """Whether errors (C,) on blocks left out fall, by enough of the excess in some channel; of fewer clocks, do not rise.
+
+    `nearly`: by nearly all of the excess wherever they fall, in so many channels at least.
+    """
+    share, ratio = taken(before, after, bench.noise.sigma**2), float(np.mean(after / before))
+    if nearly:
+        fallen = share[share >= RICHER]
+        return len(fallen) >= nearly and bool(np.min(fallen) >= COMPLETE) and ratio < 1.0
+    if plainer:
+        return ratio <= 1.0 + ALIKE
+    return float(np.max(share)) >= RICHER and ratio < 1.0

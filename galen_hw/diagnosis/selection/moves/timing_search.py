@@ -1,0 +1,257 @@
+"""The best of nothing, a delay, a lag of the first or second order, and a delay of what lags, beside other effects."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.optimize import minimize, minimize_scalar
+
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
+from galen_hw.physics.effects.base import Columns, Effect, log_grid, spacing
+from galen_hw.physics.effects.timing import BETWEEN, Lag, TimeDelay, first_order, second_order
+from galen_hw.spatial import Array
+
+MARGIN = 6.0
+"""Beyond the price of the parameters, in units of the log likelihood ratio."""
+CONSTANTS = 6
+"""Lags between half a sample and all of what is late that are tried with the delay that suits each."""
+DAMPINGS = (0.35, 0.7)
+"""From which a second order is sought: of a servo that rings, and of the usual filter."""
+FINE = 0.02
+"""Share of what is late to which a clock is sought."""
+FINEST = 2e-4
+"""The same of a constant and a damping, which then stand as they were found."""
+STRIDE = 0.2
+"""The same, of the first steps from there to the optimum."""
+SHORTEST = 1.05
+"""Times the shortest constant that can be told from a delay, up to which a lag beside a delay is none."""
+LN2 = float(np.log(2.0))
+"""Constants and bands are sought up to twice and down to half of where they stood."""
+NEAR = 10.0
+"""Log likelihood by which the last steps to an optimum may still matter, at most, once a step is no more than `FINE`."""
+
+Clocks = list[tuple[TimeDelay | Lag, float]]
+"""With their delay or constant, s."""
+
+
+@dataclass
+class ClockSearch:
+    """For the best of nothing, a delay, a lag, and a delay of what lags, where `delay` acts, beside other effects.
+
+    With friction `within` the lag: of servos that have the lag's constant, and are as late; beside the best of clocks these
+    stand `instead` of them. `swings`: a lag of second order is in the model already.
+    """
+
+    bench: Bench
+    beside: Beside
+    delay: TimeDelay
+    within: tuple[Effect, ...]
+    swings: bool
+
+    def __post_init__(self) -> None:
+        self.places = self.delay.places(self.bench.stream)
+        self.simulated = self.bench.stream.simulated[:, self.places]
+        self.averaged = self.bench.simulated[:, self.places]
+        self.behind: dict[object, Array] = {}
+        self.instead: dict[Effect, Effect] = {}
+        self.price = float(np.log(self.bench.noise.effective))
+
+    def either(self) -> Clocks:
+        """The clocks that are there, by what lies `BETWEEN` two rows as the recording is nearest to it.
+
+        Machines are smooth; a logger that fills in rows draws straight lines; a filter of samples takes each for the time
+        before it.
+        """
+        clocks, search = self.best(), self
+        if not clocks or self.within or self.bench.stream.commanded:
+            return clocks
+        for between in BETWEEN:
+            if between != self.delay.between and self._differs(clocks, between) >= MARGIN:
+                other = replace(self, delay=replace(self.delay, between=between))
+                if other.worth(found := other.best()) > search.worth(clocks):
+                    clocks, search = found, other
+        return clocks
+
+    def _differs(self, clocks: Clocks, between: str) -> float:
+        """Whitened sum of squares of what it changes about clocks that are as late as before: without any, nothing could tell."""
+        late, constant, damping = _read(clocks)
+        sooner = 0.5 * spacing(self.bench.scene) if between == "steps" and constant > 0.0 else 0.0
+        other = replace(self, delay=replace(self.delay, between=between))
+        change = other.arriving(late + sooner, constant, 1.0, (), damping) - self.arriving(
+            late, constant, 1.0, (), damping
+        )
+        white = self.bench.made(None, Columns(self.places, change[:, :, None])).white.values
+        return float(np.sum(white[self.bench.train] ** 2))
+
+    def best(self) -> Clocks:
+        """The clocks that are there, by what lies between two rows for its `delay`."""
+        step = spacing(self.bench.scene)
+        reach = max(4.0 * step, 4.0 * abs(self._by_slope()))
+        most, all_late = self._latest(0.0, (-reach, reach))
+        ways: list[tuple[float, Clocks]] = [
+            (self._gain(0.0, 0.0), []),
+            (most - self.price, [(self.delay, all_late)]),
+        ]
+        shortest = 0.5 * step
+        for constant in log_grid(shortest, 2.0 * all_late, CONSTANTS):
+            lag = Lag(constant, self.delay.joint, shortest, whole=True, between=self.delay.between)
+            ways.append((self._gain(0.0, constant) - self.price, [(lag, constant)]))
+            most, late = self._latest(constant, (0.0, all_late))
+            ways.append((most - 2.0 * self.price - MARGIN, [(self.delay, late), (lag, constant)]))
+        clocks = self._plainer(self._refined(max(ways, key=lambda way: way[0])[1], all_late), all_late)
+        # A response of second order looks like a delay, or a delay and a lag; friction within has a lag of the first. In one
+        # joint by itself two more numbers would take what the others show to be something else.
+        if self.within or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
+            return clocks
+        wanted = self.worth(clocks) + (0.0 if self.swings else MARGIN)
+        swinging = self._swinging(shortest, all_late, wanted)
+        return swinging if self.worth(swinging) > wanted else clocks
+
+    def _plainer(self, clocks: Clocks, all_late: float) -> Clocks:
+        """A lag alone for a delay of what lags, where it does as well: on a grid it stands beside its optimum, and is late."""
+        if len(clocks) < 2 or self.within:
+            return clocks
+        (_, late), (lag, constant) = clocks
+        assert isinstance(lag, Lag), "a delay of what lags"
+        alone = self._refined([(replace(lag, constant=constant + late), constant + late)], all_late)
+        return alone if self.worth(alone) + MARGIN >= self.worth(clocks) else clocks
+
+    def worth(self, clocks: Clocks) -> float:
+        """Gain less the price of delay, lag or swing alone."""
+        late, constant, damping = _read(clocks)
+        return self._gain(late, constant, damping=damping) - self.price * numbers([end for end, _ in clocks])
+
+    def _refined(self, clocks: Clocks, all_late: float) -> Clocks:
+        """The same with a lag, the delay with it, and the bands of friction within it at their common optimum."""
+        lag, constant = clocks[-1] if clocks else (None, 0.0)
+        if not isinstance(lag, Lag):
+            return clocks
+        delays = clocks[:-1]
+        begun = np.array([0.0, *(late / all_late for _, late in delays), *(bool(self.within) * [0.0])])
+        limits = [(np.log(min(lag.shortest / constant, 1.0)), LN2), *(len(delays) * [(0.0, 1.0)]), (-LN2, LN2)]
+
+        def read(at: Array) -> tuple[float, float, float]:
+            late = all_late * float(at[1]) if delays else 0.0
+            return late, constant * float(np.exp(at[0])), float(np.exp(at[-1])) if self.within else 1.0
+
+        def missed(within: tuple[Effect, ...], at: Array) -> float:
+            return -self._gain(*read(at), within)
+
+        best, least = (0.0, constant, 1.0), np.inf
+        for within in dict.fromkeys((self.within, tuple(one.stripped for one in self.within))):
+            at, cost = _lowest(partial(missed, within), begun, limits[: len(begun)])
+            if FINE**2 * -cost > NEAR:
+                at, cost = _lowest(partial(missed, within), at, limits[: len(begun)], FINEST, FINE)
+            cost += self.price * sum(len(one.searched()) for one in within)
+            if cost < least:
+                best, least = read(at), cost
+                self.instead = dict(zip(self.within, (_with_lag(one, *best[1:]) for one in within), strict=True))
+        late, constant, _ = best
+        if delays and not self.within and constant <= SHORTEST * lag.shortest:
+            # At its shortest it is none, but a part of the delay.
+            return [(self.delay, self._latest(0.0, (0.0, 2.0 * all_late))[1])] if all_late > 0.0 else clocks[:-1]
+        return [*((end, late) for end, _ in delays), (replace(lag, constant=constant), constant)]
+
+    def _swinging(self, shortest: float, all_late: float, wanted: float) -> Clocks:
+        """The best lag of second order: damping and constant make up for each other, and are sought together.
+
+        Roughly, where it stays far from being worth what is wanted.
+        """
+        bound = Lag.SEARCHED["damping"]
+        starts = [np.log([0.5 * all_late / damping, damping]) for damping in DAMPINGS]
+
+        def cost(at: Array) -> float:
+            constant, damping = np.exp(at).tolist()
+            return -self._gain(0.0, constant, damping=damping)
+
+        begun = min(starts, key=cost)
+        limits = [
+            (np.log(shortest), np.log(max(8.0 * all_late, 2.0 * shortest))),
+            (np.log(bound.low), np.log(bound.high)),
+        ]
+        at, least = _lowest(cost, np.clip(begun, *np.transpose(limits)), limits)
+        if -least - 2.0 * self.price > wanted - NEAR:
+            at, _ = _lowest(cost, at, limits, FINEST, FINE)
+        constant, damping = np.exp(at).tolist()
+        lag = Lag(constant, self.delay.joint, shortest, whole=True, damping=damping, between=self.delay.between)
+        return [(lag, constant)]
+
+    def _latest(self, constant: float, bounds: tuple[float, float]) -> tuple[float, float]:
+        """The most that a delay of what lags with this constant (s) takes, and the delay, s."""
+        options = {"xatol": FINE * (bounds[1] - bounds[0])}
+        found = minimize_scalar(
+            lambda late: -self._gain(late, constant), bounds=bounds, method="bounded", options=options
+        )
+        return -float(found.fun), float(found.x)
+
+    def _gain(
+        self,
+        late: float,
+        constant: float,
+        wide: float = 1.0,
+        within: tuple[Effect, ...] | None = None,
+        damping: float | None = None,
+    ) -> float:
+        """Fall of the whitened sum of squares with a delay and a lag, s, and bands of friction so many times as wide."""
+        y = self.arriving(late, constant, wide, self.within if within is None else within, damping) - self.averaged
+        return self.beside.whole(self.bench.made(None, Columns(self.places, y[:, :, None])))
+
+    def arriving(
+        self, late: float, constant: float, wide: float, within: tuple[Effect, ...], damping: float | None
+    ) -> Array:
+        """(M, m) averages of what the same make of the simulated."""
+        return self.bench.late(self._lagged(constant, wide, within, damping), late, bowed=self.delay.bowed)
+
+    def _lagged(self, constant: float, wide: float, within: tuple[Effect, ...], damping: float | None) -> Array:
+        """(N, m) what servos with this constant (s) make of the simulated; kept, for it comes again with other delays."""
+        x, stream = self.simulated, self.bench.stream
+        if damping is not None:
+            return second_order(stream, x, constant, damping, self.delay.between)
+        key = (constant, wide, within)
+        if key not in self.behind:
+            y = first_order(stream, x, constant, self.delay.between) if constant > 0.0 else x
+            for one in within:
+                stands = _with_lag(one, constant, wide).columns(self.bench.scene)
+                y = y + Columns(stands.channels, stands.values[:, :, :1]).full(self.bench.width)[:, self.places, 0]
+            self.behind[key] = y
+        return self.behind[key]
+
+    def _by_slope(self) -> float:
+        """How late the recording is for small delays, s."""
+        made = self.bench.made(None, self.bench.averaged(self.delay.columns(self.bench.stream)))
+        A, r = self.beside.products(made)
+        return float(r[0] / A[0, 0]) if A[0, 0] > 0.0 else 0.0
+
+
+def _read(clocks: Clocks) -> tuple[float, float, float | None]:
+    """Delay and constant, s, and damping of a delay, a lag or both; 0 and None for what is not there."""
+    late = sum(size for end, size in clocks if isinstance(end, TimeDelay))
+    lag = next((end for end, _ in clocks if isinstance(end, Lag)), None)
+    return (late, 0.0, None) if lag is None else (late, lag.constant, lag.damping)
+
+
+def _lowest(
+    cost: Callable[[Array], float],
+    begun: Array,
+    limits: list[tuple[float, float]],
+    fine: float = FINE,
+    stride: float = STRIDE,
+) -> tuple[Array, float]:
+    """Where a cost of a few values is lowest, and how low; by simplices, for a servo that sticks has corners."""
+    simplex = begun + np.vstack([np.zeros_like(begun), stride * np.eye(len(begun))])
+    options = {"xatol": fine, "fatol": 1.0, "initial_simplex": simplex}
+    found = minimize(cost, begun, method="Nelder-Mead", bounds=limits, options=options)
+    return found.x, float(found.fun)
+
+
+def _with_lag(effect: Effect, constant: float, wide: float) -> Effect:
+    """Friction of a servo whose lag has this constant (s; 0: its own), in a band so many times as wide."""
+    response = {"response": constant} if constant > 0.0 else {}
+    return effect.with_searched({"coulomb": wide * effect.searched()["coulomb"]} | response)
+
+
+def numbers(effects: Sequence[Effect]) -> int:
+    """Delays, constants and dampings."""
+    return sum(max(len(effect.searched()), 1) for effect in effects)

@@ -1,0 +1,56 @@
+"""The chosen model and how it came about."""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis, place_of
+from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
+from galen_hw.physics.effects.base import Effect
+from galen_hw.spatial import Array
+
+
+@dataclass
+class Selection:
+    """The chosen model and how it came about.
+
+    Args:
+        chosen: places in the scorer's library.
+        evidence: score of each when all others are in.
+        first: score of every hypothesis before any was chosen, best of its family.
+        needed: surprise that chance reaches.
+        refused: effects that looked significant but did not pass the guard.
+        clocked: how often a model, by the families of its effects, was asked for all of its clocks at once.
+        tightened: models whose spring was already asked for the tendon that it may be.
+        regrouped: models in which two of the effects were already asked whether others stand for both.
+        begun: (n, C) squared errors of the training rows, each left out, before anything was chosen.
+    """
+
+    scorer: Scorer
+    chosen: list[int] = field(default_factory=list)
+    evidence: dict[int, Score] = field(default_factory=dict)
+    first: dict[int, Score] = field(default_factory=dict)
+    needed: float = 0.0
+    refused: list[tuple[Effect, float]] = field(default_factory=list)
+    clocked: Counter[frozenset[object]] = field(default_factory=Counter)
+    tightened: set[frozenset[object]] = field(default_factory=set)
+    regrouped: set[frozenset[object]] = field(default_factory=set)
+    begun: Array = field(default_factory=lambda: np.empty((0, 0)))
+
+    @property
+    def start(self) -> Array:
+        """(C,) mean squared error on blocks left out before anything was chosen."""
+        return np.asarray(self.begun.mean(axis=0))
+
+    @property
+    def hypotheses(self) -> list[Hypothesis]:
+        """The chosen ones."""
+        return [self.scorer.library[i] for i in self.chosen]
+
+
+def elsewhere(scorer: Scorer, model: Iterable[int], candidates: Iterable[int]) -> list[int]:
+    """The candidates, in their order, whose place nothing in the model has."""
+    taken = {place_of(scorer.library[i].effect) for i in model}
+    return [j for j in candidates if place_of(scorer.library[j].effect) not in taken]

@@ -1,0 +1,1 @@
+"""Statistics without physics: sampling, linear algebra, the paired test and its levels."""

@@ -1,0 +1,90 @@
+"""Linear algebra of the bench: Gram matrices of long columns, weak directions left out, tails of chi square and F."""
+
+import numpy as np
+from scipy.special import betainc, gammaincc, gammaln
+
+from galen_hw.diagnosis.stats.sampling import Index
+from galen_hw.spatial import Array
+
+WEAK = 1e-5
+"""A direction of which less than this share is left beside the model is taken as already in it."""
+MANY = 4000.0
+"""Degrees of freedom of the noise from which F is as good as chi square."""
+
+
+def solve_sym(A: Array, B: Array) -> Array:
+    """A^-1 B for a symmetric positive semidefinite A, weak and empty directions left out (scaled to a unit diagonal)."""
+    size = np.sqrt(np.diag(A).clip(0.0))
+    size[size <= 0.0] = np.inf
+    if not len(size):
+        return np.asarray(B)
+    value, vector = np.linalg.eigh(A / np.outer(size, size))
+    good = value > 1e-9 * max(value[-1], 1e-300)
+    V = vector[:, good] / size[:, None]
+    return np.asarray(V @ ((V.T @ B) / value[good][:, None]))
+
+
+def quadratic(A: Array, before: Array, r: Array, fakes: Array) -> tuple[Array, Array, Index]:
+    """R' A^-1 r of m hypotheses with k columns each, over the directions of which enough is left beside the model.
+
+    Args:
+        A: (m, k, k) inner products beside the model; before: (m, k) squares of the columns themselves.
+        r: (m, k) inner products with the residual; fakes: (m, k, B) with surrogates.
+
+    Returns:
+        (m,) gains, (m, B) gains on the surrogates, (m,) number of directions; gain 0 where there is none.
+    """
+    size = np.sqrt(np.maximum(before, 1e-300))
+    value, vector = np.linalg.eigh(A / (size[:, :, None] * size[:, None, :]))
+    good = value > WEAK
+    V = vector * np.where(good, 1.0 / np.sqrt(np.where(good, value, 1.0)), 0.0)[:, None, :] / size[:, :, None]
+    turned = np.swapaxes(V, 1, 2)
+    gains = np.sum((turned @ r[:, :, None])[:, :, 0] ** 2, axis=1)
+    return gains, np.sum((turned @ fakes) ** 2, axis=1), good.sum(axis=1)
+
+
+def pinned_at(at: Array, A: Array, r: Array) -> Array:
+    """(k,) parameters of least squares (inner products A (k, k), r (k,)) of which some are given: `at`, nan where free."""
+    free = np.isnan(at)
+    if not free.any():
+        return at
+    out = np.where(free, 0.0, at)
+    out[free] = solve_sym(A[np.ix_(free, free)], (r - A @ out)[free][:, None])[:, 0]
+    return out
+
+
+def orthonormal(X: Array, *, weakest: float = 1e-7, most: int | None = None) -> Array:
+    """Orthonormal basis (M, r) of the strongest directions of columns (M, k), from their Gram matrix (M is long)."""
+    if not X.shape[1]:
+        return X
+    value, vector = np.linalg.eigh(X.T @ X)
+    order = np.argsort(value)[::-1][:most]
+    order = order[value[order] > weakest * max(float(value[order[0]]), 1e-300)]
+    return np.asarray(X @ (vector[:, order] / np.sqrt(value[order])))
+
+
+def scaled(X: Array, keep: float = 0.0) -> Array:
+    """Columns of unit length; those not longer than `keep` are left out."""
+    size = np.linalg.norm(X, axis=0)
+    good = size > max(keep, 1e-300)
+    return np.asarray(X[:, good] / size[good])
+
+
+def log_tail(gain: Array, count: Index, degrees: float) -> Array:
+    """Log of the chance that noise reaches gains with `count` parameters (shapes that broadcast).
+
+    The noise rests on `degrees` of freedom. Where the tail is too small for a double, its leading term (Abramowitz and Stegun
+    6.5.32, 26.5.4).
+    """
+    if degrees > MANY:
+        a, z = 0.5 * count, 0.5 * np.maximum(gain, 0.0)
+        with np.errstate(divide="ignore"):
+            plain = np.log(gammaincc(a, z))
+            far = -z + (a - 1.0) * np.log(np.maximum(z, 1e-300)) - gammaln(a)
+        return np.asarray(np.where(z > 600.0 + 2.0 * a, far, plain))
+    half, b = 0.5 * degrees, 0.5 * count
+    x = degrees / (degrees + np.maximum(gain, 0.0))
+    with np.errstate(divide="ignore"):
+        plain = np.log(betainc(half, b, x))
+        far = half * np.log(x) + b * np.log1p(-x) - np.log(half) - gammaln(half) - gammaln(b) + gammaln(half + b)
+    return np.asarray(np.where(np.isfinite(plain), plain, far))

@@ -1,0 +1,80 @@
+"""The paired test on held-out errors, block by block: what an effect takes of the excess, and how surely."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from galen_hw.diagnosis.stats.criteria import CRITERIA, Criteria
+from galen_hw.spatial import Array
+
+PIECES: Final = 40
+"""Pieces of held-out rows, each one value: slow noise inside a piece is one piece of luck."""
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What falls away of the held-out excess with an effect, all channels together, each weighed by its noise.
+
+    Args:
+        fall: mean over the rows of the squared error without it less that with it; error: its standard error.
+        excess: the same of the baseline's squared error above the noise, not below 0.
+    """
+
+    fall: float
+    error: float
+    excess: float
+
+    @property
+    def share(self) -> float:
+        """Share of the excess, from -1 to 1."""
+        return float(np.clip(self.fall / self.excess, -1.0, 1.0)) if self.excess > 0.0 else 0.0
+
+    def credible(self, criteria: Criteria = CRITERIA, *, rough: float = 1.0) -> bool:
+        """Whether it is there beyond luck, and larger than what the laws beside it may miss themselves.
+
+        Args:
+            criteria: the levels.
+            rough: share of the excess, 0 to 1, that no exact law explains.
+        """
+        least = criteria.exact_share + (criteria.least_share - criteria.exact_share) * rough
+        return bool(self.fall > criteria.standard_errors * self.error and self.share >= least)
+
+
+def paired(without: Array, rest: Array, excess: Array, *, parameters: int = 0) -> Gain:
+    """Compare the errors (n, C) without an effect and with it on the same rows, in units of the noise.
+
+    Of the fall w^2 - r^2 = d^2 + 2 r d with d = w - r the square is there whatever the noise does, and luck is in r d alone: an
+    effect that acts in one piece of many is no less sure for that. Where physics is missing r d is large, but a fall in nearly
+    every piece is no luck either: the less of the two spreads counts.
+
+    Args:
+        excess: (C,) of the baseline.
+        parameters: that were learnt on these very rows: each takes as much of the noise as it adds elsewhere (Akaike 1974).
+    """
+    effect, n = without - rest, max(len(rest), 1)
+    count = max(min(PIECES, len(rest)), 1)
+    falls, lucky = (
+        np.array([piece.sum() for piece in np.array_split(x, count)])
+        for x in (without**2 - rest**2, 2.0 * rest * effect)
+    )
+    spread = float(np.std(falls, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
+    error = min(float(np.sqrt(np.sum(lucky**2))), spread)
+    return Gain(float(falls.sum() - 2.0 * parameters) / n, error / n, float(np.sum(np.maximum(excess, 0.0))))
+
+
+def sure(rest: Array, without: Array) -> float:
+    """By how many standard errors held-out rows want an effect, in units of the noise: its match with what is there without it.
+
+    With d the effect as learnt and r the rest, what is there without it is w = r + d, and d is wanted as far as the sum of w d
+    is above what luck makes of it. A sum over neighbouring rows is one value (slow noise is one piece of luck). Luck is in r d
+    alone: that an effect acts in few pieces, as a delay does where all but a few moves are rests, makes it no less sure. Where
+    physics is missing r d is large, but a match in nearly every piece is no luck either: the larger of the two counts.
+    """
+    effect = without - rest
+    luck = np.sum(rest * effect, axis=1)
+    match = np.sum(effect**2, axis=1) + luck
+    count = min(PIECES, len(match))
+    each, lucky = (np.array([piece.sum() for piece in np.array_split(x, count)]) for x in (match, luck))
+    spread = float(np.std(each, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
+    return float(each.sum()) / max(min(float(np.sqrt(np.sum(lucky**2))), spread), 1e-300)

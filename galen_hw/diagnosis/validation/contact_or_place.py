@@ -1,0 +1,110 @@
+"""Whether what passes for touches is an event or a place: nobody pushes by the arm's position."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.lack_of_fit import trees
+from galen_hw.diagnosis.lack_of_fit.basis_functions import POSITION, Inputs
+from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.stats.sampling import Mask
+from galen_hw.diagnosis.validation.judgement import Judged, touched
+from galen_hw.physics.effects.events import Contact
+
+FORETOLD: Final = 0.4
+"""Share of what touches take, in the moments of each, that must follow from the positions of the others."""
+OUT: Final = 3.0
+"""Rms of a touch while it lasts over that of what physics leaves on other data, from which it is an event."""
+AROUND: Final = 0.5
+"""Of a touch's length: how long before and after it nothing is learnt about it either."""
+
+
+def touches_of(model: Model) -> list[Hypothesis]:
+    """Contacts that a model believes in."""
+    return [h for h in model.effects if isinstance(h.effect, Contact)]
+
+
+def outstanding(model: Model, judged: Judged, rest: Sequence[Left]) -> Model:
+    """The model without those moments of its touches that take hardly more, where they are largest, than physics leaves there.
+
+    What bends otherwise than any name leaves most where the arm goes furthest, in episodes as if it were touched. Asked in the
+    channels of which more than noise is left (`rest`); the same model where all moments stand out.
+    """
+    more, kept = {one.channel for one in rest}, list[Hypothesis]()
+    left = np.maximum(judged.after - judged.floor, 0.0)
+    time = model.bench.rows.average(model.bench.scene.time)
+    for h, at in zip(model.parts, model.slices(), strict=True):
+        if not isinstance(h.effect, Contact):
+            kept += [h] if h.effect is not None else []
+            continue
+        channels, does = list(h.raw.channels), h.raw.values @ model.final[at]
+        episodes = []
+        for start, end in h.effect.episodes:
+            taken = np.mean(does[(time >= start) & (time <= end)] ** 2, axis=0)
+            most = int(np.argmax(taken / judged.floor[channels]))
+            if channels[most] not in more or taken[most] >= OUT**2 * left[channels[most]]:
+                episodes.append((start, end))
+        if len(episodes) == len(h.effect.episodes):
+            kept.append(h)
+        elif episodes:
+            kept.append(model.bench.add(replace(h.effect, episodes=tuple(episodes)), h.looked))
+    return model if kept == model.effects else replace(model, effects=kept)
+
+
+@threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
+def foretold(whole: Model, less: Model) -> list[Left]:
+    """What a model without its contacts leaves during each, if that follows from where the arm was during the others.
+
+    Of trees on the joint positions, which know corners of a workspace that polynomials do not. One touch alone has no others.
+
+    Args:
+        whole: with contacts; less: the same without them.
+    """
+    bench, touches = whole.bench, touches_of(whole)
+    channels = sorted({c for h in touches for c in h.raw.channels})
+    # What belongs to moments is fitted on all rows, those set aside too.
+    good = ~bench.dropped
+    during = good & touched(whole)
+    each = [rows for rows in _each(bench, touches) if np.any(during & rows)]
+    if len(each) < 2:
+        return []
+    sigma = bench.noise.sigma[channels]
+    missed, kept = (model.rest()[:, channels] / sigma for model in (less, whole))
+    position = Inputs.of(bench.scene, bench.rows).position
+    predicted = np.zeros_like(missed)
+    for rows in each:
+        others, asked = good & ~rows, during & rows
+        for c in range(len(channels)):
+            predicted[asked, c] = trees.new().fit(position[others], missed[others, c]).predict(position[asked])
+    gain = np.sum(predicted * (2.0 * missed - predicted), axis=0)
+    taken = np.sum(missed[during] ** 2 - kept[during] ** 2)
+    if taken <= 0.0 or gain.sum() < FORETOLD * taken:
+        return []
+    share = gain / np.sum(missed[good] ** 2, axis=0)
+    size = sigma * np.sqrt(np.sum(predicted**2, axis=0) / good.sum())
+    found = [
+        Left(c, POSITION, float(gain[k] - 1.0) / np.sqrt(2.0), float(share[k]), float(size[k]), predicted[:, [k]])
+        for k, c in enumerate(channels)
+        if gain[k] > 0.0
+    ]
+    return sorted(found, key=lambda one: -one.z)
+
+
+def _each(bench: Bench, touches: Sequence[Hypothesis]) -> list[Mask]:
+    """Rows (M,) of each touch with its surroundings; what overlaps is one."""
+    time = bench.rows.average(bench.scene.time)
+    near = np.zeros(len(bench.rows), dtype=bool)
+    for h in touches:
+        assert isinstance(h.effect, Contact), "touches are contacts"
+        for start, end in h.effect.episodes:
+            margin = AROUND * (end - start)
+            near |= (time >= start - margin) & (time <= end + margin)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(int))).reshape(-1, 2)
+    at = np.arange(len(near))
+    return [(at >= a) & (at < b) for a, b in edges]

@@ -1,0 +1,137 @@
+"""What is left once everything with a name is named: found, predicted, weighed against names that bend far enough to hide it."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.model import MERIT, Model
+from galen_hw.diagnosis.lack_of_fit import structure_test, trees
+from galen_hw.diagnosis.lack_of_fit.gram import Functions
+from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder, learn
+from galen_hw.diagnosis.selection.criterion import merit
+from galen_hw.diagnosis.selection.moves.split import FLEXIBLE
+from galen_hw.diagnosis.validation.contact_or_place import foretold, touches_of
+from galen_hw.diagnosis.validation.holdout import earned, judge_remainder
+from galen_hw.diagnosis.validation.judgement import Judged
+from galen_hw.diagnosis.validation.other_recording import left_elsewhere
+from galen_hw.diagnosis.validation.verdict import beyond, strong
+from galen_hw.physics.scenes.base import Scene
+
+YIELDING: Final = (*FLEXIBLE, "contact")
+"""Effects that bend far enough to take part of what has no name."""
+POWERS: Final = ("joint_offset", "compliance", "hardening")
+"""Effects that go with a power of a joint's load."""
+
+
+def left_by(models: Sequence[Model], generic: list[structure_test.Family]) -> list[list[structure_test.Left]]:
+    """What each of some models of one recording leaves above the noise."""
+    benches = {id(model.bench): model.bench for model in models}
+    known: dict[int, list[structure_test.Left]] = {}
+    for bench in benches.values():
+        mine = [model for model in models if model.bench is bench]
+        fitted = [structure_test.Fitted([h.white for h in m.parts], m.rest(), m.rest(white=True)) for m in mine]
+        known |= {id(m): left for m, left in zip(mine, structure_test.leftovers(bench, generic, fitted), strict=True)}
+    return [known[id(model)] for model in models]
+
+
+def might_yield(model: Model) -> bool:
+    """Whether a model believes in something that bends far enough to be part of what has no name."""
+    return bool(_yielding(model))
+
+
+def left_of_another(model: Model, holdout: Scene, judged: Judged) -> list[structure_test.Left]:
+    """What a model leaves of another recording, worth saying: asked where names bend, and wherever it does not hold there."""
+    missed, bends = {one.channel for one in beyond(judged, model, untouched=True)}, might_yield(model)
+    if not missed and not bends:
+        return []
+    left = strong(left_elsewhere(model, holdout, judged), judged, model.bench)
+    return [one for one in left if bends or one.channel in missed]
+
+
+def predict_unnamed(
+    generic: list[structure_test.Family],
+    model: Model,
+    holdout: Scene | None,
+    judged: Judged,
+    rest: list[structure_test.Left],
+) -> tuple[Model, Judged, list[structure_test.Left]]:
+    """What is left predicted without a name, where held-out data support that.
+
+    A flexible effect has a name only if it says more than generic functions do in its place: what these explain better alone
+    has none. They are asked even if nothing else is left: with enough parameters they follow nearly anything in one recording.
+    """
+    functions = Functions(model.bench)
+    now, remainder = _explained(model, rest, functions)
+    judged = judge_remainder(model, holdout, judged, remainder)
+    yielding = _yielding(model)
+    smaller = [earned(model.without([h for h in model.effects if id(h) in out]), holdout, judged) for out in yielding]
+    theirs = left_by([less for less, _ in smaller], generic)
+    for out, (less, plainly), left in zip(yielding, smaller, theirs, strict=True):
+        its_rest = strong(left, judged, model.bench)
+        # Asked of contacts alone: what else leaves with them may have been there.
+        place = foretold(model, less) if {id(h) for h in touches_of(model)} == out else []
+        its_rest = sorted([*its_rest, *place], key=lambda one: -one.z)
+        reached, its_own = _explained(less, its_rest, functions)
+        if reached > now + MERIT or place:
+            other = judge_remainder(less, holdout, plainly, its_own)
+            # A contact is fitted to the moments that it is judged on: nothing else can do as well there.
+            if place or float(np.sum(other.reached / judged.floor)) < float(np.sum(judged.reached / judged.floor)):
+                return less, _finished(less, holdout, other, its_own, its_rest, functions), its_rest
+    return model, _finished(model, holdout, judged, remainder, rest, functions), rest
+
+
+def _finished(
+    model: Model,
+    holdout: Scene | None,
+    judged: Judged,
+    remainder: Remainder | None,
+    rest: list[structure_test.Left],
+    functions: Functions,
+) -> Judged:
+    """With what no name is weighed against: the other channels, in which slow noise hides the same physics, and trees."""
+    if remainder is None:
+        return judged
+    found = {one.kind for one in rest}
+    others = learn(model, {c: found for c in range(model.bench.width) if c not in remainder.parts}, functions)
+    wider = remainder if others is None else remainder.joined(others)
+    return judge_remainder(model, holdout, judged, trees.beside(wider, model, functions))
+
+
+def _explained(model: Model, rest: list[structure_test.Left], functions: Functions) -> tuple[float, Remainder | None]:
+    """Merit of a model together with what generic functions predict of its rest on blocks left out; and these.
+
+    Each family pays for having been chosen among all: that choice no block was left out of.
+    """
+    # A family that shows in one channel may be little in another until what is larger there is told.
+    every = {one.kind for one in rest}
+    kinds = {one.channel: every for one in rest}
+    remainder, own = learn(model, kinds, functions), merit(model, foretelling=True)
+    if remainder is None:
+        return own, None
+    chosen = sum(len(families) for families in remainder.parts.values())
+    return own + remainder.gain - 2.0 * chosen * float(np.log(len(functions.columns))), remainder
+
+
+def _yielding(model: Model) -> list[set[int]]:
+    """Sets of effects that may be no more than part of what has no name: all flexible ones, each kind, polynomials."""
+    kinds: dict[str, set[int]] = {}
+    for h in model.effects:
+        if h.effect is not None and h.effect.KEY in YIELDING:
+            kinds.setdefault(h.effect.KEY, set()).add(id(h))
+    every = set[int]().union(*kinds.values())
+    flexible = [every, *kinds.values()] if len(kinds) > 1 else list(kinds.values())
+    return [*flexible, *_polynomials(model)]
+
+
+def _polynomials(model: Model) -> list[set[int]]:
+    """Effects that are together a polynomial of one joint's load, joint by joint: each is a law, their sum bends as one likes.
+
+    None of them is refused alone, for the others then miss what it took off them.
+    """
+    joints: dict[str, set[int]] = {}
+    for h in model.effects:
+        if h.effect is not None and h.effect.KEY in POWERS:
+            for joint in h.effect.joints:
+                joints.setdefault(joint, set()).add(id(h))
+    return [alike for alike in joints.values() if len(alike) > 1]

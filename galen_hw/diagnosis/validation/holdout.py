@@ -1,0 +1,190 @@
+"""The model on data that it did not learn from."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.cross_validation import white_left_out
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder
+from galen_hw.diagnosis.stats.paired_test import Gain, paired, sure
+from galen_hw.diagnosis.stats.sampling import Rows
+from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, predict, touched
+from galen_hw.diagnosis.validation.other_recording import apply, noisier, undisturbed
+from galen_hw.diagnosis.validation.support import LEAST_SUPPORT, Guard, poor, support
+from galen_hw.physics.effects.cable import CableDrag
+from galen_hw.physics.effects.registry import effect_class
+from galen_hw.physics.scenes.base import Scene
+
+if TYPE_CHECKING:
+    from galen_hw.spatial import Array
+
+
+def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> Judged:
+    """Errors before and after on the rows set aside, or on another recording.
+
+    `first` is what was judged before: smaller models are judged on the same rows as the largest, or a poor one would call
+    what it misses a contact and be judged on the rest.
+    """
+    bench = model.bench
+    keys = list(dict.fromkeys(h.effect.KEY for h in model.effects if h.effect is not None))
+    # The baseline fits its constants as anybody would, by plain least squares.
+    baseline = Model(bench, [Hypothesis(None, h.raw, h.raw) for h in model.nuisances], [], bench.whole)
+    smaller = {
+        key: model.without([h for h in model.effects if h.effect is not None and key == h.effect.KEY]) for key in keys
+    }
+    floor = bench.noise.sigma**2
+    rest: Array
+    if holdout is None:
+        rows = bench.judged if bench.judged.any() else bench.train
+        name = "contiguous blocks set aside" if bench.judged.any() else "the recording itself"
+        before = np.asarray(np.mean((bench.whole - predict(baseline))[rows] ** 2, axis=0))
+        judged = Judged(name, before, np.mean(model.rest()[rows] ** 2, axis=0), {}, floor)
+        free = rows & ~touched(model)
+        if 0 < free.sum() < rows.sum():
+            judged.untouched = np.asarray(np.mean(model.rest()[free] ** 2, axis=0))
+        guard = Guard(floor, lambda part: part.rest()[rows], lambda part: part.rest(white=True)[rows], model)
+    else:
+        if first is None or first.good is None:
+            good, episodes = undisturbed(model, holdout)
+        else:
+            good, episodes = first.good, first.episodes
+        rest = apply(model, holdout, good)
+        before = np.mean(apply(baseline, holdout, good)[good] ** 2, axis=0)
+        floor = floor * noisier(model, rest[good])
+        judged = Judged(ELSEWHERE, before, np.mean(rest[good] ** 2, axis=0), {}, floor, episodes=episodes, good=good)
+        noise = replace(bench.noise, rows=Rows(tuple(holdout.segments), bench.rows.stride), kept={})
+        guard = Guard(
+            floor,
+            lambda part: apply(part, holdout, good)[good],
+            lambda part: noise.bridged(apply(part, holdout, good), good)[good],
+            model,
+        )
+    for key, part in smaller.items():
+        judged.without[key] = np.mean(guard.raw(part) ** 2, axis=0)
+        judged.gains[key] = (
+            guard.gain(part, before) if effect_class(key).lasting() else _at_moments(model, part, baseline)
+        )
+        judged.support[key], judged.sure[key] = guard.of(part, _channels(model, key))
+        # In another recording what belongs to moments is not there: then these rows speak of the others' sizes alone.
+        if holdout is None and judged.sure[key] < 0.0 and guard.could_tell(part):
+            judged.refused.add(key)
+        if holdout is not None and effect_class(key).lasting() and not guard.could_tell(part):
+            judged.support[key], judged.sure[key], judged.gains[key] = _at_home(model, part, key)
+            judged.at_home.add(key)
+    judged.places = _places(model, guard)
+    return judged
+
+
+def _at_moments(model: Model, part: Model, baseline: Model) -> Gain:
+    """What falls with what a smaller model has left out on the rows that it was learnt on, which alone hold its moments."""
+    good, sigma = ~model.bench.dropped, model.bench.noise.sigma
+    rest, without, before = (one.rest()[good] / sigma for one in (model, part, baseline))
+    learnt = sum(h.owed(whole=True) for h in model.effects) - sum(h.owed(whole=True) for h in part.effects)
+    return paired(without, rest, np.mean(before**2, axis=0) - 1.0, parameters=learnt)
+
+
+def _at_home(model: Model, part: Model, key: str) -> tuple[float, float, Gain]:
+    """Support and `sure` of what a smaller model has left out, and what falls with it, on blocks left out of its own data.
+
+    A temperature that stays where it is, or a joint that rests, says nothing for an effect and nothing against it.
+    """
+    each = (model, part, model.without(model.effects))
+    rest, without, before = (white_left_out(model.bench, one.parts, one.white) for one in each)
+    own = _channels(model, key)
+    gain = paired(without, rest, np.mean(before**2, axis=0) - 1.0)
+    return support(without[:, own], rest[:, own]), sure(rest, without), gain
+
+
+def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remainder: Remainder | None) -> Judged:
+    """The same with what a remainder predicts on the same rows, in the channels where it earns its place as an effect does."""
+    bench = model.bench
+    if remainder is None:
+        return judged
+    if holdout is None:
+        rows = bench.judged if bench.judged.any() else bench.train
+        rest = model.rest()[rows]
+        fuller = rest - remainder.own(bench.width)[rows]
+    else:
+        said = remainder.predict(holdout, Rows(tuple(holdout.segments), bench.rows.stride), bench.width)
+        if said is None:
+            return judged
+        good = np.ones(len(said), dtype=bool) if judged.good is None else judged.good
+        rest, fuller = (apply(model, holdout, good, besides)[good] for besides in (None, said))
+    unnamed = judged.after.copy()
+    for c in remainder.parts:
+        better = float(np.mean(fuller[:, c] ** 2))
+        with_it, without = (x[:, [c]] / np.sqrt(judged.floor[c]) for x in (fuller, rest))
+        if better < judged.after[c] and not poor(support(without, with_it), sure(with_it, without), alone=True):
+            unnamed[c] = better
+    return replace(judged, unnamed=unnamed) if np.any(unnamed != judged.after) else judged
+
+
+def _channels(model: Model, key: str) -> list[int]:
+    return sorted({c for h in model.effects if h.effect is not None and key == h.effect.KEY for c in h.raw.channels})
+
+
+def _places(model: Model, guard: Guard) -> dict[int, tuple[float, float]]:
+    """Support and `sure` of each lasting effect whose kind stands in several places, where these rows could tell."""
+    keys = [h.effect.KEY for h in model.effects if h.effect is not None]
+    out: dict[int, tuple[float, float]] = {}
+    for k, h in enumerate(model.effects):
+        if h.effect is None or not h.effect.lasting() or keys.count(h.effect.KEY) < 2:
+            continue
+        part = model.without([h])
+        if guard.could_tell(part):
+            out[k] = guard.of(part, list(h.raw.channels))
+    return out
+
+
+def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) -> tuple[Model, Judged]:
+    """The model without what held-out data do not support, the least supported first.
+
+    What belongs to moments shows nowhere else, and need not be wanted there; it only must not make worse what it touches.
+    What drifts or hums is there all through its own recording, and takes its share of what is set aside of that. Where a
+    kind stands in several places (friction in five joints), each place has to earn its own. What fits with parameters that
+    are not known at all has the shape of its name and no more. One at a time, and what is left fitted again: of two that do the
+    same one stays, and of two that need each other both do.
+
+    Args:
+        judged: of a larger model, whose rows are judged on again.
+    """
+    while True:
+        judged = judge(model, holdout, judged)
+        lasting = [k for k in judged.without if effect_class(k).lasting()]
+        # A hum is fitted on these rows too: how surely they want it says nothing, but what it takes of them does.
+        fitted = [k for k in judged.without if effect_class(k).THROUGHOUT and holdout is None]
+        sole = len(judged.without) == 1
+        weak = [
+            (judged.support[key], judged.sure[key], key)
+            for key in judged.without
+            if key in judged.refused
+            or (key in lasting and poor(judged.support[key], judged.sure[key], alone=sole))
+            or (key in fitted and judged.support[key] < LEAST_SUPPORT)
+            or (key in judged.gains and not judged.gains[key].credible(rough=judged.rough))
+        ]
+        places = [(support, k) for k, (support, sure) in judged.places.items() if poor(support, sure, alone=False)]
+        vague = _vague(model)
+        if vague:
+            out = vague
+        elif places:
+            # One place first: the kind may earn its name without it.
+            out = [model.effects[min(places)[1]]]
+        elif weak:
+            out = [h for h in model.effects if h.effect is not None and min(weak)[-1] == h.effect.KEY]
+        else:
+            return model, judged
+        model = model.without(out)
+
+
+def _vague(model: Model) -> list[Hypothesis]:
+    """Cables whose parameters do not say that they are cables, and those that patch what another one misses."""
+    cables = [
+        (h, h.effect, s) for h, s in zip(model.parts, model.slices(), strict=True) if isinstance(h.effect, CableDrag)
+    ]
+    if not cables:
+        return []
+    spread, every = np.sqrt(model.variance), [e for _, e, _ in cables]
+    return [h for h, e, s in cables if e.patches(every) or not e.known(model.final[s], spread[s])]

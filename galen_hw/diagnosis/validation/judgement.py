@@ -1,0 +1,119 @@
+"""What data not learnt from say of a model."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.least_squares import predicted
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.stats.paired_test import Gain
+from galen_hw.diagnosis.stats.sampling import Mask
+from galen_hw.physics.effects.events import Contact
+from galen_hw.physics.effects.registry import effect_class
+from galen_hw.spatial import Array
+
+ELSEWHERE = "another recording"
+
+
+@dataclass
+class Judged:
+    """Mean squared errors on held-out rows, (C,).
+
+    Args:
+        name: of what was held out.
+        before: of the baseline; after: with all effects; without: per effect's key, with that one left out.
+        floor: of the noise.
+        support: per effect's key, the share of the held-out excess that would be left without it, in the channels where it
+            acts, that it takes.
+        sure: per effect's key, by how many standard errors held-out rows want it, see `wanted.sure`.
+        refused: keys of which held-out rows, that it would show in, hold the contrary.
+        untouched: `after` on the rows of no contact that the model believes in, None: there is none or no such row; how a touch
+            swells and lets go is no law of the arm, and fitted no better than its few shapes allow.
+        gains: per effect's key, what falls of the held-out excess with it. Of what belongs to moments, which are no other data's,
+            on all rows of its own recording, less what its parameters take of noise.
+        at_home: keys of effects that another recording hardly rouses: support, sure and gains are told by blocks left out of
+            their own.
+        unnamed: with what generic functions predict besides, without a name, where that earns its place; None: it does not.
+        places: where a key stands more than once, per number in the model's effects: the same of that one alone.
+        episodes: times (s) of contacts in another recording; good: (M,) its rows that are judged on, all others left out of
+            these errors; None: not another recording.
+    """
+
+    name: str
+    before: Array
+    after: Array
+    without: dict[str, Array]
+    floor: Array
+    support: dict[str, float] = field(default_factory=dict)
+    sure: dict[str, float] = field(default_factory=dict)
+    refused: set[str] = field(default_factory=set)
+    places: dict[int, tuple[float, float]] = field(default_factory=dict)
+    gains: dict[str, Gain] = field(default_factory=dict)
+    at_home: set[str] = field(default_factory=set)
+    episodes: tuple[tuple[float, float], ...] = ()
+    good: Mask | None = None
+    untouched: Array | None = None
+    unnamed: Array | None = None
+
+    @property
+    def apart(self) -> float:
+        """Share of another recording's rows that is left out."""
+        return 0.0 if self.good is None else float(1.0 - self.good.mean())
+
+    @property
+    def reached(self) -> Array:
+        """(C,) mean squared errors with all that can be predicted, named or not."""
+        return self.after if self.unnamed is None else self.unnamed
+
+    def gain(self, key: str) -> float:
+        """Share of the excess, channels weighed by their noise, that an effect removes."""
+        return self.gains[key].share
+
+    @property
+    def rough(self) -> float:
+        """Share of the excess that no exact law explains: a rough one does, or nothing that has a name."""
+        exact = [
+            g.share for key, g in self.gains.items() if not (effect_class(key).ROUGH or effect_class(key).THROUGHOUT)
+        ]
+        return float(np.clip(1.0 - sum(exact), 0.0, 1.0))
+
+    def unnamed_gain(self) -> float:
+        """The same of what is predicted without a name."""
+        return 0.0 if self.unnamed is None else self.share(self.after - self.unnamed)
+
+    def share(self, lost: Array) -> float:
+        """Return the share of the held-out excess, channels weighed by their noise, that mean squares (C,) are."""
+        excess = float(np.sum(np.maximum(self.before - self.floor, 0.0) / self.floor))
+        return float(np.clip(np.sum(lost / self.floor) / excess, -1.0, 1.0)) if excess > 0 else 0.0
+
+    def fit(self, bench: Bench, left: list[Left]) -> dict[str, dict[str, float]]:
+        """The `fit` part of the answer."""
+        names = bench.scene.channels
+        better = np.zeros(bench.width)
+        for one in left:
+            better[one.channel] = max(better[one.channel], one.share)
+        after = self.reached
+        hoped = np.maximum(self.after * (1.0 - np.clip(better, 0.0, 1.0)), np.minimum(self.floor, self.after))
+        values = {
+            "rmse_before": np.sqrt(self.before),
+            "rmse_after": np.sqrt(after),
+            "noise_floor": np.sqrt(self.floor),
+            "ceiling": np.sqrt(np.minimum(hoped, after)),
+        }
+        return {k: {n: float(x) for n, x in zip(names, v, strict=True)} for k, v in values.items()}
+
+
+def touched(model: Model) -> Mask:
+    """(M,) rows of its own bench during the contacts that a model believes in."""
+    out = np.zeros(len(model.bench.rows), dtype=bool)
+    for h in model.effects:
+        if isinstance(h.effect, Contact):
+            out |= h.raw.values.any(axis=(1, 2))
+    return out
+
+
+def predict(model: Model) -> Array:
+    """(M, C) of the model on its own bench."""
+    return predicted(model.parts, model.theta, np.arange(len(model.bench.y)), model.bench.width)

@@ -1,0 +1,200 @@
+"""Structure in what a model leaves of another recording: physics that names stood in for on one motion shows on the next."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from galen_hw.diagnosis.detection import outliers, steps
+from galen_hw.diagnosis.detection.contacts import contacts
+from galen_hw.diagnosis.detection.stuck_samples import repeated
+from galen_hw.diagnosis.estimation import signal_chain
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.linearisation import tangent
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.lack_of_fit import structure_test
+from galen_hw.diagnosis.stats.sampling import Mask, Rows
+from galen_hw.diagnosis.validation.judgement import Judged, touched
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.events import Contact, Step, Vibration
+from galen_hw.physics.effects.sensor import Drift
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.physics.scenes.initial_state import fading
+from galen_hw.spatial import Array
+
+MISSED: Final = 1.1
+"""Mean square of another recording over the noise's from which a channel is asked."""
+LEAST: Final = 0.05
+"""Share of what was there at first that must be left: a law of the right form, learnt on one motion, may err by less."""
+
+
+def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure_test.Left]:
+    """What a model leaves above the noise of another recording, strongest first, by the noise of the first.
+
+    To be asked of models with flexible names: these may follow one motion by what the next one does not have, and there generic
+    functions find what they left out. Of other models it would mostly be told that an effect was too weak to be seen at first,
+    which is worth saying only where they are far off there.
+    What the model's own parameters, learnt anew, would take is no structure but their error. Nothing is asked where something
+    belongs to moments and is fitted to each recording anew: what such a fit leaves proves nothing. The rows of contacts are left
+    out there, and the others speak.
+    """
+    effects = [(h, h.effect) for h in model.effects if h.effect is not None]
+    ratio, excess = judged.after / judged.floor, judged.before - judged.floor
+    if ratio.max() <= MISSED or any(_anew(effect) for _, effect in effects):
+        return []
+    here = _bench(model, scene, judged)
+    if here is None:
+        return []
+    rest = apply(model, scene, judged.good)
+    # The second recording's noise may be larger or smaller, of the same colour.
+    white = here.whitened(rest) * model.bench.noise.sigma / np.sqrt(judged.floor)
+    own = [here.made(None, columns).white for columns in here.constants()]
+    for h, effect in effects:
+        if isinstance(effect, Contact):
+            continue
+        again = here.add(effect)
+        own.append((again if h.theta is None else tangent(here, again, h.theta)).white)
+    (left,) = structure_test.leftovers(here, structure_test.families(here), [structure_test.Fitted(own, rest, white)])
+    return [
+        replace(one, elsewhere=True)
+        for one in left
+        if ratio[one.channel] > MISSED and one.size**2 > LEAST * excess[one.channel]
+    ]
+
+
+def _anew(effect: Effect) -> bool:
+    """Whether an effect belongs to moments, and these are not left out of what is judged."""
+    return not effect.lasting() and not isinstance(effect, Contact)
+
+
+def _bench(model: Model, scene: Scene, judged: Judged) -> Bench | None:
+    """One for the other recording with rows as long, the first one's noise and clocks; None where its rows cannot be as long."""
+    first = model.bench
+    here = Bench(scene, held=0.0, most=max(-(-len(scene) // first.rows.stride), 1))
+    if here.rows.stride != first.rows.stride:
+        return None
+    if judged.good is not None:
+        here.hollow = here.dropped = ~judged.good
+    here.noise, here.timing = replace(first.noise, rows=here.rows, kept={}), first.timing
+    return here
+
+
+def noisier(model: Model, rest: Array) -> Array:
+    """(C,) noise of another recording over that of the first, from second differences: they hold hardly any motion.
+
+    Of rounded readings no less: where what is read stands between two steps, rounding hides the noise, and not its own error.
+    Outside touches, whose edges no smooth shape follows.
+    """
+    good = ~model.bench.dropped
+    free = good & ~touched(model)
+    own = model.rest()[free if free.any() else good]
+    here, there = (np.mean(np.diff(x, n=2, axis=0) ** 2, axis=0) for x in (own, rest))
+    told = model.bench.scene.clock & (here > 0.0) & (there > 0.0)
+    ratio = np.where(told, there / np.where(told, here, 1.0), 1.0)
+    return np.where(model.bench.steps > 0.0, np.maximum(ratio, 1.0), ratio)
+
+
+def undisturbed(model: Model, scene: Scene) -> tuple[Mask, tuple[tuple[float, float], ...]]:
+    """Rows (M,) of another recording that nothing of a moment spoils, and the times (s) of its contacts.
+
+    Only what was found in the recording itself is looked for: isolated samples, and outside forces. These are sought again
+    once the constants no longer give way to them.
+    """
+    rows = Rows(tuple(scene.segments), model.bench.rows.stride)
+    whole = ~rows.spread(scene.ends | scene.unanswered)
+    if model.bench.spoilt.any():
+        spoilt = outliers.spikes(scene.raw_residual, tuple(scene.segments))
+        whole &= ~rows.spread(np.asarray((spoilt | repeated(scene)).any(axis=1)))
+    good, episodes, time = whole, tuple[tuple[float, float], ...](), rows.average(scene.time)
+    if not any(isinstance(h.effect, Contact) for h in model.effects):
+        return good, episodes
+    for _ in range(2):
+        found = [
+            one.effect.episodes for one in contacts(scene, apply(model, scene, good)) if isinstance(one.effect, Contact)
+        ]
+        episodes = max(found, key=lambda each: sum(end - start for start, end in each), default=())
+        good = whole.copy()
+        for start, end in episodes:
+            good &= (time < start) | (time > end)
+    return good, episodes
+
+
+def apply(model: Model, scene: Scene, good: Mask | None = None, besides: Array | None = None) -> Array:
+    """(M, C) rest of another recording after the effects as learnt; nuisances, and what belongs to moments, are fitted anew.
+
+    What drifts, hums or jumped once does so in another recording too, from another start, with another phase or at another
+    moment.
+
+    Args:
+        good: (M,) rows to fit these on, None: all; besides: (M, C) something else that is taken off.
+    """
+    bench = model.bench
+    rows = Rows(tuple(scene.segments), bench.rows.stride)
+    seen = np.ones(len(rows), dtype=bool) if good is None else good
+    refit = [h for h in model.parts if h.effect is None]
+    lasting = [
+        (h.effect, model.final[s])
+        for h, s in zip(model.parts, model.slices(), strict=True)
+        if h.effect is not None and not h.effect.EPISODIC
+    ]
+    rest = rows.average(scene.residual - signal_chain.added(scene, lasting, bench.timing))
+    rest = rest - (0.0 if besides is None else besides)
+    columns = [_nuisances(refit, scene, rows, bench)] if refit else []
+    found = [h.effect for h in model.parts if h.effect is not None]
+    for effect in found:
+        if isinstance(effect, Drift | Vibration):
+            columns += [_full(other, scene, rows, bench.width) for other in _again(effect, scene)]
+    left = _less(rest, columns, seen)
+    for effect in found:
+        if isinstance(effect, Step):
+            jumps = [_full(replace(effect, moment=t), scene, rows, bench.width) for t in _moments(scene, left, rows)]
+            columns.append(min(jumps, key=lambda jump: float(np.sum(_less(left, [jump], seen)[seen] ** 2))))
+            left = _less(rest, columns, seen)
+    return left
+
+
+def _again(effect: Drift | Vibration, scene: Scene) -> list[Drift | Vibration]:
+    """The same kind of thing in another recording: a drift begins anew, and may wander as well."""
+    if isinstance(effect, Vibration):
+        return [effect]
+    begun = replace(effect, start=float(scene.time[0]), length=max(float(np.ptp(scene.time)), 1e-9))
+    return [begun] if begun.form == "wander" else [begun, replace(begun, form="wander", constant=None)]
+
+
+def _moments(scene: Scene, rest: Array, rows: Rows) -> list[float]:
+    """Times at which something may have jumped in a recording; its start where nothing did."""
+    jumps = steps.steps(scene, rest) + steps.slips(scene, rest, rows.average)
+    found = [s.effect.moment for s in jumps if isinstance(s.effect, Step)]
+    return sorted(set(found)) or [float(scene.time[0])]
+
+
+def _full(effect: Effect, scene: Scene, rows: Rows, width: int) -> Array:
+    """(M, C, k) columns of an effect in all channels, on averaged rows."""
+    full = effect.columns(scene).full(width)
+    return np.stack([rows.average(full[:, :, i]) for i in range(full.shape[2])], axis=-1)
+
+
+def _less(rest: Array, columns: list[Array], seen: Mask) -> Array:
+    """(M, C) of a rest without what columns (M, C, k) do in it, by plain least squares on the rows seen (M,)."""
+    if not columns:
+        return rest
+    stacked = np.concatenate(columns, axis=2)
+    X, y = stacked[seen].reshape(-1, stacked.shape[2]), rest[seen].reshape(-1)
+    return np.asarray(rest - stacked @ np.linalg.lstsq(X, y, rcond=1e-9)[0])
+
+
+def _nuisances(refit: list[Hypothesis], scene: Scene, rows: Rows, bench: Bench) -> Array:
+    constants = [h for h in refit if len(h.raw.channels) == 1 and np.all(h.raw.values == 1.0)]
+    out = []
+    for h in constants:
+        column = np.zeros((len(rows), bench.width))
+        column[:, h.raw.channels[0]] = 1.0
+        out.append(column)
+    own = scene.nuisances() if len(constants) < len(refit) else []
+    out += [rows.average(column) for column in own]
+    for channels, fades in fading(scene):
+        column = np.zeros((len(rows), bench.width))
+        column[:, list(channels)] = rows.average(fades)
+        out.append(column)
+    return np.stack(out, axis=-1)

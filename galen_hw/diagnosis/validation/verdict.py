@@ -1,0 +1,192 @@
+"""What is left worth saying, and the verdict that follows."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.preprocessing.data_quality import Premise
+from galen_hw.diagnosis.result import Finding, Verdict
+from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, touched
+from galen_hw.physics.effects.events import Vibration
+from galen_hw.physics.effects.registry import effect_class
+from galen_hw.spatial import Array
+
+NOTHING_RECORDED = "nothing that was recorded"
+NOTHING_ELSEWHERE = "nothing that holds elsewhere"
+FEW_SAMPLES = "few samples"
+"""Words for structure that no function caught."""
+
+BEYOND = 1.5
+"""Held-out mean square over the noise's above which something is left, whether or not any function tried has caught it."""
+SURE = 6.0
+"""And standard errors of that mean square, slow noise having few independent values."""
+
+
+FORM = 0.01
+"""Share of its own mean square that a law of matter may miss of what happens (a tenth of its size), and is right for all that."""
+EXACT = 1e-5
+"""The same of any effect (three thousandths of its size): better than that neither a machine nor its clock is known."""
+
+
+def tolerated(model: Model) -> Array:
+    """(C,) mean squares that the laws of a model, rough as they are, may miss of what they are the laws of."""
+    rough = [_swings(x) for key, x in _does(model).items() if effect_class(key).ROUGH]
+    return np.asarray(FORM * np.sum([np.zeros(model.bench.width), *rough], axis=0))
+
+
+def _does(model: Model) -> dict[str, Array]:
+    """(M, C) what each kind of effect does."""
+    does: dict[str, Array] = {}
+    for h, s in zip(model.parts, model.slices(), strict=True):
+        if h.effect is not None:
+            total = does.setdefault(h.effect.KEY, np.zeros((len(model.bench.rows), model.bench.width)))
+            total[:, list(h.raw.channels)] += h.does(model.final[s])
+    return does
+
+
+def _swings(x: Array) -> Array:
+    """(C,) mean square of x (M, C) about its mean: a constant hides nothing."""
+    return np.asarray(np.var(x, axis=0))
+
+
+def _at_hums(model: Model, x: Array) -> Array:
+    """(M, C) the part of x (M, C) that swings as the hums of a model do, in whatever phase."""
+    hums = [h.raw.values[:, 0] for h in model.effects if isinstance(h.effect, Vibration)]
+    X = np.concatenate(hums, axis=1)
+    return np.asarray(X @ np.linalg.lstsq(X, x, rcond=1e-9)[0])
+
+
+def trifles(model: Model) -> list[Hypothesis]:
+    """Effects that do less, in every channel, than another's law may miss there: part of that one.
+
+    Of rough laws, what another rough law may; of any, what no law is known better than. A hum is compared with what the others
+    do at its frequency: what a law misses swings as the law does.
+    """
+    does, kinds, free = _does(model), set(), model.bench.scene.belief.bias_free
+    for key, x in does.items():
+        # What belongs to moments is as large as it is then: a touch in a hundredth of the rows is no trifle.
+        when = x.any(axis=1) if effect_class(key).EPISODIC else np.ones(len(x), dtype=bool)
+        own = _swings(x) if free and when.all() else np.sum(x[when] ** 2, axis=0) / max(int(when.sum()), 1)
+        hums = effect_class(key) is Vibration
+        missing = np.zeros(model.bench.width)
+        for other, its in does.items():
+            rough = effect_class(key).ROUGH and effect_class(other).ROUGH
+            known = (FORM if rough else EXACT) * _swings(_at_hums(model, its) if hums else its)
+            missing = np.maximum(missing, 0.0 if other == key else known)
+        if np.all(own <= missing):
+            kinds.add(key)
+    return [h for h in model.effects if h.effect is not None and h.effect.KEY in kinds]
+
+
+def beyond(judged: Judged, model: Model, *, untouched: bool = False) -> list[Left]:
+    """Channels in which the model does not hold on data that it did not learn from; z is the ratio of mean squares here.
+
+    `untouched`: contacts are believed in, and what they leave during themselves is nobody's law.
+    """
+    bench = model.bench
+    after = judged.untouched if untouched and judged.untouched is not None else judged.after
+    # Of noise that grows ever slower a recording holds more than a single sample's variance shows.
+    ratio = after / judged.floor / bench.noise.slower
+    believed = np.maximum(after - tolerated(model), judged.floor) / judged.floor / bench.noise.slower
+    rows = int(bench.judged.sum() or bench.train.sum())
+    enough = 1.0 + np.maximum(BEYOND - 1.0, SURE * np.sqrt(2.0 / bench.noise.independent(rows)))
+    none = np.zeros((len(bench.rows), 0))
+    return [
+        Left(
+            int(c),
+            NOTHING_RECORDED,
+            float(ratio[c]),
+            float(1.0 - 1.0 / ratio[c]),
+            float(np.sqrt(after[c] - judged.floor[c])),
+            none,
+        )
+        for c in np.argsort(-ratio)
+        if believed[c] > enough[c]
+    ]
+
+
+def contradicted(judged: Judged, model: Model) -> list[Left]:
+    """The same of the recording itself where another one has judged: what explained it may not have held there."""
+    if judged.name != ELSEWHERE:
+        return []
+    bench = model.bench
+    free = bench.train & ~touched(model)
+    after = np.mean(model.rest()[free if free.any() else bench.train] ** 2, axis=0)
+    here = replace(judged, after=after, floor=bench.noise.sigma**2, untouched=None)
+    return [replace(one, kind=NOTHING_ELSEWHERE) for one in beyond(here, model)]
+
+
+FAR_OFF = 8.0
+"""Robust standard deviations by which a sample stands far off."""
+FEW = 0.05
+"""Share of the samples that few are at most."""
+
+
+def outlying(model: Model) -> list[Left]:
+    """Channels in which few samples hold most of what is left where nothing was found: knocks pass for loud noise.
+
+    z is the mean square over that of a usual sample. Of noise with heavy tails (Student's t of three degrees of freedom) samples
+    so far off hold a quarter.
+    """
+    out, none = [], np.zeros((len(model.bench.rows), 0))
+    rest = model.rest()[~model.bench.dropped]
+    away = np.abs(rest - np.median(rest, axis=0))
+    usual = 1.4826 * np.median(away, axis=0)
+    for c in np.flatnonzero(usual > 0.0).tolist():
+        far, square = away[:, c] > FAR_OFF * usual[c], away[:, c] ** 2
+        share = float(np.sum(square[far]) / np.sum(square))
+        if share > 0.5 and np.mean(far) < FEW:
+            ratio = float(np.mean(square) / usual[c] ** 2)
+            out.append(Left(c, FEW_SAMPLES, ratio, share, float(np.sqrt(np.mean(square))), none))
+    return sorted(out, key=lambda one: -one.z)
+
+
+LEAST_LEFT = 0.005
+"""Share of what is left, whitened, that structure must make up: a fourteenth of the noise's size is no matter."""
+LARGE = 0.1
+"""Mean square over the noise's from which it does matter, however little of it the weights of slow noise show."""
+
+
+def strong(left: list[Left], judged: Judged, bench: Bench) -> list[Left]:
+    """Leftovers that are worth saying: above chance, and not a trifle beside what was found or the noise."""
+    out = []
+    for one in left:
+        size = one.size**2
+        before = float(judged.before[one.channel] - bench.noise.sigma[one.channel] ** 2)
+        rounding = _followed(float(bench.steps[one.channel]), float(bench.noise.sigma[one.channel]))
+        matters = one.share >= LEAST_LEFT or size > LARGE * bench.noise.sigma[one.channel] ** 2
+        if matters and size > max(0.03 * bench.noise.sigma[one.channel] ** 2, rounding) and size > 0.03 * before:
+            out.append(one)
+    return out
+
+
+FOLLOWED = 0.2
+"""Share of the rounding's variance that smooth functions of a signal can follow where no noise blurs it."""
+
+
+def _followed(step: float, sigma: float) -> float:
+    """Variance of the part of a rounded reading's error that follows its signal, which is no physics.
+
+    Noise of s before the rounding blurs it to step^2 / (2 pi^2) sum_k exp(-(2 pi k s / step)^2) / k^2 (Widrow and Kollar,
+    Quantization Noise, 2008, ch. 6: the characteristic function at multiples of 2 pi / step).
+    """
+    if step <= 0.0:
+        return 0.0
+    k = np.arange(1, 6)
+    own = max(sigma**2 - step**2 / 12.0, 0.0) / step**2
+    blurred = step**2 / (2.0 * np.pi**2) * np.sum(np.exp(-((2.0 * np.pi * k) ** 2) * own) / k**2)
+    return float(min(FOLLOWED * step**2 / 12.0, blurred))
+
+
+def verdict_of(findings: list[Finding], rest: list[Left], premise: Premise) -> Verdict:
+    """The word for what was found and what is left."""
+    named = [f for f in findings if f.effect != "unknown"]
+    if premise.wrong:
+        return "unexplained"
+    if not named:
+        return "unexplained" if rest else "agrees"
+    return "partly_explained" if rest else "explained"

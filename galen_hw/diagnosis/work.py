@@ -1,0 +1,22 @@
+"""Everything a diagnosis went through, for reports and tests."""
+
+from dataclasses import dataclass
+
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.lack_of_fit import structure_test
+from galen_hw.diagnosis.result import Diagnosis
+from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.validation.judgement import Judged
+
+
+@dataclass
+class Work:
+    """What the diagnosis went through, for reports and tests; `left`: what was worth saying of what is left."""
+
+    bench: Bench
+    selection: Selection
+    model: Model
+    judged: Judged
+    left: list[structure_test.Left]
+    diagnosis: Diagnosis

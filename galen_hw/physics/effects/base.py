@@ -1,0 +1,399 @@
+"""What an effect is: a named piece of physics, its linear parameters, and the few nonlinear ones that are searched."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.spatial import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A linear parameter: its null value is 0, where the effect vanishes exactly.
+
+    Args:
+        name: as it stands in findings and files.
+        unit: SI, as text.
+        low, high: physical bounds.
+        expected: what it must be if the physics is what it is called (the share of a plain play is 1).
+        furthest: size beyond which no machine is so wrong, whatever the data say: noise of the joints is made large by it.
+    """
+
+    name: str
+    unit: str
+    low: float = -np.inf
+    high: float = np.inf
+    expected: float | None = None
+    furthest: float = np.inf
+
+    def plausible(self, value: float, std: float) -> bool:
+        """Within the bounds and, where one value is expected, near it: two fifths or three standard deviations."""
+        return self.low - 3.0 * std <= value <= self.high + 3.0 * std and self.near(value, std)
+
+    def near(self, value: float, std: float) -> bool:
+        """Near the one value that is expected, if any: two fifths or three standard deviations; and no size beyond belief."""
+        if abs(value) > self.furthest:
+            return False
+        return self.expected is None or abs(value - self.expected) <= max(0.4, min(3.0 * std, 0.9))
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """A nonlinear parameter (a field of the effect) with its unit and bounds; searched on a logarithmic scale."""
+
+    low: float
+    high: float
+    unit: str
+
+
+DOUBT: Final = 2.2
+"""`Effect.doubt` where the proposals stand on a grid of octaves or so."""
+
+
+LOADS: Final = ("wrench", "effort")
+"""Groups whose channels are loads."""
+
+
+SAMPLED: Final = 97
+"""So many rows are looked at before a column is searched for a value: nearly all columns are full."""
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Regressors (N, len(channels), k) that live in some channels only."""
+
+    channels: tuple[int, ...]
+    values: Array
+
+    @property
+    def count(self) -> int:
+        """Number of linear parameters."""
+        return int(self.values.shape[2])
+
+    def live(self) -> NDArray[np.bool_]:
+        """(len(channels), k) where a column is not zero throughout: parameters of their own in each channel leave most empty."""
+        out = np.asarray(self.values[:: max(1, len(self.values) // SAMPLED)].any(axis=0))
+        for i, k in np.argwhere(~out):
+            out[i, k] = self.values[:, i, k].any()
+        return out
+
+    def full(self, width: int) -> Array:
+        """(N, width, k) with zeros in the other channels."""
+        out = np.zeros((self.values.shape[0], width, self.count))
+        out[:, list(self.channels)] = self.values
+        return out
+
+
+class Effect(ABC):
+    """One hypothesis of one kind: a frozen dataclass whose fields say where it acts and hold what is searched.
+
+    The predicted change of the compared channels is `columns(scene) @ theta`, zero for theta = 0. Where physics is
+    nonlinear in theta, `exact` gives the change itself and `columns` its slope at zero.
+    """
+
+    KEY: ClassVar[str] = ""
+    SEARCHED: ClassVar[Mapping[str, Searched]] = {}
+    NEEDS_CLOCK: ClassVar[bool] = False
+    DOWNSTREAM: ClassVar[bool] = False
+    """It acts on what a stream delivers, after everything else, see `Downstream`."""
+    BEHIND: ClassVar[tuple[str, ...]] = ()
+    """Of downstream effects: keys of others through which its own change arrives; all others stand beside it."""
+    EPISODIC: ClassVar[bool] = False
+    """Its parameters belong to moments of one recording and do not carry over to another."""
+    THROUGHOUT: ClassVar[bool] = False
+    """Of episodic effects: it is there all through its recording."""
+    BRIEF: ClassVar[bool] = False
+    """It acts in few rows only, which may all lie in one block."""
+    ROUGH: ClassVar[bool] = False
+    """A law of matter, or a shape: an idea of what happens, never the whole of it. Geometry and weight are no ideas."""
+    NULL: ClassVar[Mapping[str, float]] = {}
+
+    @classmethod
+    def lasting(cls) -> bool:
+        """Whether it acts all along, and in another recording as in this one."""
+        return not (cls.EPISODIC or cls.BRIEF)
+
+    @classmethod
+    @abstractmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Hypotheses that this scene allows, one for every place and every value of the grid."""
+
+    @classmethod
+    def ahead(cls, scene: Scene, effects: Sequence[Self]) -> None:
+        """Keeps in the scene what many of one kind do more quickly together than one by one, before their columns are asked."""
+        del scene, effects
+
+    @abstractmethod
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """The linear parameters, in the order of the columns."""
+
+    @abstractmethod
+    def columns(self, scene: Scene) -> Columns:
+        """The slope of the compared channels by the linear parameters at zero."""
+
+    def averaged(self, scene: Scene, average: Callable[[Array], Array]) -> Columns:
+        """The columns with their rows averaged, (N, ...) to (M, ...): an effect may know a cheaper way than by all of them."""
+        columns = self.columns(scene)
+        return Columns(columns.channels, average(columns.values))
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """(N, C) change for parameters theta (k,); None where `columns @ theta` is exact."""
+        return None
+
+    def bends(self, scene: Scene, theta: Array) -> bool:
+        """Whether `exact` gives a change: an effect may know without computing it."""
+        return self.exact(scene, theta) is not None
+
+    def change(self, scene: Scene, theta: Array) -> Array:
+        """(N, C) change for parameters theta (k,)."""
+        exact = self.exact(scene, np.asarray(theta, dtype=float))
+        if exact is not None:
+            return exact
+        columns = self.columns(scene)
+        out = np.zeros((len(scene), len(scene.channels)))
+        out[:, list(columns.channels)] = columns.values @ np.asarray(theta, dtype=float)
+        return out
+
+    def strides(self, scene: Scene, theta: Array) -> Array:
+        """(k,) steps of its parameters by which `exact` is differentiated around theta (k,)."""
+        return np.full(len(theta), 1e-4 * max(float(np.max(np.abs(theta))), 1e-6))
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints it sits in."""
+        joint = getattr(self, "joint", "")
+        return (joint,) if joint else ()
+
+    @property
+    def freedom(self) -> int | None:
+        """Physical parameters where the columns are a relaxation with more; None: as many as columns."""
+        return None
+
+    @property
+    def loose(self) -> bool:
+        """Whether it stands for physics with fewer parameters that is sought from it; where none is found it owes all of them."""
+        return False
+
+    def pinned(self, scene: Scene) -> Array | None:
+        """(k,) the one value that its linear parameters can have, nan for one that is free; None where all are."""
+        if self.freedom != 0:
+            return None
+        return np.array([p.expected for p in self.parameters(scene)], dtype=float)
+
+    @property
+    def held(self) -> Array | None:
+        """(k,) values that its linear parameters have in a model, whatever the data say; None: they are fitted."""
+        return None
+
+    @property
+    def family(self) -> tuple[Any, ...]:
+        """What it is apart from the searched values: the same hypothesis at another point of the grid."""
+        return (self.KEY, *((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in self.SEARCHED))  # type: ignore[arg-type]
+
+    def searched(self) -> dict[str, float]:
+        """Values of the searched parameters that are in use."""
+        return {name: getattr(self, name) for name in self.SEARCHED if getattr(self, name) is not None}
+
+    def searched_unit(self, name: str) -> str:
+        """Unit of a searched parameter, "rad or m" and its like where the joint says which."""
+        return self.SEARCHED[name].unit
+
+    def with_searched(self, values: Mapping[str, float]) -> Self:
+        """Another point of the search."""
+        return replace(self, **values)  # type: ignore[type-var]
+
+    def doubt(self, scene: Scene) -> float:
+        """Factor, above 1, within which the optimum of a searched value is to be sought around a proposed one."""
+        return DOUBT
+
+    @property
+    def contains(self) -> tuple[str, ...]:
+        """Keys of the ends of a stream that are part of what it describes: its change does not go through them again."""
+        return ()
+
+    def reads(self, scene: Scene) -> bool:
+        """Whether it acts on a load as it is read, whatever makes it up: the changes of other effects too."""
+        return False
+
+    def body(self, scene: Scene, theta: Array) -> Array | None:
+        """(10,) inertial parameters that it hangs on the sensor, in the order of `Scene.body_port`; None: no body."""
+        return None
+
+    def stands(self, scene: Scene, theta: Array) -> Scene | None:
+        """The scene of a machine that stands as it says, which other errors of geometry meet; None: they do not."""
+        return None
+
+    def at_work(self, scene: Scene) -> bool:
+        """Whether it does, in this recording, what it is named for: friction that never breaks loose is a lag by another name."""
+        return True
+
+    def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
+        """Whether something real can have parameters (k,), or others within three standard errors `spread` (k,) of them."""
+        return True
+
+    @property
+    def remark(self) -> str:
+        """A sentence on where it sits that the answer adds; empty where there is nothing to add."""
+        return ""
+
+    @property
+    def relaxed(self) -> Self:
+        """The same with more parameters than its physics has, so that it is linear in them."""
+        return self
+
+    @property
+    def curved(self) -> bool:
+        """Whether its slope at nothing says little of what it does elsewhere: it is settled step by damped step."""
+        return False
+
+    @property
+    def stripped(self) -> Self:
+        """The same without what a richer form of it adds."""
+        return self
+
+    @property
+    def bound(self) -> bool:
+        """Whether a law between its parameters holds, as placed by `told_by`."""
+        return False
+
+    def told_by(self, theta: Array) -> Self | None:
+        """The same, bound by a law between its parameters that these (k,) can place; None without one."""
+        return None
+
+    def richer(self, scene: Scene) -> Iterator[Self]:
+        """The same with something more that is searched: asked only of an effect that is in the model as it is."""
+        yield from ()
+
+    def otherwise(self) -> Self | None:
+        """The same physics counted from another zero, where other effects may make up for the difference; None: there is none."""
+        return None
+
+    def unlimited(self) -> Self:
+        """The same without what keeps a search away from its look-alikes: what it may be, not what it would be called."""
+        return self
+
+    def to_term(self, scene: Scene, theta: Array) -> dict[str, Any]:
+        """The effect with its parameters as a term of a tool's file: fields and linear parameters by name, SI units."""
+        values: dict[str, Any] = {"group": scene.observations.predict}
+        for f in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, f.name)
+            if value is not None and value not in ("", np.inf):
+                values[f.name] = _flat(value)
+        named = zip(self.parameters(scene), np.asarray(theta, dtype=float), strict=True)
+        return {"effect": self.KEY, "parameters": values | {p.name: float(v) for p, v in named}}
+
+    @classmethod
+    def from_term(cls, parameters: Mapping[str, Any]) -> Self:
+        """The effect of a term's parameters; the linear ones are asked for by `theta_of`."""
+        form = {}
+        for f in fields(cls):  # type: ignore[arg-type]
+            if f.name in parameters:
+                value = parameters[f.name]
+                separate = isinstance(value, str) and str(f.type).startswith("tuple[str")
+                form[f.name] = tuple(value.split(" ")) if separate else _paired(value, str(f.type))
+        return cls(**form)
+
+    @classmethod
+    def from_form(cls, form: Mapping[str, Any]) -> Self:
+        """The effect of its own fields; lists become tuples again."""
+        return cls(**{k: _frozen(v) for k, v in form.items()})
+
+    def theta_of(self, scene: Scene, parameters: Mapping[str, Any]) -> Array:
+        """(k,) linear parameters of a term, in the order of the columns.
+
+        Raises:
+            KeyError: one is missing.
+        """
+        return np.array([float(parameters[p.name]) for p in self.parameters(scene)])
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(_frozen(v) for v in value) if isinstance(value, list) else value
+
+
+def _flat(value: Any) -> Any:
+    """Strings of a tuple joined by blanks, pairs of numbers laid flat: what a tool's file can hold."""
+    if isinstance(value, tuple) and value and isinstance(value[0], str):
+        return " ".join(value)
+    if isinstance(value, tuple) and value and isinstance(value[0], tuple):
+        return tuple(float(x) for pair in value for x in pair)
+    return value
+
+
+def _paired(value: Any, kind: str) -> Any:
+    if isinstance(value, (list, tuple)):
+        numbers = tuple(value)
+        return tuple(zip(numbers[::2], numbers[1::2], strict=True)) if kind.startswith("tuple[tuple") else numbers
+    return value
+
+
+class Downstream(Effect):
+    """An effect on everything that a stream delivers, other effects' changes included: a late clock, a reading that clips."""
+
+    DOWNSTREAM = True
+
+    @abstractmethod
+    def delivered(self, scene: Scene, columns: Columns, theta: Array) -> Columns:
+        """What another effect does (`columns`), as it arrives behind this one with its parameters theta."""
+
+
+def in_channel(channel: int, columns: Iterable[Array]) -> Columns:
+    """Columns (N,) of one channel."""
+    return Columns((channel,), _abreast(columns)[:, None, :])
+
+
+def _abreast(columns: Iterable[Array]) -> Array:
+    """(N, n) columns (N,) side by side; a single one is not copied, for nobody writes to it."""
+    each = list(columns)
+    return each[0][:, None] if len(each) == 1 and each[0].flags.c_contiguous else np.stack(each, axis=-1)
+
+
+def in_each(places: tuple[int, ...], shapes: Array) -> Columns:
+    """Columns (N, c, c n): the same shapes (N, n) in c channels, each with coefficients of its own, channel by channel."""
+    count = shapes.shape[1]
+    # Column by column in memory: most stay empty, and are never touched.
+    values = np.zeros((len(places), count * len(places), len(shapes)))
+    for i in range(len(places)):
+        values[i, i * count : (i + 1) * count] = shapes.T
+    return Columns(places, values.transpose(2, 0, 1))
+
+
+def in_all(columns: Iterable[Array], width: int) -> Columns:
+    """Columns (N, C) of all channels; those in which all are zero are left out, where any is not."""
+    values = np.stack(list(columns), axis=-1)
+    live = np.flatnonzero(values.any(axis=(0, 2)))
+    if 0 < len(live) < width:
+        return Columns(tuple(live.tolist()), values[:, live])
+    return Columns(tuple(range(width)), values)
+
+
+def through(scene: Scene, joint: str, signals: Iterable[Array]) -> Columns:
+    """Columns of what errors (N,) of a joint's position do, in the channels in which they show; there must be a port."""
+    return Columns(scene.reached(joint), scene.reaching(joint)[:, :, None] * _abreast(signals)[:, None, :])
+
+
+def unit_of(scene: Scene, channel: str) -> str:
+    """Unit of a channel by name."""
+    return scene.units[scene.channels.index(channel)]
+
+
+def log_grid(low: float, high: float, count: int) -> tuple[float, ...]:
+    """Points of equal ratio; empty where the range is."""
+    return tuple(np.geomspace(low, high, count).tolist()) if high > low > 0.0 else ()
+
+
+def spacing(scene: Scene) -> float:
+    """Median step of the clock, s."""
+    steps = np.diff(scene.time)
+    steps = steps[steps > 0]
+    return float(np.median(steps)) if len(steps) else 1.0
+
+
+def duration(scene: Scene) -> float:
+    """From first to last row, s."""
+    return float(scene.time[-1] - scene.time[0]) if len(scene) else 0.0

@@ -1,0 +1,211 @@
+"""Effects that belong to moments: steps, contacts, oscillations, glitches. Where they sit is sought in the residual."""
+
+import itertools
+from abc import abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from galen_hw.physics.effects.base import Columns, Effect, Parameter, Searched, in_each, unit_of
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.physics.scenes.sensitivity import Carried
+from galen_hw.spatial import Array
+
+
+class _Sought(Effect):
+    """Nothing on a fixed grid: `galen_hw.diagnosis.detection.spectral_lines` looks into the residual."""
+
+    EPISODIC = True
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Nothing."""
+        del scene
+        return iter(())
+
+
+class _Shaped(_Sought):
+    """The same shapes in time in every channel it names, each with a coefficient of its own."""
+
+    channels: tuple[str, ...]
+
+    @abstractmethod
+    def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
+        """(M, n) with their rows averaged, (N, ...) to (M, ...)."""
+
+    def columns(self, scene: Scene) -> Columns:
+        """Every shape in every channel, channel by channel."""
+        return self.averaged(scene, np.asarray)
+
+    def averaged(self, scene: Scene, average: Callable[[Array], Array]) -> Columns:
+        """Shapes are averaged before they are spread over the channels, where most of the columns are zero."""
+        places = tuple(scene.channels.index(name) for name in self.channels)
+        return in_each(places, self.shapes(scene, average))
+
+
+@dataclass(frozen=True)
+class Step(_Shaped):
+    """The offset jumps at a moment: r = a for t >= t0. A bump, a re-zeroing, a moved marker.
+
+    `carried` names what has slipped on the arm (a target, the tool): its jump has the body's axes, and turns with the arm.
+    `later` holds the moments of further jumps in the same channels, to be asked together: of three none may pay alone.
+    Visible with rest on both sides. Confused with drift (smooth) and contact (which ends).
+    """
+
+    KEY = "step"
+    channels: tuple[str, ...]
+    moment: float
+    carried: str = ""
+    later: tuple[float, ...] = ()
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """The jump of every channel, or shifts and turns of what has slipped."""
+        if self.carried:
+            return tuple(Parameter(f"jump_{self.carried}_{move}", unit) for move, unit in self._slipped(scene).moves)
+        each = ("jump", *(f"jump{k}" for k in range(2, 2 + len(self.later))))
+        return tuple(Parameter(f"{jump}_{name}", unit_of(scene, name)) for name in self.channels for jump in each)
+
+    @property
+    def single(self) -> tuple[Self, ...]:
+        """Each jump by itself."""
+        return tuple(replace(self, moment=t, later=()) for t in (self.moment, *self.later))
+
+    def _slipped(self, scene: Scene) -> Carried:
+        return next(one for one in scene.slipping() if one.name == self.carried)
+
+    def averaged(self, scene: Scene, average: Callable[[Array], Array]) -> Columns:
+        """As of all that has a shape, or what the slip does in every pose after it."""
+        if not self.carried:
+            return super().averaged(scene, average)
+        slipped = self._slipped(scene)
+        return Columns(slipped.channels, average(slipped.values * (scene.time >= self.moment)[:, None, None]))
+
+    def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
+        """One after each moment."""
+        after = scene.time[:, None] >= np.array([self.moment, *self.later])
+        return average(scene.seen(after.astype(float)))
+
+
+@dataclass(frozen=True)
+class Contact(_Shaped):
+    """An outside force during episodes (start, end) in s: in each, a level and a bow in every channel named.
+
+    A hand that swells, turns and lets go needs more than that: `waves` half waves of the episode, the bow being the first.
+    Visible as a residual that comes and goes. Confused with glitches (a few samples), step (which stays) and payload.
+    """
+
+    KEY = "contact"
+    ROUGH = True
+    channels: tuple[str, ...]
+    episodes: tuple[tuple[float, float], ...]
+    waves: int = 1
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Level, bow and further half waves per channel and episode."""
+        return tuple(
+            Parameter(f"{what}_{k + 1}_{name}", unit_of(scene, name))
+            for name in self.channels
+            for k in range(len(self.episodes))
+            for what in ("level", "bow", *(f"wave{i}" for i in range(2, self.waves + 1)))
+        )
+
+    def parted(self, count: int) -> Self:
+        """The same touches, each in so many parts of equal length."""
+        edges = [np.linspace(start, end, count + 1).tolist() for start, end in self.episodes]
+        return replace(self, episodes=tuple(part for edge in edges for part in itertools.pairwise(edge)))
+
+    def edges(self, width: float) -> Self:
+        """What may happen within so many seconds of where they begin and end."""
+        around = tuple((t - width, t + width) for episode in self.episodes for t in episode)
+        return replace(self, episodes=around, waves=1)
+
+    def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
+        """Box and half sines of every episode."""
+        out = []
+        for start, end in self.episodes:
+            inside = ((scene.time >= start) & (scene.time <= end)).astype(float)
+            phase = np.pi * (scene.time - start) / max(end - start, 1e-9)
+            out += [inside, *(inside * np.sin(i * phase) for i in range(1, self.waves + 1))]
+        return average(np.stack(out, axis=-1))
+
+
+@dataclass(frozen=True)
+class Vibration(_Shaped):
+    """Narrow-band oscillation: r = a sin(2 pi f t) + b cos(2 pi f t). Structure, mains, motor.
+
+    A hum is no clock: with `wander`, a and b are each a constant and so many half cosines over the recording, so that phase
+    and strength may go slowly to and fro. Visible as a line in the spectrum. Confused with torque_ripple at constant speed; an
+    oscillation that motion excites and that dies away is not it.
+    """
+
+    KEY = "vibration"
+    THROUGHOUT = True
+    ROUGH = True
+    SEARCHED: ClassVar = {"frequency": Searched(1e-2, 1e5, "Hz")}
+    NEEDS_CLOCK = True
+    channels: tuple[str, ...]
+    frequency: float
+    wander: int = 0
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Sine and cosine of every channel, and each again with every slow change."""
+        waves = [f"{w}{f'_{k}' if k else ''}" for k in range(self.wander + 1) for w in ("sine", "cosine")]
+        return tuple(Parameter(f"{w}_{name}", unit_of(scene, name)) for name in self.channels for w in waves)
+
+    def doubt(self, scene: Scene) -> float:
+        """A line is as narrow as the recording is long; one line beside it the fit has the next hump."""
+        return 1.0 + 1.0 / (float(np.ptp(scene.time)) * self.frequency)
+
+    def breadth(self, scene: Scene) -> float:
+        """Hz to either side that belong to it: what its slow changes reach, and one line of the spectrum more."""
+        return (0.5 * self.wander + 1.0) / max(float(np.ptp((scene.whole or scene).time)), 1e-9)
+
+    def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
+        """Sine and cosine of the clock, growing and fading slowly.
+
+        Waves and their slow changes are averaged apart: over neighbouring rows a slow change is a constant.
+        """
+        phase, whole = 2.0 * np.pi * self.frequency * scene.time, scene.whole or scene
+        waves = average(scene.seen(np.stack([np.sin(phase), np.cos(phase)], axis=-1)))
+        since, span = average(scene.time) - whole.time[0], max(float(np.ptp(whole.time)), 1e-9)
+        slow = [np.cos(np.pi * k * since / span) for k in range(self.wander + 1)]
+        return np.concatenate([s[:, None] * waves for s in slow], axis=1)
+
+
+@dataclass(frozen=True)
+class Glitches(_Sought):
+    """Isolated outliers, drop-outs and repeated samples: rows that are left out rather than modelled.
+
+    Visible as single rows far off. Confused with contact (longer).
+    """
+
+    KEY = "glitches"
+    channels: tuple[str, ...]
+    rows: tuple[int, ...] = ()
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """None: the rows are left out."""
+        return ()
+
+    def columns(self, scene: Scene) -> Columns:
+        """None."""
+        places = tuple(scene.channels.index(name) for name in self.channels)
+        return Columns(places, np.zeros((len(scene), len(places), 0)))
+
+
+@dataclass(frozen=True)
+class Unknown(_Sought):
+    """Structure that nothing named explains: no physics, hence no model here, and nothing that the live services could use."""
+
+    KEY = "unknown"
+    channels: tuple[str, ...] = ()
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """None."""
+        return ()
+
+    def columns(self, scene: Scene) -> Columns:
+        """None."""
+        return Columns((0,), np.zeros((len(scene), 1, 0)))

@@ -1,0 +1,259 @@
+"""Effects of geometry: joint zeros and scales, links and axes, the sensor's seat."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from galen_hw.physics.channels import joint_unit
+from galen_hw.physics.effects.base import Columns, Effect, Parameter, in_all
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.physics.scenes.pose import ArmScene
+from galen_hw.physics.scenes.screws import axis_moves, joint_screws
+from galen_hw.physics.scenes.wrench import WrenchScene
+from galen_hw.spatial import Array, rotation_exp
+
+FURTHEST = {"m": 0.05, "rad": 0.5}
+"""An arm that is built so wrong is another arm."""
+
+
+@dataclass(frozen=True)
+class JointOffset(Effect):
+    """A joint's zero is off: q' = q + d.
+
+    Visible where the channels answer differently in different poses. Confused with bias (position), base_tilt (a first
+    joint with a level axis), sensor_mounting (the last joint).
+    """
+
+    KEY = "joint_offset"
+    joint: str
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Every joint with an answer; in positions the constant of that joint, unless offsets are free."""
+        if scene.observations.predict == "position" and scene.belief.bias_free:
+            return
+        yield from (cls(joint) for joint in scene.joint_names if answers(scene, joint))
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Error of the zero."""
+        return (Parameter("offset", joint_unit(self.joint)),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Slope of the misread arm, else the joint's port."""
+        slope = _slope(lambda x: self._misread(scene, x))
+        port = slope if slope is not None else _less_zero(scene, lambda at: at.joint_port(self.joint))
+        assert port is not None, "proposed only where there is a port"
+        return in_all([port], len(scene.channels))
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """The misread arm itself, or the turned one, where its screws are known."""
+        misread = self._misread(scene, float(theta[0]))
+        if misread is not None:
+            return misread
+        return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * np.ones(len(at))))
+
+    def stands(self, scene: Scene, theta: Array) -> Scene | None:
+        """With the joint where it really is."""
+        return scene.standing_at(self.joint, offset=float(theta[0]))
+
+    def _misread(self, scene: Scene, offset: float) -> Array | None:
+        return _less_zero(scene, lambda at: at.misread(self.joint, offset=offset))
+
+
+@dataclass(frozen=True)
+class JointScale(Effect):
+    """A joint's scale (gear, encoder) is off: q' = (1 + k) q.
+
+    Visible over a wide range of the joint. Confused with joint_offset over a narrow one, with gain.
+    """
+
+    KEY = "joint_scale"
+    joint: str
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Every joint that moves and shows."""
+        yield from (cls(joint) for joint in scene.moved if answers(scene, joint))
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Relative error of the scale."""
+        return (Parameter("scale_error", "1"),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Slope of the misread arm, else the joint's port times its position."""
+        slope = _slope(lambda x: self._misread(scene, x))
+        stretched = slope if slope is not None else _less_zero(scene, self._stretched)
+        assert stretched is not None, "proposed only where there is a port"
+        return in_all([stretched], len(scene.channels))
+
+    def _stretched(self, scene: Scene) -> Array | None:
+        port = scene.joint_port(self.joint)
+        return None if port is None else port * scene.q[:, [scene.joint_index(self.joint)]]
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """The misread arm itself, or the turned one, where its screws are known."""
+        misread = self._misread(scene, float(theta[0]))
+        if misread is not None:
+            return misread
+        return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * at.q[:, at.joint_index(self.joint)]))
+
+    def stands(self, scene: Scene, theta: Array) -> Scene | None:
+        """With the joint where it really is."""
+        return scene.standing_at(self.joint, scale=float(theta[0]))
+
+    def _misread(self, scene: Scene, scale: float) -> Array | None:
+        return _less_zero(scene, lambda at: at.misread(self.joint, scale=scale))
+
+
+@dataclass(frozen=True)
+class LinkGeometry(Effect):
+    """A link's length is off, or an axis is not where or how the model says: screws that move all beyond the joint.
+
+    `errors` are the ports' names: `axis_tilt` and `axis_shift` move the axis and leave the zero pose, `frame_tilt` and
+    `frame_shift` move everything beyond it, `rod_length` and `radius` belong to the delta. Visible over a wide range of the
+    joints. A frame_tilt is confused with base_tilt before the first joint and sensor_mounting behind the last one.
+    """
+
+    KEY = "link_geometry"
+    joint: str
+    errors: tuple[str, ...]
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Every single error, and both tilts or shifts of one axis together."""
+        by_joint: dict[str, list[str]] = {}
+        for port in scene.geometry_ports():
+            if np.any(np.abs(port.values) > 1e-12):
+                by_joint.setdefault(port.joint, []).append(port.name)
+        for joint, names in by_joint.items():
+            yield from (cls(joint, (name,)) for name in names)
+            for kind in ("axis_tilt", "frame_tilt", "axis_shift", "frame_shift"):
+                pair = tuple(name for name in names if name.startswith(kind))
+                if len(pair) > 1:
+                    yield cls(joint, pair)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Angles and lengths."""
+        units = {port.name: port.unit for port in scene.geometry_ports() if port.joint == self.joint}
+        unit = {name: units.get(name, "m") for name in self.errors}
+        return tuple(Parameter(name, u, furthest=FURTHEST[u]) for name, u in unit.items())
+
+    def columns(self, scene: Scene) -> Columns:
+        """The geometry's ports, and what the arm's motion adds."""
+        ports = {port.name: port.values for port in scene.geometry_ports() if port.joint == self.joint}
+        if scene.zeroing is not None:
+            zero = {port.name: port.values for port in scene.zeroing.geometry_ports() if port.joint == self.joint}
+            ports = {name: values - zero[name] for name, values in ports.items()}
+        moving = [scene.swept_port(self.joint, name) for name in self.errors]
+        found = [ports[name] + (0.0 if more is None else more) for name, more in zip(self.errors, moving, strict=True)]
+        return in_all(found, len(scene.channels))
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """The product of the exponentials; what the arm's motion adds to the first order."""
+        amounts = dict(zip(self.errors, theta.tolist(), strict=True))
+        out = _less_zero(scene, lambda at: at.screw_port(axis_moves(at, self.joint, amounts)))
+        for name, amount in amounts.items():
+            moving = scene.swept_port(self.joint, name)
+            out = out if out is None or moving is None else out + amount * moving
+        return out
+
+
+@dataclass(frozen=True)
+class SensorMounting(Effect):
+    """The sensor is turned or shifted on its flange: a constant screw behind the last joint, in sensor axes.
+
+    `turn`: the tool turns with it, tau = c x f as before. `turn_alone` (wrench): the tool stays as it was, and the whole reading
+    is turned, Q^T f and Q^T tau; to the first order the two differ by a moment of the tool's weight.
+
+    Visible when gravity (wrench) or the arm (pose) turns in the sensor. Easily confused: a turn about the last joint's axis is
+    that joint's offset; for a wrench a shift is a payload's moment, a turn is a skew cross_talk.
+    """
+
+    KEY = "sensor_mounting"
+    part: str = "turn"
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """A turn, of a wrench's sensor with its tool or alone, and a shift."""
+        if scene.screw_port([np.zeros((len(scene), 6))]) is None:
+            return
+        yield cls("turn")
+        if scene.observations.predict == "wrench":
+            yield cls("turn_alone")
+        if scene.observations.predict in ("pose", "wrench"):
+            yield cls("shift")
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """About or along the sensor's axes."""
+        unit, name = ("m", "shift") if self.part == "shift" else ("rad", "turn")
+        return tuple(Parameter(f"{name}_{letter}", unit, furthest=FURTHEST[unit]) for letter in "xyz")
+
+    def columns(self, scene: Scene) -> Columns:
+        """Slope of `exact`; a shifted wrench is linear."""
+        width = len(scene.channels)
+        if self.part == "shift" and scene.observations.predict == "wrench":
+            force = scene.simulated[:, :3]
+            moved = [np.cross(np.tile(unit, (len(scene), 1)), force) for unit in np.eye(3)]
+            return in_all([np.concatenate([np.zeros_like(m), m], axis=1) for m in moved], width)
+        step = 1e-6
+        ends = [[self._with_zero(scene, sign * step * unit) for unit in np.eye(3)] for sign in (1.0, -1.0)]
+        return in_all([(up - down) / (2.0 * step) for up, down in zip(*ends, strict=True)], width)
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """The turned or shifted sensor itself."""
+        linear = self.part == "shift" and scene.observations.predict == "wrench"
+        return None if linear else self._with_zero(scene, theta)
+
+    def _with_zero(self, scene: Scene, vector: Array) -> Array:
+        if self.part == "turn_alone":
+            read = scene.simulated.reshape(len(scene), 2, 3)
+            return np.asarray((read @ rotation_exp(vector) - read).reshape(len(scene), 6))
+        out = _less_zero(scene, lambda at: self._moved(at, vector))
+        assert out is not None, "proposed only where there is a port"
+        return out
+
+    def _moved(self, scene: Scene, vector: Array) -> Array:
+        if self.part == "turn" and isinstance(scene, WrenchScene):
+            return scene.reseated(vector)
+        T = scene.T_sensor if isinstance(scene, ArmScene) else scene.T  # type: ignore[attr-defined]
+        along = T[:, :3, :3] @ vector
+        if self.part == "shift":
+            screw = np.concatenate([along, np.zeros_like(along)], axis=1)
+        else:
+            screw = np.concatenate([np.cross(T[:, :3, 3], along), along], axis=1)
+        out = scene.screw_port([screw])
+        assert out is not None, "proposed only where there is a port"
+        return out
+
+
+def answers(scene: Scene, joint: str) -> bool:
+    """Whether any channel answers to the joint."""
+    port = scene.joint_port(joint)
+    return port is not None and bool(np.nanmax(np.abs(port), initial=0.0) > 1e-12)
+
+
+def _less_zero(scene: Scene, change: Callable[[Scene], Array | None]) -> Array | None:
+    """What a wrong arm changes, less what it has changed where the reading was set to zero."""
+    out = change(scene)
+    zero = None if out is None or scene.zeroing is None else change(scene.zeroing)
+    return out if out is None or zero is None else out - zero
+
+
+STRIDE = 1e-4
+"""rad, m or a share: a central difference over twice as much is exact to 1e-8."""
+
+
+def _slope(change: Callable[[float], Array | None]) -> Array | None:
+    """Central difference at nothing."""
+    up = change(STRIDE)
+    down = None if up is None else change(-STRIDE)
+    return None if up is None or down is None else (up - down) / (2.0 * STRIDE)
+
+
+def _by_screw(scene: Scene, joint: str, amount: Array) -> Array | None:
+    screws = joint_screws(scene, joint)
+    if screws is None:
+        return None
+    return scene.screw_port([screws * amount[:, None]])

@@ -1,0 +1,370 @@
+"""Effects with memory of load or motion: creep and hysteresis."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from galen_hw.physics.channels import joint_of
+from galen_hw.physics.effects.base import (
+    LOADS,
+    Columns,
+    Effect,
+    Parameter,
+    Searched,
+    duration,
+    in_all,
+    in_channel,
+    log_grid,
+    through,
+)
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.physics.scenes.initial_state import Lagging
+from galen_hw.spatial import Array
+
+SLOWER = 1.05
+"""Times its shortest constant from which creep is creep."""
+
+
+ALL = 0.8
+"""Share of a load from which what settles of it is all of it."""
+KELVIN = 7
+"""Elements by which a spectrum of constants is made up: over three decades two to a decade."""
+
+
+@dataclass(frozen=True)
+class Creep(Effect):
+    """Slow settling after a change of load.
+
+    T dz/dt = x - z; r = a z ("more" to come after the load, a Kelvin element in series with what the model has) or
+    r = a (z - x) ("less" at first, as relaxation is seen by a calibrated sensor).
+
+    x is a channel's simulated load (sensor), or the load of a joint (pose: the joint gives by a z), with `friction` F what the
+    bearing lets through of it, P_F[x]. Settled at the start, or `rested`: the load comes on with the first row. What settles
+    within a third of a second does not creep: that is a filter. With `spread` D it settles in no single time, as most matter
+    does: z is the mean over constants from T / D to T D, evenly in their logarithm (the box spectrum of Nowick and Berry,
+    Anelastic Relaxation, 1972, ch. 4, as `KELVIN` elements).
+    Visible in rests of a few T after a change of load. Confused with lag (short T), compliance or gain (T below the rests) and
+    drift.
+    """
+
+    KEY = "creep"
+    ROUGH = True
+    SEARCHED: ClassVar = {
+        "constant": Searched(0.3, 1e4, "s"),
+        "friction": Searched(1e-9, 1e6, "N m or N"),
+        "spread": Searched(1.2, 1e3, "1"),
+    }
+    NEEDS_CLOCK = True
+    constant: float
+    channel: str = ""
+    joint: str = ""
+    form: str = "more"
+    longest: float = np.inf
+    rested: bool = False
+    friction: float | None = None
+    spread: float | None = None
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Time constants from half a second to a third of the recording; rested too where there is a load at the start."""
+        longest = duration(scene) / 3.0
+        if not scene.clock or longest <= 0.6:
+            return
+        for constant in log_grid(0.5, longest, 7):
+            for form in ("more", "less"):
+                for channel, joint in _bearing(scene):
+                    yield cls(constant, channel, joint, form, longest)
+                    if scene.observations.predict != "position" and _begun(scene, channel, joint):
+                        yield cls(constant, channel, joint, form, longest, rested=True)
+
+    @property
+    def remark(self) -> str:
+        """Where it began."""
+        return "Its load came on as the recording began: nothing had settled." if self.rested else ""
+
+    def at_work(self, scene: Scene) -> bool:
+        """Whether it is slower than a filter: at the shortest constant it stands for something quicker."""
+        return self.constant > SLOWER * self.SEARCHED["constant"].low
+
+    def with_searched(self, values: Mapping[str, float]) -> Self:
+        """Another constant, not above the longest of which this recording sees enough to tell it from a give."""
+        constant = min(values.get("constant", self.constant), self.longest)
+        return replace(super().with_searched(values), constant=constant)
+
+    def richer(self, scene: Scene) -> Iterator[Self]:
+        """Many constants for one: over a decade, or over several."""
+        if self.spread is None:
+            yield from (replace(self, spread=ratio) for ratio in log_grid(3.0, 30.0, 3))
+
+    def otherwise(self) -> Self:
+        """What comes later or what is missing at first: a load that was read wrong all along makes one of the other."""
+        return replace(self, form="less" if self.form == "more" else "more")
+
+    def lags(self, scene: Scene) -> tuple[Lagging, ...]:
+        """What may still have been settling: its one time constant, and where there are many the shortest and the longest too."""
+        spread = (1.0,) if self.spread is None else (1.0 / self.spread, 1.0, self.spread)
+        places = () if self.joint else tuple(i for i, name in enumerate(scene.channels) if self.channel in ("", name))
+        return tuple(Lagging(places, self.constant * ratio, self.joint) for ratio in spread)
+
+    def unlimited(self) -> Self:
+        """Any constant: what never settles in this recording is a give to it, but it may be there."""
+        return replace(self, longest=np.inf)
+
+    def reads(self, scene: Scene) -> bool:
+        """Where it is the sensor's own."""
+        return not self.joint and scene.observations.predict in LOADS
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Settled share of the load, or give of the joint."""
+        if self.joint and scene.observations.predict != "position":
+            return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
+        # All of a load that is missing at first is behind a filter; more than the load does not come after it.
+        whole = self.form == "less" and not self.channel
+        return (Parameter("share", "1", furthest=ALL if whole else 1.0),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """The load's slow part through its port."""
+        if self.channel:
+            place = scene.channels.index(self.channel)
+            return in_channel(place, [self._slow(scene, scene.simulated[:, place])])
+        if not self.joint:
+            slow = self._settling(scene, scene.simulated)
+            return in_all([slow if self.form == "more" else slow - scene.simulated], len(scene.channels))
+        load = scene.load(self.joint)
+        if load is None or scene.observations.predict == "position":
+            load = scene.q[:, scene.joint_index(self.joint)]
+        if self.friction is not None:
+            load = let_through(scene, load, self.friction)
+        return through(scene, self.joint, [self._slow(scene, load)])
+
+    def _slow(self, scene: Scene, x: Array) -> Array:
+        slow = self._settling(scene, x[:, None])[:, 0]
+        return slow if self.form == "more" else slow - x
+
+    def _settling(self, scene: Scene, x: Array) -> Array:
+        """(N, m) what has settled of loads (N, m)."""
+        if self.spread is None:
+            return scene.lag("creep", x, self.constant, empty=self.rested)
+        each = self.constant * self.spread ** np.linspace(-1.0, 1.0, KELVIN)
+        slow = [scene.lag(("creep", k), x, T, empty=self.rested) for k, T in enumerate(each.tolist())]
+        return np.asarray(np.mean(slow, axis=0))
+
+
+def let_through(scene: Scene, load: Array, friction: float) -> Array:
+    """(N,) what a bearing with dry friction lets through of a load (N,), all in N or N m: a play of it as wide as that."""
+    return scene.play("bearing", load[:, None], friction)[:, 0]
+
+
+BEGUN = 0.1
+"""Times its spread that a load is at the start, from which it matters whether it has settled."""
+
+
+def _begun(scene: Scene, channel: str, joint: str) -> bool:
+    """Whether what bears has a load at the start."""
+    load = scene.load(joint) if joint else scene.simulated[:, scene.channels.index(channel) if channel else slice(None)]
+    return load is not None and bool(np.any(np.abs(load[0]) > BEGUN * np.nanstd(load, axis=0)))
+
+
+def _bearing(scene: Scene) -> Iterator[tuple[str, str]]:
+    """(channel, "") of what bears load itself, ("", "") for a sensor's body as a whole, or ("", joint)."""
+    if scene.observations.predict in ("pose", "targets"):
+        yield from (("", joint) for joint in scene.joint_names if scene.load(joint) is not None)
+    elif scene.observations.predict in ("wrench", "effort"):
+        spread = np.nanstd(scene.simulated, axis=0)
+        yield from ((name, "") for name, s in zip(scene.channels, spread, strict=True) if s > 0.0)
+        if scene.observations.predict == "wrench" and np.all(spread > 0.0):
+            yield "", ""
+    else:
+        yield from (("", joint_of(name)) for name in scene.channels)
+
+
+@dataclass(frozen=True)
+class Hysteresis(Effect):
+    """Rate-independent memory: Prandtl-Ishlinskii, r = sum_i a_i (P_{r_i}[x] - x), P_r the play operator of half width r.
+
+    With `form` "more" r = sum_i a_i P_{r_i}[x], of weights of one sign: what a load leaves comes on top of it, and is not what
+    is missing of it. A gain is the difference of the two.
+
+    x is the simulated channel (a sensor's load, a joint's position) or a joint's position or load; widths r_i are shares
+    `widths` of the amplitude `scale`. The same sum is a set of Maxwell slip elements. Without a `channel` it moves the arm
+    through the port of the joint that drives it: friction beside the joint's spring (of load), a gear's memory (of motion).
+
+    With `reach`: one element that sticks over +- reach and then slips, r = f e + g d(e), e = (x - P_reach[x]) / reach, with
+    play in series: d is a dead zone of +- `gap` (a share of the reach), scaled to 1 where it slips (Kuhnen 2003, modified
+    Prandtl-Ishlinskii). `linear` adds a spring and a damper, which stand for what a linear simulation made of the loop.
+
+    With `wear` the loop's slope wears off over the reach: Bouc-Wen in the place of plays, of which no sum turns round so.
+
+    Visible at reversals; confused with backlash (one width), Coulomb friction (very small widths), and creep.
+    """
+
+    KEY = "hysteresis"
+    ROUGH = True
+    SEARCHED: ClassVar = {
+        "reach": Searched(1e-7, 10.0, "rad or m"),
+        "gap": Searched(0.02, 0.95, "1"),
+        "wear": Searched(0.1, 1.0, "1"),
+    }
+    channel: str = ""
+    driver: str = ""
+    scale: float = 1.0
+    widths: tuple[float, ...] = (0.04, 0.12, 0.3, 0.6)
+    linear: bool = False
+    reach: float | None = None
+    gap: float | None = None
+    form: str = "less"
+    wear: float | None = None
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Of each channel's own simulated signal; of a joint's motion or load for what that joint carries."""
+        if scene.observations.predict in ("pose", "targets"):
+            yield from cls._through_joints(scene)
+            return
+        for name in scene.channels:
+            for driver in _drivers(scene, name):
+                scale = 0.5 * float(np.ptp(_signal(scene, driver)))
+                if scale > 0.0:
+                    yield cls(name, driver, scale)
+                    yield cls(name, driver, scale, (0.12,))
+                    if driver == name:
+                        yield cls(name, driver, scale, form="more")
+                        if scene.observations.predict in LOADS:
+                            # A loop of the joint that turns the load is so like it that it must not come first.
+                            yield from cls(name, driver, scale).richer(scene)
+                    if scene.observations.predict == "effort" and scene.belief.robot is None:
+                        yield cls(name, driver, scale, linear=True)
+                        yield from cls._slipping(name, driver, scale)
+
+    @classmethod
+    def of_load(cls, joint: str, widths: Iterable[float]) -> Self:
+        """Friction beside a port's spring: one Maxwell slip element a width (N or N m) on the port's load."""
+        return cls("", f"load:{joint}", 1.0, tuple(widths))
+
+    @classmethod
+    def _through_joints(cls, scene: Scene) -> Iterator[Self]:
+        """One sharp element of searched width, and a spectrum, of every joint's load and motion."""
+        for joint in scene.joint_names:
+            if scene.joint_port(joint) is None:
+                continue
+            drivers = [f"load:{joint}"] if scene.load(joint) is not None else []
+            drivers += [f"joint:{joint}"] if joint in scene.moved else []
+            for driver in drivers:
+                scale = 0.5 * float(np.ptp(_signal(scene, driver)))
+                if scale > 0.0:
+                    yield cls("", driver, scale)
+                    if driver.startswith("load:"):
+                        yield from (
+                            cls("", driver, scale, (), reach=r) for r in log_grid(0.01 * scale, 0.95 * scale, 7)
+                        )
+
+    @classmethod
+    def _slipping(cls, name: str, driver: str, scale: float) -> Iterator[Self]:
+        """One sticking and slipping element, without and with play in series."""
+        for reach in log_grid(0.03 * scale, 0.6 * scale, 5):
+            yield from (cls(name, driver, scale, (), linear=True, reach=reach, gap=gap) for gap in (None, 0.3, 0.6))
+
+    def searched_unit(self, name: str) -> str:
+        """What drives it is a motion or a load."""
+        if name == "reach" and not self.driver.startswith("joint"):
+            return "N m or N"
+        return super().searched_unit(name)
+
+    def rubs_in(self, joint: str) -> bool:
+        """Whether it is a joint's friction beside its spring."""
+        return not self.channel and self.wear is None and self.driver == f"load:{joint}"
+
+    def stuck_by(self, friction: float) -> Self:
+        """One sharp element of so much friction (N or N m) in its place."""
+        return replace(self, widths=(), reach=friction, gap=None, linear=False)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joint that drives it."""
+        own = joint_of(self.channel)
+        return (self.driver.split(":", 1)[1],) if ":" in self.driver else ((own,) if own else ())
+
+    def richer(self, scene: Scene) -> Iterator[Self]:
+        """A slope that wears off, which turns round otherwise than plays."""
+        if self.reach is None and self.form == "less" and len(self.widths) > 1:
+            for share in log_grid(0.03, 0.6, 4):
+                yield from (replace(self, reach=share * self.scale, wear=shape) for shape in (0.5, 1.0))
+
+    def otherwise(self) -> Self | None:
+        """What comes on top of a load or what is missing of it: a gain makes one of the other."""
+        if not self.channel or self.driver != self.channel or self.reach is not None or len(self.widths) == 1:
+            return None
+        return replace(self, form="less" if self.form == "more" else "more")
+
+    def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
+        """Plays that come on top do so with weights of one sign: else one of them is a gain, and the others are missing of it."""
+        if self.form == "less":
+            return True
+        sign = np.sign(np.sum(theta))
+        return bool(np.all(sign * theta + 3.0 * spread >= 0.0))
+
+    def reads(self, scene: Scene) -> bool:
+        """Where it is the sensor's own."""
+        return self.channel != "" and self.driver == self.channel and scene.observations.predict in LOADS
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Weights of the operators."""
+        own = scene.units[scene.channels.index(self.channel)] if self.channel else "rad or m"
+        if self.wear is not None:
+            return (Parameter("height", own),)
+        unit = "1" if self.driver == self.channel else f"{own}/unit"
+        slip = [] if self.reach is None else [Parameter("stick_force", own)]
+        slip += [] if self.gap is None else [Parameter("closed_gap_force", own)]
+        rates = [Parameter("stiffness", unit), Parameter("damping", f"{unit} s")] if self.linear else []
+        return (*(Parameter(f"weight_{r * self.scale:.4g}", unit) for r in self.widths), *slip, *rates)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Play, less its input or as it is, one column a width; or the one loop whose slope wears off."""
+        x = _signal(scene, self.driver)[:, None]
+        if self.wear is not None and self.reach is not None:
+            out = [scene.wear("wear", x[:, 0], self.reach, self.wear)]
+        else:
+            out = self._plays(scene, x)
+        if self.channel:
+            return in_channel(scene.channels.index(self.channel), out)
+        return through(scene, self.joints[0], out)
+
+    def _plays(self, scene: Scene, x: Array) -> list[Array]:
+        """Of what drives it (N, 1), and what else stands beside them."""
+        r = np.asarray(self.widths) * self.scale
+        wide = np.repeat(x, len(r), axis=1)
+        start = scene.resting(self.channel) if self.channel and self.driver == self.channel else None
+        play = scene.play("hysteresis", wide, r, None if start is None else np.repeat(start, len(r), axis=1))
+        out = list((play if self.form == "more" else play - wide).T)
+        if self.reach is not None:
+            out += self._slip(scene, x, self.reach)
+        if self.linear:
+            joint = scene.joint_index(self.driver.split(":", 1)[1])
+            out += [x[:, 0], scene.rates[0][:, joint]]
+        return out
+
+    def _slip(self, scene: Scene, x: Array, reach: float) -> list[Array]:
+        e = (x - scene.play("slip", x, reach))[:, 0] / reach
+        if self.gap is None:
+            return [e]
+        return [e, np.sign(e) * np.maximum(np.abs(e) - self.gap, 0.0) / (1.0 - self.gap)]
+
+
+def _drivers(scene: Scene, channel: str) -> list[str]:
+    group, place = scene.observations.predict, scene.channels.index(channel)
+    if group == "effort":
+        return [f"joint:{joint_of(channel)}"] if joint_of(channel) in scene.moved else []
+    own = [channel] if np.nanstd(scene.simulated[:, place]) > 0.0 else []
+    return own + ([f"joint:{j}" for j in scene.moved] if group == "wrench" else [])
+
+
+def _signal(scene: Scene, driver: str) -> Array:
+    kind, _, joint = driver.partition(":")
+    if kind == "joint":
+        return np.asarray(scene.q[:, scene.joint_index(joint)])
+    if kind == "load":
+        load = scene.load(joint)
+        return np.zeros(len(scene)) if load is None else load
+    return np.asarray(scene.simulated[:, scene.channels.index(driver)])

@@ -1,0 +1,229 @@
+"""Effects of bodies and gravity: a different load, a tilted base, forgotten inertia."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from galen_hw.physics.effects.base import Columns, Effect, Parameter, in_all
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.spatial import Array, rotation_exp
+
+MOMENTS = ("moment_x", "moment_y", "moment_z")
+INERTIA = ("inertia_xx", "inertia_xy", "inertia_yy", "inertia_xz", "inertia_yz", "inertia_zz")
+
+
+FARTHEST = 0.5
+"""m from the sensor to the middle of what a hand or a clip may have put on the tool."""
+
+
+@dataclass(frozen=True)
+class Payload(Effect):
+    """The carried body differs: mass dm, first moment d(m c) and inertia enter Newton and Euler linearly.
+
+    Source: Atkeson, An, Hollerbach 1986. `part`: "mass" (at the believed centre of mass), "body" (mass and moment), "full"
+    (with inertia about the sensor's origin), "point" (mass and moment, with the inertia of mass at one point:
+    I = m (c.c 1 - c c^T), by its slopes in m and m c where c is `at`; what is small has hardly more, and a motion that
+    turns about one axis alone would give it any). `still`: its weight alone, of a recording whose baseline holds no more (a
+    filtered sensor, a simulation of poses). Visible when gravity turns in the sensor. Confused with gain and
+    cross_talk, and with bias where it does not turn.
+    """
+
+    KEY = "payload"
+    part: str = "body"
+    at: tuple[float, float, float] | None = None
+    still: bool = False
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """The parts; inertia only where something accelerates, and without that too where the baseline has none."""
+        port = scene.body_port() if scene.observations.predict in ("wrench", "effort") else None
+        if port is None:
+            return
+        yield cls("mass")
+        yield cls("moment")
+        yield cls("body")
+        if np.any(np.abs(port[:, :, 4:]) > 0.0) and scene.clock:
+            yield cls("full")
+        weight = None if scene.belief.dynamic or not scene.clock else scene.weight_port()
+        if weight is not None and not np.array_equal(weight, port):
+            yield from (cls(part, still=True) for part in ("mass", "moment", "body"))
+
+    @property
+    def bound(self) -> bool:
+        """Where it is one point."""
+        return self.at is not None
+
+    def told_by(self, theta: Array) -> Self | None:
+        """A small body where mass and moment (4 and more,) say that it is; None if that is no place near a sensor."""
+        if self.still or self.part not in ("body", "full", "point") or theta[0] == 0.0:
+            return None
+        x, y, z = (float(v) for v in theta[1:4] / theta[0])
+        return replace(self, part="point", at=(x, y, z)) if x * x + y * y + z * z < FARTHEST**2 else None
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Changes of mass, first moment and inertia."""
+        mass, moments = [Parameter("mass", "kg")], [Parameter(name, "kg m") for name in MOMENTS]
+        inertia = [Parameter(name, "kg m^2") for name in INERTIA]
+        body = mass + moments
+        chosen = {"mass": mass, "moment": moments, "body": body, "point": body, "full": body + inertia}
+        return tuple(chosen[self.part])
+
+    def columns(self, scene: Scene) -> Columns:
+        """The body's port."""
+        port = scene.weight_port() if self.still else scene.body_port()
+        assert port is not None, "proposed only where there is a port"
+        return Columns(tuple(range(len(scene.channels))), port @ self._bodies(scene))
+
+    def body(self, scene: Scene, theta: Array) -> Array:
+        """What it is of a body."""
+        return np.asarray(self._bodies(scene) @ theta)
+
+    def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
+        """Whether the tool with it is a distribution of mass, where the tool is known and the inertia is free.
+
+        Its second moments about the centre of mass along any axis u, u . S u with S = tr(I) / 2 - I, are of no sign but
+        positive (Wensing, Kim, Slotine 2018).
+        """
+        tool = scene.belief.tool
+        if self.part != "full" or scene.observations.predict != "wrench" or tool.mass <= 0.0:
+            return True
+        whole = tool.with_parameters(theta)
+        if whole is None:
+            return bool(tool.mass + theta[0] + 3.0 * spread[0] > 0.0)
+        least, axes = np.linalg.eigh(0.5 * np.trace(whole.inertia) * np.eye(3) - whole.inertia)
+        x, y, z = u = axes[:, 0]
+        to_com = float(u @ whole.com)
+        # S about the origin less m (u . c)^2, by mass, first moment and inertia.
+        slopes = np.array(
+            [
+                to_com**2,
+                *(-2.0 * to_com * u),
+                0.5 - x * x,
+                -2.0 * x * y,
+                0.5 - y * y,
+                -2.0 * x * z,
+                -2.0 * y * z,
+                0.5 - z * z,
+            ]
+        )
+        return bool(least[0] + 3.0 * np.abs(slopes) @ spread >= 0.0)
+
+    def _bodies(self, scene: Scene) -> Array:
+        """(10, k) inertial parameters per parameter of its own."""
+        if self.part == "mass":
+            return np.concatenate([[1.0], scene.belief.tool.com, np.zeros(6)])[:, None]
+        if self.part == "moment":
+            return np.eye(10)[:, 1:4]
+        out = np.eye(10)[:, : 10 if self.part == "full" else 4]
+        if self.part == "point":
+            assert self.at is not None, "told by a body"
+            # I is of degree one in m and m c together: its slopes where they stand are the whole of it there (Euler).
+            at = np.array(self.at)
+            of_moment = _inertia_of_moment(at)
+            out[4:, 0], out[4:, 1:4] = -of_moment @ at, 2.0 * of_moment
+        return out
+
+
+def _inertia_of_moment(c: Array) -> Array:
+    """(6, 3) inertia about the origin, in the order of INERTIA, of mass at c (3,), by its first moment m c."""
+    out = np.empty((6, 3))
+    for k, unit in enumerate(np.eye(3)):
+        inertia = c[k] * np.eye(3) - 0.5 * (np.outer(unit, c) + np.outer(c, unit))
+        out[:, k] = [inertia[0, 0], inertia[0, 1], inertia[1, 1], inertia[0, 2], inertia[1, 2], inertia[2, 2]]
+    return out
+
+
+@dataclass(frozen=True)
+class BaseTilt(Effect):
+    """Gravity does not point where the model says: g' = exp([a, b, 0]) g, a and b about the base's x and y.
+
+    Visible when the sensor turns about more than one axis. Confused with the offset of a first, level joint (roll
+    of the Galen about x), and with payload where the poses are few.
+    """
+
+    KEY = "base_tilt"
+    axis: str = "xy"
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Both axes, and each alone."""
+        if scene.gravity_port() is not None:
+            yield from (cls(axis) for axis in ("x", "y", "xy"))
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """Angles of gravity about the base's axes."""
+        return tuple(Parameter(f"tilt_{letter}", "rad") for letter in self.axis)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Small turns of gravity through its port."""
+        port = scene.gravity_port()
+        assert port is not None, "proposed only where there is a port"
+        turns = [np.cross(np.eye(3)["xy".index(a)], scene.belief.gravity) for a in self.axis]
+        return Columns(tuple(range(len(scene.channels))), port @ np.stack(turns, axis=-1))
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """The turned gravity itself."""
+        port = scene.gravity_port()
+        assert port is not None, "proposed only where there is a port"
+        return np.asarray(port @ (self._turned(scene, theta) - scene.belief.gravity))
+
+    def stands(self, scene: Scene, theta: Array) -> Scene | None:
+        """Under the turned gravity."""
+        return scene.under(self._turned(scene, theta))
+
+    def _turned(self, scene: Scene, theta: Array) -> Array:
+        vector = np.zeros(3)
+        for letter, angle in zip(self.axis, theta, strict=True):
+            vector["xy".index(letter)] = angle
+        return np.asarray(rotation_exp(vector) @ scene.belief.gravity)
+
+
+FARTHEST_CENTRE = 2.0
+"""m between a sensor and the centre about which an arm turns it: the reach of the largest that carry one by hand."""
+EXCITED = 0.03
+"""Size of the answer to a lever along one axis over that of the largest, below which the turning does not show it."""
+
+
+@dataclass(frozen=True)
+class Inertial(Effect):
+    """Forces of acceleration that the model leaves out.
+
+    With joints: r = k (m a_c and Euler's terms) of the known bodies, k = 1, in a static model. `lever` (letters of the sensor's
+    axes): the sensor's orientation alone is known, or its IMU sits elsewhere; its origin is at r from the centre of turn
+    (from the IMU), and a = (alpha x + omega x omega x) r. A lever along the axis of turn is not seen and not asked for.
+    Visible in quick motion. Confused with payload (inertia), with vibration, and with drift where the motion is slow.
+    """
+
+    KEY = "inertial"
+    NEEDS_CLOCK = True
+    lever: str = ""
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """Where the baseline holds weight alone, and where the way of the sensor's origin is not recorded."""
+        if not scene.clock:
+            return
+        if scene.inertial_port() is not None:
+            yield cls()
+        port = scene.turn_port()
+        if port is not None:
+            size = np.linalg.norm(port, axis=(0, 1))
+            yield cls("".join(a for a, s in zip("xyz", size, strict=True) if s > EXCITED * size.max()))
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """The share of the rigid prediction, 1 when only inertia was left out; or the lever."""
+        if self.lever:
+            return tuple(Parameter(f"lever_{a}", "m", furthest=FARTHEST_CENTRE) for a in self.lever)
+        return (Parameter("share", "1", 0.0, expected=1.0),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """The inertial port, or that of the lever."""
+        if self.lever:
+            turn = scene.turn_port()
+            assert turn is not None, "proposed only where there is a port"
+            return Columns(tuple(range(len(scene.channels))), turn[:, :, ["xyz".index(a) for a in self.lever]])
+        port = scene.inertial_port()
+        assert port is not None, "proposed only where there is a port"
+        return in_all([port], len(scene.channels))

@@ -1,0 +1,198 @@
+"""Effects of the clock: one stream late against the other, and slow filters."""
+
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from galen_hw.physics.channels import joint_of
+from galen_hw.physics.effects.base import Columns, Downstream, Parameter, Searched, log_grid, spacing
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.physics.scenes.initial_state import Beginning, Lagging
+from galen_hw.spatial import Array
+
+BETWEEN = ("lines", "bows", "steps")
+"""What the simulated does between two rows: runs straight, along a parabola, or has the later one's value all the way."""
+
+
+class Timing(Downstream):
+    """An effect of the clock."""
+
+    NEEDS_CLOCK = True
+    joint: str
+    between: str
+
+    def __post_init__(self) -> None:
+        """Refuses what it does not know: TypeError."""
+        if self.between not in BETWEEN:
+            raise TypeError(f"between two rows are {', '.join(BETWEEN)}, not {self.between}")
+
+    @property
+    def bowed(self) -> bool:
+        """Whether the simulated runs along parabolas between two rows."""
+        return self.between == "bows"
+
+    @abstractmethod
+    def beginning(self, scene: Scene, theta: Array) -> Beginning:
+        """What it leaves open, with parameters theta (k,), at the beginning of a recording: it answers to what came before."""
+
+    @abstractmethod
+    def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
+        """(N, m) signals as this stream delivers them, whatever they are."""
+
+    def places(self, scene: Scene) -> tuple[int, ...]:
+        """The channels that it makes late: the named joint's, or all."""
+        return tuple(i for i, name in enumerate(scene.channels) if self.joint in ("", joint_of(name)))
+
+    def delivered(self, scene: Scene, columns: Columns, theta: Array) -> Columns:
+        """What another effect does, as it arrives through this stream: the channels of `joint` alone where one is named."""
+        places = self.places(scene)
+        mine = [i for i, c in enumerate(columns.channels) if c in places]
+        if not mine or not columns.count:
+            return columns
+        values = columns.values.copy()
+        flat = values[:, mine].reshape(len(values), -1)
+        values[:, mine] = self.retimed(scene, flat, theta).reshape(len(values), len(mine), columns.count)
+        return Columns(columns.channels, values)
+
+
+@dataclass(frozen=True)
+class TimeDelay(Timing):
+    """One stream is late: y(t) = w(t - d), one number for all channels; its slope at zero is -dw/dt.
+
+    `joint` restricts it to one joint's reading; `between`: see `BETWEEN`; steps are lines to it. Visible where the channels move.
+    Confused with lag (the same to first order), with viscous friction and compliance where load follows speed.
+    """
+
+    KEY = "time_delay"
+    joint: str = ""
+    between: str = "lines"
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """One for the stream; for joints' own readings one a joint too."""
+        if not scene.clock or not np.any(scene.simulated_rate):
+            return
+        yield cls()
+        if scene.observations.predict == "position" and len(scene.channels) > 1:
+            yield from (cls(joint_of(name)) for name in scene.channels)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """The delay, positive when the recording is late against the simulation."""
+        return (Parameter("delay", "s"),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Minus the simulated rate."""
+        places = self.places(scene)
+        return Columns(places, -scene.simulated_rate[:, places, None])
+
+    def bends(self, scene: Scene, theta: Array) -> bool:
+        """A shift is not its slope."""
+        return True
+
+    def beginning(self, scene: Scene, theta: Array) -> Beginning:
+        """As many seconds as it is late, or at the end as it is early."""
+        late = float(theta[0])
+        return Beginning(max(late, 0.0), max(-late, 0.0))
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """The simulated channels shifted, less themselves."""
+        places, out = self.places(scene), np.zeros_like(scene.simulated)
+        mine = scene.simulated[:, places]
+        out[:, places] = self.retimed(scene, mine, theta) - mine
+        return out
+
+    def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
+        """(N, m) signals as this stream delivers them."""
+        return scene.delay("delay", x, float(theta[0]), bowed=self.bowed)
+
+
+@dataclass(frozen=True)
+class Lag(Timing):
+    """A first-order response: T dy/dt = w - y; y - w is `share` times that (1 for a plain first order).
+
+    With `damping` z one of second order: T^2 y'' + 2 z T y' + y = w, of a servo or a filter of two poles (0.71: Butterworth).
+
+    `joint` restricts it to one joint; `whole`: the share is 1, for beside a delay it is hardly told from a shorter constant and
+    runs away; `between`: see `BETWEEN`. Visible where the channels move quickly; nested with time_delay, to which it is the
+    same for slow motion: a constant below `shortest` (half a sample) is none.
+    """
+
+    KEY = "lag"
+    BEHIND = ("time_delay",)
+    """s + D (L s - s) + (D s - s) = D L s: a late clock delivers what the filter gives."""
+    SEARCHED: ClassVar = {"constant": Searched(1e-4, 1e3, "s"), "damping": Searched(0.1, 0.98, "1")}
+    constant: float
+    joint: str = ""
+    shortest: float = 0.0
+    whole: bool = False
+    damping: float | None = None
+    between: str = "lines"
+
+    @classmethod
+    def propose(cls, scene: Scene) -> Iterator[Self]:
+        """From half a sample to seconds, of the first order; of the second the clocks are asked where one of these is found."""
+        if not scene.clock or not np.any(scene.simulated_rate):
+            return
+        shortest = 0.5 * spacing(scene)
+        for constant in log_grid(shortest, max(1.0, 4.0 * shortest), 9):
+            yield cls(constant, "", shortest)
+            if scene.observations.predict == "position" and len(scene.channels) > 1:
+                yield from (cls(constant, joint_of(name), shortest) for name in scene.channels)
+
+    def with_searched(self, values: Mapping[str, float]) -> Self:
+        """Another constant, not below the shortest that can be told from a delay, or damping."""
+        constant = max(values.get("constant", self.constant), self.shortest)
+        return replace(self, constant=constant, damping=values.get("damping", self.damping))
+
+    def beginning(self, scene: Scene, theta: Array) -> Beginning:
+        """What the filter held. Of second order two numbers a channel would be free: enough to make one of a delay."""
+        first = self.damping is None
+        return Beginning(lags=(Lagging(self.places(scene), self.constant),) if first else ())
+
+    def unlimited(self) -> Self:
+        """Any constant: a filter quicker than half a sample is a delay to this recording, but it may be there."""
+        return replace(self, shortest=0.0)
+
+    @property
+    def freedom(self) -> int:
+        """None beside its constant: all of the stream goes through it, or it is no lag."""
+        return 0
+
+    @property
+    def held(self) -> Array | None:
+        """The share of one that is whole."""
+        return np.ones(1) if self.whole else None
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        """How much of the stream goes through the lag."""
+        return (Parameter("share", "1", 0.0, expected=1.0),)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Lagged less simulated."""
+        places = self.places(scene)
+        mine = scene.simulated[:, places]
+        return Columns(places, (self._lagged(scene, mine) - mine)[:, :, None])
+
+    def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
+        """(N, m) signals as this stream delivers them."""
+        return x + float(theta[0]) * (self._lagged(scene, x) - x)
+
+    def _lagged(self, scene: Scene, x: Array) -> Array:
+        if self.damping is not None:
+            return second_order(scene, x, self.constant, self.damping, self.between)
+        return first_order(scene, x, self.constant, self.between)
+
+
+def first_order(scene: Scene, x: Array, constant: float, between: str) -> Array:
+    """(N, m) signals behind a lag, see `BETWEEN`; commands stand."""
+    held = scene.commanded or between == "steps"
+    return scene.lag("lag", x, constant, held=held, bowed=between == "bows")
+
+
+def second_order(scene: Scene, x: Array, constant: float, damping: float, between: str) -> Array:
+    """The same behind one of second order."""
+    straight = scene.straightened("bow", x) if between == "bows" else x
+    return scene.second_order("lag", straight, constant, damping, held=scene.commanded or between == "steps")

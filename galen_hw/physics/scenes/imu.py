@@ -1,0 +1,115 @@
+"""The motion of a sensor as an accelerometer and a gyroscope in its frame have it, for where no joints say how it moves."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from galen_hw.kinematics import Motion
+from galen_hw.physics.observations import Observations
+from galen_hw.physics.rigid import gravity_in_sensor
+from galen_hw.physics.signals.differentiation import denoised, derivatives, ends
+from galen_hw.spatial import Array, quaternion_from_rotation
+
+ACCELERATION = tuple(f"imu.acceleration.{axis}" for axis in "xyz")
+ANGULAR_VELOCITY = tuple(f"imu.angular_velocity.{axis}" for axis in "xyz")
+
+ROUNDS = 20
+"""Of the seat of an IMU, one after the other: each takes away most of what is left, a turn that nothing shows aside."""
+EXCITED = 0.003
+"""Mean square that gravity must change in a second direction of the sensor, over g squared, to show how an IMU is turned."""
+
+
+def imu_motion(observations: Observations, T: Array) -> Motion | None:
+    """Of the sensor at poses T (N, 4, 4), from the columns `imu.*`; None unless every row has an acceleration and a pose.
+
+    The IMU sits at the sensor's origin. White noise is taken off by penalised splines where there is a clock. From what feels
+    gravity, gravity is taken off as it is felt itself: what stays the same in the base, since an arm that swings to and fro has
+    no acceleration on average. (With the believed gravity, a base that is tilted would look like an acceleration.) How the IMU
+    is turned against the sensor, and its zero, are told by gravity too, see `seat`. The angular velocity is the gyroscope's, else
+    that of the orientation; its derivative, never over the border of a segment, is zero without a clock.
+    """
+    felt, turning = (observations.matrix(*names) for names in (ACCELERATION, ANGULAR_VELOCITY))
+    if not len(felt) or not (np.isfinite(felt).all() and np.isfinite(T).all()):
+        return None
+    R, time, segments = T[:, :3, :3], observations.time, observations.segments
+    gyroscope = bool(np.isfinite(turning).all())
+    if time is None:
+        omega = _in_base(R, turning) if gyroscope else np.zeros_like(felt)
+        alpha = np.zeros_like(felt)
+    elif gyroscope:
+        omega = _in_base(R, denoised(time, turning, segments))
+        alpha = _in_base(R, derivatives(time, turning, segments)[0])
+    else:
+        omega, alpha = turn_rates(time, R, segments)
+    quiet = felt if time is None else denoised(time, felt, segments)
+    weighs = feels_gravity(felt, R, observations.belief.gravity)
+    turn, zero = seat(felt, R, segments) if weighs else (np.eye(3), np.zeros(3))
+    acceleration = _in_base(R, (quiet - zero) @ turn)
+    if weighs:
+        acceleration -= _mean(acceleration, segments)
+    return Motion(T, acceleration, omega, alpha)
+
+
+def feels_gravity(felt: Array, R: Array, gravity: Array) -> bool:
+    """Whether readings (N, 3) are nearer to an accelerometer's at rest, R^T (-g), than to none: some logs are without g."""
+    return bool(np.mean((felt + gravity_in_sensor(R, gravity)) ** 2) < np.mean(felt**2))
+
+
+def seat(felt: Array, R: Array, segments: list[slice]) -> tuple[Array, Array]:
+    """Turn (3, 3) of the IMU against the sensor and zero (3,) of what it feels (N, 3), by gravity as it is felt itself.
+
+    felt = Q R^T s + b with s the same in the base: s and then Q and b (Kabsch, Acta Crystallographica A 32, 1976) in turn. Turned
+    about one axis alone, the sensor does not show what of Q is about that axis: it stays as it is, for s takes it. An
+    acceleration that goes with the angle stretches what is felt; a rotation cannot follow it.
+    """
+    Q, b = np.eye(3), np.zeros(3)
+    for _ in range(ROUNDS):
+        s = _mean(_in_base(R, (felt - b) @ Q), segments)
+        expected = np.einsum("nji,j->ni", R, s)
+        centre = expected.mean(axis=0), felt.mean(axis=0)
+        u, size, vt = np.linalg.svd((felt - centre[1]).T @ (expected - centre[0]))
+        if size[1] < EXCITED * np.linalg.norm(s) ** 2 * len(felt):
+            return np.eye(3), np.zeros(3)
+        Q = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+        b = centre[1] - Q @ centre[0]
+    return Q, b
+
+
+def imu_ends(observations: Observations, R: Array) -> NDArray[np.bool_]:
+    """(N,) rows so near to an end of their segment that the derivatives in `imu_motion` are not known; none without a clock."""
+    time, turning = observations.time, observations.matrix(*ANGULAR_VELOCITY)
+    if time is None:
+        return np.zeros(len(R), dtype=bool)
+    return ends(time, turning if np.isfinite(turning).all() else _continuous(R), observations.segments)
+
+
+def turn_rates(time: Array, R: Array, segments: list[slice]) -> tuple[Array, Array]:
+    """Angular velocity and acceleration (N, 3) of orientations (N, 3, 3) over time (N,) in s, base coordinates.
+
+    Of the unit quaternion q: the vectors of 2 dq/dt q* and 2 d2q/dt2 q*.
+    """
+    q = _continuous(R)
+    first, second = derivatives(time, q, segments)
+    return _turning(first, q), _turning(second, q)
+
+
+def _continuous(R: Array) -> Array:
+    """(N, 4) unit quaternions x y z w whose sign does not jump."""
+    q = quaternion_from_rotation(R)
+    q[1:] *= np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
+    return q
+
+
+def _turning(rate: Array, q: Array) -> Array:
+    """(N, 3) vector part of 2 p q* of quaternions x y z w (N, 4)."""
+    p, v = rate[:, :3], q[:, :3]
+    return np.asarray(2.0 * (p * q[:, 3:] - v * rate[:, 3:] - np.cross(p, v)))
+
+
+def _in_base(R: Array, v: Array) -> Array:
+    return np.asarray(np.einsum("nij,nj->ni", R, v))
+
+
+def _mean(v: Array, segments: list[slice]) -> Array:
+    """(3,) mean of (N, 3) that fades at the ends of the segments, so that half a swing there counts little."""
+    fade = np.concatenate([np.hanning(part.stop - part.start + 2)[1:-1] for part in segments])
+    return np.asarray(fade @ v / fade.sum())

@@ -1,0 +1,1 @@
+"""Signals cleaned and differentiated."""
