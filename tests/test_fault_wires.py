@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import closing
 from pathlib import Path
 
 import can
@@ -12,12 +12,17 @@ from galen_hw.clock import TimeBase
 from galen_hw.daemon.port import Port, Waker
 from galen_hw.drivers.ati_netcanoem import AtiNetcanoem
 from galen_hw.drivers.can_transport import CanSettings, CanTransport
+from galen_hw.drivers.device import Device
+from galen_hw.drivers.galil_dmc import GalilDmc
+from galen_hw.drivers.serial_transport import SerialSettings, SerialTransport
+from galen_hw.drivers.transport import Transport
 from galen_hw.drivers.virtual.ati_netcanoem import AtiSettings, VirtualAtiNetcanoem
 from galen_hw.drivers.virtual.bridges import InProcessCan
 from galen_hw.drivers.virtual.start import virtual_robot
 from galen_hw.drivers.virtual.world import World
 from galen_hw.messages import Fault, Message, WrenchRaw
 
+BASE = TimeBase.now()
 BUS_OFF, RESTARTED = 0x40, 0x100
 PATIENCE_S = 20.0
 
@@ -25,13 +30,9 @@ PATIENCE_S = 20.0
 class Heard:
     """A sensor's port and all that it said."""
 
-    def __init__(self, interface: str, channel: str, **settings: object) -> None:
+    def __init__(self, device: Device, wire: Callable[[], Transport]) -> None:
         self.waker = Waker()
-        device = AtiNetcanoem("ft", AtiNetcanoem.Settings(rate_hz=200.0, **settings), TimeBase.now())
-        wire = CanSettings(interface=interface, channel=channel)
-        self.port = Port(
-            device, lambda: CanTransport(wire), time.monotonic_ns, self.waker.wake, time_base=TimeBase.now()
-        )
+        self.port = Port(device, wire, time.monotonic_ns, self.waker.wake, time_base=BASE)
         self.messages: list[Message] = []
 
     def until(self, condition: Callable[[], bool]) -> None:
@@ -53,13 +54,9 @@ class Heard:
         self.waker.close()
 
 
-@contextmanager
-def heard(interface: str, channel: str, **settings: object):
-    own = Heard(interface, channel, **settings)
-    try:
-        yield own
-    finally:
-        own.close()
+def sensor(interface: str, channel: str) -> Heard:
+    wire = CanSettings(interface=interface, channel=channel)
+    return Heard(AtiNetcanoem("ft", AtiNetcanoem.Settings(rate_hz=200.0), BASE), lambda: CanTransport(wire))
 
 
 def test_bus_off_is_a_fault_and_samples_come_back_after_the_restart() -> None:
@@ -69,7 +66,7 @@ def test_bus_off_is_a_fault_and_samples_come_back_after_the_restart() -> None:
     with (
         InProcessCan(device, "bus-off"),
         can.Bus(interface="virtual", channel="bus-off") as controller,
-        heard("virtual", "bus-off") as own,
+        closing(sensor("virtual", "bus-off")) as own,
     ):
         own.until(lambda: own.port.device.ready)
         world.faults.add("ft.silent")
@@ -94,7 +91,7 @@ def test_bus_off_is_a_fault_and_samples_come_back_after_the_restart() -> None:
 def test_an_adapter_that_is_unplugged_is_a_fault_and_opened_again(tmp_path: Path) -> None:
     """Its end of the pty goes with the whole virtual robot; another one is plugged in at the same name."""
     folder = tmp_path / "robot"
-    with heard("slcan", str(folder / "can0")) as own:
+    with closing(sensor("slcan", str(folder / "can0"))) as own:
         with virtual_robot(folder):
             own.until(lambda: own.port.device.ready)
         own.until(lambda: bool(own.faults("the wire is gone")))
@@ -106,3 +103,19 @@ def test_an_adapter_that_is_unplugged_is_a_fault_and_opened_again(tmp_path: Path
         with virtual_robot(folder):
             own.until(lambda: len(own.samples_after(gone_ns)) > 10)
     assert min(m.t_ns for m in own.samples_after(gone_ns)) > gone_ns
+
+
+def test_a_motors_cable_that_is_out_and_back_is_a_fault_and_opened_again(tmp_path: Path) -> None:
+    """The controller's line over a real serial transport: a fault that names it, and ready again once it is back."""
+    folder = tmp_path / "robot"
+    wire = SerialSettings(url=str(folder / "motors"), baud_rate=115200)
+    device = GalilDmc("motors", GalilDmc.Settings(), BASE)
+    with closing(Heard(device, lambda: SerialTransport(wire))) as own:
+        with virtual_robot(folder):
+            own.until(lambda: device.ready)
+        own.until(lambda: any(fault.source == "motors.wire" for fault in own.faults("")))
+        with virtual_robot(folder):
+            own.until(lambda: own.port.state == "open" and device.ready)
+        fault = next(fault for fault in own.faults("") if fault.source == "motors.wire")
+        assert fault.where.endswith("motors")
+        assert fault.todo
