@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip install --quiet --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test inject-test loop-test lint lowest wheel-test bench proof mistakes clean
+.PHONY: help install demo test inject-test loop-test lint lowest wheel-test bench fuzz proof mistakes clean
 
 help:
 	@echo "make demo    calibrate a tool on the virtual robot and compensate live, with figures in demo-output/"
@@ -18,6 +18,7 @@ help:
 	@echo "make lint    style, types, layers"
 	@echo "make lowest  what pyproject.toml promises of old versions: its lowest set in a venv of its own, and a part of the tests"
 	@echo "make bench   the benchmarks, written to docs/benchmarks.md (about 15 minutes)"
+	@echo "make fuzz    a million inputs for whatever reads foreign bytes, written to docs/fuzz.md (long)"
 	@echo "make proof   the blind proof of the diagnosis, written to docs/proof.md (long)"
 	@echo "make mistakes  300 recordings with one ordinary mistake each, a section of docs/proof.md (long)"
 
@@ -80,6 +81,10 @@ wheel-test: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m galen_hw.tools.bench --write docs/benchmarks.md
+
+fuzz: $(STAMP)
+	@$(PIP) 'atheris>=3.0' 2>/dev/null || echo "make: atheris cannot be installed here; inputs are mutations of our own"
+	$(BIN)/python -m galen_hw.tools.fuzz.command --write docs/fuzz.md
 
 proof: $(STAMP)
 	@$(PIP) 'torch>=2.4' mujoco 'pysindy>=2.0'

@@ -207,7 +207,7 @@ class ToolStore:
         """The tool that the daemon takes up when it starts; None for no tool."""
         path = self._root / _file("selected", virtual=self._kinds[0])
         name = _read_pointer(path, "tool") if path.exists() else None
-        return name if isinstance(name, str) and re.match(NAME, name) else None
+        return name if isinstance(name, str) and re.fullmatch(NAME, name) else None
 
     def select(self, name: str | None) -> None:
         """Remember the tool in hand over restarts; None for no tool.

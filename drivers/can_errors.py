@@ -18,6 +18,7 @@ ERROR_COUNTERS: Final = (
 )
 """Counted: all error frames, and what they say happened; `rejected` are commands an slcan adapter refused."""
 
+BUS_OFF_TODO: Final = "check cable, termination and bit rate; it comes back by itself where restart-ms is set"
 _CONTROLLER, _ACKNOWLEDGE, _BUS_OFF, _RESTARTED = 0x004, 0x020, 0x040, 0x100
 _OVERFLOW, _PASSIVE = 0x03, 0x30
 
@@ -31,6 +32,15 @@ def count_error_frame(kinds: int, data: bytes, counters: dict[str, int]) -> None
     counters["restarted"] += bool(kinds & _RESTARTED)
     counters["error_passive"] += bool(kinds & _CONTROLLER and detail & _PASSIVE)
     counters["overruns"] += bool(kinds & _CONTROLLER and detail & _OVERFLOW)
+
+
+def news_of(kinds: int) -> list[tuple[str, str]]:
+    """What an error frame says that its user must know, and what to do: what, todo."""
+    if kinds & _BUS_OFF:
+        return [("the CAN controller is bus-off: nothing is sent or heard", BUS_OFF_TODO)]
+    if kinds & _RESTARTED:
+        return [("the CAN controller was started again after bus-off", "look at the cable if this comes again")]
+    return []
 
 
 def is_full(error: Exception) -> bool:

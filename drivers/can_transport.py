@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Self, TypeAlias
 import can
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from galen_hw.drivers.can_errors import ERROR_COUNTERS, count_error_frame, explain, is_full
+from galen_hw.drivers.can_errors import ERROR_COUNTERS, count_error_frame, explain, is_full, news_of
 from galen_hw.drivers.device import CanFrame
 from galen_hw.drivers.slcan_wire import BITRATES, SlcanWire
 from galen_hw.drivers.socketcand_wire import SocketcandWire
@@ -30,6 +30,7 @@ COUNTERS: Final = (
     "reopened",  # an adapter's channel, after nothing had been heard for long
     *ERROR_COUNTERS,
 )
+MOST_NEWS: Final = 8
 MOST_FRAMES: Final = 4096
 """Frames that one `receive` returns at most."""
 _OWN_OPTIONS: Final[dict[str, dict[str, type]]] = {
@@ -200,6 +201,7 @@ class CanTransport(Transport[CanFrame]):
     def _sort(self, message: can.Message) -> CanFrame | None:
         if message.is_error_frame:
             count_error_frame(message.arbitration_id, bytes(message.data), self._counters)
+            self.news = [*self.news, *news_of(message.arbitration_id)][-MOST_NEWS:]
             return None
         if message.is_extended_id or message.is_remote_frame or message.is_fd:
             self._counters["not_data"] += 1

@@ -1,6 +1,7 @@
 """Transports: the only place that opens and reads a wire. Each read is stamped once, with CLOCK_MONOTONIC."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Generic
 
 from galen_hw.drivers.device import Wire
@@ -16,6 +17,8 @@ class Transport(ABC, Generic[Wire]):
 
     address: str
     alone: bool = False
+    news: Sequence[tuple[str, str]] = ()
+    """What has befallen the open wire since this was emptied: what, what to do."""
 
     @abstractmethod
     def open(self) -> None:

@@ -14,10 +14,11 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 import zmq
+from msgspec.structs import replace
 
 from galen_hw.decoding import LARGEST_REQUEST, UnreadableError, decode_message, decode_reply, limit
 from galen_hw.errors import CommandRejectedError, GalenError, HardwareError, UsageError
-from galen_hw.messages import TOPICS, CommandError, Message, Reply, Request, encode
+from galen_hw.messages import TOPICS, CommandError, Message, Reply, Request, encode, too_old
 from galen_hw.permission import require_permission
 
 QUEUE_LENGTH: Final = 5000
@@ -102,6 +103,8 @@ class Subscriber(_Socket):
         address: of the bus, e.g. `Addresses(client_runtime_dir()).bus`.
         topics: names or beginnings of names ("wrench/"); everything if empty.
         queue: messages kept while this end is busy; more are lost (and counted in `lost`).
+        as_published: `valid` as it was when the message was published. Else what is older than its topic's limit when it is
+            read (it waited in the queue, or is replayed) is not `valid`: right for who acts on it, not for who records.
 
     Raises:
         UsageError: this user may not connect there.
@@ -113,10 +116,12 @@ class Subscriber(_Socket):
         topics: Iterable[str] = (),
         *,
         queue: int = QUEUE_LENGTH,
+        as_published: bool = False,
         context: zmq.Context[Any] | None = None,
     ) -> None:
         _require_permission(address)
         super().__init__(zmq.SUB, context)
+        self._as_published = as_published
         self.socket.setsockopt(zmq.RCVHWM, queue)
         self.socket.setsockopt(zmq.RECONNECT_IVL, 20)
         for topic in list(topics) or [""]:
@@ -145,6 +150,8 @@ class Subscriber(_Socket):
                     timeout_s = max(0.0, deadline - time.monotonic())
                 continue
             self._count(topic, message)
+            if message.valid and not self._as_published and too_old(topic, message.t_ns, time.monotonic_ns()):
+                message = replace(message, valid=False)
             return topic, message
 
     def receive_bytes(self, timeout_s: float | None = None) -> tuple[bytes, bytes] | None:

@@ -271,6 +271,11 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True):
     error: CommandError | None = None
 
 
+SLOW_AGE_S: Final = 2.0
+"""Of what comes once a second or as an event: what was said that long ago may be otherwise now."""
+STREAM_HZ: Final = 10.0
+
+
 @dataclass(frozen=True, slots=True)
 class Topic:
     """One row of the topic table.
@@ -280,15 +285,19 @@ class Topic:
         rate_hz: nominal rate; 0 for events.
         crtk: the community's name for the same thing (Collaborative Robotics Toolkit), if any.
         doc: one line.
-        max_age_s: a message whose `t_ns` is older than that when it is published is not `valid`, and is not handed to
-            a service that acts on it; 0 for what holds until the next one, however long that takes.
+        max_age_s: a message whose `t_ns` is older than that when it is published, or read, is not `valid`.
     """
 
     message: type[Message]
     rate_hz: float
     crtk: str
     doc: str
-    max_age_s: float = 0.0
+    max_age_s: float = SLOW_AGE_S
+
+    @property
+    def stream(self) -> bool:
+        """The next message is on its way: one that is too old is not handed to who acts on it, and never worked off."""
+        return self.rate_hz >= STREAM_HZ
 
 
 STREAM_AGE_S: Final = 0.25
@@ -323,13 +332,14 @@ TOPICS: Final[dict[str, Topic]] = {
 }
 
 
-MAX_AGE_NS: Final = {name: round(topic.max_age_s * 1e9) for name, topic in TOPICS.items() if topic.max_age_s}
-"""The age limits by topic; a topic without one is not in here."""
+MAX_AGE_NS: Final = {name: round(topic.max_age_s * 1e9) for name, topic in TOPICS.items()}
+"""The age limit of each topic."""
+STREAMS: Final = frozenset(name for name, topic in TOPICS.items() if topic.stream)
 
 
 def too_old(topic: str, t_ns: int, now_ns: int) -> bool:
     """Whether a message with the stamp `t_ns` is too old at `now_ns` to be valid."""
-    return topic in MAX_AGE_NS and now_ns - t_ns > MAX_AGE_NS[topic]
+    return now_ns - t_ns > MAX_AGE_NS[topic]
 
 
 def encode(message: msgspec.Struct) -> bytes:

@@ -172,14 +172,15 @@ def test_what_is_too_old_is_handed_to_a_recorder_alone() -> None:
 
 
 def test_core_passes_on_what_waited_too_long_as_not_valid() -> None:
-    """Only `valid` changes; what is new enough, has no limit or cannot be read passes as it is."""
+    """Only `valid` changes; what is new enough or cannot be read passes as it is."""
     old, status = encode(joints(0.5)), encode(Status(timestamp=0.0, t_ns=1, seq=1, valid=True, state="ready"))
     late = NS_PER_S + MAX_AGE_NS["joints/state"] + 1
     passed = not_older(b"joints/state", old, late)
 
     assert decode_message(b"joints/state", passed)[1] == replace(joints(0.5), valid=False)
     assert not_older(b"joints/state", old, late - 1) is old
-    assert not_older(b"status", status, late) is status
+    assert not_older(b"status", status, 2 * NS_PER_S + 1) is status
+    assert not_older(b"status", status, 2 * NS_PER_S + 2) is not status
     assert not_older(b"joints/state", b"\xc1", late) == b"\xc1"
 
 

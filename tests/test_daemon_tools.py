@@ -349,7 +349,7 @@ def test_topic_page_is_the_topic_table() -> None:
     for name, topic in TOPICS.items():
         rate = f"{topic.rate_hz:g} Hz" if topic.rate_hz else "event"
         crtk = f"`{topic.crtk}`" if topic.crtk else ""
-        age = f"{topic.max_age_s:g} s" if topic.max_age_s else ""
+        age = f"{topic.max_age_s:g} s"
         expected.append(f"| `{name}` | {topic.message.__name__} | {rate} | {age} | {crtk} | {topic.doc} |")
 
     assert rows == expected

@@ -87,7 +87,7 @@ def _relay(wire: str, bus: str, ready: Event) -> None:
 
 def _ages(bus: str, skipped: int, count: int) -> Array:
     out = np.zeros(skipped + count)
-    with Subscriber(bus) as subscriber:
+    with Subscriber(bus, as_published=True) as subscriber:
         gc.disable()
         for k in range(len(out)):
             frames = subscriber.receive_bytes(10.0)

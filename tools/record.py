@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         else:
             addresses = Addresses(args.dir or client_runtime_dir())
             addresses.require_daemon()
-        subscriber = stack.enter_context(Subscriber(addresses.bus, topics, queue=QUEUE))
+        subscriber = stack.enter_context(Subscriber(addresses.bus, topics, queue=QUEUE, as_published=True))
         info = _daemon_info(addresses.command)
         context = session_context(Path(args.config or info.get("config") or config_path(None)))
         context["virtual"] = bool(info.get("virtual"))

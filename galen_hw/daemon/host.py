@@ -12,7 +12,7 @@ from galen_hw.bus import command_error
 from galen_hw.clock import NS_PER_S
 from galen_hw.daemon.port import Port
 from galen_hw.errors import CommandRejectedError, GalenError
-from galen_hw.messages import CommandError, CompensationState, Fault, Message, Reply, Request, too_old
+from galen_hw.messages import STREAMS, CommandError, CompensationState, Fault, Message, Reply, Request, too_old
 from galen_hw.services.service import Service
 
 REPLY_WITHIN_NS: Final = 30 * NS_PER_S
@@ -112,7 +112,7 @@ class Host:
         if message.source in self.ports or message.source in self.services:
             return True
         now = self._clock()
-        old = too_old(topic, message.t_ns, now)
+        old = topic in STREAMS and too_old(topic, message.t_ns, now)
         consumers = [s for s in self._consumers.get(topic, ()) if not old or s.takes_old]
         for service in consumers:
             self.take(service.handle(topic, message, now), service)

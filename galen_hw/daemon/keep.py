@@ -9,6 +9,7 @@ from typing import Any, Final
 import msgspec
 
 from galen_hw.config.tool_store import write_atomic
+from galen_hw.documents import DocumentError, intact, load_json, sealed
 from galen_hw.drivers.device import Device
 from galen_hw.errors import UsageError
 
@@ -34,17 +35,23 @@ class Keeper:
         """The last snapshot; None when there is none or it cannot be read."""
         path = self._folder / f"{service}.json"
         try:
-            found = msgspec.json.decode(path.read_bytes())
+            found = load_json(path.read_bytes())
         except FileNotFoundError:
             return None
-        except (OSError, msgspec.DecodeError) as error:
+        except (OSError, DocumentError) as error:
             log.warning("%s: what was kept cannot be read (%s); starting afresh", path, error)
             return None
-        return found if isinstance(found, dict) else None
+        if not isinstance(found, dict):
+            return None
+        if not intact(found):
+            log.warning("%s: has not the digest of what was written; starting afresh", path)
+            return None
+        return {key: value for key, value in found.items() if key != "digest"}
 
     def keep(self, service: str, snapshot: dict[str, Any]) -> None:
         """Write a snapshot soon, unless it is what was written last."""
-        content = msgspec.json.format(msgspec.json.encode(snapshot)).decode()
+        plain = msgspec.json.decode(msgspec.json.encode(snapshot))
+        content = msgspec.json.format(msgspec.json.encode(sealed(plain))).decode()
         if self._last.get(service) == content:
             return
         self._last[service] = content

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from galen_hw.bus import TOPIC_BYTES, Publisher, bind, receive_all
 from galen_hw.config.paths import Addresses
 from galen_hw.decoding import UnreadableError, decode_message, limit
-from galen_hw.messages import MAX_AGE_NS, Message, Reply, Request, encode, too_old
+from galen_hw.messages import MAX_AGE_NS, STREAMS, Message, Reply, Request, encode, too_old
 from galen_hw.permission import OWN, socket_mode
 
 INWARD_QUEUE: Final = 2000
@@ -52,13 +52,18 @@ class Beat(msgspec.Struct, frozen=True):
     devices: dict[str, DeviceState] = {}
 
 
-def not_older(topic: bytes, payload: bytes, now_ns: int) -> bytes:
-    """A payload as it may be published now: not valid any more when it has waited beyond its topic's age limit."""
+def not_older(topic: bytes, payload: bytes, now_ns: int, begun_ns: int = 0) -> bytes | None:
+    """A payload as it may be published now: not valid any more when it has waited beyond its topic's age limit.
+
+    None for what a stream has left from before this process began: nobody has waited for it.
+    """
     name = _AGING.get(topic)
     if name is None:
         return payload
     try:
         header = _HEADER.decode(payload)
+        if header.t_ns < begun_ns and name in STREAMS:
+            return None
         if not header.valid or not too_old(name, header.t_ns, now_ns):
             return payload
         return encode(replace(decode_message(topic, payload)[1], valid=False))
@@ -121,7 +126,9 @@ class _Link:
     def __init__(self, name: str, addresses: Addresses, origin: Origin, inward: "zmq.Socket[Any]") -> None:
         self.inlet = Inlet(inward)
         self.control = _Control(name, addresses)
-        self.dropped = self.unreadable = 0
+        self.dropped = self.unreadable = self.backlog = 0
+        self.begun_ns = 0
+        """When the process' loop began: what a stream says of the time before is dropped, and counted as backlog."""
         self._robot, self._virtual = origin.robot, origin.virtual
 
     def _signed(self, message: Message) -> Message:
@@ -170,7 +177,10 @@ class CoreLink(_Link):
         now = time.monotonic_ns()
         for frames in self.inlet.take(ready):
             if len(frames) == 2 and frames[0] in KNOWN:
-                topic, payload = frames[0], not_older(frames[0], frames[1], now)
+                topic, payload = frames[0], not_older(frames[0], frames[1], now, self.begun_ns)
+                if payload is None:
+                    self.backlog += 1
+                    continue
                 self._publisher.publish_bytes(topic, payload)
                 found.append((topic, payload))
             else:

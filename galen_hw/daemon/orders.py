@@ -75,7 +75,7 @@ def build_port(device: DeviceSetup, time_base: "TimeBase", waker: Waker, *, alon
         made.alone = alone
         return made
 
-    return Port(machine, make, time.monotonic_ns, waker.wake, optional=device.optional)
+    return Port(machine, make, time.monotonic_ns, waker.wake, optional=device.optional, time_base=time_base)
 
 
 def build_services(

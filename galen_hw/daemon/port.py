@@ -7,8 +7,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
-from galen_hw.clock import NS_PER_S
+from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.drivers.device import Device, Output
+from galen_hw.drivers.reporting import Reporter
 from galen_hw.drivers.transport import Transport
 from galen_hw.errors import CommandRejectedError, HardwareError
 from galen_hw.messages import Request
@@ -27,6 +28,7 @@ class Port:
         clock: monotonic nanoseconds.
         wake: called from another thread when the loop has something to do here.
         optional: the daemon is ready without it.
+        time_base: of the faults that are the wire's own; their source is NAME.wire.
     """
 
     def __init__(
@@ -37,6 +39,7 @@ class Port:
         wake: Callable[[], None],
         *,
         optional: bool = False,
+        time_base: TimeBase | None = None,
     ) -> None:
         self.device, self.optional = device, optional
         self.error: HardwareError | None = None
@@ -48,6 +51,7 @@ class Port:
         self._reader: _Reader | None = None
         self._retry_ns = 0
         self._wait_s = FIRST_WAIT_S
+        self._reporter = Reporter(f"{device.name}.wire", "", time_base or TimeBase())
 
     @property
     def state(self) -> str:
@@ -73,6 +77,8 @@ class Port:
         try:
             self._receive(self.transport, outputs, readable=readable)
             now = self._clock()
+            if self.transport.news:
+                self._tell_news(self.transport, outputs, now)
             if self.transport.wakeup_ns <= now:
                 self.transport.tend(now)
             if self.device.wakeup_ns <= now:
@@ -82,6 +88,8 @@ class Port:
                 outputs += more
         except HardwareError as error:
             self._fail(error)
+            self._reporter.where = error.where
+            outputs += self._reporter.fault(self._clock(), "gone", error.what, error.todo)
         return outputs
 
     def request(self, request: Request, now_ns: int) -> list[Output]:
@@ -124,6 +132,12 @@ class Port:
         feed = self.device.feed
         for wire, t_ns in received:
             outputs += feed(wire, t_ns)
+
+    def _tell_news(self, transport: Transport[Any], outputs: list[Output], now_ns: int) -> None:
+        news, transport.news = transport.news, ()
+        self._reporter.where = transport.address
+        for what, todo in news:
+            outputs += self._reporter.fault(now_ns, what, what, todo)
 
     def _advance_opening(self) -> None:
         if self._opening is None:

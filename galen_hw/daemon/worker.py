@@ -27,7 +27,7 @@ from galen_hw.daemon.pulse import LOOP, WRENCH, PulseBoard
 from galen_hw.daemon.realtime import GarbageKeeper, raise_priority, sharpen_timers
 from galen_hw.decoding import LARGEST_MESSAGE, UnreadableError, decode_message, decode_reply, decode_request
 from galen_hw.errors import EXIT_OK, GalenError
-from galen_hw.messages import MAX_AGE_NS, CommandError, Status
+from galen_hw.messages import STREAMS, CommandError, Status
 from galen_hw.waiting import readable
 
 BEAT_NS: Final = NS_PER_S // 10
@@ -102,6 +102,7 @@ class Worker:
 
     def run(self) -> None:
         """Run until the lifeline ends; on every way out the devices are brought to rest first."""
+        self._link.begun_ns = time.monotonic_ns()
         try:
             while not self._stopping:
                 self._turn()
@@ -180,7 +181,7 @@ class Worker:
         while left and self._link.inlet.pending and len(left) < CATCH_UP:
             left += self._link.messages(())
         newest = {topic: n for n, (topic, _) in enumerate(left)}
-        kept = [w for n, w in enumerate(left) if newest[w[0]] == n or w[0].decode(errors="replace") not in MAX_AGE_NS]
+        kept = [w for n, w in enumerate(left) if newest[w[0]] == n or w[0].decode(errors="replace") not in STREAMS]
         self._passed_over += len(left) - len(kept)
         for topic, payload in kept:
             self._hear(topic, payload)
@@ -193,6 +194,9 @@ class Worker:
             name, message = decode_message(topic, payload)
         except UnreadableError:
             self._unreadable += 1
+            return True
+        if message.t_ns < self._link.begun_ns and name in STREAMS:
+            self._link.backlog += 1
             return True
         return self.host.from_bus(name, message)
 
@@ -258,6 +262,7 @@ class Worker:
             "dropped": self._link.dropped,
             "unreadable": self._unreadable + self._link.unreadable,
             "passed over": self._passed_over,
+            "backlog": self._link.backlog,
             **_wire_counters(self.host.ports),
         }
         counters |= {f"published {topic}": n for topic, n in self.host.published.items()}

@@ -172,7 +172,7 @@ class CalibrationService(Service):
         args = dict(request.args)
         owner, hold = str(args.pop("owner", "")), args.pop("hold", False) is True
         tool, kind = str(args.pop("tool", "")), str(args.pop("kind", "sweep"))
-        if not re.match(NAME, tool) or kind not in ("sweep", "check"):
+        if not re.fullmatch(NAME, tool) or kind not in ("sweep", "check"):
             todo = "start takes tool (a name) and kind (sweep or check)"
             raise CommandRejectedError("not a sweep that can be started", where=self.name, todo=todo)
         settings = self._overridden(args)

@@ -92,7 +92,7 @@ class DeflectionStore:
     def names(self) -> list[str]:
         """Saved models, sorted."""
         found = (p.stem for p in self.folder.glob("*.json") if p.stem != "selected")
-        return sorted(n for n in found if re.match(NAME, n))
+        return sorted(n for n in found if re.fullmatch(NAME, n))
 
     def load(self, name: str) -> DeflectionFile:
         """The model in use of a name.
@@ -148,7 +148,7 @@ class DeflectionStore:
         if not isinstance(data, dict) or not set(data) <= {"model", "digest"} or intact(data) is False:
             raise UsageError("is damaged", where=str(path), todo="galen-hw deflection select NAME")
         name = data.get("model")
-        return name if isinstance(name, str) and re.match(NAME, name) else None
+        return name if isinstance(name, str) and re.fullmatch(NAME, name) else None
 
     def select(self, name: str | None) -> None:
         """Serve a model from now on; None for none.
@@ -161,7 +161,7 @@ class DeflectionStore:
         write_atomic(self.folder / "selected.json", json.dumps(sealed({"model": name})) + "\n")
 
     def _path(self, name: str) -> Path:
-        if not re.match(NAME, name) or name == "selected":
+        if not re.fullmatch(NAME, name) or name == "selected":
             raise UsageError(f"{name!r} cannot be a model's name", todo="small letters, digits, - and _, at most 40")
         return self.folder / f"{name}.json"
 

@@ -94,7 +94,7 @@ class _Ear:
 
     def listen(self) -> None:
         """Until `end` is set."""
-        with Subscriber(self.addresses.bus, TOPICS, queue=200_000) as bus:
+        with Subscriber(self.addresses.bus, TOPICS, queue=200_000, as_published=True) as bus:
             while not self.end.is_set():
                 received = bus.receive(0.2)
                 if received is not None:

@@ -87,7 +87,9 @@ def run(args: argparse.Namespace) -> int:
             robot, tool = _robot(info), store.load(name)
             plan = _plan(args, robot, name, given)
             hand = _hand(addresses, name, robot, stack) if info["virtual"] else _Operator()
-            subscriber = stack.enter_context(Subscriber(addresses.bus, [*TOPICS, *BESIDE], queue=50_000))
+            subscriber = stack.enter_context(
+                Subscriber(addresses.bus, [*TOPICS, *BESIDE], queue=50_000, as_published=True)
+            )
             live = stack.enter_context(_live(console))
             CollectSession(
                 plan,

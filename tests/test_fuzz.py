@@ -1,0 +1,65 @@
+"""Whatever reads foreign bytes, with Hypothesis: nothing but the program's own typed errors. `make fuzz` does it at length."""
+
+import gc
+import random
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from galen_hw.tools.fuzz.command import main
+from galen_hw.tools.fuzz.mutate import LONGEST, mutated
+from galen_hw.tools.fuzz.targets import TARGETS
+
+
+@cache
+def call_of(name: str) -> Callable[[bytes], None]:
+    return TARGETS[name].make()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ended() -> Iterator[None]:
+    """What the targets hold open ends with these tests, and not with the interpreter."""
+    yield
+    call_of.cache_clear()
+    gc.collect()
+
+
+@pytest.mark.parametrize("name", TARGETS)
+@settings(max_examples=40)
+@given(data=st.data())
+def test_any_bytes_are_read_or_refused_with_the_own_error(name: str, data: st.DataObject) -> None:
+    """Noise, and mutations of what the parser takes."""
+    seed = data.draw(st.none() | st.integers(0, 2**32))
+    content = data.draw(st.binary(max_size=300)) if seed is None else mutated(random.Random(seed), TARGETS[name].seeds)
+    call_of(name)(content)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_what_a_target_begins_from_is_read(name: str) -> None:
+    """Each seed passes, so that its mutations reach what lies behind the first check."""
+    for seed in TARGETS[name].seeds:
+        assert seed
+        call_of(name)(seed)
+
+
+def test_a_run_counts_and_writes_its_page(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A whole run of two small targets: numbers for each, no find, and the page."""
+    page = tmp_path / "fuzz.md"
+    words = ["--target", "socket: command", "--target", "wire: slcan", "--inputs", "200", "--write", str(page)]
+    assert main(words) == 0
+    rows = [line for line in page.read_text().splitlines() if line.startswith(("| socket", "| wire"))]
+    assert [row.split(" | ")[1] for row in rows] == ["200", "200"]
+    assert all(row.endswith(" | 0 |") for row in rows)
+    assert "| socket: command | 200 |" in capsys.readouterr().out
+
+
+def test_inputs_are_bounded() -> None:
+    """Mutations stay below what is fuzzed, and are the same for the same seed."""
+    pool = (b"abc" * 2000, b"")
+    first = [mutated(random.Random(seed), pool) for seed in range(200)]
+    assert max(map(len, first)) <= LONGEST
+    assert first == [mutated(random.Random(seed), pool) for seed in range(200)]

@@ -1,0 +1,1 @@
+"""Fuzzing of whatever reads foreign bytes: `make fuzz`; the same targets run with Hypothesis in the tests."""
