@@ -17,6 +17,9 @@ class Transport(ABC, Generic[Wire]):
     address: str
     alone: bool = False
 
+    bus_bit_rate: int = 0
+    """Bit/s of a bus that is shared with other nodes; 0 for a line of one's own."""
+
     @abstractmethod
     def open(self) -> None:
         """Open the wire.
