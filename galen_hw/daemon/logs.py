@@ -71,5 +71,6 @@ def set_up() -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JournalFormatter() if journal else logging.Formatter("%(message)s"))
     handler.addFilter(OncePerSecond())
-    logging.basicConfig(level=logging.INFO, handlers=[handler])
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
+    logging.getLogger("galen-hw").setLevel(logging.INFO)
     logging.getLogger(FAULTS).setLevel(logging.WARNING if journal else logging.CRITICAL)
