@@ -63,9 +63,10 @@ class Judgement:
     def _parts(self, known: Known, now: tuple[float, float]) -> None:
         for name, state in known.parts.items():
             detail = known.details.get(name, "")
+            words = f"{name}: {detail}" if detail and state != "silent" else f"{name} is {state}"
             bad = state in ("fault", "silent")
-            words = f"{name} is {state}" + (f": {detail}" if detail and state == "fault" else "")
             self._say(f"part {name}", "fault", words, "see galen-hw monitor", now, bad=bad)
+            self._say(f"degraded {name}", "advice", words, "", now, bad=state == "degraded")
 
     def _samples(self, known: Known, now: tuple[float, float]) -> None:
         n, lost = known.saturated, known.gauges.get("lost_share", math.nan)

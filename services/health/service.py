@@ -48,6 +48,7 @@ class HealthService(Service):
     consumes: ClassVar[tuple[str, ...]] = ("wrench/compensated", "compensation/state", "joints/state", "status")
     produces: ClassVar[tuple[str, ...]] = ("health", "fault", "status")
     patience_s: ClassVar[float] = 0.05
+    takes_old: ClassVar[bool] = True  # It counts: what it passed over when it is late itself would look like a loss.
 
     def __init__(self, name: str, settings: HealthSettings, context: ServiceContext) -> None:
         self.name, self._context = name, context

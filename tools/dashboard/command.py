@@ -1,7 +1,8 @@
 """`galen-hw dashboard`: the robot live in a browser: wrench, arm, tools, tare, zero, calibration, stop, health, reports."""
 
 import argparse
-from contextlib import ExitStack
+import os
+from contextlib import ExitStack, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
 
 PORT: Final = 8765
 HOST: Final = "127.0.0.1"
+LOWER: Final = 5
 NEEDED: Final = ("starlette", "uvicorn", "websockets")
 
 
@@ -71,21 +73,20 @@ def _serve(args: argparse.Namespace, addresses: "Addresses", overrides: dict[str
     from galen_hw.tools.dashboard.actions import Actions
     from galen_hw.tools.dashboard.calibration import Calibration
     from galen_hw.tools.dashboard.feed import Feed
-    from galen_hw.tools.dashboard.server import Dashboard, serve
+    from galen_hw.tools.dashboard.server import Dashboard, listen, make_server
 
+    with suppress(OSError):
+        os.nice(LOWER)  # the robot's loop first, wherever the cores are few
     access = Access(args.host, look_only=args.look_only)
     calibration = Calibration(addresses, overrides, check=not args.no_check)
     dashboard = Dashboard(Feed(addresses), Actions(addresses, calibration), calibration, access)
 
-    def say(url: str) -> None:
-        # After the #: a browser sends it to nobody, and no log has it.
-        print(f"dashboard: {url}{f'#token={access.token}' if access.token else ''}", flush=True)
-        if not access.token:
-            why = "" if is_loopback(args.host) else "; to command from afar: ssh -L 8765:127.0.0.1:8765 USER@ROBOT"
-            print(f"pages may only look{why}", flush=True)
-        print(
-            "Ctrl-C ends it; the daemon runs on" if not args.virtual else "Ctrl-C ends it and the virtual robot",
-            flush=True,
-        )
-
-    serve(dashboard.app, args.host, args.port, say)
+    listener, url = listen(args.host, args.port)
+    # After the #: a browser sends it to nobody, and no log has it.
+    print(f"dashboard: {url}{f'#token={access.token}' if access.token else ''}", flush=True)
+    if not access.token:
+        why = "" if is_loopback(args.host) else f"; to command from afar: ssh -L {PORT}:127.0.0.1:{PORT} USER@ROBOT"
+        print(f"pages may only look{why}", flush=True)
+    print(f"Ctrl-C ends it{'' if not args.virtual else ' and the virtual robot'}", flush=True)
+    with listener:
+        make_server(dashboard.app).run(sockets=[listener])

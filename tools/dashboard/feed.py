@@ -158,9 +158,8 @@ class Feed:
         raw, done = self.last("wrench/raw"), self.last("wrench/compensated")
         state, joints = self.last("compensation/state"), self.last("joints/state")
         found: dict[str, Any] = {"type": "live", "now": now, "ages": self._ages(now), "why": self._why(now, raw, done)}
-        if isinstance(done, WrenchCompensated):
-            found |= {"tool": done.tool, "calibration": done.calibration, "enabled": done.enabled, "blend": done.blend}
         if isinstance(state, CompensationState):
+            found |= {"tool": state.tool, "calibration": state.calibration, "enabled": state.enabled}
             found["tared"] = any(abs(x) > 0.0 for x in state.tare)
         if isinstance(joints, JointsState):
             found["joints"] = {"position": joints.position, "moving": any(joints.moving.values())}

@@ -1,14 +1,16 @@
 """The web server of the dashboard: one page, one websocket, the reports. Starlette on uvicorn, a process apart from the loop."""
 
 import asyncio
+import socket
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
+import uvicorn
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import Request
@@ -18,7 +20,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from galen_hw.errors import GalenError
+from galen_hw.errors import GalenError, HardwareError
 from galen_hw.tools.dashboard import frames
 from galen_hw.tools.dashboard.access import Access
 from galen_hw.tools.dashboard.actions import Actions, report_file, reports, tools
@@ -26,7 +28,8 @@ from galen_hw.tools.dashboard.calibration import Calibration
 from galen_hw.tools.dashboard.feed import Feed
 
 STATIC: Final = Path(__file__).with_name("static")
-FRAME_S: Final = 0.05
+FRAME_S: Final = 0.1
+"""A screen that may stand on the robot's own computer: ten pictures a second, and the rest of the machine for the robot."""
 SLOW_S: Final = 1.0
 MOST_PAGES: Final = 16
 MOST_REFUSALS: Final = 5
@@ -76,7 +79,7 @@ class Guard:
 class Page:
     """One open page: what it has been sent, and what it has done."""
 
-    socket: WebSocket
+    websocket: WebSocket
     bins: int = 0
     faults: int = -1
     calibration: int = -1
@@ -90,7 +93,7 @@ class Page:
     async def send(self, content: Any) -> None:
         """Send one object; NaN becomes null."""
         async with self.lock:
-            await self.socket.send_text(msgspec.json.encode(content).decode())
+            await self.websocket.send_text(msgspec.json.encode(content).decode())
 
 
 class Dashboard:
@@ -124,15 +127,15 @@ class Dashboard:
         path = await asyncio.to_thread(report_file, self._feed.info, words["folder"], words["name"])
         return PlainTextResponse("no such report", 404) if path is None else FileResponse(path)
 
-    async def _live(self, socket: WebSocket) -> None:
-        if not self._access.is_own(socket.headers.get("origin"), socket.headers.get("host")):
-            await socket.close(REFUSED)
+    async def _live(self, websocket: WebSocket) -> None:
+        if not self._access.is_own(websocket.headers.get("origin"), websocket.headers.get("host")):
+            await websocket.close(REFUSED)
             return
-        await socket.accept()
+        await websocket.accept()
         if self._pages >= MOST_PAGES:
-            await socket.close(FULL, "too many pages are open")
+            await websocket.close(FULL, "too many pages are open")
             return
-        page = Page(socket)
+        page = Page(websocket)
         self._pages += 1
         self._feed.open()
         sender = asyncio.create_task(self._send_all(page))
@@ -177,7 +180,7 @@ class Dashboard:
 
     async def _receive_all(self, page: Page) -> None:
         while True:
-            text = await page.socket.receive_text()
+            text = await page.websocket.receive_text()
             now = time.monotonic()
             page.times = [t for t in page.times if t > now - 1.0] + [now]
             try:
@@ -188,7 +191,7 @@ class Dashboard:
             else:
                 await self._take(page, frame)
             if page.refusals >= MOST_REFUSALS or len(page.times) > FRAMES_A_SECOND:
-                await page.socket.close(ABUSED, "that was no page of ours")
+                await page.websocket.close(ABUSED, "that was no page of ours")
                 return
 
     async def _take(self, page: Page, frame: frames.Frame) -> None:
@@ -218,43 +221,35 @@ class Dashboard:
             await page.send({"type": "answer", "n": frame.n, "ok": ok, "text": text})
 
 
-def serve(app: Any, host: str, port: int, on_start: Callable[[str], None]) -> None:
-    """Serve until Ctrl-C or SIGTERM; `on_start` is told the address.
+def make_server(app: Any) -> uvicorn.Server:
+    """The server of the application: small frames, few connections, nothing said of itself."""
+    return uvicorn.Server(
+        uvicorn.Config(
+            app,
+            ws="websockets-sansio",
+            ws_max_size=frames.LARGEST_FRAME,
+            ws_ping_interval=5.0,
+            ws_ping_timeout=10.0,
+            limit_concurrency=4 * MOST_PAGES,
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=3,
+        )
+    )
+
+
+def listen(host: str, port: int) -> tuple[socket.socket, str]:
+    """A listening socket and the page's address.
 
     Raises:
         HardwareError: the port cannot be had.
     """
-    import uvicorn
-
-    from galen_hw.errors import HardwareError
-
-    config = uvicorn.Config(
-        app,
-        ws="websockets-sansio",
-        ws_max_size=frames.LARGEST_FRAME,
-        ws_ping_interval=5.0,
-        ws_ping_timeout=10.0,
-        limit_concurrency=4 * MOST_PAGES,
-        log_level="warning",
-        access_log=False,
-        server_header=False,
-        timeout_graceful_shutdown=3,
-    )
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        family = "tcp6" if ":" in host else "tcp4"
-        listener = _listen(host, port, family)
+        listener = socket.create_server((host, port), family=family, backlog=64)
     except OSError as error:
-        raise HardwareError(
-            f"cannot listen ({error.strerror or error})", where=f"{host}:{port}", todo="give another one with --port"
-        ) from None
-    with listener:
-        bound = listener.getsockname()[1]
-        on_start(f"http://[{host}]:{bound}/" if family == "tcp6" else f"http://{host}:{bound}/")
-        uvicorn.Server(config).run(sockets=[listener])
-
-
-def _listen(host: str, port: int, family: str) -> Any:
-    import socket
-
-    kind = socket.AF_INET6 if family == "tcp6" else socket.AF_INET
-    return socket.create_server((host, port), family=kind, backlog=64)
+        todo = "give another one with --port"
+        raise HardwareError(f"cannot listen ({error.strerror or error})", where=f"{host}:{port}", todo=todo) from None
+    name = f"[{host}]" if ":" in host else host
+    return listener, f"http://{name}:{listener.getsockname()[1]}/"
