@@ -37,6 +37,8 @@ from galen_hw.version import VERSION
 SILENT_NS: Final = 3 * NS_PER_S
 """Three periods of `status`."""
 MOST_SOURCES: Final = 64
+SAID: Final = ("part ", "degraded ")
+"""Causes that their source tells of itself, unless it is silent."""
 MOST_LOST: Final = 1_000_000
 """Of one gap in `seq`; what is beyond is no loss."""
 
@@ -112,6 +114,8 @@ class HealthService(Service):
         self._judgement.all(known, self._rest, self._tool, (now_ns / NS_PER_S, wall_s))
         outputs: list[Output] = [("health", self._health(known, now_ns))]
         for alarm in self._alarms.take_raised():
+            if alarm.cause.startswith(SAID) and known.parts.get(alarm.cause.partition(" ")[2]) != "silent":
+                continue
             header = self._header("fault", now_ns)
             outputs.append(("fault", Fault(**header, valid=True, what=alarm.what, where=self.name, todo=alarm.todo)))
         detail = f"{len(self._alarms.all())} alarms" if self._alarms.all() else "no alarm"

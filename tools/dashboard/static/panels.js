@@ -5,7 +5,7 @@ import { el, keep, make, setText } from "./dom.js";
 const LAMPS = { ready: "good", starting: "advice", degraded: "warn", stopped: "warn", fault: "bad", silent: "bad" };
 const NAMES = { ft: "Sensor", motors: "Motors", tracker: "Tracker", compensation: "Compensation", calibration: "Calibration", deflection: "Deflection", admittance: "Hand-over-hand", recorder: "Recorder" };
 const GAUGES = [
-  ["noise_n", "Noise", (x, g) => `${(1000 * x).toFixed(1)} mN${g.calibration_noise_n ? ` (calibrated: ${(1000 * g.calibration_noise_n).toFixed(1)})` : ""}`],
+  ["noise_n", "Noise", (x, g) => `${(1000 * x).toFixed(0)} mN${g.calibration_noise_n ? `, was ${(1000 * g.calibration_noise_n).toFixed(0)}` : ""}`],
   ["rest_force_n", "Off zero at rest", (x) => `${x.toFixed(3)} N`],
   ["drift_n_per_s", "Drift at rest", (x) => (x ? `${(60 * x).toFixed(3)} N/min` : "none seen")],
   ["lost_share", "Samples lost", (x) => `${(100 * x).toFixed(2)} %`],
@@ -32,7 +32,7 @@ function markTools() {
 }
 
 export function showAbout(m) {
-  setText(el("robot"), m.robot ? `galen-hw · ${m.robot}` : "galen-hw");
+  setText(el("robot"), m.robot ?? "galen-hw");
   el("virtual").hidden = !m.virtual;
   const motors = m.devices?.motors;
   el("motors").hidden = !motors || !motors.held;
@@ -57,7 +57,7 @@ export function showLists(m, press, may) {
 
 function toolButton(tool, press, may) {
   const usable = tool.name === "" || tool.calibrated;
-  const more = tool.problem ?? (tool.name === "" ? "its weight stays in the wrench" : tool.calibrated ? `${tool.mass_g.toFixed(0)} g, ${tool.date.slice(0, 10)}` : "never calibrated");
+  const more = tool.problem ?? (tool.name === "" ? "its weight stays in the wrench" : tool.calibrated ? `${tool.mass_g.toFixed(0)} g, ${tool.date.slice(0, 10).replaceAll("-", "\u2011")}` : "never calibrated");
   const button = make("button", { text: tool.label ?? tool.name, disabled: !may || !usable }, make("small", { text: more }));
   button.dataset.tool = tool.name;
   button.dataset.needsToken = "1";

@@ -34,7 +34,10 @@ function setBar(bar, value) {
   bar.fill.style.width = `${Math.abs(share)}%`;
 }
 
-const signed = (value, digits) => `${value < 0 ? "−" : ""}${Math.abs(value).toFixed(digits)}`;
+function signed(value, digits) {
+  const text = Math.abs(value).toFixed(digits);
+  return value < 0 && Number(text) ? `−${text}` : text;
+}
 
 export function showWrench(live) {
   if (!bars) buildBars();
