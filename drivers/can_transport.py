@@ -91,6 +91,7 @@ class CanTransport(Transport[CanFrame]):
     def __init__(self, settings: CanSettings) -> None:
         self.address = f"{settings.interface}:{settings.channel}"
         self._settings = settings
+        self.bus_bit_rate = settings.bitrate
         self._bus: can.BusABC | None = None
         self._text: CanWire | None = None
         self._claim: Claim | None = None

@@ -20,6 +20,9 @@ class Transport(ABC, Generic[Wire]):
     news: Sequence[tuple[str, str]] = ()
     """What has befallen the open wire since this was emptied: what, what to do."""
 
+    bus_bit_rate: int = 0
+    """Bit/s of a bus that is shared with other nodes; 0 for a line of one's own."""
+
     @abstractmethod
     def open(self) -> None:
         """Open the wire.

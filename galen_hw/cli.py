@@ -18,6 +18,8 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "run": ("galen_hw.tools.run", "run the daemon beside the robot"),
     "check": ("galen_hw.tools.check", "check the set-up and name every problem at once"),
     "monitor": ("galen_hw.tools.monitor.command", "show live topics: rates, ages, losses, wrench"),
+    "status": ("galen_hw.tools.status", "say whether all is well: alarms, rates, latency, noise, drift"),
+    "dashboard": ("galen_hw.tools.dashboard.command", "show the robot live in a browser, with buttons"),
     "virtual": ("galen_hw.tools.virtual", "run the virtual robot: the other ends of the wires"),
     "calibrate": (
         "galen_hw.tools.calibration.command",

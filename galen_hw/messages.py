@@ -226,6 +226,57 @@ class CalibrationProgress(Message, frozen=True, kw_only=True):
     detail: str = ""
 
 
+class TopicHealth(msgspec.Struct, frozen=True, kw_only=True):
+    """How a topic flows: published a second and what is nominal, share not seen here and share that was valid.
+
+    `p50_s`, `p99_s`, `worst_s`: age when published, of the last second; 0 where nothing was.
+    """
+
+    rate_hz: float
+    nominal_hz: float
+    lost_share: float = 0.0
+    valid_share: float = 1.0
+    p50_s: float = 0.0
+    p99_s: float = 0.0
+    worst_s: float = 0.0
+
+
+class Alarm(msgspec.Struct, frozen=True, kw_only=True):
+    """Something that an operator should know, from when it is noticed until it is clearly over.
+
+    Args:
+        cause: a short name that stays the same, e.g. "drift"; level: "advice", "warning" or "fault".
+        since: seconds since the epoch.
+    """
+
+    cause: str
+    level: str
+    what: str
+    todo: str = ""
+    since: float = 0.0
+
+
+class Health(Message, frozen=True, kw_only=True):
+    """`health`: all that tells whether the daemon and its devices do well, once a second.
+
+    Args:
+        state: "good", "advice", "warning" or "fault": the worst of the alarms.
+        parts: state of each source of `status`, "silent" when it says nothing; details: its one line.
+        topics: by name, of those that have a nominal rate.
+        gauges: numbers by name, each with its unit in it; NaN where it is not known.
+        counters: whole numbers that only grow; versions: of what runs.
+    """
+
+    state: str = "fault"
+    alarms: list[Alarm] = []
+    parts: dict[str, str] = {}
+    details: dict[str, str] = {}
+    topics: dict[str, TopicHealth] = {}
+    gauges: dict[str, float] = {}
+    counters: dict[str, int] = {}
+    versions: dict[str, str] = {}
+
+
 class Request(msgspec.Struct, frozen=True, kw_only=True):
     """A command to a device or service, on the command socket.
 
@@ -328,6 +379,7 @@ TOPICS: Final[dict[str, Topic]] = {
     ),
     "status": Topic(Status, 1.0, "operating_state", "state, counters and gauges of each device and service"),
     "fault": Topic(Fault, 0.0, "error", "something went wrong: what, where, what to do"),
+    "health": Topic(Health, 1.0, "", "alarms, rates, losses, latency, noise and drift: how everything is doing"),
     "calibration/progress": Topic(CalibrationProgress, 0.0, "", "where a sweep stands"),
 }
 

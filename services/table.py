@@ -11,5 +11,6 @@ SERVICES: Final[dict[str, str]] = {
     "calibration": "galen_hw.services.calibration.service:CalibrationService",
     "deflection": "galen_hw.services.deflection.service:DeflectionService",
     "admittance": "galen_hw.services.admittance:AdmittanceService",
+    "health": "galen_hw.services.health.service:HealthService",
     "recorder": "galen_hw.services.recorder:RecorderService",
 }

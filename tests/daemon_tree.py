@@ -25,7 +25,11 @@ TESTS = Path(__file__).parent
 TABLES = {
     "drivers": {"sensor": "daemon_parts:LineSensor", "motors": "daemon_parts:LineMotors"},
     "transports": {"serial": "daemon_parts:PtyTransport"},
-    "services": {"compensation": "daemon_parts:Compensation", "calibration": "daemon_parts:Calibration"},
+    "services": {
+        "compensation": "daemon_parts:Compensation",
+        "calibration": "daemon_parts:Calibration",
+        "health": "galen_hw.services.health.service:HealthService",
+    },
 }
 RUN = """
 import json, logging, sys

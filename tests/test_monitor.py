@@ -10,7 +10,18 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from galen_hw.messages import JointsState, Message, Pose, Quaternion, Status, Vector3, WrenchCompensated, WrenchRaw
+from galen_hw.messages import (
+    Alarm,
+    Health,
+    JointsState,
+    Message,
+    Pose,
+    Quaternion,
+    Status,
+    Vector3,
+    WrenchCompensated,
+    WrenchRaw,
+)
 from galen_hw.tools.monitor.screen import GONE, screen
 from galen_hw.tools.monitor.view import View, fresh_for_s
 from tests.daemon_tree import daemon_tree
@@ -115,3 +126,14 @@ def test_monitor_sees_the_daemon_end(tmp_path: Path, how: str) -> None:
     assert not last["daemon"]
     assert not any(topic["valid"] for name, topic in last["topics"].items() if fresh_for_s(name) < 10.0)
     assert took_s < 30.0
+
+
+def test_an_alarm_of_the_health_service_is_shown_with_what_to_do() -> None:
+    """And not any more when the service is silent: it may be over."""
+    for silent_s, shown in ((0.0, True), (12.0, False)):
+        view = heard(silent_s)
+        now = time.monotonic() - silent_s
+        alarm = Alarm(cause="drift", level="warning", what="the wrench drifts", todo="tare it")
+        header = {"timestamp": 0.0, "t_ns": round(now * 1e9), "seq": 0, "valid": True, "source": "health"}
+        view.take("health", Health(**header, state="warning", alarms=[alarm]), now)
+        assert ("the wrench drifts" in text_of(view)) == shown

@@ -1,8 +1,6 @@
 """`galen-hw run`: the daemon beside the robot."""
 
 import argparse
-import logging
-import sys
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -19,12 +17,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM, SIGHUP or Ctrl-C, or until the parent ends."""
     from galen_hw.config.paths import make_runtime, runtime_dir, state_dir
+    from galen_hw.daemon import logs
     from galen_hw.daemon.machine import must_fit
     from galen_hw.daemon.supervisor import Supervisor, install_signals
     from galen_hw.daemon.tables import TABLES, read_setup
     from galen_hw.daemon.virtual import virtual_setup
 
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    logs.set_up()
     setup = read_setup(args.config)
     addresses = make_runtime(args.dir or runtime_dir())
     with ExitStack() as stack:

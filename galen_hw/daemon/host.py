@@ -10,6 +10,8 @@ import msgspec
 
 from galen_hw.bus import command_error
 from galen_hw.clock import NS_PER_S
+from galen_hw.daemon.ages import Ages
+from galen_hw.daemon.logs import FAULTS
 from galen_hw.daemon.port import Port
 from galen_hw.errors import CommandRejectedError, GalenError
 from galen_hw.messages import STREAMS, CommandError, CompensationState, Fault, Message, Reply, Request, too_old
@@ -18,6 +20,7 @@ from galen_hw.services.service import Service
 REPLY_WITHIN_NS: Final = 30 * NS_PER_S
 TICK_NS: Final = NS_PER_S // 20
 log = logging.getLogger("galen-hw")
+fault_log = logging.getLogger(FAULTS)
 
 
 class Link(Protocol):
@@ -74,6 +77,8 @@ class Host:
         self.published: dict[str, int] = {}
         self.old: dict[str, int] = {}
         """Messages beyond their topic's age limit, by topic: published as not valid, or not handed on."""
+        self.ages = {topic: Ages() for topic in STREAMS}
+        """Of the messages that describe the present, when they are published here."""
         self.faults: dict[str, Fault] = {}
         self.moving = False
         self.tool = ""
@@ -157,6 +162,8 @@ class Host:
         if message.valid and too_old(topic, message.t_ns, now):
             message = msgspec.structs.replace(message, valid=False)
             self.old[topic] = self.old.get(topic, 0) + 1
+        if topic in self.ages:
+            self.ages[topic].add(now - message.t_ns)
         consumers = self._consumers.get(topic)
         if consumers is not None:
             for service in consumers:
@@ -169,6 +176,7 @@ class Host:
             self.tool = message.tool
         elif topic == "fault" and isinstance(message, Fault):
             self.faults[message.source] = message
+            fault_log.warning("%s: %s%s", message.where or message.source, message.what, _todo(message))
 
     def _forward(self, request: Request, service: Service | None) -> None:
         """A service's request: under an id of our own, to a device or service here or to the world outside."""
@@ -224,3 +232,7 @@ class Host:
         else:
             answer = msgspec.structs.replace(reply, id=pending.id)
             self.take(pending.service.reply(answer, self._clock()), pending.service)
+
+
+def _todo(fault: Fault) -> str:
+    return f"; {fault.todo}" if fault.todo else ""

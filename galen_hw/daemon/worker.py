@@ -16,11 +16,13 @@ from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.config.load import Setup
 from galen_hw.config.paths import Addresses
 from galen_hw.config.schema import DaemonSection
+from galen_hw.daemon import logs
 from galen_hw.daemon.guard import Guard
 from galen_hw.daemon.host import Host
 from galen_hw.daemon.keep import DeviceKeeper, Keeper
 from galen_hw.daemon.layout import CORE, MOTORS, PRIORITY_BELOW_CORE, SENSOR
 from galen_hw.daemon.links import REPLY, REQUEST, Beat, CoreLink, DeviceState, EdgeLink, Origin
+from galen_hw.daemon.measures import Measures
 from galen_hw.daemon.orders import Orders, build_port, build_services
 from galen_hw.daemon.port import Port, Waker
 from galen_hw.daemon.pulse import LOOP, WRENCH, PulseBoard
@@ -98,7 +100,7 @@ class Worker:
         self._held: dict[str, str] = {}
         self._others = {name: 0 for name in orders.processes if orders.name == CORE and name != CORE}
         self._garbage = GarbageKeeper(self._setup.config.daemon.garbage_interval_s)
-        self._used_s, self._used_at_ns = 0.0, time.monotonic_ns()
+        self._measures = Measures(Path(orders.state_dir) if orders.name == CORE else None)
 
     def run(self) -> None:
         """Run until the lifeline ends; on every way out the devices are brought to rest first."""
@@ -252,10 +254,6 @@ class Worker:
         return DeviceState(port.state, ready, port.optional, port.attempts, problem, held)
 
     def _publish_status(self, now: int) -> None:
-        usage = resource.getrusage(resource.RUSAGE_SELF)
-        used = usage.ru_utime + usage.ru_stime
-        share = (used - self._used_s) / max(1e-9, (now - self._used_at_ns) / NS_PER_S)
-        self._used_s, self._used_at_ns = used, now
         self._status_seq += 1
         counters = {
             "turns": self._turns,
@@ -283,7 +281,7 @@ class Worker:
                 state="ready" if ready else "degraded",
                 detail="; ".join(problems),
                 counters=counters,
-                gauges={"cpu_share": share},
+                gauges=self._measures.take(now, self.host.ages, self.host.ports),
             ),
         )
 
@@ -344,7 +342,7 @@ def _wire_counters(ports: dict[str, Port]) -> dict[str, int]:
 
 def main() -> int:
     """Entry point: orders on standard input, which then stays open as the lifeline."""
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    logs.set_up()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         # They may reach the whole group; the supervisor alone says who ends when, by ending the lifeline.
         signal.signal(number, signal.SIG_IGN)

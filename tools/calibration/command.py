@@ -103,11 +103,11 @@ def _from_recording(args: argparse.Namespace, console: "Console") -> int:
     if named is not None:
         more = tuple(contradictions(result.estimate, named.mass, named.com))
         result = replace(result, remarks=(*result.remarks, *more))
-    tool = tool_file(result, with_terms(nominal, found.terms), _setting(recording))
+    tool = tool_file(result, with_terms(nominal, found.terms), setting_of(recording))
     return _conclude(_Session(args, console, store), result, tool, found.premises)
 
 
-def _setting(recording: "Recording") -> "Setting":
+def setting_of(recording: "Recording") -> "Setting":
     """On what a recording was made, as far as it says."""
     from galen_hw.tools.calibration.result import Setting
 
@@ -178,7 +178,7 @@ def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") 
     found = poses_of(recording)
     result = analyse(args.tool, found.poses, str(folder), found.notes)
     session = _Session(args, console, store, addresses)
-    tool = tool_file(result, with_terms(nominal, found.terms), _setting(recording))
+    tool = tool_file(result, with_terms(nominal, found.terms), setting_of(recording))
     return _conclude(session, result, tool, found.premises)
 
 

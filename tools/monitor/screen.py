@@ -12,7 +12,7 @@ from rich.panel import Panel
 from rich.rule import Rule
 from rich.table import Table
 
-from galen_hw.messages import JointsState, Pose, WrenchCompensated, WrenchRaw
+from galen_hw.messages import Health, JointsState, Pose, WrenchCompensated, WrenchRaw
 from galen_hw.tools.monitor.view import WINDOW_S, View, fresh_for_s
 
 BAR_WIDTH: Final = 21
@@ -38,6 +38,8 @@ def screen(view: View, lost: Mapping[str, int], about: str, width: int, *, gone:
     for panels in (upper, lower):
         found = [panel for panel in panels if panel is not None]
         parts += [_beside(found)] if width >= WIDE and len(found) > 1 else found
+    if (alarms := _alarms(view, now)) is not None:
+        parts.append(alarms)
     parts.append(_states(view, now))
     return Group(*parts)
 
@@ -149,6 +151,19 @@ def _pose(view: View, now: float) -> Panel | None:
 
 def _xyz(pose: Pose) -> tuple[float, float, float]:
     return pose.position.x, pose.position.y, pose.position.z
+
+
+def _alarms(view: View, now: float) -> Panel | None:
+    """What `health` wants an operator to know; nothing while there is no alarm or it is silent (which `topics` says)."""
+    health = _message(view, "health", Health)
+    if health is None or not health.alarms or view.is_old("health", now):
+        return None
+    table = _table("level", "what", "to do")
+    table.columns[1].no_wrap = table.columns[2].no_wrap = False
+    for alarm in health.alarms:
+        colour = {"advice": "cyan", "warning": "yellow"}.get(alarm.level, "red")
+        table.add_row(f"[{colour}]{alarm.level}[/]", escape(alarm.what), f"[dim]{escape(alarm.todo)}[/]")
+    return _panel("alarms", table, {"advice": "cyan", "warning": "yellow"}.get(health.state, "red"))
 
 
 def _states(view: View, now: float) -> Panel:

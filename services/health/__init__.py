@@ -1,0 +1,1 @@
+"""Whether the daemon, its devices and the calibration in use still do what they should."""
