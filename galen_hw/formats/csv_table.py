@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -22,6 +22,10 @@ from galen_hw.spatial import Array
 SEPARATORS: Final = (";", "\t", ",", "|", " ")
 _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$|[+-]?(nan|inf)$", re.IGNORECASE)
 _COMMA_NUMBER: Final = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?$")
+EXACT: Final[dict[str, Any]] = (
+    {} if tuple(map(int, pd.__version__.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
+)
+"""Every digit of a number counts; newer pandas reads so by itself, and warns of being told."""
 LOST: Final = [*EMPTY, "MISSING", "missing", "-", "--", "#N/A", "NULL", "none", "OCCLUDED"]
 """Cells that mean "not measured", here and elsewhere."""
 
@@ -206,7 +210,7 @@ def _whole_rows(lines: list[str], layout: Layout) -> tuple[list[str], dict[str, 
 
 def _frame(path: Path, rows: list[str], layout: Layout) -> pd.DataFrame:
     try:
-        return pd.read_csv(
+        found: pd.DataFrame = pd.read_csv(
             StringIO("\n".join(rows) + "\n"),
             header=None,
             names=list(range(len(layout.names))),
@@ -215,27 +219,29 @@ def _frame(path: Path, rows: list[str], layout: Layout) -> pd.DataFrame:
             decimal=layout.decimal,
             na_values=LOST,
             skipinitialspace=True,
-            float_precision="round_trip",
+            **EXACT,
         )
     except (ValueError, pd.errors.ParserError) as error:
         raise unreadable(path, error) from None
+    return found
 
 
 def numbers(cells: "pd.Series[float]") -> tuple[Array | None, int, bool]:
     """A column's numbers, how many of its cells are none, and whether they were dates; None where it is text."""
     if pd.api.types.is_bool_dtype(cells) or pd.api.types.is_numeric_dtype(cells):
-        return cells.to_numpy(dtype=float, na_value=np.nan), 0, False
+        return np.asarray(cells.to_numpy(dtype=float, na_value=np.nan)), 0, False
     text = cells.astype("string").str.strip()
     values = pd.to_numeric(text.replace({"True": "1", "False": "0", "true": "1", "false": "0"}), errors="coerce")
     there = int(text.notna().sum())
     good = int(values.notna().sum())
     if good >= max(1, there // 2):
-        return values.to_numpy(dtype=float, na_value=np.nan), there - good, False
+        return np.asarray(values.to_numpy(dtype=float, na_value=np.nan)), there - good, False
     stamps = pd.to_datetime(text, errors="coerce", utc=True, format="ISO8601")
     good = int(stamps.notna().sum())
     if there and good >= max(1, there // 2):
         ns = stamps.dt.as_unit("ns").astype("int64").to_numpy()
-        seconds: Array = np.where(stamps.isna().to_numpy(), np.nan, ns / NS_PER_S).astype(np.float64)
+        seconds: Array = np.array(ns, dtype=np.float64) / NS_PER_S
+        seconds[stamps.isna().to_numpy()] = np.nan
         return seconds, there - good, True
     return None, there, False
 

@@ -87,6 +87,8 @@ def import_files(paths: Sequence[Path], map_file: Path | None = None, info: dict
     paths = [*paths, *(given.also if given is not None else ())]
     named = [_contents(path, given, several=len(paths) > 1) for path in paths]
     contents = [one for _, one in named]
+    if given is not None:
+        given.entries = [entry for entry in given.entries if entry.target != "time"]  # they have become clocks
     what = guess(contents) if given is None or not given.entries else given
     if given is not None and what is not given:
         # A map without columns says other things; which is which is found as without it.
@@ -94,7 +96,6 @@ def import_files(paths: Sequence[Path], map_file: Path | None = None, info: dict
         what = replace(what, **kept, info=what.info | given.info)
     elif given is not None:
         try:
-            what.entries = [entry for entry in what.entries if entry.target != "time"]  # they have become clocks
             check_map(what, contents)
         except UsageError as error:
             where = f"{map_file}: {error.where}" if error.where else str(map_file)

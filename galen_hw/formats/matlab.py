@@ -1,6 +1,7 @@
 """MATLAB files of versions 4, 5 to 7 and 7.3: arrays, structs, tables and timetables, by mat-io."""
 
 import re
+import warnings
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,11 +30,15 @@ def read(path: Path) -> Contents:
         UsageError: it cannot be read, or the reader is not installed.
     """
     try:
-        from matio import load_from_mat
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it sets an option of pandas that is the default by now
+            from matio import load_from_mat
     except ImportError as error:
         raise needed("mat-io", "a MATLAB file")(error) from None
     try:
-        found = load_from_mat(str(path))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = load_from_mat(str(path))
     except Exception as error:  # noqa: BLE001 - a cut-off file makes the reader raise anything
         raise unreadable(path, error or type(error).__name__, "is it whole? save it again with -v7.3") from None
     contents = Contents()

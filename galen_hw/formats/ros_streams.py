@@ -25,7 +25,7 @@ HINTS: Final = {
     },
 }
 """What the fields of a type are, where their names do not say it."""
-UNNEEDED: Final = ("header.", "covariance", "_covariance")
+UNNEEDED: Final = ("covariance", ".header.")
 
 
 def type_definitions(texts: Mapping[str, tuple[str, str]], *, ros1: bool = False) -> dict[str, Any]:
@@ -90,10 +90,11 @@ class Topics:
     def finish(self) -> Contents:
         """The streams; what holds no numbers is listed."""
         for (topic, kind), gatherer in self._gatherers.items():
-            columns, logged = gatherer.columns()
-            if np.any(np.diff(logged) < 0):
+            columns, logged, stamps = gatherer.columns()
+            if (logged[1:] < logged[:-1]).any():
                 order = np.argsort(logged, kind="stable")
                 columns, logged = {name: values[order] for name, values in columns.items()}, logged[order]
+                stamps = None if stamps is None else stamps[order]
             title = f"{topic} ({kind})"
             if kind == STRING and topic.rstrip("/").endswith(DESCRIPTION):
                 self.contents.texts["robot.urdf"] = gatherer.texts.get("data", "")
@@ -105,19 +106,24 @@ class Topics:
                 why, count = next(iter(gatherer.lost.items()))
                 self.contents.passed.append(f"{title}: {count} messages cannot be read: {why}")
             else:
-                self.contents.streams.append(self._stream(topic, kind, columns, logged, gatherer))
+                self.contents.streams.append(self._stream(topic, kind, columns, (logged, stamps), gatherer))
         return self.contents
 
     def _stream(
-        self, topic: str, kind: str, columns: dict[str, Array], logged: Nanoseconds, gatherer: Gatherer
+        self,
+        topic: str,
+        kind: str,
+        columns: dict[str, Array],
+        clocks: tuple[Nanoseconds, Nanoseconds | None],
+        gatherer: Gatherer,
     ) -> Stream:
-        stamps = _stamps(columns)
+        logged, stamps = clocks
         headed = stamps is not None and bool(np.any(stamps))
         clock = stamps if headed and stamps is not None else logged
-        origin = int(clock[0])
+        origin, some = int(clock[0]), slice(None, None, max(1, len(clock) // 1000))
         if stamps is not None and not headed:
             self.contents.notes.append(f"{topic}: its headers bear no time; that of the log is taken")
-        elif headed and abs(far := float(np.median(logged - clock)) / NS_PER_S) > FAR_S:
+        elif headed and abs(far := float(np.median(logged[some] - clock[some])) / NS_PER_S) > FAR_S:
             self.contents.notes.append(f"{topic}: its headers are {far:.6g} s before the log: another clock?")
         numbers = {
             n: v for n, v in columns.items() if not n.startswith(UNNEEDED[0]) and not any(u in n for u in UNNEEDED[1:])
@@ -138,11 +144,3 @@ class Topics:
 
 
 FAR_S: Final = 1.0
-
-
-def _stamps(columns: dict[str, Array]) -> Nanoseconds | None:
-    """Header stamps, ns; both parts are whole numbers that a double holds."""
-    seconds, rest = columns.get("header.stamp.sec"), columns.get("header.stamp.nanosec")
-    if seconds is None or rest is None or np.isnan(seconds).any():
-        return None
-    return seconds.astype(np.int64) * NS_PER_S + rest.astype(np.int64)

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from galen_hw.clock import NS_PER_S
 from galen_hw.formats.contents import Nanoseconds
 from galen_hw.spatial import Array
 
@@ -37,7 +38,8 @@ CODES: Final = {
 MOST_ELEMENTS: Final = 64
 """Longer arrays (images, clouds, maps) are no columns."""
 MOST_SHAPES: Final = 200
-BATCH: Final = 8192
+BATCH: Final = 32768
+"""Messages that are decoded at once: arrays large enough that their memory goes back to the system."""
 
 
 class ShapeError(ValueError):
@@ -78,13 +80,9 @@ class Shape:
             same &= (table[:, start:end] == first[start:end]).all(axis=1)
         return same
 
-    def numbers(self, table: Bytes) -> list[Array]:
-        """The fields of messages of this shape, (N,) each."""
-        out = []
-        for _, place, code in self.fields:
-            size = np.dtype(code).itemsize
-            out.append(np.ascontiguousarray(table[:, place : place + size]).view(code)[:, 0].astype(float))
-        return out
+    def code(self, name: str) -> str:
+        """Numpy's code of a column."""
+        return self.fields[self.columns[name]][2]
 
 
 _ELEMENT: Final = re.compile(r"(?P<head>(?:.*\.)?)(?P<list>[^.\[]+)\[(?P<index>\d+)\](?P<rest>.*)$")
@@ -178,6 +176,33 @@ def shape_of(types: Mapping[str, Any], kind: str, raw: bytes, *, cdr: bool) -> S
     return walk.shape
 
 
+class _Part:
+    """The numbers of all messages of one shape, as they came; buffers that grow in place are never held twice."""
+
+    def __init__(self, shape: Shape) -> None:
+        self.shape, self.rows = shape, bytearray()
+        self._values = [bytearray() for _ in shape.fields]
+
+    def add(self, index: Bytes, table: Bytes) -> None:
+        """Take messages (n, length) that are the rows `index`."""
+        self.rows += index.astype(np.uint32).tobytes()
+        for buffer, (_, place, code) in zip(self._values, self.shape.fields, strict=True):
+            buffer.extend(table[:, place : place + np.dtype(code).itemsize].tobytes())
+
+    @property
+    def index(self) -> Bytes:
+        """(n,) the rows."""
+        return np.frombuffer(self.rows, dtype=np.uint32)
+
+    def take(self, name: str) -> Bytes | None:
+        """(n,) the numbers of a column, whose memory is given up here; None where the shape has none."""
+        at = self.shape.columns.get(name)
+        if at is None:
+            return None
+        buffer, self._values[at] = self._values[at], bytearray()
+        return np.frombuffer(buffer, dtype=self.shape.fields[at][2])
+
+
 class Gatherer:
     """The messages of one topic, as columns.
 
@@ -189,9 +214,8 @@ class Gatherer:
 
     def __init__(self, types: Mapping[str, Any], kind: str, *, cdr: bool) -> None:
         self._types, self.kind, self._cdr = types, kind, cdr
-        self._shapes: dict[int, list[Shape]] = {}
+        self._parts: dict[int, list[_Part]] = {}
         self._waiting: dict[int, tuple[bytearray, list[int]]] = {}
-        self._parts: list[tuple[Shape, Bytes, list[Array]]] = []
         self._logged = array("q")
         self.lost: dict[str, int] = {}
         self.texts: dict[str, str] = {}
@@ -210,22 +234,21 @@ class Gatherer:
     def _settle(self, length: int) -> None:
         """Decode what waits: shape by shape, until none is left."""
         data, rows = self._waiting.pop(length)
-        index, known = np.array(rows), self._shapes.setdefault(length, [])
-        table = np.frombuffer(bytes(data), dtype=np.uint8).reshape(len(rows), length)
-        turn = 0
+        index, known = np.array(rows, dtype=np.uint32), self._parts.setdefault(length, [])
+        table, turn = np.frombuffer(data, dtype=np.uint8).reshape(len(rows), length), 0
         while len(index):
-            if turn == len(known) and (shape := self._new_shape(table[0].tobytes())) is None:
-                table, index = table[1:], index[1:]
-                continue
             if turn == len(known):
-                assert shape is not None
-                known.append(shape)
-            same = known[turn].fits(table)
-            self._parts.append((known[turn], index[same], known[turn].numbers(table[same])))
+                shape = self._new_shape(table[0].tobytes())
+                if shape is None:
+                    table, index = table[1:], index[1:]
+                    continue
+                known.append(_Part(shape))
+            same = known[turn].shape.fits(table)
+            known[turn].add(index[same], table[same])
             table, index, turn = table[~same], index[~same], turn + 1
 
     def _new_shape(self, raw: bytes) -> Shape | None:
-        many = sum(map(len, self._shapes.values())) >= MOST_SHAPES
+        many = sum(map(len, self._parts.values())) >= MOST_SHAPES
         try:
             shape = None if many else shape_of(self._types, self.kind, raw, cdr=self._cdr)
             why = f"more than {MOST_SHAPES} shapes of message"
@@ -237,22 +260,42 @@ class Gatherer:
         self.texts.update(shape.texts)
         return shape
 
-    def columns(self) -> tuple[dict[str, Array], Nanoseconds]:
-        """Every number by its name, (N,), NaN in messages without it, and when they were logged; the memory is given up."""
+    def columns(self) -> tuple[dict[str, Array], Nanoseconds, Nanoseconds | None]:
+        """Every number by its name, (N,), NaN in messages without it; when they were logged; and their headers' stamps.
+
+        The memory is given up as the columns are made: of a million messages nothing is held twice.
+        """
         for length in list(self._waiting):
             self._settle(length)
-        there = (
-            np.sort(np.concatenate([index for _, index, _ in self._parts])) if self._parts else np.zeros(0, dtype=int)
-        )
-        logged = np.frombuffer(self._logged, dtype=np.int64)[there]
-        places = [np.searchsorted(there, index) for _, index, _ in self._parts]
-        names = dict.fromkeys(name for shape, _, _ in self._parts for name in shape.columns)
-        out: dict[str, Array] = {}
-        for name in names:
-            out[name] = np.full(len(there), np.nan)
-            for place, (shape, _, values) in zip(places, self._parts, strict=True):
-                if (at := shape.columns.get(name)) is not None:
-                    out[name][place] = values[at]
-                    values[at] = np.zeros(0)
-        self._parts = []
-        return out, logged
+        parts = [part for some in self._parts.values() for part in some]
+        logged, places = np.frombuffer(self._logged, dtype=np.int64), [part.index for part in parts]
+        if self.lost:
+            there = np.sort(np.concatenate([*places, np.zeros(0, dtype=np.uint32)]))
+            logged, places = logged[there], [np.searchsorted(there, index) for index in places]
+        stamps = _stamps(parts, places, len(logged))
+        names = dict.fromkeys(n for part in parts for n in part.shape.columns if not n.startswith("header."))
+        return {name: _filled(name, parts, places, len(logged)) for name in names}, logged, stamps
+
+
+def _filled(name: str, parts: list[_Part], places: list[Bytes], count: int) -> Array:
+    """A column of all shapes; of one shape alone it is the buffer itself."""
+    if len(parts) == 1 and parts[0].shape.code(name) == "<f8":
+        found = parts[0].take(name)
+        assert found is not None, "the shape has it"
+        return found
+    out = np.full(count, np.nan)
+    for place, part in zip(places, parts, strict=True):
+        if (values := part.take(name)) is not None:
+            out[place] = values
+    return out
+
+
+def _stamps(parts: list[_Part], places: list[Bytes], count: int) -> Nanoseconds | None:
+    """Stamps of the headers, ns since the epoch; None where a message has none."""
+    stamps = np.zeros(count, dtype=np.int64)
+    for place, part in zip(places, parts, strict=True):
+        seconds, rest = part.take("header.stamp.sec"), part.take("header.stamp.nanosec")
+        if seconds is None or rest is None:
+            return None
+        stamps[place] = seconds.astype(np.int64) * NS_PER_S + rest
+    return stamps if parts else None
