@@ -19,3 +19,9 @@ VIRTUAL_DEVICES: Final[dict[str, str]] = {
     "galil_dmc": "galen_hw.drivers.virtual.galil_dmc:VirtualGalilDmc",
     "ndi_tracker": "galen_hw.drivers.virtual.ndi_tracker:VirtualNdiTracker",
 }
+
+LISTENERS: Final[dict[str, str]] = {
+    "ati_netcanoem": "galen_hw.drivers.ati_netcanoem.listen",
+    "robotous_rft": "galen_hw.drivers.robotous_rft.listen",
+}
+"""Drivers that also decode a log of their bus: modules with `KEYS`, `recognises` and `listen` (see `listening`)."""

@@ -211,7 +211,7 @@ def test_another_tool_can_be_tried_on_a_recording(
     columns = {f"joint.{n}.position": q[:, i] for i, n in enumerate(ROBOT.joint_names)}
     table = Recording(columns | dict(zip(WRENCH, wrench.T, strict=True)), RecordingInfo(robot="galen"))
     write_table(table, tmp_path / "table")
-    assert main(["import", str(tmp_path / "table"), str(tmp_path / "table.mcap")]) == 0
+    assert main(["import", str(tmp_path / "table"), "-o", str(tmp_path / "table.mcap")]) == 0
     capsys.readouterr()
     assert main(["replay", str(tmp_path / "table.mcap"), "--tool", "retractor"]) == 0
     head, _, raw_line, left_line, _ = capsys.readouterr().out.splitlines()

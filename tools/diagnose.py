@@ -13,7 +13,9 @@ from galen_hw.diagnosis.recordings import diagnose_recordings
 from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.work import Work
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
-from galen_hw.recording import Recording, read_recording
+from galen_hw.formats import read as read_recording
+from galen_hw.formats.own import is_own
+from galen_hw.recording import Recording
 from galen_hw.tools.diagnose_screen import counting, show, working
 from galen_hw.tools.diagnose_tool import model_to_save, tool_named, with_tool
 
@@ -23,7 +25,10 @@ STDOUT: Final = "-"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
     parser.add_argument(
-        "recordings", nargs="+", metavar="RECORDING", help="MCAP file, table folder, or a folder of them"
+        "recordings",
+        nargs="+",
+        metavar="RECORDING",
+        help="MCAP file, table folder, a file of another program (docs/import.md), or a folder of them",
     )
     parser.add_argument("--simulation", help="a table that someone else simulated")
     parser.add_argument(
@@ -133,7 +138,11 @@ def _named(given: str, path: Path, *, several: bool) -> Path:
 
 def expanded(path: Path) -> list[Path]:
     """The recordings of a folder of recordings; else the path itself."""
-    if path.is_dir() and not any((path / f"recording.{kind}").exists() for kind in ("csv", "parquet", "json")):
+    if (
+        path.is_dir()
+        and is_own(path)
+        and not any((path / f"recording.{kind}").exists() for kind in ("csv", "parquet", "json"))
+    ):
         inside = sorted(p for p in path.iterdir() if (p / "recording.json").exists() or p.suffix == ".mcap")
         return inside or [path]
     return [path]

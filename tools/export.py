@@ -18,9 +18,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write it, and say what is odd about it."""
-    from galen_hw.recording import read_recording, write_table
+    from galen_hw.formats import read
+    from galen_hw.recording import write_table
 
-    recording = read_recording(args.recording, compensated=args.compensated)
+    recording = read(args.recording, compensated=args.compensated)
     write_table(recording, args.folder, args.format, overwrite=args.force)
     print(f"{args.folder}: {len(recording)} rows, {len(recording.columns)} columns")
     for warning in recording.warnings:

@@ -59,7 +59,7 @@ def scaled(x: Array, y: Array) -> Similarity:
     residual = y - scale * x
     spread = np.linalg.svd(x, compute_uv=False)
     rank = int(np.sum(spread > 0.01 * max(spread[0], 1e-300)))
-    return Similarity(abs(scale), np.sign(scale) * np.eye(x.shape[1]), _share(residual, y), residual, rank)
+    return Similarity(abs(scale), np.copysign(1.0, scale) * np.eye(x.shape[1]), _share(residual, y), residual, rank)
 
 
 def _share(residual: Array, y: Array) -> float:

@@ -17,6 +17,7 @@ __all__ = [
     "Recording",
     "RecordingInfo",
     "Tool",
+    "beside",
     "read_recording",
     "write_table",
 ]
@@ -45,10 +46,15 @@ def read_recording(path: Path | str, *, simulation: Path | str | None = None, co
         recording = read_table(path)
     if simulation is None:
         return recording
-    return _beside(recording, Path(simulation))
+    return beside(recording, Path(simulation))
 
 
-def _beside(recording: Recording, simulation: Path) -> Recording:
+def beside(recording: Recording, simulation: Path) -> Recording:
+    """The recording with another as what someone else simulated.
+
+    Raises:
+        UsageError: the simulation cannot be read.
+    """
     simulated = read_table(simulation, info_needed=False) if simulation.is_dir() else read_recording(simulation)
     old = () if recording.simulation is None else tuple(w for w in recording.warnings if w.startswith("simulation: "))
     kept = tuple(w for w in recording.warnings if w not in old)

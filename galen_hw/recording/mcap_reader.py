@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import islice
 from math import nan
 from pathlib import Path
 from typing import Any, Final, NoReturn
@@ -44,10 +45,16 @@ class Logged:
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """What the file says of one of its channels: the name of its schema and how its messages are encoded."""
+    """What the file says of one of its channels: the name of its schema and how its messages are encoded.
+
+    Also its topic, and the schema itself with the language that it is written in.
+    """
 
     schema: str
     encoding: str
+    topic: str = ""
+    text: bytes = b""
+    language: str = ""
 
 
 @dataclass
@@ -61,8 +68,8 @@ class McapFile:
         topics: to read; all if None.
         kinds: structs of topics beside those of the bus.
 
-    After iterating, `attachments`, `metadata`, `warnings`, `profile` and `held` (every channel of the file, by topic) are
-    complete.
+    After iterating, `attachments`, `metadata`, `warnings`, `profile`, `held` (every channel of the file, by topic) and
+    `channels` (the same by number) are complete.
     """
 
     path: Path
@@ -73,7 +80,8 @@ class McapFile:
     warnings: list[str] = field(default_factory=list)
     held: dict[str, Held] = field(default_factory=dict)
     profile: str = ""
-    _schemas: dict[int, str] = field(default_factory=dict)
+    channels: dict[int, Held] = field(default_factory=dict)
+    _schemas: dict[int, Schema] = field(default_factory=dict)
     _channels: dict[int, tuple[str, Callable[[bytes], Any]]] = field(default_factory=dict)
 
     def __iter__(self) -> Iterator[Logged]:
@@ -95,6 +103,13 @@ class McapFile:
             yield Logged(found[0], record.log_time, message)
         if unreadable:
             self.warnings.append(f"{unreadable} messages could not be read and are left out")
+
+    def raw(self) -> Iterator[tuple[int, Record]]:
+        """Every message of every channel as it is, by the number of its channel, in the order of the file."""
+        self._read_summary()
+        for record in self._records():
+            if record.channel_id in self.channels:
+                yield record.channel_id, record
 
     def read(self) -> list[Logged]:
         """All messages."""
@@ -134,7 +149,7 @@ class McapFile:
                 continue
             for record in inner:
                 if isinstance(record, Schema):
-                    self._schemas[record.id] = record.name
+                    self._schemas[record.id] = record
                 elif isinstance(record, Channel):
                     self._add_channel(record)
                 elif isinstance(record, Record):
@@ -168,7 +183,7 @@ class McapFile:
             with suppress(Exception):  # damaged: the chunks may still say it
                 if opcode == Opcode.SCHEMA and len(body) == length:
                     schema = Schema.read(ReadDataStream(BytesIO(body)))
-                    self._schemas[schema.id] = schema.name
+                    self._schemas[schema.id] = schema
                 if opcode == Opcode.CHANNEL and len(body) == length:
                     self._add_channel(Channel.read(ReadDataStream(BytesIO(body))))
             place += _HEAD.size + length
@@ -224,7 +239,10 @@ class McapFile:
         return []
 
     def _add_channel(self, channel: Channel) -> None:
-        self.held.setdefault(channel.topic, Held(self._schemas.get(channel.schema_id, ""), channel.message_encoding))
+        schema = self._schemas.get(channel.schema_id) or Schema(id=0, name="", encoding="", data=b"")
+        held = Held(schema.name, channel.message_encoding, channel.topic, schema.data, schema.encoding)
+        self.held.setdefault(channel.topic, held)
+        self.channels.setdefault(channel.id, held)
         wanted = self.topics is None or channel.topic in self.topics
         if not wanted or channel.id in self._channels:
             return
@@ -235,6 +253,20 @@ class McapFile:
             self.warnings += [] if text in self.warnings else [text]
             return
         self._channels[channel.id] = (channel.topic, decoder)
+
+
+def held_in(path: Path) -> dict[str, Held]:
+    """The channels of a file by topic, from its index alone; of a file without one, from its first messages.
+
+    Raises:
+        UsageError: it cannot be read.
+    """
+    file = McapFile(path, frozenset())
+    file._read_summary()  # noqa: SLF001
+    if not file.held:
+        for _ in islice(file.raw(), 1000):
+            pass
+    return file.held
 
 
 def _kind(held: Held) -> str:

@@ -81,6 +81,8 @@ class Recording:
     @property
     def about(self) -> str:
         """Where `info` was read, as errors name it: a file beside a table, attached to an MCAP file, or that file's own."""
+        if self.path.is_file() and self.path.suffix != ".mcap":
+            return str(self.path)
         if self.path.suffix != ".mcap":
             return str(self.path / "recording.json")
         return f"{self.path}: recording.json" if "recording.json" in self.attachments else str(self.path)

@@ -21,6 +21,8 @@ from galen_hw.spatial import Array
 
 EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "null", "None"]
 """Cells that mean "not measured"."""
+ROW_GROUP = 65536
+"""Rows that are written at once."""
 CSV, PARQUET, INFO = "recording.csv", "recording.parquet", "recording.json"
 
 
@@ -255,4 +257,5 @@ def _write_parquet(recording: Recording, file: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    pq.write_table(pa.table(_ordered(recording)), file)
+    # Measured numbers hardly come twice, and a dictionary of them would be a second table in memory.
+    pq.write_table(pa.table(_ordered(recording)), file, row_group_size=ROW_GROUP, use_dictionary=False)

@@ -83,12 +83,12 @@ def _from_recording(args: argparse.Namespace, console: "Console") -> int:
     from galen_hw.config.paths import state_dir
     from galen_hw.config.tool_file import ToolFile
     from galen_hw.config.tool_store import ToolStore
+    from galen_hw.formats import read
     from galen_hw.identification.sense import contradictions
-    from galen_hw.recording import read_recording
     from galen_hw.tools.calibration.poses import poses_of
     from galen_hw.tools.calibration.result import analyse, tool_file, with_terms
 
-    recording = read_recording(args.recording)
+    recording = read(args.recording)
     store = ToolStore(state_dir())
     named = recording.info.tool
     name = args.tool or _slug(named.name if named else "") or _slug(args.recording.stem)

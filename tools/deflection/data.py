@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from galen_hw.errors import UsageError
+from galen_hw.formats import read as read_recording
 from galen_hw.identification.deflection.data import DeflectionSet, check
-from galen_hw.recording import Recording, read_recording
+from galen_hw.recording import Recording
 from galen_hw.tools.examined import examine_recording
 
 if TYPE_CHECKING:

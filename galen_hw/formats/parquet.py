@@ -1,0 +1,34 @@
+"""Parquet, of any column types that are numbers or times."""
+
+from pathlib import Path
+from typing import Final
+
+from galen_hw.formats.contents import Contents, Head, needed, unreadable
+from galen_hw.formats.frames import stream_of_frame
+
+MAGIC: Final = b"PAR1"
+
+
+def sniff(head: Head) -> bool:
+    """By its signature."""
+    return head.data.startswith(MAGIC)
+
+
+def read(path: Path) -> Contents:
+    """One stream.
+
+    Raises:
+        UsageError: it cannot be read, or pyarrow is not installed.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        raise needed("pyarrow", "a Parquet file")(error) from None
+    try:
+        table = pq.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise unreadable(path, error, "its index stands at the end: is the file whole?") from None
+    contents = Contents()
+    contents.streams.append(stream_of_frame("", table.to_pandas(), contents))
+    return contents
