@@ -2,27 +2,22 @@
 
 import argparse
 import json
-from dataclasses import replace
 from pathlib import Path
-from typing import Final
 
 from rich.console import Console
 
 from galen_hw.config.tool_store import write_atomic
 from galen_hw.diagnosis.bench import Progress
-from galen_hw.diagnosis.engine import Work, diagnose
+from galen_hw.diagnosis.engine import Work
 from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
-from galen_hw.physics.observations import Observations
-from galen_hw.physics.table import scene_of
-from galen_hw.physics.together import joined
+from galen_hw.extras import need
 from galen_hw.recording import Recording, read_recording
-from galen_hw.tools.diagnose_input import named_in, observations_of
+from galen_hw.tools.answer import stamped
 from galen_hw.tools.diagnose_screen import counting, show, working
 from galen_hw.tools.diagnose_tool import model_to_save, tool_named, with_tool
-from galen_hw.tools.recorded_robot import model_notes
-
-STDOUT: Final = "-"
+from galen_hw.tools.diagnose_work import Asked, diagnose_recordings
+from galen_hw.tools.outputs import check_file, report_page
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,10 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--together", action="store_true", help="fit all recordings as one: the same machine, several runs"
     )
+    parser.add_argument("--json", action="store_true", help="print the answer as JSON, the summary on stderr")
+    parser.add_argument("-o", "--output", metavar="FILE", type=Path, help="write the answer as JSON to this file")
     parser.add_argument(
-        "--json", metavar="OUT", help="write the answer as JSON; -: to the standard output, the summary to the other"
+        "--report", metavar="PAGE", type=Path, help="write a page with figures: FILE.html, or a folder for report.html"
     )
-    parser.add_argument("--report", metavar="OUT.html", help="write a page with figures")
     parser.add_argument(
         "--tool", metavar="NAME", help="the tool in hand, of the store or a tool's file (default: as recorded)"
     )
@@ -69,24 +65,25 @@ def run(args: argparse.Namespace) -> int:
     _check_outputs(args)
     paths = [p for given in args.recordings for p in expanded(Path(given))]
     answers = _all(paths, args)
-    show(Console(stderr=args.json == STDOUT), answers)
-    if args.json:
-        values = [answer.to_json() for answer in answers]
+    show(Console(stderr=args.json), answers)
+    if args.json or args.output:
+        values = [stamped(answer.to_json(), seed=args.seed) for answer in answers]
         text = json.dumps(values if len(values) > 1 else values[0], indent=1, ensure_ascii=False, allow_nan=False)
-        if args.json == STDOUT:
+        if args.output:
+            write_atomic(args.output, text + "\n")
+        if args.json:
             print(text)
-        else:
-            write_atomic(Path(args.json), text + "\n")
     return EXIT_OK if all(a.verdict == "agrees" for a in answers) else EXIT_FOUND
 
 
 def _check_outputs(args: argparse.Namespace) -> None:
     """What is to be written can be, before minutes of work are spent on it."""
-    for option, given in (("--json", args.json), ("--report", args.report), ("--save-model", args.save_model)):
-        if given and Path(given).is_dir():
-            raise UsageError("is a folder", where=f"{option} {given}", todo="name a file in it")
-        if given and not Path(given).parent.is_dir():
-            raise UsageError("there is no such folder", where=f"{option} {given}", todo=f"mkdir {Path(given).parent}")
+    for option, given in (("-o", args.output), ("--save-model", args.save_model)):
+        if given:
+            check_file(Path(given), option)
+    if args.report:
+        need("reports", "--report")
+        args.report = report_page(args.report)
 
 
 def _all(paths: list[Path], args: argparse.Namespace) -> list[Diagnosis]:
@@ -121,7 +118,9 @@ def _whole(
         from galen_hw.diagnosis.draw import traces_of
         from galen_hw.diagnosis.page import write_page
 
-        write_page(_named(args.report, path, several=several), work.diagnosis, traces_of(work))
+        page = _named(args.report, path, several=several)
+        page.parent.mkdir(parents=True, exist_ok=True)
+        write_page(page, work.diagnosis, traces_of(work))
     if args.save_model:
         target = _named(args.save_model, path, several=several)
         saved = model_to_save(work, recording, target)
@@ -131,7 +130,7 @@ def _whole(
     return work.diagnosis
 
 
-def _named(given: str, path: Path, *, several: bool) -> Path:
+def _named(given: str | Path, path: Path, *, several: bool) -> Path:
     target = Path(given)
     return target.with_stem(f"{target.stem}-{path.stem}") if several else target
 
@@ -154,36 +153,9 @@ def one(paths: list[Path], args: argparse.Namespace, progress: Progress | None =
         return recording if tool is None else with_tool(recording, tool)
 
     recordings = [read(path, args.simulation) for path in paths]
-    observations, notes = _joined(recordings, paths)
-    holdout = None
-    if judges:
-        others = [read(path) for path in judges]
-        other = _joined(others, judges)[0]
-        with named_in(others[0]):
-            order = {k: other.columns[k] for k in observations.columns if k in other.columns}
-            holdout = scene_of(replace(other, columns=order | dict(other.columns)))
-    with named_in(recordings[0]):
-        scene = scene_of(observations)
-    if holdout is not None and holdout.channels != scene.channels:
-        todo = "judge on a recording that compares the same channels"
-        raise UsageError(f"does not compare the channels of {paths[0]}", where=f"--holdout {judges[0]}", todo=todo)
-    name = ", ".join(map(str, paths))
-    with named_in(recordings[0]):
-        work = diagnose(
-            scene, name=name, holdout=holdout, share=share, seed=args.seed, progress=progress, repair=not args.no_repair
-        )
-    work.diagnosis.units = dict(zip(scene.channels, scene.units, strict=True))
-    concerned = [name for remark in work.diagnosis.premises for name in remark["columns"]]
-    work.diagnosis.notes[:0] = [line for line in notes if not _said_better(line, concerned)]
-    if holdout is not None:
-        work.diagnosis.holdout = ", ".join(map(str, judges))
-    return work, recordings[0]
-
-
-def _said_better(line: str, columns: list[str]) -> bool:
-    """Whether a line of the reader is about cells of which a premise has said what they are."""
-    name = line.partition(":")[0].partition(",")[0].strip()
-    return any(column.startswith(name) for column in columns)
+    others = [read(path) for path in judges]
+    asked = Asked(share=share, seed=args.seed, repair=not args.no_repair)
+    return diagnose_recordings(recordings, others, asked, progress), recordings[0]
 
 
 def _holdout(given: list[str]) -> tuple[float, list[Path]]:
@@ -196,30 +168,3 @@ def _holdout(given: list[str]) -> tuple[float, list[Path]]:
         where = f"--holdout {' '.join(given)}"
         raise UsageError("not a share", where=where, todo="give a number from 0 to 0.9, or recordings")
     return share, []
-
-
-def _joined(recordings: list[Recording], paths: list[Path]) -> tuple[Observations, list[str]]:
-    """The recordings as one, and what is odd about each."""
-    _same_machine(recordings, paths)
-    names = [str(path) for path in paths]
-    each = [observations_of(recording) for recording in recordings]
-    odd = [
-        [*r.warnings, *model_notes(r, one.belief.robot, r.info.predict)]
-        for r, one in zip(recordings, each, strict=True)
-    ]
-    observations, begins = joined(each, names)
-    if len(paths) == 1:
-        return observations, odd[0]
-    notes = [f"{name}: {line}" for name, lines in zip(names, odd, strict=True) for line in lines]
-    clock = "at {:.2f} s" if observations.time is not None else "with row {:.0f}"
-    return observations, [*notes, *(f"{n} begins {clock.format(b)}" for n, b in zip(names, begins, strict=True))]
-
-
-def _same_machine(recordings: list[Recording], paths: list[Path]) -> None:
-    """That all recordings are of one machine and one model, so that one set of parameters can stand for all."""
-    first = recordings[0]
-    for recording in recordings[1:]:
-        for key in ("robot", "tool", "predict", "model", "distal_bodies"):
-            if getattr(recording.info, key) != getattr(first.info, key):
-                todo = f"make {key} agree, or diagnose them one by one"
-                raise UsageError(f"{key} is not that of {paths[0]}", where=recording.about, todo=todo)
