@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", metavar="FOLDER", type=Path, help="table folder: docs/recording.md")
     parser.add_argument("file", metavar="FILE", type=Path, help="MCAP file to be made")
     parser.add_argument("--encoding", choices=("json", "msgpack"), default="json", help="of the messages")
-    parser.add_argument("--force", action="store_true", help="overwrite the file")
+    parser.add_argument("--overwrite", action="store_true", help="overwrite the file")
     parser.epilog = "example: galen-hw import run run.mcap"
 
 
@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     from galen_hw.recording.to_mcap import write_mcap
 
     recording = read_recording(args.folder)
-    write_mcap(recording, args.file, encoding=args.encoding, overwrite=args.force)
+    write_mcap(recording, args.file, encoding=args.encoding, overwrite=args.overwrite)
     print(f"{args.file}: {len(recording)} rows, {len(recording.columns)} columns")
     for line in (*recording.warnings, *_premises(recording)):
         print(f"  {line}")
