@@ -30,7 +30,7 @@ $(BASE): pyproject.toml
 	@echo "setting up $(VENV), once: a minute or two"
 	@$(PYTHON) -m venv $(VENV)
 	@$(PIP) --upgrade pip
-	@$(PIP) --editable .
+	@$(PIP) --editable '.[all]'
 	@touch $@
 
 $(STAMP): $(BASE)

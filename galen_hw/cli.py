@@ -5,11 +5,13 @@ import importlib
 import os
 import sys
 import traceback
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from galen_hw.errors import EXIT_INTERNAL, EXIT_USAGE, GalenError
+from galen_hw.extras import explained
 from galen_hw.version import VERSION
 
 EXIT_PIPE: Final = 128 + 13
@@ -41,20 +43,13 @@ def main(argv: list[str] | None = None) -> int:
     """Run one command.
 
     Returns:
-        The exit status: 0 fine, 1 found a problem, 2 wrong use or input, 3 hardware, 70 internal error, 141 output cut off.
+        The exit status: 0 fine, 1 found something, 2 wrong use or input, 3 hardware, 4 refused, 70 internal error, 141 output
+        cut off.
     """
     argv = sys.argv[1:] if argv is None else argv
-    parser, command = _parser(argv)
-    args, unknown = parser.parse_known_args(argv)
-    if unknown:
-        _Parser(prog=f"galen-hw {command or ''}".strip()).error(f"{' '.join(unknown)}: not known")
-    if args.command is None:
-        parser.print_help()
-        return EXIT_USAGE
-    assert command is not None
+    command = _named(argv)
     try:
-        status = int(importlib.import_module(COMMANDS[command][0]).run(args))
-        sys.stdout.flush()  # Here, where a reader that has gone can still be told in the status.
+        return _run(argv)
     except GalenError as error:
         if os.environ.get("GALEN_HW_TRACEBACK"):
             raise
@@ -76,7 +71,55 @@ def main(argv: list[str] | None = None) -> int:
             raise
         print(f"galen-hw {command}: {_internal(error)}", file=sys.stderr)
         return EXIT_INTERNAL
+
+
+def _run(argv: list[str]) -> int:
+    """Parse and carry out.
+
+    Raises:
+        MissingExtraError: a library that the command needs is not installed.
+    """
+    try:
+        parser, command = _parser(argv)
+        args, unknown = parser.parse_known_args(argv)
+        if unknown:
+            meant = _meant(unknown[0].partition("=")[0], _options(parser))
+            _Parser(prog=f"galen-hw {command or ''}".strip()).error(f"{' '.join(unknown)}: not known{meant}")
+        if args.command is None:
+            parser.print_help()
+            return EXIT_USAGE
+        assert command is not None
+        status = int(importlib.import_module(COMMANDS[command][0]).run(args))
+        sys.stdout.flush()  # Here, where a reader that has gone can still be told in the status.
+    except ModuleNotFoundError as error:
+        if (missing := explained(error)) is not None:
+            raise missing from error
+        raise
     return status
+
+
+def _named(argv: list[str]) -> str | None:
+    """The word that should be a command."""
+    return next((word for word in argv if not word.startswith("-")), None)
+
+
+def _meant(word: str, known: Iterable[str]) -> str:
+    """`; did you mean ...?` where a known word is near; only then is difflib loaded."""
+    from difflib import get_close_matches
+
+    near = get_close_matches(word, list(known), n=1, cutoff=0.6)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def _options(parser: argparse.ArgumentParser) -> list[str]:
+    """All options of a parser and of the commands below it that are loaded."""
+    found: list[str] = []
+    for action in parser._actions:  # noqa: SLF001 - argparse gives no other way to a parser's options
+        found += [word for word in action.option_strings if word.startswith("--")]
+        if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
+            for below in action.choices.values():
+                found += _options(below)
+    return found
 
 
 def _internal(error: Exception) -> str:
@@ -94,7 +137,7 @@ def _parser(argv: list[str]) -> tuple[argparse.ArgumentParser, str | None]:
     )
     parser.add_argument("--version", action="version", version=f"galen-hw {VERSION}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
-    named = next((word for word in argv if not word.startswith("-")), None)
+    named = _named(argv)
     for name, (module, text) in COMMANDS.items():
         sub = subparsers.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         if name == named:
@@ -108,6 +151,12 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """End with the status of wrong use."""
         self.exit(EXIT_USAGE, f"{self.prog}: {message}; {self.prog} --help\n")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse what is no choice; the nearest one is named instead of all of them."""
+        if action.choices is not None and value not in action.choices and (near := _meant(str(value), action.choices)):
+            raise argparse.ArgumentError(action, f"{value!r} is none{near}")
+        super()._check_value(action, value)
 
 
 class _OneColumn(argparse.HelpFormatter):

@@ -2,8 +2,11 @@
 
 EXIT_OK = 0
 EXIT_FOUND = 1
+"""The work was done and something was found: a mismatch, a problem of the set-up, a check that did not pass."""
 EXIT_USAGE = 2
 EXIT_HARDWARE = 3
+EXIT_REFUSED = 4
+"""Well asked, and not done: the robot is not in a state for it, the data cannot be fitted, nobody accepted the result."""
 EXIT_INTERNAL = 70
 """A fault of this program, as EX_SOFTWARE of sysexits.h: never 1, which says that something was found."""
 
@@ -17,7 +20,7 @@ class GalenError(Exception):
         todo: what to do about it; empty where nothing helps.
     """
 
-    exit_code = EXIT_FOUND
+    exit_code = EXIT_REFUSED
 
     def __init__(self, what: str, *, where: str = "", todo: str = "") -> None:
         super().__init__(what, where, todo)
@@ -41,4 +44,4 @@ class HardwareError(GalenError):
 
 
 class CommandRejectedError(GalenError):
-    """A command that is well formed but must not be carried out now; nothing was sent."""
+    """A command that is well formed but must not be carried out now; nothing was sent (exit status 4)."""

@@ -308,7 +308,9 @@ def open_new(path: Path, *, overwrite: bool = False) -> IO[bytes]:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path.open("wb" if overwrite else "xb")
     except FileExistsError:
-        raise UsageError("is there already", where=str(path), todo="give another name with -o, or --force") from None
+        raise UsageError(
+            "is there already", where=str(path), todo="give another name with -o, or --overwrite"
+        ) from None
     except OSError as error:
         todo = "give a place that can be written"
         raise UsageError(f"cannot be written ({error.strerror})", where=str(path), todo=todo) from None

@@ -98,7 +98,7 @@ def test_a_page_that_cannot_be_written_is_one_line_and_says_what_is_active(capsy
     assert f"{found['tool']['origin']['id']} is active all the same" in line
     assert as_json(capsys, "tool", "show", "retractor")[1]["calibrated"]
 
-    assert main(words) == 1
+    assert main(words) == 4
     assert "nothing has changed" in capsys.readouterr().err
 
 
@@ -131,8 +131,8 @@ def test_a_stopped_sweep_is_offered_for_a_fit_only_if_it_is_enough_for_one(tmp_p
 
 
 def test_nothing_is_active_until_it_is_accepted(capsys, poses):
-    """Without --yes and without a terminal to ask at: exit 1, and the tool is as before."""
-    assert main(["calibrate", "--from", str(poses), "--tool", "retractor"]) == 1
+    """Without --yes and without a terminal to ask at: exit 4, and the tool is as before."""
+    assert main(["calibrate", "--from", str(poses), "--tool", "retractor"]) == 4
     assert "not accepted: nothing has changed" in capsys.readouterr().out
     _, shown = as_json(capsys, "tool", "show", "retractor")
     assert not shown["calibrated"]

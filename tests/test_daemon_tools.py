@@ -115,7 +115,7 @@ def test_command_prints_the_result_for_people_and_for_scripts(
 @pytest.mark.parametrize(
     ("words", "status", "text"),
     [
-        (["ft", "fly"], 1, "galen-hw command: ft: no command 'fly'; one of: say"),
+        (["ft", "fly"], 4, "galen-hw command: ft: no command 'fly'; one of: say"),
         (["fit", "say"], 2, "galen-hw command: daemon: no target 'fit'; did you mean ft?"),
         (["ft", "say", "text"], 2, "galen-hw command: 'text': not of the form key=value; e.g. tool=retractor"),
         (["ft", "say", "--timeout", "0"], 2, "galen-hw command: --timeout: must be a number of seconds above 0"),
@@ -124,7 +124,7 @@ def test_command_prints_the_result_for_people_and_for_scripts(
 def test_command_failures_are_one_line_with_their_status(
     running: Tree, words: list[str], status: int, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Refused 1, wrong use 2."""
+    """Refused 4, wrong use 2."""
     assert main(["command", *words, *directory(running)]) == status
     assert capsys.readouterr().err.startswith(text)
 

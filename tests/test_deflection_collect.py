@@ -125,12 +125,12 @@ def test_a_begun_session_says_which_numbers_it_does_not_take(
     begun = command._plan(args, GalenRobot(), "pointer", given)
     assert (len(begun.steps), begun.dwell_s, begun.rest_s) == (5, 0.5, 2.0)
     capsys.readouterr()
-    args, given = arguments("-o", folder, "--configurations", "2", "--dwell", "0.5", "--force", "5")
+    args, given = arguments("-o", folder, "--configurations", "2", "--dwell", "0.5", "--max-force", "5")
     assert len(command._plan(args, GalenRobot(), "pointer", given).steps) == 5
     _, *lines = capsys.readouterr().out.splitlines()
     assert lines == [
         "--configurations 2 is ignored: the session was begun with 3; give a new folder",
-        "--force 5 is ignored: the session was begun; give a new folder",
+        "--max-force 5 is ignored: the session was begun; give a new folder",
     ]
     args, given = arguments("-o", folder)
     command._plan(args, GalenRobot(), "pointer", given)

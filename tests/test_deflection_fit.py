@@ -118,7 +118,7 @@ def test_a_fit_ends_in_a_saved_model_and_a_page(
     for number, (name, columns) in enumerate(recorded.items()):
         write(tmp_path / "data", name, columns, session="second" if number == 4 else "first")
     page, state = tmp_path / "out.html", tmp_path / "state"
-    assert fit(tmp_path / "data", state, "--json", "--report", str(page), "--save", "mine") == 0
+    assert fit(tmp_path / "data", state, "--json", "--report", str(page), "--save", "mine", "--yes") == 0
     result = json.loads(capsys.readouterr().out)
     assert set(result["held_out"]) == {"new configuration", "other day"}
     assert result["recommended"] in result["models"]
@@ -138,6 +138,9 @@ def test_the_last_lines_of_a_fit_are_what_is_still_to_be_typed(
     for name, columns in recorded.items():
         write(tmp_path / "data", name, columns, virtual=True)
     assert fit(tmp_path / "data", tmp_path / "state") == 0
+    assert "not saved, nobody can be asked: add --yes" in capsys.readouterr().err
+    assert DeflectionStore(tmp_path / "state").names() == []
+    assert fit(tmp_path / "data", tmp_path / "state", "--yes") == 0
     lines = [line.strip() for line in capsys.readouterr().err.splitlines()]
     wanted = [
         f"galen-hw calibrate --tool {ROBOT.tool}",
@@ -172,7 +175,7 @@ def test_saved_models_are_listed_and_chosen_for_scripts_and_people(
     for name, columns in recorded.items():
         write(tmp_path / "data", name, columns)
     for _ in range(2):
-        assert fit(tmp_path / "data", tmp_path / "state", "--save", "mine") == 0
+        assert fit(tmp_path / "data", tmp_path / "state", "--save", "mine", "--yes") == 0
     words = ["deflection", "--state", str(tmp_path / "state")]
     capsys.readouterr()
     assert main([*words, "list", "--json"]) == 0

@@ -137,7 +137,7 @@ def test_a_session_that_was_stopped_goes_on_and_ends_in_a_corrected_pose(
     assert "wrench.force.x" in read_recording(folder / "place2-1.mcap").columns
 
     words = ["deflection", "--state", str(state), "fit", str(folder), "--models", "linear", "elastic"]
-    assert main([*words, "--report", str(tmp_path / "out.html")]) == 0
+    assert main([*words, "--report", str(tmp_path / "out.html"), "--yes"]) == 0
     # With three places to learn from either may be recommended; what counts is the corrected tip below.
     assert DeflectionStore(state).load("retractor").model in {"elastic arm", "coupled linear"}
     reported, corrected = served(addresses)

@@ -66,7 +66,7 @@ def write(folder: Path, columns: Columns, info: dict[str, Any] | None = None) ->
 def diagnose(folder: Path, *words: str) -> tuple[int, dict[str, Any]]:
     """Exit status and answer."""
     out = folder.parent / "answer.json"
-    status = main(["diagnose", str(folder), "--json", str(out), *words])
+    status = main(["diagnose", str(folder), "-o", str(out), *words])
     return status, json.loads(out.read_text()) if out.exists() else {}
 
 
@@ -166,7 +166,7 @@ def test_files_that_are_not_there_or_broken(tmp_path, capsys):
         (str(good), "--simulation", "nowhere"): "nowhere",
         (str(good), "--tool", "hammer"): "no tool 'hammer'",
         (str(good), "--tool", str(tmp_path / "damaged.json")): "not a tool's file",
-        (str(good), "--json", str(tmp_path / "no" / "where.json")): "no such folder",
+        (str(good), "-o", str(tmp_path / "no" / "where.json")): "no such folder",
         (str(good), "--report", str(tmp_path / "no" / "where.html")): "no such folder",
         (str(good), "--save-model", str(tmp_path / "empty")): "is a folder",
     }
@@ -348,7 +348,7 @@ def test_empty_cells_of_the_recording_that_is_judged_on_hide_nothing(
     """A heavier tool is found, judged on another recording with holes: its rows are left out and counted, no figure is NaN."""
     heavier = INFO | {"tool": {"name": "retractor", "mass": 0.25, "com": COM.tolist()}}
     a, b = write(tmp_path / "a", holed(1), heavier), write(tmp_path / "b", holed(2), heavier)
-    assert main(["diagnose", str(a), "--holdout", str(b), "--json", str(tmp_path / "out.json")]) == 1
+    assert main(["diagnose", str(a), "--holdout", str(b), "-o", str(tmp_path / "out.json")]) == 1
     answer = json.loads((tmp_path / "out.json").read_text())
     assert [f["effect"] for f in answer["findings"]] == ["payload"]
     assert all(x is not None for figures in answer["fit"].values() for x in figures.values())
@@ -367,7 +367,7 @@ def test_servos_are_compared_though_some_joints_were_not_recorded(tmp_path: Path
             columns[f"joint.{joint}.position"] = late + 1e-3 * rng.normal(size=len(t))
         columns["joint.carriage1.command"] = 1e-3 * np.sin(t)
         write(tmp_path / name, columns, {"schema": 1, "robot": "galen", "predict": "position"})
-    words = ["diagnose", str(tmp_path / "a"), "--holdout", str(tmp_path / "b"), "--json", str(tmp_path / "out.json")]
+    words = ["diagnose", str(tmp_path / "a"), "--holdout", str(tmp_path / "b"), "-o", str(tmp_path / "out.json")]
     assert main(words) == 1
     assert [f["effect"] for f in json.loads((tmp_path / "out.json").read_text())["findings"]] == ["time_delay"]
 
@@ -399,7 +399,7 @@ def test_json_may_go_where_the_summary_goes_otherwise(tmp_path: Path, capsys: py
     """A script reads the answer and nothing else; whoever sits before the screen still sees the summary."""
     heavier = INFO | {"tool": {"name": "retractor", "mass": 0.25, "com": COM.tolist()}}
     folder = write(tmp_path / "run", recording(), heavier)
-    assert main(["diagnose", str(folder), "--json", "-"]) == 1
+    assert main(["diagnose", str(folder), "--json"]) == 1
     out, err = capsys.readouterr()
     assert [f["effect"] for f in json.loads(out)["findings"]] == ["payload"]
     assert "named physics explains it" in " ".join(err.split())

@@ -128,7 +128,7 @@ def test_a_concealed_cable_and_drift_are_named_saved_served_and_gone(tmp_path, m
         world.drift(warm_up=[WARM_UP, 0, 0, 0, 0, 0], warm_up_s=WARM_UP_S)
         hidden = robot.record("hidden.mcap", 28.0, seed=1)
 
-        words = ["--tool", "retractor", "--save-model", "retractor+cable.json", "--json", "hidden.json"]
+        words = ["--tool", "retractor", "--save-model", "retractor+cable.json", "-o", "hidden.json"]
         assert main(["diagnose", str(hidden), *words]) == 1
         answer = json.loads(Path("hidden.json").read_text())
         found = {f["effect"]: f["parameters"] for f in answer["findings"]}
@@ -149,7 +149,7 @@ def test_a_concealed_cable_and_drift_are_named_saved_served_and_gone(tmp_path, m
         np.testing.assert_array_less(after_live[moved], 1.25 * promised["rmse_after"][moved])
         np.testing.assert_array_less(promised["rmse_before"][moved] / 2.0, before_live[moved])
 
-        assert main(["diagnose", str(after), "--json", "after.json"]) == 0, capsys.readouterr().out
+        assert main(["diagnose", str(after), "-o", "after.json"]) == 0, capsys.readouterr().out
         assert json.loads(Path("after.json").read_text())["verdict"] == "agrees"
         capsys.readouterr()
 

@@ -75,7 +75,7 @@ def test_found_effects_become_a_generation_that_explains_the_next_recording(stor
     second = written(again, tmp_path / "run2")
     assert main(["diagnose", str(second), "--tool", "retractor"]) == 0
     assert main(["tool", "rollback", "retractor"]) == 0
-    assert main(["diagnose", str(second), "--tool", "retractor", "--json", "old.json"]) == 1
+    assert main(["diagnose", str(second), "--tool", "retractor", "-o", "old.json"]) == 1
     assert [f["effect"] for f in json.loads(Path("old.json").read_text())["findings"]] == ["gain"]
 
 

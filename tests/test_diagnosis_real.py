@@ -24,7 +24,7 @@ def asked(out: Path, name: str, run: str, *, other: bool = True) -> dict[str, An
     if not folder.is_dir():
         pytest.skip(f"the real recordings of {name} are not beside the checkout")
     held = ["--holdout", str(folder / "test")] if other else []
-    assert main(["diagnose", str(folder / run), *held, "--json", str(out / "answer.json")]) == EXIT_DIFFERS
+    assert main(["diagnose", str(folder / run), *held, "-o", str(out / "answer.json")]) == EXIT_DIFFERS
     return json.loads((out / "answer.json").read_text())
 
 

@@ -181,7 +181,7 @@ def test_a_folder_of_recordings_is_diagnosed_on_all_cores(folder: Path, capsys: 
     """A list in the JSON in the order of the folder, a page for each, status 1, one table."""
     out = folder / "out"
     out.mkdir()
-    status = main(["diagnose", str(folder), "--json", str(out / "a.json"), "--report", str(out / "page.html")])
+    status = main(["diagnose", str(folder), "-o", str(out / "a.json"), "--report", str(out / "page.html")])
     answers = json.loads((out / "a.json").read_text())
     assert status == 1
     assert [Path(a["recording"]).name for a in answers] == ["drifting", "late"]
@@ -197,7 +197,7 @@ def test_a_dask_cluster_gives_the_same_answers(folder: Path, tmp_path: Path) -> 
     """The same recordings over a scheduler's address, on a real cluster of this machine."""
     distributed = pytest.importorskip("distributed", reason="dask is not installed: pip install 'galen-hw[dask]'")
     with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:
-        main(["diagnose", str(folder), "--dask", cluster.scheduler_address, "--json", str(tmp_path / "a.json")])
+        main(["diagnose", str(folder), "--dask", cluster.scheduler_address, "-o", str(tmp_path / "a.json")])
     answers = json.loads((tmp_path / "a.json").read_text())
     assert [a["findings"][0]["effect"] for a in answers] == ["drift", "time_delay"]
 

@@ -49,7 +49,7 @@ def poses(folder: Path, tool: str, sign: int) -> Path:
 def test_few_poses_have_an_answer(tool: str, sign: int, tmp_path: Path) -> None:
     """An answer, its status and no finding that takes nothing: trees were once asked to learn from a fold without rows."""
     out = tmp_path / "answer.json"
-    status = main(["diagnose", str(poses(tmp_path / "r", tool, sign)), "--json", str(out)])
+    status = main(["diagnose", str(poses(tmp_path / "r", tool, sign)), "-o", str(out)])
     answer = json.loads(out.read_text())
     assert status == (EXIT_OK if answer["verdict"] == "agrees" else EXIT_FOUND)
     named = [f for f in answer["findings"] if f["effect"] != "unknown"]

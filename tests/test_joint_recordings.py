@@ -90,7 +90,7 @@ def test_several_runs_fitted_as_one_and_judged_on_several(tmp_path, capsys):
     runs = [servo(tmp_path / name, seed) for seed, name in enumerate(("one", "two", "three", "four"))]
     out = tmp_path / "answer.json"
     asked = ["diagnose", "--together", *map(str, runs[:2]), "--holdout", str(runs[2]), "--holdout", str(runs[3])]
-    assert main([*asked, "--json", str(out)]) == 1
+    assert main([*asked, "-o", str(out)]) == 1
     answer = json.loads(out.read_text())
     assert [f["effect"] for f in answer["findings"]] == ["time_delay"]
     assert answer["findings"][0]["parameters"]["delay"]["value"] == pytest.approx(0.04, abs=5e-4)

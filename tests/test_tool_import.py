@@ -55,7 +55,7 @@ def test_a_term_that_cannot_be_served_is_refused_whatever_is_forced(
     store: ToolStore, capsys: pytest.CaptureFixture[str], term: dict[str, Any], text: str
 ) -> None:
     """One line that names file and effect, status 2; the calibration in use stays."""
-    for force in ([], ["--force"]):
+    for force in ([], ["--foreign"]):
         assert main(["tool", "import", str(written(term)), *force]) == 2
         error = capsys.readouterr().err
         assert text in error
@@ -78,14 +78,14 @@ def test_a_term_that_cannot_be_served_is_refused_whatever_is_forced(
 def test_a_foreign_calibration_is_refused_without_a_daemon_too(
     store: ToolStore, capsys: pytest.CaptureFixture[str], origin: dict[str, Any], text: str
 ) -> None:
-    """Settings say the robot, the calibrations in use the sensor; --force takes it."""
+    """Settings say the robot, the calibrations in use the sensor; --foreign takes it."""
     assert main(["tool", "import", str(written(**origin))]) == 2
     error = capsys.readouterr().err
     assert text in error
-    assert "--force" in error
+    assert "--foreign" in error
     assert error.count("\n") == 1
     assert len(store.history("retractor")) == 1
-    assert main(["tool", "import", str(written(**origin)), "--force"]) == 0
+    assert main(["tool", "import", str(written(**origin)), "--foreign"]) == 0
     assert len(store.history("retractor")) == 2
 
 
@@ -124,7 +124,7 @@ def test_the_running_sensor_says_its_serial_number(store: ToolStore, tmp_path: P
 
 
 def test_an_export_overwrites_nothing_unless_told(store: ToolStore, capsys: pytest.CaptureFixture[str]) -> None:
-    """A file that is there, a folder that is not: one line each, status 2; --force writes both."""
+    """A file that is there, a folder that is not: one line each, status 2; --overwrite writes both."""
     Path("mine.json").write_text("mine", encoding="utf-8")
     for file, text in (("mine.json", "is there already"), ("no/such/mine.json", "there is no such folder")):
         assert main(["tool", "export", "retractor", file]) == 2
@@ -134,7 +134,7 @@ def test_an_export_overwrites_nothing_unless_told(store: ToolStore, capsys: pyte
     assert Path("mine.json").read_text(encoding="utf-8") == "mine"
     assert not Path("no").exists()
     for file in ("mine.json", "no/such/mine.json"):
-        assert main(["tool", "export", "retractor", file, "--force"]) == 0
+        assert main(["tool", "export", "retractor", file, "--overwrite"]) == 0
         assert json.loads(Path(file).read_text(encoding="utf-8"))["name"] == "retractor"
 
 

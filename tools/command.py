@@ -8,17 +8,25 @@ from typing import Any, NoReturn
 
 from galen_hw.documents import DocumentError, load_json
 from galen_hw.errors import UsageError
+from galen_hw.units import number_in, quantity
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("target", metavar="TARGET", help="device or service, e.g. motors, ft, compensation, daemon")
     parser.add_argument("name", metavar="NAME", help="what to do, e.g. stop, zero, select_tool, info")
-    parser.add_argument("args", metavar="KEY=VALUE", nargs="*", help="SI numbers, words, or JSON; a.b=1 fills a map")
+    parser.add_argument(
+        "args",
+        metavar="KEY=VALUE",
+        nargs="*",
+        help="SI numbers, numbers with a unit (17deg, 5mm), words, or JSON; a.b=1 fills a map",
+    )
     parser.add_argument("--json", action="store_true", help="print the reply as JSON")
-    parser.add_argument("--timeout", type=float, default=30.0, metavar="S", help="seconds to wait for the reply")
+    parser.add_argument(
+        "--timeout", type=number_in("s"), default=30.0, metavar="S", help="seconds to wait for the reply"
+    )
     parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory of the daemon")
-    parser.epilog = "examples: galen-hw command motors stop; galen-hw command motors move_jp position.roll=0.3"
+    parser.epilog = "examples: galen-hw command motors stop; galen-hw command motors move_jp position.roll=17deg"
 
 
 def run(args: argparse.Namespace) -> int:
@@ -64,13 +72,14 @@ def parse_arguments(words: list[str]) -> dict[str, Any]:
 
 
 def _value(text: str) -> Any:
-    """JSON where it is JSON (numbers, true, null, lists, maps), else the word itself."""
+    """JSON where it is JSON (numbers, true, null, lists, maps), a number with a unit in SI, else the word itself."""
     try:
         value = load_json(text, parse_constant=_refuse, parse_float=_finite)
     except DocumentError as error:
         if error.beyond:
             raise UsageError(error.what, where=f"{text[:20]!r}...", todo="give less") from None
-        return text
+        found = quantity(text)
+        return text if found is None else _finite(repr(found[0]))
     return value
 
 

@@ -12,7 +12,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", metavar="FOLDER", type=Path, help="to be made")
     parser.add_argument("--format", choices=("csv", "parquet"), default="csv", help="of the table")
     parser.add_argument("--compensated", action="store_true", help="also the wrench as it was compensated live")
-    parser.add_argument("--force", action="store_true", help="overwrite the folder")
+    parser.add_argument("--overwrite", action="store_true", help="overwrite the folder")
     parser.epilog = "example: galen-hw export run.mcap run"
 
 
@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
     from galen_hw.recording import write_table
 
     recording = read(args.recording, compensated=args.compensated)
-    write_table(recording, args.folder, args.format, overwrite=args.force)
+    write_table(recording, args.folder, args.format, overwrite=args.overwrite)
     print(f"{args.folder}: {len(recording)} rows, {len(recording.columns)} columns")
     for warning in recording.warnings:
         print(f"  {warning}")

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--format", choices=("csv", "parquet"), help=f"of the table (parquet from {LARGE} rows on)")
     parser.add_argument("--encoding", choices=("json", "msgpack"), default="json", help="of an MCAP file's messages")
-    parser.add_argument("--force", action="store_true", help="overwrite what is there")
+    parser.add_argument("--overwrite", action="store_true", help="overwrite what is there")
     parser.epilog = "example: galen-hw import bag -o run --robot arm.urdf"
 
 
@@ -56,8 +56,8 @@ def run(args: argparse.Namespace) -> int:
     if args.write_map is not None:
         from galen_hw.formats.mapping import write_map
 
-        if args.write_map.exists() and not args.force:
-            raise UsageError("is there already", where=str(args.write_map), todo="give another name, or --force")
+        if args.write_map.exists() and not args.overwrite:
+            raise UsageError("is there already", where=str(args.write_map), todo="give another name, or --overwrite")
         write_map(imported.used, args.write_map)
         print(f"{args.write_map}: edit it, then --map {args.write_map}")
     if args.output is None:
@@ -100,10 +100,10 @@ def _write(recording: "Recording", args: argparse.Namespace) -> int:
 
     out: Path = args.output
     if out.suffix == ".mcap":
-        write_mcap(recording, out, encoding=args.encoding, overwrite=args.force)
+        write_mcap(recording, out, encoding=args.encoding, overwrite=args.overwrite)
     else:
         kind: Literal["csv", "parquet"] = args.format or ("parquet" if len(recording) >= LARGE else "csv")
-        write_table(recording, out, kind, overwrite=args.force)
+        write_table(recording, out, kind, overwrite=args.overwrite)
     print(f"{out}: {len(recording)} rows, {len(recording.columns)} columns")
     for line in (*dict.fromkeys((*recording.warnings, *check(recording))), *_premises(recording)):
         print(f"  {line}")

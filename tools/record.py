@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from galen_hw.clock import TimeBase
 from galen_hw.errors import EXIT_OK, GalenError, HardwareError, UsageError
+from galen_hw.units import number_in
 
 if TYPE_CHECKING:
     from galen_hw.bus import Subscriber
@@ -23,14 +24,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("-o", "--output", metavar="FILE", type=Path, help="default: galen-DATE-TIME.mcap here")
     parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="or beginnings of topics; default all")
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after so long; default: until Ctrl-C")
+    parser.add_argument("--seconds", type=number_in("s"), metavar="S", help="end after so long; default: until Ctrl-C")
     parser.add_argument(
         "--encoding",
         choices=("json", "msgpack"),
         default="json",
         help="json opens in Foxglove, Lichtblick and PlotJuggler; msgpack in PlotJuggler, for less work",
     )
-    parser.add_argument("--force", action="store_true", help="overwrite the file")
+    parser.add_argument("--overwrite", action="store_true", help="overwrite the file")
     parser.add_argument("--config", metavar="FILE", help="settings to attach (default: those of the daemon)")
     parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory of the daemon")
     parser.add_argument("--virtual", action="store_true", help="start a daemon on a virtual robot and record that")
@@ -51,8 +52,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("must be a number of seconds above 0", where="--seconds", todo="e.g. --seconds 30")
     topics = chosen_topics(args.topics)
     path = args.output or Path(default_name(datetime.now(UTC)))
-    if path.exists() and not args.force:
-        raise UsageError("is there already", where=str(path), todo="give another name with -o, or --force")
+    if path.exists() and not args.overwrite:
+        raise UsageError("is there already", where=str(path), todo="give another name with -o, or --overwrite")
     with ExitStack() as stack:
         if args.virtual:
             addresses = stack.enter_context(own_daemon(config=args.config, runtime=args.dir))
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         info = _daemon_info(addresses.command)
         context = session_context(Path(args.config or info.get("config") or config_path(None)))
         context["virtual"] = bool(info.get("virtual"))
-        stream = stack.enter_context(open_new(path, overwrite=args.force))
+        stream = stack.enter_context(open_new(path, overwrite=args.overwrite))
         session = Session(stream, encoding=args.encoding, **context)
         try:
             heard = record(subscriber, session, args.seconds)

@@ -27,10 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             part.add_argument("--generation", type=int, metavar="N", help="of the history; default: see above")
         if name == "export":
             part.add_argument("file", metavar="FILE", nargs="?", type=Path, help="to write; default: NAME.json")
-            part.add_argument("--force", action="store_true", help="overwrite the file, make missing folders")
+            part.add_argument("--overwrite", action="store_true", help="overwrite the file, make missing folders")
         if name == "import":
             part.add_argument("file", metavar="FILE", type=Path, help="a tool's file, as export writes it")
-            part.add_argument("--force", action="store_true", help="take the calibration of another sensor or robot")
+            part.add_argument("--foreign", action="store_true", help="take the calibration of another sensor or robot")
         if name == "select":
             part.add_argument("--none", action="store_true", help="no tool in hand")
         part.add_argument("--json", action="store_true", help="print JSON")
@@ -167,10 +167,10 @@ def _export(args: argparse.Namespace, store: "ToolStore") -> int:
 
     tool = store.load(args.name) if args.generation is None else store.generation(args.name, args.generation)
     file = args.file or Path(f"{args.name}.json")
-    if not args.force and file.exists():
-        raise UsageError("is there already", where=str(file), todo="give another name, or --force")
-    if not args.force and not file.parent.is_dir():
-        raise UsageError("there is no such folder", where=str(file.parent), todo="make it, or --force")
+    if not args.overwrite and file.exists():
+        raise UsageError("is there already", where=str(file), todo="give another name, or --overwrite")
+    if not args.overwrite and not file.parent.is_dir():
+        raise UsageError("there is no such folder", where=str(file.parent), todo="make it, or --overwrite")
     write_atomic(file, tool.to_json() + "\n")
     return _done(args, {"file": str(file)}, f"wrote {file}")
 
@@ -182,7 +182,7 @@ def _import(args: argparse.Namespace, store: "ToolStore") -> int:
     tool = read_tool(args.file)
     bus = Addresses(args.dir or client_runtime_dir()).bus
     here = hardware_here(_ask_daemon(args.dir, "daemon", "info", {}), store, bus)
-    if not args.force:
+    if not args.foreign:
         refuse_foreign(tool, here, args.file)
     refuse_unservable(tool, here.robot, args.file)
     saved = store.save(tool)

@@ -109,7 +109,7 @@ def _stored_serial(store: "ToolStore", *, virtual: bool) -> str:
 
 
 def refuse_foreign(tool: "ToolFile", here: Here, file: Path) -> None:
-    """A calibration of another sensor or robot, which `--force` takes nevertheless.
+    """A calibration of another sensor or robot, which `--foreign` takes nevertheless.
 
     Raises:
         UsageError: it belongs to other hardware; one line with all that differs.
@@ -119,9 +119,9 @@ def refuse_foreign(tool: "ToolFile", here: Here, file: Path) -> None:
     problems = binding_problems(tool, sensor_serial=here.serial, robot=here.robot.name, virtual=here.virtual)
     if not problems:
         return
-    todo = "calibrate it here, or --force"
+    todo = "calibrate it here, or --foreign"
     if not here.running and tool.origin is not None and tool.origin.virtual:
-        todo = "start the virtual robot first (galen-hw run --virtual), or --force"
+        todo = "start the virtual robot first (galen-hw run --virtual), or --foreign"
     raise UsageError(f"tool {tool.name!r} {' and '.join(problems)}", where=str(file), todo=todo)
 
 

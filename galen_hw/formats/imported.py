@@ -65,7 +65,7 @@ def read(path: Path | str, *, simulation: Path | str | None = None, compensated:
     if simulation is not None:
         from galen_hw.recording import beside
 
-        recording = beside(recording, Path(simulation))
+        recording = beside(recording, read(simulation))
     return recording
 
 

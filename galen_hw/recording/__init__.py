@@ -46,16 +46,13 @@ def read_recording(path: Path | str, *, simulation: Path | str | None = None, co
         recording = read_table(path)
     if simulation is None:
         return recording
-    return beside(recording, Path(simulation))
-
-
-def beside(recording: Recording, simulation: Path) -> Recording:
-    """The recording with another as what someone else simulated.
-
-    Raises:
-        UsageError: the simulation cannot be read.
-    """
+    simulation = Path(simulation)
     simulated = read_table(simulation, info_needed=False) if simulation.is_dir() else read_recording(simulation)
+    return beside(recording, simulated)
+
+
+def beside(recording: Recording, simulated: Recording) -> Recording:
+    """Return a recording with what someone else simulated beside it, and what is odd about that."""
     old = () if recording.simulation is None else tuple(w for w in recording.warnings if w.startswith("simulation: "))
     kept = tuple(w for w in recording.warnings if w not in old)
     return replace(recording, simulation=simulated, warnings=(*kept, *check_simulation(recording, simulated)))

@@ -1,5 +1,6 @@
 """Recordings as tables: a folder with `recording.csv` or `recording.parquet` and `recording.json`."""
 
+import importlib.util
 import shutil
 import tempfile
 from contextlib import suppress
@@ -12,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from galen_hw.errors import UsageError
+from galen_hw.extras import need
 from galen_hw.recording.checks import check
 from galen_hw.recording.info import RecordingInfo, read_info
 from galen_hw.recording.recording import Recording
@@ -62,9 +64,6 @@ def _locate(path: Path) -> tuple[Path, Path, list[str]]:
 
 
 def _read_csv(file: Path) -> dict[str, Array]:
-    import pyarrow as pa
-    from pyarrow import csv
-
     text = _text(file)
     first, _, rest = text.partition("\n")
     try:
@@ -77,6 +76,15 @@ def _read_csv(file: Path) -> dict[str, Array]:
     _check_cells(text, len(names), file)
     if not rest.strip():
         raise UsageError("there are no rows", where=str(file), todo="record something first")
+    quick = importlib.util.find_spec("pyarrow") is not None
+    return _with_pyarrow(rest, names, file) if quick else _without_pyarrow(rest, names, file)
+
+
+def _with_pyarrow(rest: str, names: list[str], file: Path) -> dict[str, Array]:
+    """Cells by column, in a tenth of the time."""
+    import pyarrow as pa
+    from pyarrow import csv
+
     convert = csv.ConvertOptions(column_types=dict.fromkeys(names, pa.float64()), null_values=EMPTY)
     try:
         table = csv.read_csv(
@@ -86,6 +94,21 @@ def _read_csv(file: Path) -> dict[str, Array]:
         raise _bad_cell(rest, names, file, error) from None
     # A copy, because arrow's own memory cannot be written to.
     return {name: np.array(table[name].to_numpy(), dtype=float) for name in names}
+
+
+def _without_pyarrow(rest: str, names: list[str], file: Path) -> dict[str, Array]:
+    """Cells by column with Python alone: a robot's computer reads its own sweeps without the extra."""
+    empty = dict.fromkeys(EMPTY, float("nan"))
+    try:
+        rows = [row for row in reader(rest.splitlines()) if row]
+        for number, row in enumerate(rows, 1):
+            if len(row) != len(names):
+                what = f"{len(row)} cells where the header has {len(names)}"
+                raise UsageError(what, where=f"{file}, row {number}", todo="complete the row")
+        table = np.array([[empty[c] if (c := cell.strip()) in empty else _number(c) for cell in row] for row in rows])
+    except (CsvError, ValueError) as error:
+        raise _bad_cell(rest, names, file, error) from None
+    return {name: table[:, k].copy() for k, name in enumerate(names)}
 
 
 def _text(file: Path) -> str:
@@ -115,9 +138,18 @@ def _names(names: list[str], file: Path) -> list[str]:
     return names
 
 
+def _number(word: str) -> float:
+    """A cell's number; Python's own `1_000` is none.
+
+    Raises:
+        ValueError: it is no number.
+    """
+    return float("no number" if "_" in word else word)
+
+
 def _is_number(word: str) -> bool:
     try:
-        float(word)
+        _number(word)
     except ValueError:
         return False
     return True
@@ -147,6 +179,7 @@ def _bad_cell(rest: str, names: list[str], file: Path, error: Exception) -> Usag
 
 
 def _read_parquet(file: Path) -> dict[str, Array]:
+    need("import", str(file))
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -208,7 +241,7 @@ def write_table(
     """
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not overwrite)):
-        raise UsageError("is there already", where=str(folder), todo="give another folder, or --force")
+        raise UsageError("is there already", where=str(folder), todo="give another folder, or --overwrite")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as scratch:
@@ -254,6 +287,7 @@ def _write_csv(recording: Recording, file: Path) -> None:
 
 
 def _write_parquet(recording: Recording, file: Path) -> None:
+    need("import", str(file))
     import pyarrow as pa
     import pyarrow.parquet as pq
 

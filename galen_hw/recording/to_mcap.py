@@ -34,7 +34,7 @@ def write_mcap(recording: Recording, path: Path | str, *, encoding: Encoding = "
     """
     path = Path(path)
     if path.exists() and not overwrite:
-        raise UsageError("is there already", where=str(path), todo="give another name, or --force")
+        raise UsageError("is there already", where=str(path), todo="give another name, or --overwrite")
     scratch = path.with_name(f".{path.name}.new")
     try:
         with scratch.open("wb") as stream:

@@ -47,7 +47,7 @@ def verdicts(
 def _ask(case: Path, *, second_run: bool) -> dict[str, Any]:
     """What `galen-hw diagnose` says about one case."""
     answer = case / "answer.json"
-    command = [sys.executable, "-m", "galen_hw.cli", "diagnose", str(case / "train"), "--json", str(answer)]
+    command = [sys.executable, "-m", "galen_hw.cli", "diagnose", str(case / "train"), "-o", str(answer)]
     if second_run:
         command += ["--holdout", str(case / "test")]
     # Of a run before that was cut off.

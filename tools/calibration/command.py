@@ -5,12 +5,11 @@ import json
 import re
 import sys
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from galen_hw.documents import load_json
-from galen_hw.errors import EXIT_FOUND, EXIT_OK, GalenError, UsageError
+from galen_hw.errors import EXIT_FOUND, EXIT_OK, EXIT_REFUSED, GalenError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -21,9 +20,8 @@ if TYPE_CHECKING:
     from galen_hw.config.paths import Addresses
     from galen_hw.config.tool_file import ToolFile
     from galen_hw.premises import Remark
-    from galen_hw.recording import Recording
     from galen_hw.tools.calibration.check import LiveCheck
-    from galen_hw.tools.calibration.result import Result, Setting
+    from galen_hw.tools.calibration.result import Result
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-repair", action="store_true", help="with --from: refuse what would be put right: units, axes, clocks"
     )
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    parser.add_argument("--report", metavar="DIR", type=Path, help="write figures and report.html there")
+    parser.add_argument(
+        "--report", metavar="PAGE", type=Path, help="write a page with figures: a folder for report.html, or FILE.html"
+    )
     parser.add_argument("--poses", metavar="TILTSxROLLS", help="positions per swept axis, e.g. 7x8; ranges stay")
     parser.add_argument("--samples", type=int, metavar="N", help="samples averaged per pose")
     parser.add_argument("--seed", type=int, metavar="N", help="of the order of the poses")
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Calibrate; 0 if it was accepted, 1 if not."""
+    """Calibrate; 0 if it was accepted and checked, 1 if the check did not pass, 4 if it was not accepted."""
     from rich.console import Console
 
     console = Console(stderr=args.json)
@@ -69,65 +69,28 @@ def run(args: argparse.Namespace) -> int:
 
 def _check(args: argparse.Namespace) -> None:
     """What is wrong with the words themselves, before anything is read, started or moved."""
-    from galen_hw.config.paths import require_folder
     from galen_hw.config.tool_store import check_name
+    from galen_hw.extras import need
+    from galen_hw.tools.outputs import report_page
 
     if args.tool is not None:
         check_name(args.tool)
     if args.report is not None:
-        require_folder(args.report, "--report")
+        need("reports", "--report")
+        args.report = report_page(args.report)
 
 
 def _from_recording(args: argparse.Namespace, console: "Console") -> int:
     """Everything but the robot."""
     from galen_hw.config.paths import state_dir
-    from galen_hw.config.tool_file import ToolFile
     from galen_hw.config.tool_store import ToolStore
     from galen_hw.formats import read
-    from galen_hw.identification.sense import contradictions
-    from galen_hw.tools.calibration.poses import poses_of
-    from galen_hw.tools.calibration.result import analyse, tool_file, with_terms
+    from galen_hw.tools.calibration.recorded import calibrate_recording
 
-    recording = read(args.recording)
     store = ToolStore(state_dir())
-    named = recording.info.tool
-    name = args.tool or _slug(named.name if named else "") or _slug(args.recording.stem)
-    if not name:
-        raise UsageError("no tool's name can be made of it", where=str(args.recording), todo="give one with --tool")
-    if name in store.names():
-        nominal = store.nominal(name)
-    else:
-        nominal = ToolFile(name=name, tip=(named.tip if named and named.tip else None) or (0.0, 0.0, 0.0))
-    found = poses_of(recording, repair=not args.no_repair)
-    result = analyse(name, found.poses, str(args.recording), found.notes)
-    if named is not None:
-        more = tuple(contradictions(result.estimate, named.mass, named.com))
-        result = replace(result, remarks=(*result.remarks, *more))
-    tool = tool_file(result, with_terms(nominal, found.terms), setting_of(recording))
-    return _conclude(_Session(args, console, store), result, tool, found.premises)
-
-
-def setting_of(recording: "Recording") -> "Setting":
-    """On what a recording was made, as far as it says."""
-    from galen_hw.tools.calibration.result import Setting
-
-    about = _about(recording.path)
-    info = recording.info
-    zeroed: Any = info.zeroed_at
-    if isinstance(zeroed, tuple) and len(zeroed) != 4:
-        zeroed = dict(zip(recording.joint_names, zeroed, strict=True))
-    robot = str(about.get("robot") or info.robot or "")
-    sweep = str(recording.path.resolve())
-    return Setting(robot, info.sensor_serial, sweep, zeroed, about.get("date"), virtual=info.virtual)
-
-
-def _about(folder: Path) -> dict[str, Any]:
-    """`sweep.json` beside a sweep of our own."""
-    try:
-        found = load_json((folder / "sweep.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
+    recording = read(args.recording)
+    found = calibrate_recording(recording, store, args.tool, repair=not args.no_repair)
+    return _conclude(_Session(args, console, store), found.result, found.tool, found.premises)
 
 
 def _daemon(args: argparse.Namespace, stack: ExitStack) -> "Addresses":
@@ -154,6 +117,7 @@ def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") 
     from galen_hw.permission import require_writable
     from galen_hw.recording import read_recording
     from galen_hw.tools.calibration.poses import poses_of
+    from galen_hw.tools.calibration.recorded import setting_of
     from galen_hw.tools.calibration.result import analyse, tool_file, with_terms
     from galen_hw.tools.calibration.sweep import by_hand, by_virtual_hand, run_sweep
 
@@ -245,13 +209,30 @@ def _conclude(session: _Session, result: "Result", tool: "ToolFile", premises: "
     else:
         console.print("[yellow]not accepted: nothing has changed[/]" + _how_later(tool))
     # A script that wants figures says where; a person always gets them.
-    wanted = args.report is not None or not args.json
+    wanted = (args.report is not None or not args.json) and _can_draw(console)
     page = _report(session, result, tool, check, accepted=accepted) if wanted else None
     if args.json:
-        answer = _as_json(result, tool, check, page, accepted=accepted)
-        print(json.dumps(answer | {"premises": [remark.to_json() for remark in premises]}))
-    passed = accepted and (check is None or check.passed) and (page is not None or not wanted)
+        from galen_hw.tools.answer import stamped
+        from galen_hw.tools.calibration.answer import answer_of
+
+        answer = answer_of(result, tool, check, page, accepted=accepted)
+        print(json.dumps(stamped(answer | {"premises": [remark.to_json() for remark in premises]}, seed=args.seed)))
+    if not accepted:
+        return EXIT_REFUSED
+    passed = (check is None or check.passed) and (page is not None or not wanted)
     return EXIT_OK if passed else EXIT_FOUND
+
+
+def _can_draw(console: "Console") -> bool:
+    """Whether there can be a page at all; a robot's computer may do without."""
+    from galen_hw.extras import MissingExtraError, need
+
+    try:
+        need("reports", "no page")
+    except MissingExtraError as error:
+        console.print(str(error), markup=False)
+        return False
+    return True
 
 
 def _how_later(tool: "ToolFile") -> str:
@@ -288,19 +269,20 @@ def _report(
 ) -> Path | None:
     """Figures and page, beside the tool's calibrations unless told where; None if they cannot be written."""
     from galen_hw.tools.calibration.figures import write_report
+    from galen_hw.tools.outputs import PAGE
 
     number = tool.origin.generation if tool.origin else 0
     leaf = f"{tool.name}-{number:04d}" if accepted else f"{tool.name}-not-accepted"
-    folder = session.args.report or session.store.state_dir / "reports" / leaf
+    target = session.args.report or session.store.state_dir / "reports" / leaf / PAGE
     state = f"accepted as {tool.calibration_id}" if accepted else "not accepted"
     more = _drift(session, tool) if check is not None else ()
     try:
-        page = write_report(result, folder, tool, check, state, more)
+        page = write_report(result, target, tool, check, state, more)
     except OSError as error:
         # What was accepted is in use whether there is a page or not: the calibration must not look as if it had failed.
         done = f"{tool.calibration_id} is active all the same" if accepted else "nothing has changed"
         problem = UsageError(
-            f"the page cannot be written ({error.strerror})", where=str(folder), todo=f"check space and rights; {done}"
+            f"the page cannot be written ({error.strerror})", where=str(target), todo=f"check space and rights; {done}"
         )
         print(f"galen-hw calibrate: {problem}", file=sys.stderr)
         return None
@@ -321,51 +303,3 @@ def _drift(session: _Session, tool: "ToolFile") -> "tuple[tuple[str, Callable[[]
     text = f"  drifts {1e3 * drift.drift_off:.1f} mm in 3.5 s without, {1e3 * drift.drift_on:.1f} mm with it"
     session.console.print(text, style="bold", highlight=False)
     return (("hand_over_hand", lambda: drift_figure(drift)),)
-
-
-def _as_json(
-    result: "Result", tool: "ToolFile", check: "LiveCheck | None", page: Path | None, *, accepted: bool
-) -> dict[str, Any]:
-    """The result for machines; SI units."""
-    data = tool.model_dump(by_alias=True, exclude_none=True, mode="json")
-    candidates = [
-        {
-            "key": c.key,
-            "title": c.title,
-            "unknowns": c.unknowns,
-            "mass": c.mass,
-            "com": list(map(float, c.com)),
-            "residual": c.rms.tolist(),
-            "left_out": c.left_out_rms.tolist(),
-            "bic": c.bic,
-            "p_value": c.p_value if c.p_value == c.p_value else None,
-        }
-        for c in result.comparison.candidates
-    ]
-    live = None
-    if check is not None:
-        live = {
-            "rms": check.rms.tolist(),
-            "noise_floor": check.noise.tolist(),
-            "ratio": check.ratios,
-            "samples": check.samples,
-            "left_out_braking": check.braked,
-            "passed": check.passed,
-        }
-    return {
-        "accepted": accepted,
-        "tool": data,
-        "recommended": result.comparison.recommended,
-        "reason": result.comparison.reason,
-        "interval95": (result.estimate.t95 * result.estimate.std[:4]).tolist(),
-        "residual": result.best.rms.tolist(),
-        "candidates": candidates,
-        "remarks": list(result.remarks),
-        "check": live,
-        "report": None if page is None else str(page),
-    }
-
-
-def _slug(text: str) -> str:
-    """A tool's name out of any text; empty if there is none in it."""
-    return re.sub(r"[^a-z0-9_-]+", "-", text.lower()).strip("-_")[:40]

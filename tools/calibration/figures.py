@@ -18,6 +18,7 @@ from galen_hw.spatial import Array
 from galen_hw.tools.calibration.check import LiveCheck
 from galen_hw.tools.calibration.result import Result
 from galen_hw.tools.calibration.screen import SCALE, fit_rms, left_out_rms, unit
+from galen_hw.tools.outputs import figures_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,24 +49,25 @@ STYLE: Final[Any] = {
 
 def write_report(
     result: Result,
-    folder: Path,
+    page: Path,
     tool: ToolFile,
     check: LiveCheck | None,
     state: str,
     more: Iterable[tuple[str, Callable[[], "Figure"]]] = (),
 ) -> Path:
-    """Write the figures as PNG and `report.html` into a folder; the page's path.
+    """Write a page with its figures inside, and the figures as PNG beside it; the page's path.
 
     Args:
+        page: the HTML file; a folder that is missing is made.
         tool: the tool's file that results; check: the live check, once it has run.
         state: one line: accepted as what, or not.
         more: further figures by name, made in the same style.
     """
+    folder = figures_beside(page)
     folder.mkdir(parents=True, exist_ok=True)
     pictures = {name: _png(figure) for name, figure in figures(result, check, more)}
     for name, data in pictures.items():
         (folder / f"{name}.png").write_bytes(data)
-    page = folder / "report.html"
     page.write_text(render(result, pictures, tool, check, state), encoding="utf-8")
     return page
 

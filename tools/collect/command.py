@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
+from galen_hw.units import number_in
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -43,13 +44,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", metavar="DIR", type=Path, help="session folder; a begun one is gone on with")
     parser.add_argument("--tool", metavar="NAME", help="tool in the holder (default: the selected one)")
     parser.add_argument("--configurations", type=int, metavar="N", help="places with two sets each (4)")
-    parser.add_argument("--force", type=float, metavar="N", help="largest push, newtons (12)")
-    parser.add_argument("--dwell", type=float, metavar="S", help="hold each push so long, for creep (2)")
-    parser.add_argument("--rise", type=float, metavar="S", help="seconds for a push to rise and fall (1)")
-    parser.add_argument("--rest", type=float, metavar="S", help="rest before and after pushes (2)")
+    parser.add_argument(
+        "--max-force", dest="force", type=number_in("N"), metavar="N", help="largest push, newtons (12)"
+    )
+    parser.add_argument("--dwell", type=number_in("s"), metavar="S", help="hold each push so long, for creep (2)")
+    parser.add_argument("--rise", type=number_in("s"), metavar="S", help="seconds for a push to rise and fall (1)")
+    parser.add_argument("--rest", type=number_in("s"), metavar="S", help="rest before and after pushes (2)")
     parser.add_argument("--rounds", type=int, metavar="N", help="sets at each place (2)")
     parser.add_argument("--places", type=int, metavar="N", help="places of a calibration set (8)")
-    parser.add_argument("--still", type=float, metavar="S", help="time at each of them (1.5)")
+    parser.add_argument("--still", type=number_in("s"), metavar="S", help="time at each of them (1.5)")
     parser.add_argument("--config", metavar="FILE", help="settings for --virtual")
     parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory of the daemon")
     parser.add_argument("--virtual", action="store_true", help="on a virtual robot that gives; a virtual hand pushes")
@@ -115,6 +118,11 @@ def _complete(args: argparse.Namespace) -> dict[str, float]:
     return given
 
 
+def _option(name: str) -> str:
+    """The option by which a number is given."""
+    return "--max-force" if name == "force" else f"--{name}"
+
+
 def _check(args: argparse.Namespace) -> None:
     """Numbers that make a session, and a folder that can hold it."""
     from galen_hw.config.paths import require_folder
@@ -131,7 +139,7 @@ def _check(args: argparse.Namespace) -> None:
     }
     for name, (low, high) in limits.items():
         if not low <= getattr(args, name) <= high:
-            raise UsageError("is out of range", where=f"--{name}", todo=f"{low:g} to {high:g}")
+            raise UsageError("is out of range", where=_option(name), todo=f"{low:g} to {high:g}")
     if args.output is not None:
         require_folder(args.output, "-o")
 
@@ -165,7 +173,9 @@ def _plan(args: argparse.Namespace, robot: "Robot", tool: str, given: dict[str, 
             had = plan.numbers.get(name)
             if had != value:
                 begun = "" if had is None else f" with {had:g}"
-                print(f"--{name} {value:g} is ignored: the session was begun{begun}; give a new folder", flush=True)
+                print(
+                    f"{_option(name)} {value:g} is ignored: the session was begun{begun}; give a new folder", flush=True
+                )
         return plan
     steps = make_steps(robot, args.configurations, args.force, rounds=args.rounds, places=args.places)
     plan = Plan(folder, robot.name, tool, f"{now:%Y-%m-%d}", steps)

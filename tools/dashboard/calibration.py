@@ -23,7 +23,7 @@ from galen_hw.errors import CommandRejectedError, GalenError
 from galen_hw.permission import require_writable
 from galen_hw.recording import read_recording
 from galen_hw.tools.calibration.check import LiveCheck, live_check
-from galen_hw.tools.calibration.command import setting_of
+from galen_hw.tools.calibration.recorded import setting_of
 from galen_hw.tools.calibration.figures import write_report
 from galen_hw.tools.calibration.poses import poses_of
 from galen_hw.tools.calibration.result import Result, analyse, tool_file, with_terms

@@ -3,12 +3,11 @@
 import argparse
 import json
 import math
-import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
+from galen_hw.errors import EXIT_OK, EXIT_REFUSED, UsageError
 
 if TYPE_CHECKING:
     from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore
@@ -21,11 +20,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("--state", metavar="DIR", type=Path, help="state directory (default: the daemon's)")
     sub = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    fit = _part(sub, "fit", "fit all models, judge them on held-out sets, recommend one and save it", "fit session/")
+    fit = _part(
+        sub, "fit", "fit all models, judge them on held-out sets, recommend one; saved if you say so", "fit session/"
+    )
     fit.add_argument("data", nargs="+", type=Path, metavar="DATA", help="recordings, or folders of recordings")
-    fit.add_argument("--report", metavar="OUT.html", type=Path, help="write figures and tables as one page")
+    fit.add_argument(
+        "--report", metavar="PAGE", type=Path, help="write a page with figures: FILE.html, or a folder for report.html"
+    )
     fit.add_argument("--save", metavar="NAME", help="save under this name (default: the tool's)")
-    fit.add_argument("--no-save", action="store_true", help="save nothing")
+    fit.add_argument("--yes", action="store_true", help="save the recommended model without asking (scripts)")
+    fit.add_argument("--no-save", action="store_true", help="save nothing, and do not ask")
     fit.add_argument("--holdout", nargs="+", default=[], metavar="SET", help="sets to judge on (default: chosen)")
     fit.add_argument("--models", nargs="+", metavar="MODEL", help="only these, by a part of their names")
     _part(sub, "list", "the saved models, and the one that serves (*)", "list --json")
@@ -118,38 +122,49 @@ def read_model(path: Path) -> "DeflectionFile":
 
 
 def _fit(args: argparse.Namespace, store: "DeflectionStore") -> int:
-    from galen_hw.identification.deflection.data import check
-    from galen_hw.identification.deflection.table import MODELS
-    from galen_hw.tools.deflection.data import read_sets, split
-    from galen_hw.tools.deflection.fit import compare, file_of, summary
+    from galen_hw.extras import need
+    from galen_hw.tools.answer import stamped
+    from galen_hw.tools.deflection.data import recordings_in
+    from galen_hw.tools.deflection.fit import summary
+    from galen_hw.tools.deflection.recorded import fit_recordings
+    from galen_hw.tools.outputs import report_page
 
-    sets, days, virtual = read_sets(args.data)
-    remarks = check(sets)
-    for line in remarks:
-        print(f"galen-hw deflection: {line}", file=sys.stderr)
-    if remarks and not _fit_to_be_fitted(remarks):
-        return EXIT_FOUND
-    learn, held = split(sets, days, args.holdout)
-    names = [n for n in MODELS if not args.models or any(part.lower() in n.lower() for part in args.models)]
-    if not names:
-        raise UsageError("no such model", where="--models", todo=f"parts of: {', '.join(MODELS)}")
-    out = compare(learn, held, names, lambda name: print(f"fitting {name}", file=sys.stderr))
-    out.notes += remarks
-    if args.json:
-        print(json.dumps(summary(out), indent=1))
-    else:
+    if args.report is not None:
+        need("reports", "--report")
+        args.report = report_page(args.report)
+    fitted = fit_recordings(
+        recordings_in(args.data),
+        holdout=args.holdout,
+        models=args.models or (),
+        say=lambda name: print(f"fitting {name}", file=sys.stderr),
+        warn=lambda line: print(f"galen-hw deflection: {line}", file=sys.stderr),
+    )
+    out = fitted.comparison
+    if out is None:
+        return EXIT_REFUSED
+    if not args.json:
         _show(out)
     if args.report is not None:
         from galen_hw.tools.deflection.figures import write_report
 
         print(f"report: {write_report(out, args.report)}", file=sys.stderr)
-    if not args.no_save:
-        robot = sets[0].observations.belief.robot
-        name = args.save or re.sub(r"[^a-z0-9_-]", "-", (sets[0].tool or "arm").lower())
-        saved = store.save(file_of(out, name, "" if robot is None else robot.name, virtual=virtual))
+    saved = None
+    if not args.no_save and (args.yes or _ask(args.json)):
+        saved = store.save(fitted.file(args.save))
         for line in next_steps(saved, store.state_dir):
             print(line, file=sys.stderr)
+    if args.json:
+        print(json.dumps(stamped(summary(out) | {"saved": None if saved is None else saved.id}), indent=1))
     return EXIT_OK
+
+
+def _ask(as_json: bool) -> bool:
+    """Whether a person wants the recommended model saved; who cannot be asked does not."""
+    if as_json or not sys.stdin.isatty():
+        print("not saved, nobody can be asked: add --yes to save, --no-save to be spared this line", file=sys.stderr)
+        return False
+    print("Save the recommended model, so that it can serve? [y/N] ", end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 def next_steps(saved: "DeflectionFile", state_dir: Path) -> list[str]:
@@ -171,11 +186,6 @@ def next_steps(saved: "DeflectionFile", state_dir: Path) -> list[str]:
             "the arm of galen-hw run --virtual is rigid until galen-hw collect deflection -o DIR runs beside it"
         )
     return lines
-
-
-def _fit_to_be_fitted(remarks: list[str]) -> bool:
-    """Too few configurations and forces at their limit spoil every model; the rest only leaves things unseen."""
-    return not any("configuration(s)" in line or "limit" in line or "hardly any force" in line for line in remarks)
 
 
 def _told(figure: float, words: str) -> str:

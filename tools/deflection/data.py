@@ -1,8 +1,7 @@
 """Deflection recordings for the fit: read, checked one by one, told apart by configuration and day, split."""
 
-import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,20 +24,41 @@ MOVED = 0.1
 KINDS = ("same configuration", "new configuration", "other day")
 
 
-def read_sets(paths: Sequence[Path]) -> tuple[list[DeflectionSet], dict[str, str], bool]:
-    """The sets of recordings with pushes, the day of each by name, and whether any is of a virtual robot.
+@dataclass(frozen=True)
+class Sets:
+    """The sets of recordings with pushes.
 
-    Calibration sets without force are left out.
+    Args:
+        sets: labelled by configuration; days: the day of each by name; virtual: any is of a virtual robot.
+        notes: what the premises said, one line each with the set's name.
+    """
+
+    sets: list[DeflectionSet]
+    days: dict[str, str]
+    virtual: bool
+    notes: list[str]
+
+
+def recordings_in(paths: Sequence[Path]) -> list[Recording]:
+    """Read the recordings among the paths; a folder of recordings stands for all in it.
+
+    Raises:
+        UsageError: one cannot be read.
+    """
+    return [read_recording(path) for path in _folders(paths)]
+
+
+def sets_of(recordings: Sequence[Recording]) -> Sets:
+    """Return the sets of recordings with pushes; calibration sets without force are left out.
 
     Raises:
         UsageError: not a deflection recording, or sets of different tools, tips or kinds of robot; one line with what to
             record next.
     """
-    sets, days = [], {}
+    sets, days, notes = [], {}, list[str]()
     virtual: dict[str, bool] = {}
-    for path in _folders(paths):
-        recording = read_recording(path)
-        extra = recording.info.model_extra or {}
+    for recording in recordings:
+        path, extra = recording.path, recording.info.model_extra or {}
         _need_tracker(recording, path)
         if extra.get("purpose") == "calibration":
             continue
@@ -46,8 +66,7 @@ def read_sets(paths: Sequence[Path]) -> tuple[list[DeflectionSet], dict[str, str
         name = path.name if path.is_dir() else path.stem
         group: Group = recording.info.predict or "pose"
         found = examine_recording(recording, group)
-        for line in found.notes:
-            print(f"{name}: {line}", file=sys.stderr)
+        notes += [f"{name}: {line}" for line in found.notes]
         made = DeflectionSet.of(
             name, found.examination.observations, configuration=str(extra.get("configuration", "")), tool=tool
         )
@@ -58,7 +77,7 @@ def read_sets(paths: Sequence[Path]) -> tuple[list[DeflectionSet], dict[str, str
         raise UsageError("no set with pushes", todo="record one: galen-hw collect deflection")
     check(sets)
     _refuse_mixed(sets, virtual)
-    return _labelled(sets), days, any(virtual.values())
+    return Sets(_labelled(sets), days, any(virtual.values()), notes)
 
 
 def _refuse_mixed(sets: Sequence[DeflectionSet], virtual: dict[str, bool]) -> None:

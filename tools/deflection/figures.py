@@ -16,6 +16,7 @@ from galen_hw.identification.deflection.lstm import Lstm
 from galen_hw.spatial import Array
 from galen_hw.tools.calibration.figures import BAND, DONE, INK, RAW, STYLE
 from galen_hw.tools.deflection.fit import Comparison
+from galen_hw.tools.outputs import figures_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +33,7 @@ NUMBERS: Final = {
 
 def write_report(out: Comparison, page: Path) -> Path:
     """Write the page with its figures inside, and the figures as PNG beside it in `NAME-figures/`."""
-    folder = page.with_suffix("").with_name(page.stem + "-figures")
+    folder = figures_beside(page)
     folder.mkdir(parents=True, exist_ok=True)
     pictures = []
     for name, title, figure in figures(out):
@@ -76,6 +77,15 @@ def units(arm: ElasticArm, robot: "Robot | None") -> list[str]:
     return out
 
 
+def errors_figure(out: Comparison) -> "Figure":
+    """Draw the held-out error of all models, kind by kind."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(STYLE):
+        return _errors(out, Figure((8.4, 3.2), layout="constrained"))
+
+
 def figures(out: Comparison) -> Iterator[tuple[str, str, "Figure"]]:
     """Name, title and figure, one after the other."""
     import matplotlib as mpl
@@ -83,7 +93,7 @@ def figures(out: Comparison) -> Iterator[tuple[str, str, "Figure"]]:
 
     with mpl.rc_context(STYLE):
         if out.held:
-            yield "errors", "Held-out error of all models", _errors(out, Figure((8.4, 3.2), layout="constrained"))
+            yield "errors", "Held-out error of all models", errors_figure(out)
         for name in out.models:
             if out.held:
                 figure = _model(out, name, Figure((10.0, 5.4), layout="constrained"))

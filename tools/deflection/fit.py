@@ -96,7 +96,12 @@ def compare(
     out = Comparison(learn, held, float(np.sqrt(np.sum(noise**2))))
     for name in names:
         if name.startswith("LSTM") and importlib.util.find_spec("torch") is None:
-            out.notes.append("LSTM (report) left out: torch is not installed; pip install -e '.[torch]' (in a clone)")
+            out.notes.append("LSTM (report) left out: torch is not installed; pip install 'galen-hw[torch]'")
+            continue
+        if name == "gradient boosting" and importlib.util.find_spec("sklearn") is None:
+            out.notes.append(
+                "gradient boosting left out: scikit-learn is not installed; pip install 'galen-hw[diagnose]'"
+            )
             continue
         say(name)
         begin = time.perf_counter()

@@ -148,7 +148,7 @@ def _torch() -> Any:
         import torch
     except ImportError as error:
         raise UsageError(
-            "training the LSTM needs torch", todo="pip install -e '.[torch]' (in a clone), or leave it out"
+            "training the LSTM needs torch", todo="pip install 'galen-hw[torch]', or leave it out"
         ) from error
     return torch
 

@@ -59,7 +59,7 @@ def ask(command: str, recording: Path, patience_s: float = PATIENCE_S) -> dict[s
     with tempfile.TemporaryDirectory() as scratch:
         written = Path(scratch) / "answer.json"
         words = {
-            "diagnose": ["diagnose", str(recording), "--json", str(written)],
+            "diagnose": ["diagnose", str(recording), "-o", str(written)],
             "calibrate": ["calibrate", "--from", str(recording), "--yes", "--json"],
             "deflection": ["deflection", "fit", str(recording), "--no-save", "--json"],
             "check": ["check", str(recording), "--json"],

@@ -39,7 +39,7 @@ def _calibrated(answer: Answer, grams: float, millimetres: float) -> bool:
 
 def _refused(answer: Answer) -> bool:
     given = answer["json"]
-    return answer["exit"] == 2 or (given is not None and not given.get("accepted", True))
+    return answer["exit"] in {2, 4} or (given is not None and not given.get("accepted", True))
 
 
 def _found(answer: Answer) -> list[str]:

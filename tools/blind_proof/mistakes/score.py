@@ -230,7 +230,7 @@ def _bare(line: str) -> str:
 
 def failed(answer: Answer) -> bool:
     """No answer at all: a crash, or none in time."""
-    return "Traceback" in answer["err"] or answer["exit"] not in {0, 1, 2}
+    return "Traceback" in answer["err"] or answer["exit"] not in {0, 1, 2, 4}
 
 
 def spoken(answer: Answer) -> list[str]:

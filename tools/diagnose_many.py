@@ -1,0 +1,102 @@
+"""Diagnose what the command line names: one recording, several, or several as one."""
+
+import argparse
+from pathlib import Path
+
+from galen_hw.config.tool_store import write_atomic
+from galen_hw.diagnosis.estimation.dataset import Progress
+from galen_hw.diagnosis.recordings import diagnose_recordings
+from galen_hw.diagnosis.result import Diagnosis
+from galen_hw.diagnosis.work import Work
+from galen_hw.errors import UsageError
+from galen_hw.formats import read as read_recording
+from galen_hw.formats.own import is_own
+from galen_hw.recording import Recording
+from galen_hw.tools.diagnose_screen import counting, working
+from galen_hw.tools.diagnose_tool import model_to_save, tool_named, with_tool
+
+
+def answers_to(paths: list[Path], args: argparse.Namespace) -> list[Diagnosis]:
+    """One after the other, or in parallel on all cores (on a Dask cluster where its address is given)."""
+    if len(paths) == 1 or args.together:
+        with working(f"reading {paths[0].name}") as progress:
+            return [_whole(paths, args, several=False, progress=progress)]
+    from joblib import Parallel, delayed, parallel_config
+
+    from galen_hw.tools.clusters import cluster
+
+    out: dict[str, Diagnosis] = {}
+    with counting("diagnosing", len(paths)) as done, cluster(args.dask) as backend, parallel_config(**backend):
+        # Dask hands everything over at the end; the processes of this machine one by one.
+        each = "list" if args.dask else "generator_unordered"
+        for path, answer in Parallel(return_as=each)(delayed(_named_answer)(path, args) for path in paths):
+            out[path] = answer
+            done()
+    return [out[str(path)] for path in paths]
+
+
+def _named_answer(path: Path, args: argparse.Namespace) -> tuple[str, Diagnosis]:
+    return str(path), _whole([path], args, several=True)
+
+
+def _whole(
+    paths: list[Path], args: argparse.Namespace, *, several: bool, progress: Progress | None = None
+) -> Diagnosis:
+    """Diagnose one recording (or some as one) and write what was asked for; with several, its name goes into the file's name."""
+    (work, recording), path = one(paths, args, progress), paths[0]
+    if args.report:
+        from galen_hw.diagnosis.report.collect import traces_of
+        from galen_hw.diagnosis.report.page import write_page
+
+        page = _named(args.report, path, several=several)
+        page.parent.mkdir(parents=True, exist_ok=True)
+        write_page(page, work.diagnosis, traces_of(work))
+    if args.save_model:
+        target = _named(args.save_model, path, several=several)
+        saved = model_to_save(work, recording, target)
+        if saved.text:
+            write_atomic(target, saved.text)
+        work.diagnosis.notes += saved.lines
+    return work.diagnosis
+
+
+def _named(given: str | Path, path: Path, *, several: bool) -> Path:
+    target = Path(given)
+    return target.with_stem(f"{target.stem}-{path.stem}") if several else target
+
+
+def expanded(path: Path) -> list[Path]:
+    """The recordings of a folder of recordings; else the path itself."""
+    if path.is_dir() and is_own(path) and not any((path / f"recording.{kind}").exists() for kind in ("csv", "parquet", "json")):
+        inside = sorted(p for p in path.iterdir() if (p / "recording.json").exists() or p.suffix == ".mcap")
+        return inside or [path]
+    return [path]
+
+
+def one(paths: list[Path], args: argparse.Namespace, progress: Progress | None = None) -> tuple[Work, Recording]:
+    """Diagnose one recording, or several recordings of one machine as one; and the (first) recording itself."""
+    share, judges = _holdout(args.holdout or ["0.3"])
+    tool = tool_named(args.tool) if args.tool else None
+
+    def read(path: Path, simulation: str | None = None) -> Recording:
+        recording = read_recording(path, simulation=simulation)
+        return recording if tool is None else with_tool(recording, tool)
+
+    recordings = [read(path, args.simulation) for path in paths]
+    others = [read(path) for path in judges]
+    work = diagnose_recordings(
+        recordings, holdout=others, share=share, seed=args.seed, repair=not args.no_repair, progress=progress
+    )
+    return work, recordings[0]
+
+
+def _holdout(given: list[str]) -> tuple[float, list[Path]]:
+    """The share of blocks to set aside, or the recordings to be judged on."""
+    try:
+        share = float(given[-1])
+    except ValueError:
+        return 0.3, [path for one in given for path in expanded(Path(one))]
+    if len(given) > 1 or not 0.0 <= share < 0.9:
+        where = f"--holdout {' '.join(given)}"
+        raise UsageError("not a share", where=where, todo="give a number from 0 to 0.9, or recordings")
+    return share, []
