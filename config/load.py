@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel
 
+from galen_hw.config.found_ports import lasting_name
 from galen_hw.config.problems import ConfigError, Places, Problem, check, unknown
 from galen_hw.config.schema import Config
 from galen_hw.documents import DocumentError, load_toml
@@ -210,13 +211,18 @@ def _load_class(
 
 def _bare_tty(transport: Any, at: tuple[str, ...], places: Places) -> list[Problem]:
     """A bare ttyUSBn names another device after the next plug-in; only the names by identity stay."""
-    what, todo = "this name changes when cables are plugged", "use the link that `ls -l /dev/serial/by-id` shows for it"
+    what = "this name changes when cables are plugged"
     items = transport.items() if isinstance(transport, dict) else ()
     return [
-        Problem(f"{what} (it is {json.dumps(value)})", places.where((*at, key)), todo)
+        Problem(f"{what} (it is {json.dumps(value)})", places.where((*at, key)), _lasting(value))
         for key, value in items
         if isinstance(value, str) and _BARE_TTY.match(value)
     ]
+
+
+def _lasting(value: str) -> str:
+    name = lasting_name(value)
+    return f"write {json.dumps(name)}" if name else "use the name that galen-hw find shows for it"
 
 
 def _shared_ports(document: dict[str, Any], places: Places) -> list[Problem]:

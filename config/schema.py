@@ -99,22 +99,36 @@ class DeviceSection(Section):
     settings: dict[str, Any] = {}
 
 
+_FROM_HERE = (
+    "viewers may connect from this machine only (tcp://127.0.0.1:PORT; use ssh -L from afar, "
+    "or give keys: galen-hw keys)"
+)
+
+
 class BusSection(Section):
-    """Addresses beside the runtime directory's own."""
+    """Addresses beside the runtime directory's own; `keys`: folder of the viewers' keys, without which none may connect."""
 
     viewers: str = Field(default=VIEWERS_ADDRESS, examples=[VIEWERS_ADDRESS])
     queue_messages: int = Field(default=5000, ge=10, le=1_000_000)
 
+    keys: Path | None = Field(default=None, examples=["/etc/galen-hw/keys"])
+
     @field_validator("viewers")
     @classmethod
-    def _loopback(cls, value: str) -> str:
-        host, _, port = value.removeprefix("tcp://").rpartition(":")
-        host = host.strip("[]")
-        if value and not (value.startswith("tcp://") and _is_loopback(host)):
-            raise ValueError("viewers may connect from this machine only (tcp://127.0.0.1:PORT; use ssh -L from afar)")
+    def _address(cls, value: str) -> str:
+        port = value.rpartition(":")[2]
+        if value and not value.startswith("tcp://"):
+            raise ValueError(_FROM_HERE)
         if value and not (port.isascii() and port.isdigit() and int(port[:6]) <= LARGEST_PORT):
             raise ValueError(f"{port!r} is no port: 1 to {LARGEST_PORT}, or 0 for any free one")
         return value
+
+    @model_validator(mode="after")
+    def _loopback(self) -> Self:
+        host = self.viewers.removeprefix("tcp://").rpartition(":")[0].strip("[]")
+        if self.viewers and self.keys is None and not _is_loopback(host):
+            raise ValueError(_FROM_HERE)
+        return self
 
 
 class DaemonSection(Section):

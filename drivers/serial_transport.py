@@ -18,9 +18,9 @@ from galen_hw.errors import HardwareError
 CHUNK: Final = 65536
 _CLOSED: Final = "the wire is not open"
 _REASONS: Final[dict[int, tuple[str, str]]] = {
-    errno.ENOENT: ("no such port", "plug it in and look at ls -l /dev/serial/by-id"),
-    errno.ENODEV: ("no such port", "plug it in and look at ls -l /dev/serial/by-id"),
-    errno.ENXIO: ("no such port", "plug it in and look at ls -l /dev/serial/by-id"),
+    errno.ENOENT: ("no such port", "plug it in and look at galen-hw find"),
+    errno.ENODEV: ("no such port", "plug it in and look at galen-hw find"),
+    errno.ENXIO: ("no such port", "plug it in and look at galen-hw find"),
     errno.EACCES: ("no permission to open the port", "add the user to the group dialout and log in again"),
     errno.EPERM: ("no permission to open the port", "add the user to the group dialout and log in again"),
     errno.EBUSY: ("the port is in use by another program", "end the other program; lsof PORT names it"),

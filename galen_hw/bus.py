@@ -18,6 +18,7 @@ from msgspec.structs import replace
 
 from galen_hw.decoding import LARGEST_REQUEST, UnreadableError, decode_message, decode_reply, limit
 from galen_hw.errors import CommandRejectedError, GalenError, HardwareError, UsageError
+from galen_hw.keys import prove
 from galen_hw.messages import TOPICS, CommandError, Message, Reply, Request, encode, too_old
 from galen_hw.permission import require_permission
 
@@ -105,9 +106,10 @@ class Subscriber(_Socket):
         queue: messages kept while this end is busy; more are lost (and counted in `lost`).
         as_published: `valid` as it was when the message was published. Else what is older than its topic's limit when it is
             read (it waited in the queue, or is replayed) is not `valid`: right for who acts on it, not for who records.
+        keys: of a daemon's copy for viewers that demands them: files of one's own secret and of the daemon's public key.
 
     Raises:
-        UsageError: this user may not connect there.
+        UsageError: this user may not connect there, or a key cannot be used.
     """
 
     def __init__(
@@ -117,11 +119,14 @@ class Subscriber(_Socket):
         *,
         queue: int = QUEUE_LENGTH,
         as_published: bool = False,
+        keys: tuple[Path, Path] | None = None,
         context: zmq.Context[Any] | None = None,
     ) -> None:
         _require_permission(address)
         super().__init__(zmq.SUB, context)
         self._as_published = as_published
+        if keys is not None:
+            prove(self.socket, *keys)
         self.socket.setsockopt(zmq.RCVHWM, queue)
         self.socket.setsockopt(zmq.RECONNECT_IVL, 20)
         for topic in list(topics) or [""]:

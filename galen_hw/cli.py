@@ -19,6 +19,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     # name: (module with `add_arguments(parser)` and `run(args) -> int`, help)
     "run": ("galen_hw.tools.run", "run the daemon beside the robot"),
     "check": ("galen_hw.tools.check", "check the set-up and name every problem at once"),
+    "find": ("galen_hw.tools.find", "list the ports of this machine by their lasting names"),
     "monitor": ("galen_hw.tools.monitor.command", "show live topics: rates, ages, losses, wrench"),
     "status": ("galen_hw.tools.status", "say whether all is well: alarms, rates, latency, noise, drift"),
     "dashboard": ("galen_hw.tools.dashboard.command", "show the robot live in a browser, with buttons"),
@@ -35,6 +36,8 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "import": ("galen_hw.tools.import_table", "write a table as an MCAP recording"),
     "diagnose": ("galen_hw.tools.diagnose", "find what a model left out: locate, name, model, prove"),
     "collect": ("galen_hw.tools.collect.command", "guided collection of deflection data with the tracker"),
+    "install-service": ("galen_hw.tools.install_service", "install the daemon as a systemd service, or take it away"),
+    "keys": ("galen_hw.tools.keys", "make and list keys for viewers on other machines"),
     "deflection": ("galen_hw.tools.deflection.command", "fit and compare deflection models"),
 }
 

@@ -176,7 +176,7 @@ def test_good_file_becomes_a_setup() -> None:
             GOOD.replace("serial/by-id/a", "ttyUSB0"),
             (
                 '4: devices.ft.transport.url: this name changes when cables are plugged (it is "/dev/ttyUSB0"); '
-                "use the link that `ls -l /dev/serial/by-id` shows for it"
+                "use the name that galen-hw find shows for it"
             ),
         ),
         (

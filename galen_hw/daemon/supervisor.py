@@ -91,7 +91,8 @@ class Supervisor:
         owners = {t: n for n, p in self._processes.items() for t in (*p.share.devices, *p.share.services)}
         section = setup.config.daemon
         self._broker = Broker(addresses, owners, self._processes, section.command_timeout_s, self._info)
-        self._viewers = Viewers(setup.config.bus.viewers, addresses, setup.config.bus.queue_messages)
+        bus = setup.config.bus
+        self._viewers = Viewers(bus.viewers, addresses, bus.queue_messages, bus.keys)
         self._notifier = Notifier()
         self._waker = Waker()
         self._stopping = False

@@ -17,12 +17,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import zmq
+from zmq.auth.thread import ThreadAuthenticator
 from zmq.utils.monitor import parse_monitor_message
 
 from galen_hw.bus import LARGEST_SUBSCRIPTION
 from galen_hw.config.paths import Addresses
 from galen_hw.decoding import limit
 from galen_hw.errors import EXIT_FOUND, EXIT_OK
+from galen_hw.keys import CLIENTS, SERVER, secret_of
 from galen_hw.messages import TOPICS
 
 MOST_VIEWERS: Final = 32
@@ -48,9 +50,16 @@ class Viewers:
         address: "tcp://HOST:PORT" of this machine, port 0 for any free one; empty for no copy at all. A port that is taken
             is replaced by a free one, and a line says so: two robots (or a real and a virtual one) can be looked at.
         addresses: of the daemon; queue: messages kept for one slow viewer.
+        keys: folder of CURVE keys (`galen_hw.keys`): who has none of them may not connect, from this machine either.
+
+    Raises:
+        UsageError: the daemon's own key cannot be used.
     """
 
-    def __init__(self, address: str, addresses: Addresses, queue: int) -> None:
+    def __init__(self, address: str, addresses: Addresses, queue: int, keys: Path | None = None) -> None:
+        if address and keys is not None:
+            secret_of(keys / f"{SERVER}.key_secret")
+        self._keys = "" if keys is None else str(keys)
         self._listener = listen(address) if address else None
         self.address = address_of(self._listener) if self._listener else ""
         self._addresses, self._queue = addresses, queue
@@ -73,7 +82,8 @@ class Viewers:
             log.warning("viewers' copy of the bus: ended with status %d; started again in %.2g s", code, wait_s)
         if self._popen is None and now >= self._start_at:
             fd = self._listener.fileno()
-            command = [sys.executable, "-m", "galen_hw.daemon.viewers", self._addresses.bus, str(fd), str(self._queue)]
+            words = [self._addresses.bus, str(fd), str(self._queue), self._keys]
+            command = [sys.executable, "-m", "galen_hw.daemon.viewers", *words]
             self._popen = subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=(fd,))
 
     def close(self) -> None:
@@ -98,16 +108,22 @@ def listen(address: str) -> socket.socket | None:
     host = host.strip("[]")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        return socket.create_server((host, int(port)), family=family, backlog=BACKLOG)
+        return _prompt(socket.create_server((host, int(port)), family=family, backlog=BACKLOG))
     except OSError as error:
         why = os.strerror(error.errno) if error.errno else str(error)
     try:
-        free = socket.create_server((host, 0), family=family, backlog=BACKLOG)
+        free = _prompt(socket.create_server((host, 0), family=family, backlog=BACKLOG))
     except OSError:
         log.warning("no copy of the bus for viewers at %s: %s", address, why)
         return None
     log.warning("viewers: %s: %s (another daemon's?); this daemon's are at %s", address, why, address_of(free))
     return free
+
+
+def _prompt(listener: socket.socket) -> socket.socket:
+    """The same, whose connections send small messages at once."""
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return listener
 
 
 def address_of(listener: socket.socket) -> str:
@@ -121,10 +137,10 @@ class _Copy:
 
     Args:
         bus: address of the bus; fd: the listening socket; queue: messages kept for one slow viewer.
-        most: connections at a time.
+        keys: folder of CURVE keys, empty for none; most: connections at a time.
     """
 
-    def __init__(self, bus: str, fd: int, queue: int, most: int = MOST_VIEWERS) -> None:
+    def __init__(self, bus: str, fd: int, queue: int, keys: str = "", most: int = MOST_VIEWERS) -> None:
         context: zmq.Context[zmq.Socket[bytes]] = zmq.Context.instance()
         self._most, self._connections, self._wanted = most, set[int](), set[bytes]()
         self._bus: zmq.Socket[Any] = context.socket(zmq.SUB)
@@ -137,10 +153,20 @@ class _Copy:
         self._viewers.setsockopt(zmq.LINGER, 0)
         self._viewers.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
         limit(self._viewers, LARGEST_SUBSCRIPTION)
+        if keys:
+            guard = ThreadAuthenticator(context)
+            guard.start()
+            guard.configure_curve(domain="*", location=str(Path(keys) / CLIENTS))
+            self._viewers.curve_publickey, self._viewers.curve_secretkey = secret_of(
+                Path(keys) / f"{SERVER}.key_secret"
+            )
+            self._viewers.curve_server = True
         events = int(zmq.EVENT_ACCEPTED) | int(zmq.EVENT_DISCONNECTED)
         self._monitor: zmq.Socket[Any] = self._viewers.get_monitor_socket(events)
         self._viewers.setsockopt(zmq.USE_FD, fd)
-        self._viewers.bind(address_of(socket.socket(fileno=os.dup(fd))))
+        # The descriptor listens already, so that the address is but a name. A TCP address would be looked for among the
+        # network devices first, and ZeroMQ ends the process where that is not permitted (no AF_NETLINK in the unit).
+        self._viewers.bind("ipc://viewers")
         self._poller = zmq.Poller()
         for one in (self._viewers, self._monitor):
             self._poller.register(one, zmq.POLLIN)
@@ -193,7 +219,7 @@ def main() -> int:
     """Entry point: bus address, listening descriptor and queue as arguments; standard input is the lifeline."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the supervisor alone says who ends when
-    bus, fd, queue = sys.argv[1:]
+    bus, fd, queue, keys = sys.argv[1:]
     resource.setrlimit(resource.RLIMIT_NOFILE, (MOST_DESCRIPTORS, MOST_DESCRIPTORS))
     resource.setrlimit(resource.RLIMIT_DATA, (MOST_DATA, MOST_DATA))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -202,7 +228,7 @@ def main() -> int:
         # Where memory runs out all the same, this process is the one to go.
         Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
     try:
-        _Copy(bus, int(fd), int(queue)).run(sys.stdin.fileno())
+        _Copy(bus, int(fd), int(queue), keys).run(sys.stdin.fileno())
     except MemoryError:
         return EXIT_FOUND
     zmq.Context.instance().destroy(linger=0)

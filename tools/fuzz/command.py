@@ -26,9 +26,9 @@ HEAD: Final = """# Fuzzing
 
 Written by `make fuzz` (`python -m galen_hw.tools.fuzz.command`): whatever reads foreign bytes, each in a process with
 {memory} MiB of memory and {longest} s for an input. The targets are in `tools/fuzz/targets.py`; the same ones run with
-Hypothesis in `tests/test_fuzz.py`. A *find* is anything but the program's own typed error: another exception, memory or time beyond
-the bounds, a request or message above its bound, an old message that is still `valid`. What noise has done to a device on its
-wire stays for the next input, as it would on a cable.
+Hypothesis in `tests/test_fuzz.py`. A *find* is anything but the program's own typed error: another exception, memory or time
+beyond the bounds, a request or message above its bound, an old message that is still `valid`. What noise has done to a
+device on its wire stays for the next input, as it would on a cable.
 
 Asked for: {asked} inputs a target{capped}. Engine: {engine}.
 

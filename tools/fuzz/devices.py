@@ -78,21 +78,24 @@ def chunks_of(data: bytes) -> list[bytes]:
 def ati() -> Callable[[bytes], None]:
     """An ATI sensor that samples."""
     settings = AtiNetcanoem.Settings(rate_hz=1000.0)
-    noisy = Noisy(AtiNetcanoem("ft", settings, TimeBase()), VirtualAtiNetcanoem(AtiSettings(), World()))
+    noisy = Noisy(
+        AtiNetcanoem("ft", settings, TimeBase()), VirtualAtiNetcanoem(AtiSettings.model_validate({}), World())
+    )
     return lambda data: noisy.take(frames_of(data))
 
 
 def robotous() -> Callable[[bytes], None]:
     """A Robotous sensor that streams."""
     device = RobotousRft("ft", RobotousRft.Settings(), TimeBase())
-    noisy = Noisy(device, VirtualRobotousRft(RftSettings(), World()))
+    noisy = Noisy(device, VirtualRobotousRft(RftSettings.model_validate({}), World()))
     return lambda data: noisy.take(frames_of(data))
 
 
 def galil() -> Callable[[bytes], None]:
     """A controller that is polled."""
     noisy = Noisy(
-        GalilDmc("motors", GalilDmc.Settings(), TimeBase()), VirtualGalilDmc(VirtualGalilDmc.Settings(), World())
+        GalilDmc("motors", GalilDmc.Settings(), TimeBase()),
+        VirtualGalilDmc(VirtualGalilDmc.Settings.model_validate({}), World()),
     )
     return lambda data: noisy.take(chunks_of(data))
 
