@@ -46,7 +46,7 @@ def test_a_model_that_does_not_come_to_rest_is_compared_with_no_other(monkeypatc
     def asked(on, scorer, out):
         before = len(out.regrouped)
         found = exchange.regrouped(on, scorer, out)
-        if on.restless:
+        if on.state.restless:
             tried.append(len(out.regrouped) - before)
         return found
 

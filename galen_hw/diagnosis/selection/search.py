@@ -142,7 +142,7 @@ def select(bench: Bench, scorer: Scorer) -> Selection:
         score = _alone(scorer, out.chosen, i)
         if score is not None:
             out.evidence[i] = score
-    bench.company = 0.0
+    bench.stand(interaction=0.0)
     rebase(scorer, out.chosen)
     return out
 
@@ -309,12 +309,10 @@ def _exchanged(bench: Bench, scorer: Scorer, out: Selection, refused: set[int]) 
 
     What was exchanged last may have made room for better: a wander beside a tool stood for a warm-up beside a cable.
     """
-    before, families = list(out.chosen), _families(scorer, out.chosen)
-    if _swap(bench, scorer, out, refused) and _families(scorer, out.chosen) != families:
-        return True
-    out.chosen = before
-    rebase(scorer, before)
-    return False
+    families = _families(scorer, out.chosen)
+    with out.attempt() as attempt:
+        attempt.kept = _swap(bench, scorer, out, refused) and _families(scorer, out.chosen) != families
+    return attempt.kept
 
 
 def _left_behind(scorer: Scorer, i: int, j: int) -> bool:

@@ -1,7 +1,8 @@
 """The chosen model and how it came about."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +11,13 @@ from galen_hw.diagnosis.estimation.candidate import Hypothesis, place_of
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
+
+
+@dataclass
+class Attempt:
+    """Another model while it is tried; `kept`: it is to stay."""
+
+    kept: bool = False
 
 
 @dataclass
@@ -38,6 +46,18 @@ class Selection:
     tightened: set[frozenset[object]] = field(default_factory=set)
     regrouped: set[frozenset[object]] = field(default_factory=set)
     begun: Array = field(default_factory=lambda: np.empty((0, 0)))
+
+    @contextmanager
+    def attempt(self) -> Iterator["Attempt"]:
+        """Try another model: terms and what was settled beside them stand again as before, unless the attempt is kept."""
+        bench, chosen, before, one = self.scorer.bench, list(self.chosen), self.scorer.bench.state, Attempt()
+        try:
+            yield one
+        finally:
+            if not one.kept:
+                moved, self.chosen, bench.state = self.chosen != chosen, chosen, before
+                if moved:
+                    self.scorer.retarget(before.y)
 
     @property
     def start(self) -> Array:

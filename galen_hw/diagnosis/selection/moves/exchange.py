@@ -43,7 +43,7 @@ def regrouped(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     with three numbers, and then the zero of the wrong joint: no single exchange is better, and each is the other's reason.
     A model that does not come to rest has no optimum with which others could be compared, and takes long not to.
     """
-    if bench.restless:
+    if bench.state.restless:
         return False
     able = [i for i in out.chosen if (effect := scorer.library[i].effect) is not None and effect.KEY in EXCHANGED]
     for pair in combinations(able, 2):
@@ -161,18 +161,15 @@ def _taken(
     bench: Bench, scorer: Scorer, out: Selection, pair: tuple[int, ...], chain: list[int], price: dict[int, float]
 ) -> bool:
     """Whether the others, at their optimum, were better and were taken."""
-    before, y, company = scorer.solve(out.chosen)[2], bench.y, bench.company
-    errors, misfit = crossed(bench, scorer, out.chosen), scorer.misfit(out.chosen)
-    trial = [*(i for i in out.chosen if i not in pair), *chain]
-    kept = len(trial) - len(chain)
-    settle_together(bench, scorer, trial)
+    before, errors, misfit = scorer.solve(out.chosen)[2], crossed(bench, scorer, out.chosen), scorer.misfit(out.chosen)
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
-    fall = before - scorer.solve(trial)[2]
-    margin = _needed(pair, chain, price) + slack(misfit) * abs(fall)
-    real = not bench.restless and all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in trial[kept:])
-    if real and fall + saved > margin and float(np.mean(crossed(bench, scorer, trial) / errors)) <= 1.0 + ALIKE:
-        out.chosen = trial
-        return True
-    bench.y, bench.company, bench.restless = y, company, False
-    scorer.retarget(y)
-    return False
+    with out.attempt() as attempt:
+        out.chosen = trial = [*(i for i in out.chosen if i not in pair), *chain]
+        settle_together(bench, scorer, trial)
+        new, fall = trial[len(trial) - len(chain) :], before - scorer.solve(trial)[2]
+        margin = _needed(pair, chain, price) + slack(misfit) * abs(fall)
+        rests = not bench.state.restless
+        real = rests and all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in new)
+        better = real and fall + saved > margin
+        attempt.kept = better and float(np.mean(crossed(bench, scorer, trial) / errors)) <= 1.0 + ALIKE
+    return attempt.kept
