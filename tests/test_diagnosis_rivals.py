@@ -18,7 +18,7 @@ from galen_hw.diagnosis.identifiability import rivals
 from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.selection.acceptance import WORTH, shows_in_noise, worth
 from galen_hw.diagnosis.selection.comparison import ahead, in_place
-from galen_hw.diagnosis.selection.search import sought
+from galen_hw.diagnosis.selection.proposals import sought
 from galen_hw.diagnosis.stats.paired_test import sure
 from galen_hw.diagnosis.validation.holdout import judge
 from galen_hw.diagnosis.work import Work

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.linearisation import does
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.search import library
+from galen_hw.diagnosis.selection.proposals import library
 from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.physics.effects.friction import Friction
 from galen_hw.physics.effects.registry import scene_of

@@ -27,7 +27,8 @@ from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.selection.criterion import merit
 from galen_hw.diagnosis.selection.finalise import offsets, settle_model, weighed
 from galen_hw.diagnosis.selection.moves.clock_offset import far_off
-from galen_hw.diagnosis.selection.search import at_first_sight, library, select
+from galen_hw.diagnosis.selection.proposals import at_first_sight, library
+from galen_hw.diagnosis.selection.search import select
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.validation.contact_or_place import outstanding
 from galen_hw.diagnosis.validation.flexible_effects import left_by, left_of_another, might_yield, predict_unnamed

@@ -35,8 +35,9 @@ OFTEN = 2
 """Times that one model is asked for its clocks: its other values may have moved since."""
 
 
-def reclocked(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+def reclocked(out: Selection) -> bool:
     """Whether the delays and lags of a model were exchanged for better ones: of the whole stream, or of each joint."""
+    bench, scorer = out.bench, out.scorer
     # Not for ever: what the search takes back of an exchange, it would take back again.
     model = frozenset(scorer.library[i].family for i in out.chosen)
     again = _ends(scorer, out.chosen) and out.clocked[model] < OFTEN
@@ -51,11 +52,12 @@ def reclocked(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     return False
 
 
-def own_clocks(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+def own_clocks(out: Selection) -> bool:
     """Whether the first clock gave way to those of each joint, which take nearly all that the best of one clock for all leaves.
 
     Before anything else is chosen: of servos that answer each in its own time it would take the rest of their lateness.
     """
+    bench, scorer = out.bench, out.scorer
     proposed = list(TimeDelay.propose(bench.scene))
     ends = [e for e in proposed if e.joint]
     if not ends or len(out.chosen) != 1 or not _ends(scorer, out.chosen):
@@ -100,11 +102,12 @@ def _sought(
         yield clocks, {one: other for search in searches for one, other in search.instead.items()}
 
 
-def one_clock(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+def one_clock(out: Selection) -> bool:
     """Whether a delay or lag of the whole stream was taken for what had been a viscous part of the friction in several joints.
 
     A servo with a viscous part c follows by c later. The search finds friction joint by joint, each with the lateness of all.
     """
+    bench, scorer = out.bench, out.scorer
     late = [i for i in out.chosen if _without_viscous(scorer.library[i].effect) is not None]
     proposed = [e for e in (*TimeDelay.propose(bench.scene), *Lag.propose(bench.scene)) if not e.joint]
     if len(late) < 2 or not proposed or any(isinstance(scorer.library[i].effect, Timing) for i in out.chosen):
