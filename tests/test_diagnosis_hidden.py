@@ -16,7 +16,7 @@ from test_tendons import pulled
 from galen_hw.diagnosis.detection import outliers
 from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.pipeline import diagnose
-from galen_hw.diagnosis.selection import search
+from galen_hw.diagnosis.selection.moves import swap
 from galen_hw.diagnosis.selection.moves.pairs import hidden
 from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.base import Effect
@@ -66,7 +66,7 @@ def test_where_a_cable_stood_before_it_was_settled_is_no_rival_of_it() -> None:
     rng = np.random.default_rng(1)
     off = [h.theta * (1.0 + 0.1 * rng.normal(size=8)) for _ in range(30)]
     scorer.append([tangent(work.bench, h, theta) for theta in off])
-    assert not search._swap(work.bench, scorer, selection, set())
+    assert not swap.swapped(selection)
     assert selection.chosen == [i]
 
 

@@ -64,12 +64,12 @@ def test_a_touch_in_a_block_left_out_decides_nothing_between_models_that_have_it
     y = bench.whole + 20.0 * SIGMA[0] * (during[:, None] & (np.arange(6) == 0))
     model = [*(bench.made(None, c) for c in bench.constants()), bench.add(Contact(WRENCH[:1], ((start, end),)))]
     white, before = bench.whitened(y), bench.y
-    bench.y = y
+    bench.stand(y=y)
     try:
         left = left_out(bench, model, white)
         without = left_out(bench, model[:-1], white)
     finally:
-        bench.y = before
+        bench.stand(y=before)
     assert left[0] < 1.1 * SIGMA[0] ** 2
     assert without[0] > 1.5 * SIGMA[0] ** 2
 
@@ -174,7 +174,8 @@ def test_a_touch_below_what_physics_leaves_is_a_part_of_that(level: float, event
     bench = work.bench
     touch = bench.add(Contact(WRENCH[:1], ((50.0, 60.0),)))
     y = bench.whole + level * SIGMA[0] * touch.raw.values[:, 0, :1] * (np.arange(6) == 0)
-    bench.whole, bench.y = y, y
+    bench.whole = y
+    bench.stand(y=y)
     jump = bench.add(Step(WRENCH[1:2], 100.0))
     model = Model(bench, work.model.nuisances, [touch, jump], bench.whitened(y))
     more = replace(work.judged, after=work.judged.floor + 4.0 * SIGMA**2)
@@ -195,7 +196,8 @@ def test_of_a_touch_the_moments_alone_are_told_that_stand_out() -> None:
     y[:, 0] += sum(
         s * bench.raw(Contact(WRENCH[:1], (one,))).values[:, 0, 0] for s, one in zip(size, episodes, strict=True)
     )
-    bench.whole, bench.y = y, y
+    bench.whole = y
+    bench.stand(y=y)
     nuisances = [bench.made(None, columns) for columns in bench.constants()]
     model = Model(bench, nuisances, [touch], bench.whitened(y))
     judged = judge(model, None)

@@ -18,7 +18,7 @@ from galen_hw.diagnosis.identifiability import rivals
 from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.selection.acceptance import WORTH, shows_in_noise, worth
 from galen_hw.diagnosis.selection.comparison import ahead, in_place
-from galen_hw.diagnosis.selection.search import sought
+from galen_hw.diagnosis.selection.proposals import sought
 from galen_hw.diagnosis.stats.paired_test import sure
 from galen_hw.diagnosis.validation.holdout import judge
 from galen_hw.diagnosis.work import Work
@@ -107,7 +107,7 @@ def test_a_filter_behind_a_delay_is_the_two_after_one_another() -> None:
     late, slow, seconds = TimeDelay(), Lag(0.12), np.array([0.08])
     expected = [cases.lagged(scene.time, x, 0.12) for x in scene.simulated.T]
     expected = [np.interp(scene.time - 0.08, scene.time, x) for x in expected]
-    bench.timing = [(late, seconds)]
+    bench.stand(timing=[(late, seconds)])
     change = late.exact(scene, seconds)
     assert change is not None
     both = bench.rows.average(scene.simulated + change) + bench.raw(slow).values[:, :, 0]

@@ -223,7 +223,7 @@ def test_what_does_not_come_to_rest_is_left_as_if_alone(
     scorer = Scorer(bench, effects)
     chosen = [len(scorer.base), len(scorer.base) + 1]
     settle_together(bench, scorer, chosen)
-    assert np.max(np.abs(bench.company)) == 0.0
+    assert np.max(np.abs(bench.state.interaction)) == 0.0
     assert np.isfinite(scorer.solve(chosen)[0]).all()
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.linearisation import does
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.search import library
+from galen_hw.diagnosis.selection.proposals import library
 from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.physics.effects.friction import Friction
 from galen_hw.physics.effects.registry import scene_of
@@ -56,7 +56,7 @@ def bench() -> Bench:
 def test_a_late_stream_delivers_averages(end: TimeDelay, even: bool) -> None:
     """Of one channel or all, behind a clock of one joint or of all, on an even clock or not, as by delaying every row."""
     bench, late = made(even=even), np.array([0.0037])
-    bench.timing = [(end, late)]
+    bench.stand(timing=[(end, late)])
     for effect in (Lag(0.05), Lag(0.05, "j2"), Friction("j1", "coulomb", 0.01), Friction("j0", "coulomb", 0.01)):
         through = end.delivered(bench.scene, effect.columns(bench.scene), late)
         assert np.allclose(bench.raw(effect).values, bench.averaged(through).values, rtol=0.0, atol=1e-12)
@@ -70,9 +70,9 @@ def test_what_is_known_is_what_would_be_made(bench: Bench) -> None:
     known = bench.add(effect)
     bench.know([known])
     assert bench.add(effect) is known
-    bench.timing = [(TimeDelay(), np.array([0.0037]))]
+    bench.stand(timing=[(TimeDelay(), np.array([0.0037]))])
     assert bench.add(effect) is not known
-    bench.timing = []
+    bench.stand(timing=[])
     bench.learn_noise(())
     again = bench.add(effect)
     assert again is not known

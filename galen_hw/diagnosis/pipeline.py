@@ -27,7 +27,8 @@ from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.selection.criterion import merit
 from galen_hw.diagnosis.selection.finalise import offsets, settle_model, weighed
 from galen_hw.diagnosis.selection.moves.clock_offset import far_off
-from galen_hw.diagnosis.selection.search import at_first_sight, library, select
+from galen_hw.diagnosis.selection.proposals import at_first_sight, library
+from galen_hw.diagnosis.selection.search import select
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.validation.contact_or_place import outstanding
 from galen_hw.diagnosis.validation.flexible_effects import left_by, left_of_another, might_yield, predict_unnamed
@@ -175,21 +176,20 @@ class _Known:
 
     def columns(self, bench: Bench, generic: list[structure_test.Family]) -> list[Columns]:
         """On the rows of a bench: what must not pass for noise, as it arrives."""
-        before, bench.timing = bench.timing, self.ends
-        out = [bench.raw(effect.relaxed) for effect, _ in self.effects]
-        # How a touch swells and turns round inside its episode no plain shape follows; it is no noise for that.
-        touches = [effect for effect, _ in self.effects if isinstance(effect, Contact)]
-        out += [bench.raw(effect.parted(PARTS)) for effect in touches]
-        if self.step > bench.spacing:
-            # And where it begins and ends is known to a row of the first look.
-            out += [bench.raw(effect.edges(self.step).parted(2)) for effect in touches]
-        everywhere = tuple(range(bench.width))
-        for effect, theta in self.effects:
-            change = effect.exact(bench.scene, theta)
-            if change is not None:
-                seen = arrived(bench.stream, effect, change, self.ends)
-                out.append(Columns(everywhere, bench.rows.average(seen)[:, :, None]))
-        bench.timing = before
+        with bench.delivering(self.ends):
+            out = [bench.raw(effect.relaxed) for effect, _ in self.effects]
+            # How a touch swells and turns round inside its episode no plain shape follows; it is no noise for that.
+            touches = [effect for effect, _ in self.effects if isinstance(effect, Contact)]
+            out += [bench.raw(effect.parted(PARTS)) for effect in touches]
+            if self.step > bench.spacing:
+                # And where it begins and ends is known to a row of the first look.
+                out += [bench.raw(effect.edges(self.step).parted(2)) for effect in touches]
+            everywhere = tuple(range(bench.width))
+            for effect, theta in self.effects:
+                change = effect.exact(bench.scene, theta)
+                if change is not None:
+                    seen = arrived(bench.stream, effect, change, self.ends)
+                    out.append(Columns(everywhere, bench.rows.average(seen)[:, :, None]))
         for channel, kind in self.left.items():
             alike = [one.basis for one in generic if one.kind == kind]
             # In few rows all directions of what looked best would leave too little of the noise, and find themselves again.
@@ -245,7 +245,7 @@ def _begun(bench: Bench, coarse: Bench, effects: list[tuple[Effect, Array]], hol
     """The other recording, and the bench with the stream of the coarse one: of the beginnings that a model leaves open."""
     beginning = left_open(bench.scene, effects)
     bench.begun(bench.scene.begun(beginning))
-    bench.stream = coarse.stream
+    bench.stand(stream=coarse.stream)
     return None if holdout is None else holdout.begun(beginning)
 
 
@@ -299,7 +299,7 @@ def _chosen(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> list[
 def _taken_over(bench: Bench, selection: Selection, model: Model) -> None:
     """The bench as a search left its own."""
     own = model.bench
-    bench.y, bench.timing, bench.stream = own.y, own.timing, own.stream
+    bench.state = own.state
     selection.scorer.bench = model.bench = bench
 
 

@@ -1,6 +1,7 @@
 """One candidate term of a model: an effect at a place, with its columns plain and whitened."""
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -135,6 +136,14 @@ class Hypothesis:
             return None
         at = pinned_at(at, A, r)
         return float(2.0 * at @ r - at @ A @ at)
+
+
+def with_parameters(parts: Iterable[Hypothesis], theta: Array) -> Iterator[tuple[Hypothesis, Array]]:
+    """Give each part of a model with its share of the parameters theta (k,) of all, in their order."""
+    done = 0
+    for h in parts:
+        yield h, theta[done : done + h.count]
+        done += h.count
 
 
 def place_of(effect: Effect | None) -> tuple[str, ...]:

@@ -3,19 +3,22 @@
 All decisions are then small solves: inner products of columns with each other and with the residual.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.signal_chain import Timing as Ends
 from galen_hw.diagnosis.estimation.signal_chain import through
 from galen_hw.diagnosis.noise.spectrum import Noise, estimate, quantisation
 from galen_hw.diagnosis.stats.linear_algebra import orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.stats.sampling import Index, Mask, Rows, blocks, set_aside
-from galen_hw.physics.effects.base import Columns, Downstream, Effect, spacing
+from galen_hw.physics.effects.base import Columns, Effect, spacing
 from galen_hw.physics.effects.timing import TimeDelay, Timing
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import fading
@@ -28,6 +31,25 @@ POSE = 1.0
 """Seconds from row to row from which they are poses of a sweep."""
 IN_ORDER = 1000
 """Rows without a clock from which their order shows what the noise is like; poses that were averaged are fewer, and apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelState:
+    """What a model makes of the data: replaced as a whole when another model is tried, and never changed.
+
+    Args:
+        y: (M, C) residual less what the model predicts beyond its slopes, and less `interaction`.
+        stream: the scene with all that the model adds to its simulation.
+        timing: late clocks, filters and limits that all else goes through, with their parameters.
+        interaction: (M, C) what its effects add because of each other: a gain scales a new load too.
+        restless: whether that grows round after round: one part of the model undoes another.
+    """
+
+    y: Array
+    stream: Scene
+    timing: Ends = ()
+    interaction: Array | float = 0.0
+    restless: bool = False
 
 
 @dataclass
@@ -51,13 +73,9 @@ class Bench:
     hollow: Mask = field(init=False)
     dropped: Mask = field(init=False)
     noise: Noise = field(init=False)
-    timing: list[tuple[Downstream, Array]] = field(default_factory=list)
-    company: Array | float = 0.0
-    """(M, C) what the effects of the present model add because of each other: a gain scales a new load too."""
+    state: ModelState = field(init=False)
     plain: dict[Effect, Hypothesis] = field(default_factory=dict)
     """See `know`."""
-    restless: bool = False
-    """Whether that grows round after round: one part of the model undoes another."""
 
     def __post_init__(self) -> None:
         """Averages the residual and marks the rows set aside."""
@@ -68,7 +86,7 @@ class Bench:
         self.block = blocks(self.rows.runs, count)
         self.aside = set_aside(self.block, self.held, self.seed) if self.held > 0 else np.zeros(len(self.rows), bool)
         self.whole = self.rows.average(self.scene.residual)
-        self.y = self.whole
+        self.state = ModelState(self.whole, self.scene)
         self.steps = quantisation(self.scene.measured)
         self.width = len(self.scene.channels)
         self.leave_out(np.zeros(n, dtype=bool))
@@ -83,8 +101,36 @@ class Bench:
         if self.hollow.any() and len(good):
             at = np.arange(len(self.hollow))
             self.whole = np.stack([np.interp(at, good, self.whole[good, c]) for c in range(self.width)], axis=-1)
-        self.y = self.whole
-        self.stream = scene.carrying(np.median(self.whole[good], axis=0) if len(good) else 0.0, 0.0)
+        self.stand(y=self.whole, stream=scene.carrying(np.median(self.whole[good], axis=0) if len(good) else 0.0, 0.0))
+
+    @property
+    def y(self) -> Array:
+        """(M, C) residual that the present model's columns are fitted to."""
+        return self.state.y
+
+    @property
+    def stream(self) -> Scene:
+        """The scene with what the present model adds."""
+        return self.state.stream
+
+    @property
+    def timing(self) -> Ends:
+        """Ends of the stream in the present model."""
+        return self.state.timing
+
+    def stand(self, **changes: Any) -> None:
+        """Let another state, with these fields changed, stand in the place of the present one."""
+        self.state = replace(self.state, **changes)
+
+    @contextmanager
+    def delivering(self, timing: Ends) -> Iterator[None]:
+        """Deliver all columns through other ends of the stream for a while."""
+        before = self.timing
+        self.stand(timing=timing)
+        try:
+            yield
+        finally:
+            self.stand(timing=before)
 
     def begun(self, scene: Scene) -> None:
         """The same scene with another beginning."""
@@ -93,7 +139,7 @@ class Bench:
 
     def begin(self) -> None:
         """As before anything was chosen, but for what the stream is known to carry."""
-        self.y, self.timing, self.company, self.restless = self.whole, [], 0.0, False
+        self.state = ModelState(self.whole, self.stream)
 
     @property
     def train(self) -> Mask:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from galen_hw.diagnosis.estimation import signal_chain
+from galen_hw.diagnosis.estimation.candidate import with_parameters
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.linearisation import rebase
 from galen_hw.diagnosis.estimation.nonlinear import settle
@@ -28,18 +29,15 @@ def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
     """What a late or lagging stream delivers of the other effects is late too: a delayed play is not a delay plus a play."""
     for _ in range(2):
         theta, now = scorer.solve(chosen)[0], list[tuple[Downstream, Array]]()
-        done = sum(h.count for h in scorer.base)
-        for i in chosen:
-            h = scorer.library[i]
-            t, done = theta[done : done + h.count], done + h.count
+        for h, t in with_parameters(scorer.parts(chosen), theta):
             if isinstance(h.effect, Downstream):
                 now.append((h.effect, t))
         before = bench.stream
         load(bench, scorer, chosen)
         if _same_timing(bench.timing, now) and _same_clips(now, before, bench.stream):
             return
-        bench.timing = now
-        bench.stream.limited = frozenset(signal_chain.limited(now))
+        stream = bench.stream
+        bench.stand(timing=now, stream=stream.carrying(stream.standing, stream.carried, signal_chain.limited(now)))
         scorer.retime()
         settle(bench, scorer, chosen, anew=True)
 
@@ -49,29 +47,24 @@ def cost_without(bench: Bench, scorer: Scorer, chosen: list[int], end: Effect) -
 
     Columns that came through a lag do what the lag did: beside them it seems to be worth little.
     """
-    timing = bench.timing
-    bench.timing = [(other, theta) for other, theta in timing if other != end]
-    try:
+    with bench.delivering([(other, theta) for other, theta in bench.timing if other != end]):
         fresh = [scorer.retimed(scorer.library[i]) for i in chosen]
         bends = sum((h.bend for h in fresh if h.bend is not None), np.zeros_like(bench.y))
-        with scorer.against(bench.whole - bench.company - bends), scorer.trying(fresh):
+        with scorer.against(bench.whole - bench.state.interaction - bends), scorer.trying(fresh):
             places = list(range(len(scorer.library) - len(fresh), len(scorer.library)))
             settle(bench, scorer, places, anew=True)
             return scorer.solve(places)[2]
-    finally:
-        bench.timing = timing
 
 
 def load(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
     """The bench's stream is given what the model adds to the simulation: a reading that clips, clips all of it."""
     scene, theta = bench.scene, scorer.solve(chosen)[0]
-    standing, done = np.zeros(bench.width), 0
-    for h in scorer.base:
+    standing = np.zeros(bench.width)
+    for h, t in with_parameters(scorer.base, theta):
         if len(h.raw.channels) == 1:
-            standing[h.raw.channels[0]] = theta[done]
-        done += h.count
+            standing[h.raw.channels[0]] = t[0]
     carried = signal_chain.carried(scene, _placed(scorer, chosen, theta), bench.timing)
-    bench.stream = scene.carrying(standing, carried, signal_chain.limited(bench.timing))
+    bench.stand(stream=scene.carrying(standing, carried, signal_chain.limited(bench.timing)))
 
 
 def settle_together(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
@@ -80,33 +73,29 @@ def settle_together(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
     A model of which one part undoes another (two slow shares of several hundred per cent) does not come to rest: its effects
     are left each as if alone.
     """
-    last, bench.restless = np.inf, False
+    last = np.inf
+    bench.stand(restless=False)
     for _ in range(ROUNDS):
         settle(bench, scorer, chosen)
         placed = _placed(scorer, chosen, scorer.solve(chosen)[0])
         together = signal_chain.beside(bench.scene, placed, bench.timing)
         now = sum((bench.rows.average(x) for x in together), np.zeros_like(bench.whole))
-        moved = float(np.max(np.abs(now - bench.company) / bench.noise.sigma))
+        moved = float(np.max(np.abs(now - bench.state.interaction) / bench.noise.sigma))
         if moved < MET:
             return
         rests = moved < last  # not of what is not finite
-        bench.company, last = now if rests else 0.0, moved
+        bench.stand(interaction=now if rests else 0.0, restless=not rests)
+        last = moved
         rebase(scorer, chosen)
         if not rests:
-            bench.restless = True
             settle(bench, scorer, chosen)
             return
 
 
 def _placed(scorer: Scorer, chosen: list[int], theta: Array) -> list[tuple[Effect, Array]]:
     """The chosen effects with their share of the parameters of all."""
-    out, done = [], sum(h.count for h in scorer.base)
-    for i in chosen:
-        h = scorer.library[i]
-        if h.effect is not None:
-            out.append((h.effect, theta[done : done + h.count]))
-        done += h.count
-    return out
+    parts = with_parameters(scorer.parts(chosen), theta)
+    return [(h.effect, t) for h, t in parts if h.effect is not None]
 
 
 def _same_clips(timing: list[tuple[Downstream, Array]], old: "Scene", new: "Scene") -> bool:
@@ -115,7 +104,7 @@ def _same_clips(timing: list[tuple[Downstream, Array]], old: "Scene", new: "Scen
     return all(np.array_equal(c.clipped(old), c.clipped(new)) for c in clips)
 
 
-def _same_timing(old: list[tuple[Downstream, Array]], new: list[tuple[Downstream, Array]]) -> bool:
+def _same_timing(old: signal_chain.Timing, new: list[tuple[Downstream, Array]]) -> bool:
     return len(old) == len(new) and all(
         a == b and bool(np.max(np.abs(s - t)) <= LATER * np.max(np.abs(t)))
         for (a, s), (b, t) in zip(old, new, strict=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.candidate import Hypothesis, with_parameters
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.stats.linear_algebra import pinned_at
@@ -32,22 +32,18 @@ def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int, stays: 
 
 def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int, *, whitened: bool = False) -> Array:
     """(len(rows), C) of a model in raw units, or whitened."""
-    out, done = np.zeros((len(rows), width)), 0
-    for h in model:
+    out = np.zeros((len(rows), width))
+    for h, t in with_parameters(model, theta):
         columns = h.white if whitened else h.raw
-        out[:, list(columns.channels)] += columns.values[rows] @ theta[done : done + h.count]
-        done += h.count
+        out[:, list(columns.channels)] += columns.values[rows] @ t
     return out
 
 
 def rests(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, Array]:
     """(M, C) rest of a model, raw and whitened."""
     theta = scorer.solve(chosen)[0]
-    rest, white, done = bench.y.copy(), scorer.white.copy(), 0
-    for i in [*range(len(scorer.base)), *chosen]:
-        h = scorer.library[i]
-        t = theta[done : done + h.count]
-        done += h.count
+    rest, white = bench.y.copy(), scorer.white.copy()
+    for h, t in with_parameters(scorer.parts(chosen), theta):
         rest[:, list(h.raw.channels)] -= h.raw.values @ t
         white[:, list(h.white.channels)] -= h.white.values @ t
     return rest, white

@@ -46,14 +46,16 @@ def does(bench: Bench, effect: Effect, theta: Array) -> Array:
 def straightened(scorer: Scorer, chosen: list[int]) -> Array:
     """(M, C) residual less what a model predicts beyond its slopes, and what the effects of the present one do to each other."""
     bends = [b for i in chosen if (b := scorer.library[i].bend) is not None]
-    return np.asarray(scorer.bench.whole - scorer.bench.company - sum(bends, np.zeros_like(scorer.bench.whole)))
+    return np.asarray(
+        scorer.bench.whole - scorer.bench.state.interaction - sum(bends, np.zeros_like(scorer.bench.whole))
+    )
 
 
 def rebase(scorer: Scorer, chosen: list[int]) -> None:
     """The scorer is given the residual that belongs to a model, if it has another's."""
     y = straightened(scorer, chosen)
     if not _same(scorer, y):
-        scorer.bench.y = y
+        scorer.bench.stand(y=y)
         scorer.retarget(y)
 
 

@@ -197,7 +197,7 @@ class Model:
             white = self.bench.whitened(self.y + _beyond(out, self.y)) if bent else self.white
             return Model(self.bench, self.nuisances, kept, white, self.plain)
         bench = copy(self.bench)
-        bench.timing = [(effect, theta) for effect, theta in bench.timing if effect not in limits]
+        bench.stand(timing=[(effect, theta) for effect, theta in bench.timing if effect not in limits])
         whole = [
             h if h.effect is None or h.theta is not None else replace(bench.add(h.effect, h.looked), beside=h.beside)
             for h in kept

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.candidate import Hypothesis, with_parameters
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.levenberg_marquardt import AGAIN, Beside, descended
 from galen_hw.diagnosis.estimation.linearisation import rebase, tangent, unbent
@@ -17,14 +17,11 @@ def settle(bench: Bench, scorer: Scorer, chosen: list[int], *, anew: bool = Fals
     rebase(scorer, chosen)
     for _ in range(3):
         theta = scorer.solve(chosen)[0]
-        done = sum(h.count for h in scorer.base)
         beyond, fresh, moved = np.zeros_like(bench.y), [], False
-        for place, i in enumerate(chosen):
-            h = scorer.library[i]
-            t, done = theta[done : done + h.count], done + h.count
+        for place, (h, t) in enumerate(with_parameters(scorer.parts(chosen), theta), -len(scorer.base)):
             if h.effect is None or not h.effect.bends(bench.scene, t):
                 continue
-            new = _settled(bench, scorer, chosen, i) if h.effect.curved else tangent(bench, h, t)
+            new = _settled(bench, scorer, chosen, chosen[place]) if h.effect.curved else tangent(bench, h, t)
             assert new.bend is not None, "a tangent has one"
             assert new.theta is not None, "a tangent has one"
             beyond += new.bend
@@ -35,7 +32,7 @@ def settle(bench: Bench, scorer: Scorer, chosen: list[int], *, anew: bool = Fals
         if not fresh or not (moved or anew):
             return
         anew = False
-        bench.y = bench.whole - bench.company - beyond
+        bench.stand(y=bench.whole - bench.state.interaction - beyond)
         scorer.append([h for _, h in fresh])
         for k, (place, _) in enumerate(fresh):
             chosen[place] = len(scorer.library) - len(fresh) + k

@@ -1,7 +1,7 @@
 """Likelihood ratios of all hypotheses against what is already in the model, from inner products alone."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -186,14 +186,15 @@ class Scorer:
     @contextmanager
     def against(self, y: Array) -> Iterator[None]:
         """Another residual (M, C) for a while."""
-        bench, before = self.bench, (self.bench.y, self.white, self.b)
-        bench.y = y
+        bench, y_before, before = self.bench, self.bench.y, (self.white, self.b)
+        bench.stand(y=y)
         self.retarget(y)
         try:
             yield
         finally:
-            grown = len(self.b) > len(before[2])
-            bench.y, self.white, self.b = before
+            grown = len(self.b) > len(before[1])
+            bench.stand(y=y_before)
+            self.white, self.b = before
             if grown:
                 self.b = np.zeros(len(self.G))
                 self.retarget(bench.y)
@@ -213,6 +214,10 @@ class Scorer:
     def total(self) -> float:
         """Whitened sum of squares of the residual itself."""
         return float(np.sum(self.white[self._train] ** 2))
+
+    def parts(self, chosen: Iterable[int]) -> list[Hypothesis]:
+        """Return the constants and the chosen hypotheses, in the order of their parameters."""
+        return [*self.library[: len(self.base)], *(self.library[i] for i in chosen)]
 
     def base_with(self, chosen: list[int]) -> "Index":
         """Column numbers of the constants and the chosen hypotheses."""

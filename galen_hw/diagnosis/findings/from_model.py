@@ -18,8 +18,8 @@ from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.result import Finding, Value
-from galen_hw.diagnosis.selection.search import CHANCE
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.stats.significance import CHANCE
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged
 from galen_hw.diagnosis.validation.verdict import FEW_SAMPLES, NOTHING_ELSEWHERE
 from galen_hw.physics.effects.events import Glitches, Vibration

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from galen_hw.diagnosis.estimation.candidate import with_parameters
 from galen_hw.diagnosis.estimation.cross_validation import errors
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import PROVED, rests
@@ -136,12 +137,11 @@ def _undone(bench: Bench, scorer: Scorer, chosen: list[int], theta: Array) -> bo
 
     Two large errors that happen to cancel are less likely than that neither is there: their difference bends as it must.
     """
-    done, changes = sum(h.count for h in scorer.base), []
-    for h in (scorer.library[j] for j in chosen):
+    changes = []
+    for h, t in list(with_parameters(scorer.parts(chosen), theta))[len(scorer.base) :]:
         change = np.zeros_like(bench.y)
-        change[:, list(h.raw.channels)] = h.does(theta[done : done + h.count])
+        change[:, list(h.raw.channels)] = h.does(t)
         changes.append((change - change.mean(axis=0)) / bench.noise.sigma)
-        done += h.count
     last, size = changes[-1], float(np.linalg.norm(changes[-1]))
     return any(
         float(np.linalg.norm(last + other)) < UNDONE * min(size, float(np.linalg.norm(other))) for other in changes[:-1]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from galen_hw.diagnosis.estimation.candidate import Hypothesis, place_of, told
+from galen_hw.diagnosis.estimation.candidate import Hypothesis, place_of, told, with_parameters
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import fit, rests
 from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
@@ -68,13 +68,10 @@ def unclocked(scorer: Scorer, i: int) -> Iterator[bool]:
     if not behind:
         yield False
         return
-    bench.timing = others
-    try:
+    with bench.delivering(others):
         fresh = [bench.add(h.effect, h.looked) for h in behind if h.effect is not None]
         with scorer.trying(fresh):
             yield True
-    finally:
-        bench.timing = before
 
 
 def _is_bent(bench: Bench, h: Hypothesis) -> bool:
@@ -135,10 +132,9 @@ def _approached(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Iter
         target = bench.whitened(y - new.bend)
         model = [*base, new]
         solved = fit(model, target, rows, bench.width)
-        rest, done = target[rows].copy(), 0
-        for part in model:
-            rest[:, list(part.white.channels)] -= part.white.values[rows] @ solved[done : done + part.count]
-            done += part.count
+        rest = target[rows].copy()
+        for part, t in with_parameters(model, solved):
+            rest[:, list(part.white.channels)] -= part.white.values[rows] @ t
         theta = solved[-h.count :]
         yield rest
 

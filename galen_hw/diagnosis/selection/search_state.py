@@ -1,15 +1,41 @@
 """The chosen model and how it came about."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis, place_of
+from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
+
+
+@dataclass
+class Turn:
+    """What one turn of a search has learnt.
+
+    Args:
+        scores: of all hypotheses beside the model as the turn began.
+        able: those that chance does not explain, best first.
+        failed: hypotheses that were refused in this turn.
+        swapped: whether the last swaps changed anything.
+    """
+
+    scores: dict[int, Score] = field(default_factory=dict)
+    able: list[int] = field(default_factory=list)
+    failed: set[int] = field(default_factory=set)
+    swapped: bool = False
+
+
+@dataclass
+class Attempt:
+    """Another model while it is tried; `kept`: it is to stay."""
+
+    kept: bool = False
 
 
 @dataclass
@@ -38,6 +64,24 @@ class Selection:
     tightened: set[frozenset[object]] = field(default_factory=set)
     regrouped: set[frozenset[object]] = field(default_factory=set)
     begun: Array = field(default_factory=lambda: np.empty((0, 0)))
+    turn: Turn = field(default_factory=Turn)
+
+    @property
+    def bench(self) -> Bench:
+        """The data."""
+        return self.scorer.bench
+
+    @contextmanager
+    def attempt(self) -> Iterator["Attempt"]:
+        """Try another model: terms and what was settled beside them stand again as before, unless the attempt is kept."""
+        bench, chosen, before, one = self.scorer.bench, list(self.chosen), self.scorer.bench.state, Attempt()
+        try:
+            yield one
+        finally:
+            if not one.kept:
+                moved, self.chosen, bench.state = self.chosen != chosen, chosen, before
+                if moved:
+                    self.scorer.retarget(before.y)
 
     @property
     def start(self) -> Array:

@@ -76,7 +76,8 @@ def _bench(model: Model, scene: Scene, judged: Judged) -> Bench | None:
         return None
     if judged.good is not None:
         here.hollow = here.dropped = ~judged.good
-    here.noise, here.timing = replace(first.noise, rows=here.rows, kept={}), first.timing
+    here.noise = replace(first.noise, rows=here.rows, kept={})
+    here.stand(timing=first.timing)
     return here
 
 

@@ -1,1 +1,50 @@
-"""What a search may do to a model."""
+"""What a search may do to a model: one table, in the order in which it is tried."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from galen_hw.diagnosis.selection.moves.add import added
+from galen_hw.diagnosis.selection.moves.cable import tightened
+from galen_hw.diagnosis.selection.moves.clipping import clipped
+from galen_hw.diagnosis.selection.moves.creep_friction import behind_friction
+from galen_hw.diagnosis.selection.moves.drop import dropped
+from galen_hw.diagnosis.selection.moves.exchange import regrouped
+from galen_hw.diagnosis.selection.moves.pairs import hidden
+from galen_hw.diagnosis.selection.moves.refine import refined
+from galen_hw.diagnosis.selection.moves.split import split
+from galen_hw.diagnosis.selection.moves.swap import swapped, swapped_again
+from galen_hw.diagnosis.selection.moves.timing import one_clock, reclocked
+from galen_hw.diagnosis.selection.search_state import Selection
+
+
+@dataclass(frozen=True)
+class Move:
+    """One way to another model.
+
+    Args:
+        kind: word for it.
+        make: changes the model of a search if the other is better, and returns whether it did.
+        tidies: asked in every turn, after the first of the other moves that found something.
+    """
+
+    kind: Literal["add", "drop", "swap", "exchange", "refine", "timing"]
+    make: Callable[[Selection], bool]
+    tidies: bool = False
+
+
+MOVES: Final = (
+    Move("add", added),
+    Move("exchange", clipped),
+    Move("exchange", split),
+    Move("exchange", tightened),
+    Move("exchange", behind_friction),
+    Move("exchange", regrouped),
+    Move("timing", one_clock),
+    Move("timing", reclocked),
+    Move("swap", swapped_again),
+    Move("add", hidden),
+    Move("drop", dropped, tidies=True),
+    Move("swap", swapped, tidies=True),
+    Move("refine", refined, tidies=True),
+)

@@ -27,7 +27,7 @@ MOST_BESIDE = 3
 """Effects that may come to light beside a tendon before it is compared with the spring."""
 
 
-def tightened(bench: Bench, scorer: Scorer, out: Selection, just: int | None = None) -> bool:
+def tightened(out: Selection, just: int | None = None) -> bool:
     """Whether a tendon took the place of a spring, with what then comes to light beside it.
 
     A spring that is linear in all that is unknown has fifteen parameters for a tendon's eight: the others take a tilt, a
@@ -35,6 +35,7 @@ def tightened(bench: Bench, scorer: Scorer, out: Selection, just: int | None = N
     parameter. Of a spring that was `just` chosen the tendon alone is asked: what is still to be found, a drift, is not
     behind the spring.
     """
+    scorer = out.scorer
     model = frozenset((just is None, *(scorer.library[i].family for i in out.chosen)))
     for i in out.chosen if just is None else [just]:
         effect = scorer.library[i].effect
@@ -42,12 +43,13 @@ def tightened(bench: Bench, scorer: Scorer, out: Selection, just: int | None = N
             continue
         if effect.loose or (effect.curved and just is None):
             out.tightened.add(model)
-            return _instead(bench, scorer, out, i, MOST_BESIDE if just is None else 0)
+            return _instead(out, i, MOST_BESIDE if just is None else 0)
     return False
 
 
-def _instead(bench: Bench, scorer: Scorer, out: Selection, i: int, most: int) -> bool:
+def _instead(out: Selection, i: int, most: int) -> bool:
     """Whether a better tendon, with so many others at most, took the place of the chosen cable i."""
+    bench, scorer = out.bench, out.scorer
     before, errors = scorer.solve(out.chosen)[2], crossed(bench, scorer, out.chosen)
     others = [j for j in out.chosen if j != i]
     starts = _starts(bench, scorer, others, i)

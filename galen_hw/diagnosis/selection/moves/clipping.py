@@ -23,8 +23,9 @@ SURE = 3.0
 """Standard errors of their mean by which readings that clip must lie off the limit."""
 
 
-def clipped(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+def clipped(out: Selection) -> bool:
     """Whether limits at which readings pile up took the place of a chosen touch, and of limits that were found beside it."""
+    bench, scorer = out.bench, out.scorer
     piles = [j for j, h in enumerate(scorer.library) if isinstance(h.effect, Saturation) and h.looked == 1]
     touches = [i for i in out.chosen if isinstance(scorer.library[i].effect, Contact)]
     for i in touches if piles else ():
@@ -40,12 +41,13 @@ def clipped(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     return False
 
 
-def levelled(bench: Bench, scorer: Scorer, out: Selection) -> None:
+def levelled(out: Selection) -> None:
     """Limits that were sought beside another model stand where the readings that clip beside the present one have their mean.
 
     With all columns told anew: what the other effects do is cut where the readings clip, and beside columns that one limit has
     cut no other is right; a limit too low stays, and leaves a share of what the others do, or a touch, to make up for it.
     """
+    bench, scorer = out.bench, out.scorer
     measured = bench.whole + bench.rows.average(bench.scene.simulated)
     for i in list(out.chosen):
         effect = scorer.library[i].effect
@@ -60,13 +62,14 @@ def levelled(bench: Bench, scorer: Scorer, out: Selection) -> None:
         before, cost = list(out.chosen), scorer.solve(out.chosen)[2]
         scorer.append([bench.add(level, scorer.library[i].looked)])
         out.chosen = [len(scorer.library) - 1 if k == i else k for k in before]
-        _told_anew(bench, scorer, out)
+        _told_anew(out)
         if scorer.solve(out.chosen)[2] > cost:
             out.chosen = before
-            _told_anew(bench, scorer, out)
+            _told_anew(out)
 
 
-def _told_anew(bench: Bench, scorer: Scorer, out: Selection) -> None:
+def _told_anew(out: Selection) -> None:
+    bench, scorer = out.bench, out.scorer
     rebase(scorer, out.chosen)
     settle_together(bench, scorer, out.chosen)
     retime(bench, scorer, out.chosen)

@@ -23,11 +23,12 @@ MARGIN = 6.0
 """In rank, beyond the price of the waves: less may be luck of the search."""
 
 
-def followed(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+def followed(out: Selection) -> bool:
     """Whether a chosen touch was exchanged for the same with more half waves, twice as many while likelihood pays for them.
 
     A hand that pushes a thousand times harder than the noise leaves of any plain shape more than noise, which is its own.
     """
+    bench, scorer = out.bench, out.scorer
     changed = False
     for place, i in enumerate(list(out.chosen)):
         out.chosen[place] = finest(bench, scorer, [k for k in out.chosen if k != i], i)

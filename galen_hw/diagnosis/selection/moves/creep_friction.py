@@ -7,7 +7,6 @@ from scipy.optimize import minimize
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis, told
 from galen_hw.diagnosis.estimation.cross_validation import crossed
-from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import plausible
 from galen_hw.diagnosis.selection.search_state import Selection
@@ -28,11 +27,12 @@ MARGIN: Final = 6.0
 """Beyond the price of the parameters, in units of the log likelihood ratio."""
 
 
-def behind_friction(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+def behind_friction(out: Selection) -> bool:
     """Whether a joint's creep beside its friction was better told as one behind the other, of the same friction.
 
     Apart, each is told wrong: friction with the widths that creep makes of it, and what both miss as a give or a jump.
     """
+    scorer = out.scorer
     for i in out.chosen:
         creep = scorer.library[i].effect
         if not isinstance(creep, Creep) or not creep.joint or creep.friction is not None:
@@ -45,18 +45,17 @@ def behind_friction(bench: Bench, scorer: Scorer, out: Selection) -> bool:
             if tried in out.regrouped:
                 continue
             out.regrouped.add(tried)
-            if _taken(bench, scorer, out, (i, j), (creep, loop)):
+            if _taken(out, (i, j), (creep, loop)):
                 return True
     return False
 
 
-def _taken(
-    bench: Bench, scorer: Scorer, out: Selection, pair: tuple[int, int], apart: tuple[Creep, Hysteresis]
-) -> bool:
+def _taken(out: Selection, pair: tuple[int, int], apart: tuple[Creep, Hysteresis]) -> bool:
     """Whether the pair with one friction was better, and stands in the place of the two that were apart.
 
     A give of the joint that only made up for a creep told from the wrong end goes with them.
     """
+    bench, scorer = out.bench, out.scorer
     creep, loop = apart
     plain = (creep, creep.otherwise())
     others = [k for k in out.chosen if k not in pair]

@@ -7,7 +7,6 @@ import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import place_of, told
 from galen_hw.diagnosis.estimation.cross_validation import crossed
-from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import settle_together
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.acceptance import plausible
@@ -36,14 +35,15 @@ CERTAIN = 6.0
 many numbers."""
 
 
-def regrouped(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+def regrouped(out: Selection) -> bool:
     """Whether two rigid errors gave way to others that do as much with fewer numbers, or more.
 
     Forward search takes what is best alone. Of an axis turned about one direction beside a joint's zero that is a turned sensor
     with three numbers, and then the zero of the wrong joint: no single exchange is better, and each is the other's reason.
     A model that does not come to rest has no optimum with which others could be compared, and takes long not to.
     """
-    if bench.restless:
+    bench, scorer = out.bench, out.scorer
+    if bench.state.restless:
         return False
     able = [i for i in out.chosen if (effect := scorer.library[i].effect) is not None and effect.KEY in EXCHANGED]
     for pair in combinations(able, 2):
@@ -64,16 +64,17 @@ def regrouped(bench: Bench, scorer: Scorer, out: Selection) -> bool:
                 for first in _firsts(scorer, others, pair, scores, whole)
             ]
         for chain in _best(scorer, pair, chains, price, whole):
-            if _taken(bench, scorer, out, pair, chain, price):
+            if _taken(out, pair, chain, price):
                 return True
-    return _counted_otherwise(bench, scorer, out)
+    return _counted_otherwise(out)
 
 
-def _counted_otherwise(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+def _counted_otherwise(out: Selection) -> bool:
     """Whether an effect counted from another zero did without one that only made up for the difference.
 
     What settles after a load is less at first than in the end: told as what is missing at first, it wants a heavier load.
     """
+    bench, scorer = out.bench, out.scorer
     for i in list(out.chosen):
         h = scorer.library[i]
         other = None if h.effect is None else h.effect.otherwise()
@@ -91,7 +92,7 @@ def _counted_otherwise(bench: Bench, scorer: Scorer, out: Selection) -> bool:
             whole = scorer.solve(others)[2] - scorer.solve(out.chosen)[2]
             if len(price) < 3 or scores[instead].gain < (1.0 - FAIRLY) * whole:
                 continue
-            if _taken(bench, scorer, out, (i, j), [instead], price):
+            if _taken(out, (i, j), [instead], price):
                 return True
     return False
 
@@ -157,22 +158,18 @@ def _rigid(scorer: Scorer, i: int) -> bool:
     return effect is not None and effect.KEY in RIGID
 
 
-def _taken(
-    bench: Bench, scorer: Scorer, out: Selection, pair: tuple[int, ...], chain: list[int], price: dict[int, float]
-) -> bool:
+def _taken(out: Selection, pair: tuple[int, ...], chain: list[int], price: dict[int, float]) -> bool:
     """Whether the others, at their optimum, were better and were taken."""
-    before, y, company = scorer.solve(out.chosen)[2], bench.y, bench.company
-    errors, misfit = crossed(bench, scorer, out.chosen), scorer.misfit(out.chosen)
-    trial = [*(i for i in out.chosen if i not in pair), *chain]
-    kept = len(trial) - len(chain)
-    settle_together(bench, scorer, trial)
+    bench, scorer = out.bench, out.scorer
+    before, errors, misfit = scorer.solve(out.chosen)[2], crossed(bench, scorer, out.chosen), scorer.misfit(out.chosen)
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
-    fall = before - scorer.solve(trial)[2]
-    margin = _needed(pair, chain, price) + slack(misfit) * abs(fall)
-    real = not bench.restless and all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in trial[kept:])
-    if real and fall + saved > margin and float(np.mean(crossed(bench, scorer, trial) / errors)) <= 1.0 + ALIKE:
-        out.chosen = trial
-        return True
-    bench.y, bench.company, bench.restless = y, company, False
-    scorer.retarget(y)
-    return False
+    with out.attempt() as attempt:
+        out.chosen = trial = [*(i for i in out.chosen if i not in pair), *chain]
+        settle_together(bench, scorer, trial)
+        new, fall = trial[len(trial) - len(chain) :], before - scorer.solve(trial)[2]
+        margin = _needed(pair, chain, price) + slack(misfit) * abs(fall)
+        rests = not bench.state.restless
+        real = rests and all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in new)
+        better = real and fall + saved > margin
+        attempt.kept = better and float(np.mean(crossed(bench, scorer, trial) / errors)) <= 1.0 + ALIKE
+    return attempt.kept

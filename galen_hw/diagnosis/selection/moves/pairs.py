@@ -5,7 +5,6 @@ from typing import Final
 import numpy as np
 
 from galen_hw.diagnosis.estimation.cross_validation import crossed
-from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import WORTH, plausible, taken, where_it_acts
@@ -15,16 +14,17 @@ LEADERS: Final = 3
 """Kinds of effects that are asked for a partner."""
 
 
-def hidden(bench: Bench, scorer: Scorer, out: Selection, able: list[int]) -> int | None:
-    """The first of the able hypotheses that takes what two must, once the likeliest partner stands beside it.
+def hidden(out: Selection) -> bool:
+    """Whether the first able hypothesis joined that takes what two must, once the likeliest partner stands beside it.
 
     An arm that is turned and late errs by the sum: what fits one of the two alone fits the other's half as well, and the
     rest is hardly smaller for it on blocks left out.
     """
+    bench, scorer = out.bench, out.scorer
     if scorer.misfit(out.chosen) < PROVED:
-        return None
+        return False
     leaders: dict[str, int] = {}
-    for i in able:
+    for i in out.turn.able:
         leaders.setdefault(scorer.library[i].effect.KEY, i)  # type: ignore[union-attr]
     before = crossed(bench, scorer, out.chosen)
     for i in list(leaders.values())[:LEADERS]:
@@ -35,8 +35,9 @@ def hidden(bench: Bench, scorer: Scorer, out: Selection, able: list[int]) -> int
         acts = np.mean([where_it_acts(scorer, [*out.chosen, a], b, bench) for a, b in ((j, i), (i, j))], axis=0)
         paid = float(acts @ taken(before, crossed(bench, scorer, both), bench.noise.sigma**2))
         if paid >= 2.0 * WORTH and all(plausible(bench, scorer, [k for k in both if k != one], one) for one in (i, j)):
-            return i
-    return None
+            out.chosen.append(i)
+            return True
+    return False
 
 
 def _partner(scorer: Scorer, out: Selection, i: int) -> int | None:

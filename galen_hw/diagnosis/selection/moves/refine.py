@@ -7,6 +7,7 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import plausible, taken
 from galen_hw.diagnosis.selection.comparison import polished
+from galen_hw.diagnosis.selection.moves.contact_profile import followed
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.physics.effects.base import Effect
 
@@ -18,12 +19,23 @@ PASSES = 4
 """Over the values that a richer form searches: they make up for one another, and the optimum lies on a ridge."""
 
 
-def enriched(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+BOUND_STEPS = 3
+BOUND_MARGIN = 0.1
+"""In rank: less would only place the same body a hair elsewhere."""
+
+
+def refined(out: Selection) -> bool:
+    """Whether a chosen effect was told in a richer form, bound to what it is here, or followed more finely."""
+    return enriched(out) or _bound(out) or followed(out)
+
+
+def enriched(out: Selection) -> bool:
     """A richer form of a chosen effect (friction with a viscous part, by direction) takes its place where it pays.
 
     Nested forms of one kind in one joint are judged by increment alone: likelihood beyond the price of the added
     parameters, and a tenth of the excess that is left in some channel on blocks left out.
     """
+    bench, scorer = out.bench, out.scorer
     changed = False
     for place, i in enumerate(list(out.chosen)):
         effect = scorer.library[i].effect
@@ -70,3 +82,26 @@ def _same_kind(other: Effect | None, effect: Effect) -> bool:
     if other is None or other.KEY != effect.KEY:
         return False
     return other.joints == effect.joints if _nests(effect) else other.family == effect.family
+
+
+def _bound(out: Selection) -> bool:
+    """An effect whose parameters obey a law that they place themselves stands for a freer one where it ranks above it."""
+    bench, scorer = out.bench, out.scorer
+    changed = False
+    for place, i in enumerate(list(out.chosen)):
+        others, j = [k for k in out.chosen if k != i], i
+        for _ in range(BOUND_STEPS):
+            effect = scorer.library[j].effect
+            theta, at, _ = scorer.solve([*others, j])
+            own = scorer.places[j]
+            told = None if effect is None else effect.told_by(theta[(at >= own.start) & (at < own.stop)])
+            if told is None:
+                break
+            scorer.append([bench.add(told)])
+            j = len(scorer.library) - 1
+        if j == i:
+            continue
+        scores, _ = scorer.scores(others, [i, j])
+        if j in scores and (i not in scores or scores[j].rank > scores[i].rank + BOUND_MARGIN):
+            out.chosen[place], changed = j, True
+    return changed

@@ -3,7 +3,6 @@
 import numpy as np
 
 from galen_hw.diagnosis.estimation.cross_validation import crossed
-from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.linearisation import as_if, unbent
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.acceptance import plausible
@@ -21,11 +20,12 @@ LEAST_PART = 0.2
 """Share of the gain of what they replace that the first of a few must have by itself."""
 
 
-def split(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+def split(out: Selection) -> bool:
     """Two or three plain effects in the place of a flexible one that took what none could take alone; whether that was better.
 
     Forward search takes the best single hypothesis first: a spring with four parameters for a tilt and a zero together.
     """
+    bench, scorer = out.bench, out.scorer
     for i in list(out.chosen):
         effect = scorer.library[i].effect
         if effect is None or effect.KEY not in FLEXIBLE:

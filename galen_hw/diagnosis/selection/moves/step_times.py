@@ -3,10 +3,8 @@
 from typing import Final
 
 from galen_hw.diagnosis.detection import steps
-from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import load
 from galen_hw.diagnosis.estimation.least_squares import rests
-from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.physics.effects.events import Step
 
@@ -14,8 +12,9 @@ BETTER: Final = 1.0
 """Fall of the whitened sum of squares for which a jump moves: less is no other moment."""
 
 
-def timed(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+def timed(out: Selection) -> bool:
     """Whether a jump was moved, before a touch that lasts from one moment to the other makes up for it."""
+    bench, scorer = out.bench, out.scorer
     moved = False
     for place, i in enumerate(out.chosen):
         step = scorer.library[i].effect
@@ -37,8 +36,9 @@ def timed(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     return moved
 
 
-def parted(bench: Bench, scorer: Scorer, out: Selection) -> None:
+def parted(out: Selection) -> None:
     """Jumps that came in together stand in the model each by itself, to be moved, dropped and told alone."""
+    bench, scorer = out.bench, out.scorer
     chosen: list[int] = []
     for i in out.chosen:
         effect = scorer.library[i].effect

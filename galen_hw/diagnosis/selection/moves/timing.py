@@ -35,8 +35,9 @@ OFTEN = 2
 """Times that one model is asked for its clocks: its other values may have moved since."""
 
 
-def reclocked(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+def reclocked(out: Selection) -> bool:
     """Whether the delays and lags of a model were exchanged for better ones: of the whole stream, or of each joint."""
+    bench, scorer = out.bench, out.scorer
     # Not for ever: what the search takes back of an exchange, it would take back again.
     model = frozenset(scorer.library[i].family for i in out.chosen)
     again = _ends(scorer, out.chosen) and out.clocked[model] < OFTEN
@@ -51,11 +52,12 @@ def reclocked(bench: Bench, scorer: Scorer, out: Selection) -> bool:
     return False
 
 
-def own_clocks(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+def own_clocks(out: Selection) -> bool:
     """Whether the first clock gave way to those of each joint, which take nearly all that the best of one clock for all leaves.
 
     Before anything else is chosen: of servos that answer each in its own time it would take the rest of their lateness.
     """
+    bench, scorer = out.bench, out.scorer
     proposed = list(TimeDelay.propose(bench.scene))
     ends = [e for e in proposed if e.joint]
     if not ends or len(out.chosen) != 1 or not _ends(scorer, out.chosen):
@@ -100,11 +102,12 @@ def _sought(
         yield clocks, {one: other for search in searches for one, other in search.instead.items()}
 
 
-def one_clock(bench: Bench, scorer: Scorer, out: Selection) -> bool:
+def one_clock(out: Selection) -> bool:
     """Whether a delay or lag of the whole stream was taken for what had been a viscous part of the friction in several joints.
 
     A servo with a viscous part c follows by c later. The search finds friction joint by joint, each with the lateness of all.
     """
+    bench, scorer = out.bench, out.scorer
     late = [i for i in out.chosen if _without_viscous(scorer.library[i].effect) is not None]
     proposed = [e for e in (*TimeDelay.propose(bench.scene), *Lag.propose(bench.scene)) if not e.joint]
     if len(late) < 2 or not proposed or any(isinstance(scorer.library[i].effect, Timing) for i in out.chosen):
@@ -146,35 +149,40 @@ def _exchanged(
 
     `nearly`: only if these take nearly all that is above the noise wherever they are better, in so many channels at least.
     """
-    before, y, timing, old = scorer.solve(out.chosen)[2], bench.y, bench.timing, _ends(scorer, out.chosen)
-    missed, others = crossed(bench, scorer, out.chosen), [i for i in out.chosen if i not in old]
-    kept = [(end, theta) for end, theta in timing if not isinstance(end, Timing)]
-    bench.timing = [*kept, *((effect, np.array([1.0 if isinstance(effect, Lag) else size])) for effect, size in clocks)]
-    try:
+    before, missed, old = scorer.solve(out.chosen)[2], crossed(bench, scorer, out.chosen), _ends(scorer, out.chosen)
+    gone = [one for i in old if (one := scorer.library[i].effect) is not None]
+    price = (numbers([one for one, _ in clocks]) - numbers(gone)) * float(np.log(bench.noise.effective))
+    # What lies between two rows is no number more.
+    told = {one.between for one in gone if isinstance(one, TimeDelay | Lag)} != {one.between for one, _ in clocks}
+    plainer = numbers([one for one, _ in clocks]) < numbers(gone) + told
+    with out.attempt() as attempt:
+        out.chosen = trial = _through(bench, scorer, [i for i in out.chosen if i not in old], clocks, instead)
+        better = before - scorer.solve(trial)[2] - price > MARGIN
+        attempt.kept = better and _pays(bench, missed, crossed(bench, scorer, trial), nearly=nearly, plainer=plainer)
+    if attempt.kept:
+        _as_told(scorer, clocks)
+    return attempt.kept
+
+
+def _through(
+    bench: Bench, scorer: Scorer, others: list[int], clocks: Clocks, instead: dict[Effect, Effect]
+) -> list[int]:
+    """A model of other effects as they arrive through these clocks, settled, and the clocks."""
+    kept = [(end, theta) for end, theta in bench.timing if not isinstance(end, Timing)]
+    ends = [(effect, np.array([1.0 if isinstance(effect, Lag) else size])) for effect, size in clocks]
+    # For a while: the search brings all columns to the clocks that it finds chosen.
+    with bench.delivering([*kept, *ends]):
         fresh = [scorer.retimed(_in_place_of(bench, scorer.library[i], instead)) for i in others]
         for effect, size in clocks:
             h = bench.add(effect)
             fresh.append(tangent(bench, h, np.array([size])) if isinstance(effect, TimeDelay) else h)
-        bench.y = bench.whole - bench.company - sum((h.bend for h in fresh if h.bend is not None), np.zeros_like(y))
+        bends = sum((h.bend for h in fresh if h.bend is not None), np.zeros_like(bench.y))
+        bench.stand(y=bench.whole - bench.state.interaction - bends)
         scorer.append(fresh)
         scorer.retarget(bench.y)
         trial = list(range(len(scorer.library) - len(fresh), len(scorer.library)))
         settle(bench, scorer, trial, anew=True)
-    finally:
-        bench.timing = timing  # the search brings all columns to the clocks that it finds chosen
-    gone = [one for i in old if (one := scorer.library[i].effect) is not None]
-    price = (numbers([one for one, _ in clocks]) - numbers(gone)) * float(np.log(bench.noise.effective))
-    fall = before - scorer.solve(trial)[2] - price
-    # What lies between two rows is no number more.
-    told = {one.between for one in gone if isinstance(one, TimeDelay | Lag)} != {one.between for one, _ in clocks}
-    plainer = numbers([one for one, _ in clocks]) < numbers(gone) + told
-    if fall > MARGIN and _pays(bench, missed, crossed(bench, scorer, trial), nearly=nearly, plainer=plainer):
-        out.chosen = trial
-        _as_told(scorer, clocks)
-        return True
-    bench.y = y
-    scorer.retarget(y)
-    return False
+    return trial
 
 
 def _as_told(scorer: Scorer, clocks: Clocks) -> None:

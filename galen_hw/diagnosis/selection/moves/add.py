@@ -1,0 +1,119 @@
+"""One more effect: the best that chance does not explain and that pays on blocks left out."""
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.least_squares import missed
+from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
+from galen_hw.diagnosis.selection.acceptance import WORTH, asked, completes, plausible, shows_in_noise, worth
+from galen_hw.diagnosis.selection.comparison import bent, polished
+from galen_hw.diagnosis.selection.kinds import kind_first
+from galen_hw.diagnosis.selection.moves.cable import tightened
+from galen_hw.diagnosis.selection.moves.clock_offset import clock_offset
+from galen_hw.diagnosis.selection.moves.contact_profile import finest
+from galen_hw.diagnosis.selection.moves.step_times import parted
+from galen_hw.diagnosis.selection.moves.timing import own_clocks
+from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
+from galen_hw.diagnosis.selection.simplicity import plainest
+
+TRIES = 8
+"""Hypotheses that may fail the guard before a turn of the search gives up."""
+
+
+def added(out: Selection) -> bool:
+    """Whether the best effect that is there joined the model; of a clock that is far off no slope promises anything."""
+    best = clock_offset(out.bench, out.scorer, out.chosen, out.turn.scores)
+    best = _best(out) if best is None else best
+    if best is not None:
+        _admit(out, best)
+    return best is not None
+
+
+def _admit(out: Selection, i: int) -> None:
+    """A hypothesis joins the model: a first clock as those of each joint if it is these, a spring as a tendon if it is one."""
+    out.chosen.append(i)
+    parted(out)
+    if not own_clocks(out):
+        tightened(out, i)
+
+
+def _best(out: Selection) -> int | None:
+    """The best hypothesis that chance does not explain and that pays on blocks left out; None when there is none.
+
+    The turn's `able` is filled with those that chance does not explain, best first.
+    """
+    bench, scorer, scores, able, failed = out.bench, out.scorer, out.turn.scores, out.turn.able, out.turn.failed
+    fit = [i for i, s in scores.items() if s.surprise > out.needed and s.rank > 0.0 and i not in failed]
+    fit = elsewhere(scorer, out.chosen, fit)
+    fit.sort(key=lambda i: -scores[i].rank)
+    if not fit:
+        return None
+    able += sharpened(bench, scorer, out.chosen, scores, fit)
+    misfit = scorer.misfit([*out.chosen, able[0]])
+    misses = missed(bench, scorer, [*out.chosen, able[0]])
+    able.insert(0, plainest(bench, scorer, out.chosen, scores, able, misses))
+    able[:0] = kind_first(scorer, scores, able)
+    tries = 0
+    for i in dict.fromkeys(able):
+        if i in failed:
+            continue
+        if tries == TRIES:
+            break
+        tries += 1
+        better, (paid, whole) = i, worth(bench, scorer, out, i)
+        if paid >= 0.5 * WORTH:
+            better = polished(bench, scorer, out.chosen, i)
+            paid, whole = worth(bench, scorer, out, better) if better != i else (paid, whole)
+        share, of_all = asked(bench, out, scorer.library[i].effect, misfit)
+        if paid < share and (finer := finest(bench, scorer, out.chosen, i)) != i:
+            better, (paid, whole) = finer, worth(bench, scorer, out, finer)
+        # Whoever takes nearly all that is left completes the model, however loud the recording was.
+        if (
+            paid >= share and (whole >= of_all or completes(bench, scorer, [*out.chosen, better], paid))
+        ) or shows_in_noise(bench, scorer, out, better):
+            if plausible(bench, scorer, out.chosen, better):
+                return better
+            # At the optimum it is not what it is called; beside it, where other physics is still missing, it may be.
+            near = _plausible_kin(bench, scorer, out.chosen, scores, i)
+            if near is not None:
+                paid, whole = worth(bench, scorer, out, near)
+                if paid >= share and whole >= of_all:
+                    return near
+        failed.update(kin(scorer, i))
+        effect = scorer.library[better].effect
+        if effect is not None:
+            out.refused.append((effect, paid))
+    return None
+
+
+def _plausible_kin(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], i: int) -> int | None:
+    """The best of the same hypothesis at other searched values whose parameters can be what it is called."""
+    ranked = sorted((j for j in kin(scorer, i) if j in scores), key=lambda j: -scores[j].rank)
+    return next((j for j in ranked if scores[j].rank > 0.0 and plausible(bench, scorer, chosen, j)), None)
+
+
+def kin(scorer: Scorer, i: int) -> list[int]:
+    """Return a hypothesis and all of its family: the same at other searched values."""
+    effect = scorer.library[i].effect
+    assert effect is not None, "nuisances are never candidates"
+    return [j for j, h in enumerate(scorer.library) if h.effect is not None and h.effect.family == effect.family]
+
+
+def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], able: list[int]) -> list[int]:
+    """The able ones ranked again after the leaders of up to four kinds were polished: a coarse grid must not decide."""
+    leaders: dict[str, int] = {}
+    for i in able:
+        effect = scorer.library[i].effect
+        if effect is not None and scores[i].rank > 0.75 * scores[able[0]].rank:
+            leaders.setdefault(effect.KEY, i)
+    fresh = []
+    for i in list(leaders.values())[:4]:
+        effect = scorer.library[i].effect
+        if effect is not None and effect.bends(bench.scene, np.zeros(scorer.library[i].count)):
+            scores[i] = bent(bench, scorer, chosen, i, scores[i])
+        elif effect is not None and effect.searched() and len(leaders) > 1:
+            better = polished(bench, scorer, chosen, i)
+            if better != i:
+                scores.update(scorer.scores(chosen, [better])[0])
+                fresh.append(better)
+    return sorted([*able, *(i for i in fresh if i in scores)], key=lambda i: -scores[i].rank)

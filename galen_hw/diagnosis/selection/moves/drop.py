@@ -1,0 +1,28 @@
+"""Effects that no longer stand beside the others go."""
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.linearisation import rebase, unbent
+from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
+from galen_hw.diagnosis.selection.search_state import Selection
+
+
+def dropped(out: Selection) -> bool:
+    """Backward: what no longer stands beside the others goes; whether anything did."""
+    scorer = out.scorer
+    before = len(out.chosen)
+    while len(out.chosen) > 1:
+        each = {i: alone(scorer, out.chosen, i) for i in out.chosen}
+        worst = min(out.chosen, key=lambda i: -np.inf if each[i] is None else each[i].rank)  # type: ignore[union-attr]
+        score = each[worst]
+        if score is not None and score.rank > 0.0 and score.surprise > 0.7 * out.needed:
+            break
+        out.chosen.remove(worst)
+        rebase(scorer, out.chosen)
+    return len(out.chosen) < before
+
+
+def alone(scorer: Scorer, chosen: list[int], i: int) -> Score | None:
+    """The score of a chosen hypothesis beside the others."""
+    with unbent(scorer, i):
+        return scorer.scores([j for j in chosen if j != i], [i])[0].get(i)

@@ -1,0 +1,62 @@
+"""What a search begins with, and what the rest of a model proposes by itself."""
+
+import numpy as np
+
+from galen_hw.diagnosis.detection import clipping, drift, proposal, spectral_lines, steps
+from galen_hw.diagnosis.detection.contacts import contacts
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.interactions import load
+from galen_hw.diagnosis.estimation.least_squares import rests
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.events import Vibration
+from galen_hw.physics.effects.registry import EFFECTS, effect_class
+
+
+def library(bench: Bench) -> list[Effect]:
+    """Every hypothesis that the scene allows; offsets are always in the model and judged at the end."""
+    constant = {"bias"} | ({"joint_offset"} if bench.scene.observations.predict == "position" else set())
+    return [e for key in EFFECTS if key not in constant for e in effect_class(key).propose(bench.scene)]
+
+
+def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sought]:
+    """What the rest of the present model shows by itself."""
+    load(bench, scorer, chosen)
+    rest, _ = rests(bench, scorer, chosen)
+    found = steps.steps(bench.scene, rest, bench.noise) + steps.staircases(bench.scene, rest, bench.noise)
+    found += contacts(bench.scene, rest)
+    found += steps.slips(bench.scene, rest, bench.rows.average)
+    found += drift.walks(bench.scene, rest, bench.noise)
+    found += drift.drifts(bench.scene, rest, bench.rows.average(bench.scene.time))
+    found += drift.temperatures(bench.scene, rest, bench.rows.average)
+    # A limit that was found before something else was is sought again as if it had not been.
+    added = bench.rows.average(np.asarray(bench.stream.standing + bench.stream.carried))
+    stream, seen = bench.rows.average(bench.scene.simulated) + added, ~bench.dropped
+    found += clipping.saturations(bench.scene, np.asarray(bench.whole - added)[seen], stream[seen])
+    hums = [effect for i in chosen if isinstance(effect := scorer.library[i].effect, Vibration)]
+    return (
+        found
+        + spectral_lines.lines(bench.scene, rest, bench.rows.runs, hums)
+        + spectral_lines.ripples(bench.scene, rest)
+    )
+
+
+SAME_LINE = 0.1
+"""Of what two lines of the spectrum are apart: sines so near stay in step over the whole recording."""
+
+
+def known(bench: Bench, scorer: Scorer, effect: Effect) -> bool:
+    """Whether a hypothesis is in the library: turn after turn the rest shows the same, as long as nothing takes it."""
+    family = effect.family
+    alike = [h.effect for h in scorer.library if h.family == family]
+    if not isinstance(effect, Vibration):
+        return effect in alike
+    near = SAME_LINE / max(float(np.ptp(bench.scene.time)), 1e-9)
+    return any(isinstance(one, Vibration) and abs(one.frequency - effect.frequency) < near for one in alike)
+
+
+def at_first_sight(bench: Bench) -> list[proposal.Sought]:
+    """What belongs to moments and shows in the residual itself: it must not pass for noise, whatever it is to be called."""
+    rest = bench.whole - np.median(bench.whole, axis=0)
+    found = contacts(bench.scene, rest) + spectral_lines.lines(bench.scene, rest, bench.rows.runs, narrow=np.inf)
+    return found + steps.steps(bench.scene, rest)[:-1]
