@@ -99,6 +99,15 @@ class DeviceSection(Section):
     settings: dict[str, Any] = {}
 
 
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
 _FROM_HERE = (
     "viewers may connect from this machine only (tcp://127.0.0.1:PORT; use ssh -L from afar, "
     "or give keys: galen-hw keys)"
@@ -150,12 +159,3 @@ class Config(Section):
     services: dict[str, dict[str, Any]] = {}
     bus: BusSection = BusSection()
     daemon: DaemonSection = DaemonSection()
-
-
-def _is_loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return False

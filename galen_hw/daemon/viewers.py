@@ -33,6 +33,8 @@ MOST_DESCRIPTORS: Final = 128
 """Of the process: its own dozen, the viewers, and those that are being turned away."""
 MOST_DATA: Final = 256 << 20
 """Bytes of memory of the process; beyond, it ends and is started again."""
+LARGEST_HANDSHAKE: Final = 1024
+"""Bytes of a frame where keys are demanded: ZeroMQ holds the proof of a key (about 300) to the bound of messages."""
 BACKLOG: Final = 16
 PATIENCE_MS: Final = 5
 """How long messages wait, several at once: nobody sees that on a screen, and it leaves the cores to the robot."""
@@ -152,7 +154,7 @@ class _Copy:
         self._viewers.setsockopt(zmq.SNDHWM, queue)
         self._viewers.setsockopt(zmq.LINGER, 0)
         self._viewers.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
-        limit(self._viewers, LARGEST_SUBSCRIPTION)
+        limit(self._viewers, LARGEST_HANDSHAKE if keys else LARGEST_SUBSCRIPTION)
         if keys:
             guard = ThreadAuthenticator(context)
             guard.start()

@@ -94,7 +94,7 @@ def robotous() -> Callable[[bytes], None]:
 def galil() -> Callable[[bytes], None]:
     """A controller that is polled."""
     noisy = Noisy(
-        GalilDmc("motors", GalilDmc.Settings(), TimeBase()),
+        GalilDmc("motors", GalilDmc.Settings.model_validate({}), TimeBase()),
         VirtualGalilDmc(VirtualGalilDmc.Settings.model_validate({}), World()),
     )
     return lambda data: noisy.take(chunks_of(data))
