@@ -15,11 +15,14 @@ class Criteria:
             (friction, play, creep, drift) or where physics is missing: at 0.02 an effect is a seventh of what is missed.
         exact_share: the same beside laws that are exact (a body, a delay, a scale): three thousandths of their size, which is
             how well machines and their clocks are known (Kennedy and O'Hagan 2001: a law's own error is part of the noise).
+        beside_unexplained: of what the whole model leaves of the excess: physics that is missing has a part along any regressor,
+            and a name that takes less than a tenth of it may be that part (the discrepancy's variance of Kennedy and O'Hagan).
     """
 
     standard_errors: float = 2.0
     least_share: float = 0.02
     exact_share: float = 1e-5
+    beside_unexplained: float = 0.1
 
 
 CRITERIA: Final = Criteria()

@@ -30,14 +30,16 @@ class Gain:
         """Share of the excess, from -1 to 1."""
         return float(np.clip(self.fall / self.excess, -1.0, 1.0)) if self.excess > 0.0 else 0.0
 
-    def credible(self, criteria: Criteria = CRITERIA, *, rough: float = 1.0) -> bool:
+    def credible(self, criteria: Criteria = CRITERIA, *, rough: float = 1.0, unexplained: float = 0.0) -> bool:
         """Whether it is there beyond luck, and larger than what the laws beside it may miss themselves.
 
         Args:
             criteria: the levels.
             rough: share of the excess, 0 to 1, that no exact law explains.
+            unexplained: share of the excess, 0 to 1, that the whole model leaves.
         """
         least = criteria.exact_share + (criteria.least_share - criteria.exact_share) * rough
+        least = max(least, criteria.beside_unexplained * unexplained)
         return bool(self.fall > criteria.standard_errors * self.error and self.share >= least)
 
 

@@ -163,7 +163,10 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
             if key in judged.refused
             or (key in lasting and poor(judged.support[key], judged.sure[key], alone=sole))
             or (key in fitted and judged.support[key] < LEAST_SUPPORT)
-            or (key in judged.gains and not judged.gains[key].credible(rough=judged.rough))
+            or (
+                key in judged.gains
+                and not judged.gains[key].credible(rough=judged.rough, unexplained=judged.unexplained)
+            )
         ]
         places = [(support, k) for k, (support, sure) in judged.places.items() if poor(support, sure, alone=False)]
         vague = _vague(model)

@@ -79,6 +79,11 @@ class Judged:
         ]
         return float(np.clip(1.0 - sum(exact), 0.0, 1.0))
 
+    @property
+    def unexplained(self) -> float:
+        """Share of the excess that is left with all effects."""
+        return max(self.share(np.maximum(self.after - self.floor, 0.0)), 0.0)
+
     def unnamed_gain(self) -> float:
         """The same of what is predicted without a name."""
         return 0.0 if self.unnamed is None else self.share(self.after - self.unnamed)
