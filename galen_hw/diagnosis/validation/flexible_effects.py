@@ -10,7 +10,6 @@ from galen_hw.diagnosis.lack_of_fit import structure_test, trees
 from galen_hw.diagnosis.lack_of_fit.gram import Functions
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder, learn
 from galen_hw.diagnosis.selection.criterion import merit
-from galen_hw.diagnosis.selection.moves.split import FLEXIBLE
 from galen_hw.diagnosis.validation.contact_or_place import foretold, touches_of
 from galen_hw.diagnosis.validation.holdout import earned, judge_remainder
 from galen_hw.diagnosis.validation.judgement import Judged
@@ -18,8 +17,6 @@ from galen_hw.diagnosis.validation.other_recording import left_elsewhere
 from galen_hw.diagnosis.validation.verdict import beyond, strong
 from galen_hw.physics.scenes.base import Scene
 
-YIELDING: Final = (*FLEXIBLE, "contact")
-"""Effects that bend far enough to take part of what has no name."""
 POWERS: Final = ("joint_offset", "compliance", "hardening")
 """Effects that go with a power of a joint's load."""
 
@@ -117,7 +114,7 @@ def _yielding(model: Model) -> list[set[int]]:
     """Sets of effects that may be no more than part of what has no name: all flexible ones, each kind, polynomials."""
     kinds: dict[str, set[int]] = {}
     for h in model.effects:
-        if h.effect is not None and h.effect.KEY in YIELDING:
+        if h.effect is not None and (h.effect.FLEXIBLE or h.effect.OCCASIONAL):
             kinds.setdefault(h.effect.KEY, set()).add(id(h))
     every = set[int]().union(*kinds.values())
     flexible = [every, *kinds.values()] if len(kinds) > 1 else list(kinds.values())

@@ -33,7 +33,13 @@ class Bias(Effect):
     """
 
     KEY = "bias"
+    COMPLEXITY = 0
     channel: str
+
+    @classmethod
+    def always_fitted(cls, predict: str) -> bool:
+        """In every group."""
+        return True
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -199,6 +205,8 @@ class Gain(Effect):
     """
 
     KEY = "gain"
+    COMPLEXITY = 1
+    MIMICS_RIGID = True
     channel: str
 
     @classmethod
@@ -231,6 +239,7 @@ class CrossTalk(Effect):
     """
 
     KEY = "cross_talk"
+    FLEXIBLE = True
     channel: str
     source: str
 

@@ -13,12 +13,6 @@ from galen_hw.diagnosis.selection.acceptance import plausible
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import ALIKE, slack
 
-RIGID = ("base_tilt", "joint_offset", "joint_scale", "link_geometry", "payload", "sensor_mounting")
-"""Constants of the arm and its load, which stand for each other in twos and threes: an axis that is turned is the joint
-before it with another zero, and the sensor turned back."""
-EXCHANGED = (*RIGID, "cable_drag", "gain")
-"""What may give way to them: a steady pull is the weight of a payload that hangs from a tilted arm, and a gain most of one at the
-end of a single link."""
 FIRSTS = 4
 """Kinds that are tried as the first of the others."""
 LEAST_PART = 0.1
@@ -45,7 +39,11 @@ def regrouped(out: Selection) -> bool:
     bench, scorer = out.bench, out.scorer
     if bench.state.restless:
         return False
-    able = [i for i in out.chosen if (effect := scorer.library[i].effect) is not None and effect.KEY in EXCHANGED]
+    able = [
+        i
+        for i in out.chosen
+        if (effect := scorer.library[i].effect) is not None and (effect.RIGID or effect.MIMICS_RIGID)
+    ]
     for pair in combinations(able, 2):
         tried = frozenset((scorer.library[i].family, i in pair) for i in out.chosen)
         if tried in out.regrouped:
@@ -131,7 +129,7 @@ def _firsts(
     best: dict[object, int] = {}
     for i in elsewhere(scorer, others, sorted(scores, key=lambda i: -scores[i].rank)):
         effect = scorer.library[i].effect
-        if effect is None or effect.KEY not in RIGID or scores[i].gain < LEAST_PART * whole:
+        if effect is None or not effect.RIGID or scores[i].gain < LEAST_PART * whole:
             continue
         if scorer.library[i].theta is None and i not in pair:
             best.setdefault(place_of(effect), i)
@@ -155,7 +153,7 @@ def _chain(
 
 def _rigid(scorer: Scorer, i: int) -> bool:
     effect = scorer.library[i].effect
-    return effect is not None and effect.KEY in RIGID
+    return effect is not None and effect.RIGID
 
 
 def _taken(out: Selection, pair: tuple[int, ...], chain: list[int], price: dict[int, float]) -> bool:

@@ -89,7 +89,7 @@ def _sought(
     """
     old = _ends(scorer, chosen)
     # Friction of a servo has the servo's lag in it: it goes where that goes.
-    within = [e for i in chosen if (e := scorer.library[i].effect) is not None and "lag" in e.contains]
+    within = [e for i in chosen if (e := scorer.library[i].effect) is not None and Lag.KEY in e.contains]
     others = [i for i in chosen if i not in old and scorer.library[i].effect not in within]
     swings = any("damping" in e.searched() for i in old if (e := scorer.library[i].effect) is not None)
     none = bench.y + sum((b for i in old if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
