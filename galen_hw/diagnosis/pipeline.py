@@ -12,7 +12,7 @@ from galen_hw.diagnosis.detection import outliers
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.initial_state import left_open, supposable
-from galen_hw.diagnosis.estimation.model import MERIT, Model
+from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.estimation.signal_chain import Timing, arrived
 from galen_hw.diagnosis.findings.claims import add_claims, claim_before
@@ -30,6 +30,7 @@ from galen_hw.diagnosis.selection.moves.clock_offset import far_off
 from galen_hw.diagnosis.selection.proposals import at_first_sight, library
 from galen_hw.diagnosis.selection.search import select
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.diagnosis.validation.contact_or_place import outstanding
 from galen_hw.diagnosis.validation.flexible_effects import left_by, left_of_another, might_yield, predict_unnamed
 from galen_hw.diagnosis.validation.holdout import earned
@@ -305,7 +306,7 @@ def _chosen(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> list[
     )
     better = merit(other[1]) - merit(first[1])
     # A constant that something else accounts for as well is an effect too many.
-    if better > MERIT or (better > 0.0 and len(other[1].effects) < len(first[1].effects)):
+    if better > LOG_ODDS or (better > 0.0 and len(other[1].effects) < len(first[1].effects)):
         first, other = other, first
     return [first, other]
 
@@ -323,7 +324,7 @@ def _held_up(searches: list[Search], holdout: Scene | None) -> tuple[Selection, 
         return selection, chosen, model, judged
     for other, rival in others:
         kept, its = earned(weighed(rival), holdout)
-        if merit(kept) > merit(model) + MERIT:
+        if merit(kept) > merit(model) + LOG_ODDS:
             return other, chosen, kept, its
     return selection, chosen, model, judged
 

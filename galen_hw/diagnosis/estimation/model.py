@@ -16,6 +16,7 @@ from galen_hw.diagnosis.estimation.least_squares import fit, predicted
 from galen_hw.diagnosis.estimation.linearisation import does
 from galen_hw.diagnosis.stats.linear_algebra import solve_sym
 from galen_hw.diagnosis.stats.sampling import Chosen
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Columns
 from galen_hw.physics.effects.sensor import Saturation
 from galen_hw.spatial import Array
@@ -28,8 +29,6 @@ STAYS: Final = 1e-2
 """Of the noise of one row: what moves by less stays."""
 NOTHING: Final = 1e-3
 """Mean square, of the noise's, that is no matter."""
-MERIT: Final = 6.0
-"""Difference of merit from which the other of two models is taken."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ class Model:
                 continue
             rival = self.replacing(h, replace(self.bench.add(other, h.looked), beside=h.beside)).retold()
             own, its = (float(np.sum(m.rest(white=True)[self.bench.train] ** 2)) for m in (self, rival))
-            if abs(its - own) < MERIT:
+            if abs(its - own) < LOG_ODDS:
                 out = out + (rival.final - self.final) ** 2
         return out
 

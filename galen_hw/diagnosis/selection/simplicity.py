@@ -5,6 +5,7 @@ import numpy as np
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.comparison import ahead
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Effect
 
 SLACK = 0.25
@@ -35,7 +36,7 @@ def plainest(
     """
     best = able[0]
     nothing = slack(misfit) * scores[best].gain
-    nothing = nothing if nothing > 6.0 else TIE
+    nothing = nothing if nothing > LOG_ODDS else TIE
     alike = max(nothing, ALIKE * scores[best].gain)
 
     def cost(i: int) -> tuple[int, int, float]:

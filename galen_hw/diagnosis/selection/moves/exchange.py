@@ -12,6 +12,7 @@ from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.acceptance import plausible
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import ALIKE, slack
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 
 FIRSTS = 4
 """Kinds that are tried as the first of the others."""
@@ -24,9 +25,6 @@ FAIRLY = 0.1
 CHEAPER = 1.0
 """In rank, from which one is: rounding is none."""
 TRIALS = 2
-CERTAIN = 6.0
-"""Log likelihood ratio, beyond the prices, by which others that are no plainer must be better, and two than one effect with as
-many numbers."""
 
 
 def regrouped(out: Selection) -> bool:
@@ -103,7 +101,7 @@ def _best(
     ranked = sorted(((gain - sum(price[i] for i in chain), chain) for gain, chain in chains), reverse=True)
     found: dict[frozenset[object], list[int]] = {_kinds(scorer, pair): []}
     for rank, chain in ranked:
-        plainer = _needed(pair, chain, price) < CERTAIN
+        plainer = _needed(pair, chain, price) < LOG_ODDS
         if rank > whole - own - plainer * NEARLY * whole:
             found.setdefault(_kinds(scorer, chain), chain)
     return [chain for chain in found.values() if chain][:TRIALS]
@@ -113,8 +111,8 @@ def _needed(pair: Sequence[int], chain: Sequence[int], price: dict[int, float]) 
     """By how much a chain must be better than the pair, prices paid: one body need not be, beside its half and a shift."""
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
     if len(chain) < len(pair) and saved > -CHEAPER:
-        return -CERTAIN
-    return 0.0 if len(chain) <= len(pair) and saved > CHEAPER else CERTAIN
+        return -LOG_ODDS
+    return 0.0 if len(chain) <= len(pair) and saved > CHEAPER else LOG_ODDS
 
 
 def _kinds(scorer: Scorer, which: Sequence[int]) -> frozenset[object]:

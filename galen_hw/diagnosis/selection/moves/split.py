@@ -9,6 +9,7 @@ from galen_hw.diagnosis.selection.acceptance import plausible
 from galen_hw.diagnosis.selection.comparison import in_place
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import slack
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Effect
 
 PAIRED = 5
@@ -38,7 +39,7 @@ def split(out: Selection) -> bool:
             chains = [_chain(scorer, others, a, plain, out.needed) for a in firsts]
         total, chain = max(chains, default=(0.0, []), key=lambda x: x[0])
         misfit = scorer.misfit(out.chosen)
-        if len(chain) < 2 or total < ranks[i].rank + 6.0 + slack(misfit) * ranks[i].gain:
+        if len(chain) < 2 or total < ranks[i].rank + LOG_ODDS + slack(misfit) * ranks[i].gain:
             continue
         real = all(plausible(bench, scorer, [*others, *(x for x in chain if x != one)], one) for one in chain)
         before = crossed(bench, scorer, out.chosen)
