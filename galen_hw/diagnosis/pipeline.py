@@ -1,6 +1,6 @@
 """One recording from residual to verdict."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -12,9 +12,9 @@ from galen_hw.diagnosis.detection import outliers
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.initial_state import left_open, supposable
-from galen_hw.diagnosis.estimation.model import MERIT, Model
+from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.estimation.signal_chain import arrived
+from galen_hw.diagnosis.estimation.signal_chain import Timing, arrived
 from galen_hw.diagnosis.findings.claims import add_claims, claim_before
 from galen_hw.diagnosis.findings.from_model import findings_of, unknown_finding
 from galen_hw.diagnosis.findings.localisation import channels_of, episodes_of, where_of
@@ -30,13 +30,14 @@ from galen_hw.diagnosis.selection.moves.clock_offset import far_off
 from galen_hw.diagnosis.selection.proposals import at_first_sight, library
 from galen_hw.diagnosis.selection.search import select
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.diagnosis.validation.contact_or_place import outstanding
 from galen_hw.diagnosis.validation.flexible_effects import left_by, left_of_another, might_yield, predict_unnamed
 from galen_hw.diagnosis.validation.holdout import earned
 from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.diagnosis.validation.verdict import beyond, contradicted, outlying, strong, trifles, verdict_of
 from galen_hw.diagnosis.work import Work
-from galen_hw.physics.effects.base import Columns, Downstream, Effect
+from galen_hw.physics.effects.base import Columns, Effect
 from galen_hw.physics.effects.events import Contact, Glitches
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.effects.sensor import Drift
@@ -95,7 +96,7 @@ def diagnose(
     columns, coarser = _columns(effects, bench, coarse)
     tell("a first look", 0.25)
     known = _first_look(bench, coarse, effects, coarser, blind=bool(premise.wrong))
-    holdout = _begun(bench, coarse, known.effects, holdout)
+    holdout = _begun(bench, known, holdout)
     # What moves with the robot cannot be told from noise before it is known what is there: the first noise was too small
     # rather than too large. Now it is learnt from what the first model leaves, and everything is asked again.
     tell("learning the noise", 0.4)
@@ -104,20 +105,17 @@ def diagnose(
     tell("choosing effects", 0.5)
     searches, left = _searched(bench, effects, columns, generic, blind=bool(premise.wrong))
     if not left and not premise.wrong and (faint := outliers.faint(searches[0][1])) is not None:
-        glitch = outliers.marked(bench, faint)
-        bench.begin()
-        bench.learn_noise((), known.columns(bench, generic))
-        searches, left = _searched(bench, effects, columns, generic, blind=False)
+        glitch = outliers.marked(searches[0][1].bench, faint)
+        searches, left = _again(searches[0][1].bench, effects, columns, generic, known.columns)
     if not left and not premise.wrong and (passed := trees.hidden(searches[0][1])):
         # What passed for slow noise hides others too: all is asked again beside it.
         generic += [structure_test.Family(one.kind, one.basis, local=False) for one in passed]
         also = [Columns((one.channel,), one.basis[:, None, 1:]) for one in passed]
-        bench.begin()
-        bench.learn_noise((), [*known.columns(bench, generic), *also])
-        searches, left = _searched(bench, effects, columns, generic, blind=False)
+        searches, left = _again(searches[0][1].bench, effects, columns, generic, known.columns, also)
         left = left or trees.hidden(searches[0][1])
     tell("judging on held-out data", 0.9)
-    selection, chosen, model, judged = _held_up(bench, searches, holdout, nothing=bool(premise.wrong))
+    selection, chosen, model, judged = _held_up(searches, holdout, nothing=bool(premise.wrong))
+    bench = selection.bench
     if model is not chosen:
         left = left_by([model], generic)[0]
     left = strong(left, judged, bench)
@@ -166,13 +164,15 @@ def _alike(holdout: Scene, examination: Examination, *, repair: bool) -> Scene:
 class _Known:
     """What a first look has found: effects (with parameters where these are not linear), generic functions by channel.
 
-    step: between the rows of the first look, s; ends: late clocks, filters and limits that it goes through.
+    step: between the rows of the first look, s; ends: late clocks, filters and limits that it goes through; stream: the scene
+    with all that these effects add.
     """
 
     effects: list[tuple[Effect, Array]]
     left: dict[int, str]
     step: float
-    ends: list[tuple[Downstream, Array]]
+    ends: Timing
+    stream: Scene
 
     def columns(self, bench: Bench, generic: list[structure_test.Family]) -> list[Columns]:
         """On the rows of a bench: what must not pass for noise, as it arrives."""
@@ -224,12 +224,14 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
     extra, above = [*structure_test.compact(coarse, generic), *seen], coarse.motion_band()
     coarse.learn_noise(columns, extra, above=above)
     ((_, model), *_), left = _searched(coarse, effects, columns, generic, blind=blind)
+    coarse = model.bench
     if shifts := far_off(model):
         # On the clock that was off no effect is like what was measured: slow ones had passed for noise.
         late = [coarse.raw(effect) for effect in effects]
         coarse.begin()
         coarse.learn_noise(late, [*extra, *shifts], above=above)
         ((_, model), *_), left = _searched(coarse, effects, columns, generic, blind=blind)
+        coarse = model.bench
     if not left and len(coarse.noise.edges):
         # What is finely structured passes for quick noise. Only blocks that it was not fitted on can tell, whatever the noise.
         coarse.noise = coarse.noise.flat()
@@ -238,14 +240,14 @@ def _first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: lis
         (left,) = structure_test.leftovers(coarse, generic, [plain])
     parts = zip(model.parts, model.slices(), strict=True)
     chosen = [(h.effect, model.final[s]) for h, s in parts if h.effect is not None]
-    return _Known(chosen, {x.channel: x.kind for x in reversed(left)}, coarse.spacing, list(coarse.timing))
+    return _Known(chosen, {x.channel: x.kind for x in reversed(left)}, coarse.spacing, coarse.timing, coarse.stream)
 
 
-def _begun(bench: Bench, coarse: Bench, effects: list[tuple[Effect, Array]], holdout: Scene | None) -> Scene | None:
-    """The other recording, and the bench with the stream of the coarse one: of the beginnings that a model leaves open."""
-    beginning = left_open(bench.scene, effects)
+def _begun(bench: Bench, known: _Known, holdout: Scene | None) -> Scene | None:
+    """The other recording, and the bench with the stream of the first look: of the beginnings that a model leaves open."""
+    beginning = left_open(bench.scene, known.effects)
     bench.begun(bench.scene.begun(beginning))
-    bench.stand(stream=coarse.stream)
+    bench.stand(stream=known.stream)
     return None if holdout is None else holdout.begun(beginning)
 
 
@@ -263,12 +265,26 @@ def _searched(
     return searches, left_by([searches[0][1]], generic)[0]
 
 
+def _again(
+    bench: Bench,
+    effects: list[Effect],
+    columns: list[Columns],
+    generic: list[structure_test.Family],
+    known: Callable[[Bench, list[structure_test.Family]], list[Columns]],
+    also: Sequence[Columns] = (),
+) -> tuple[list[Search], list[structure_test.Left]]:
+    """Learn the noise anew beside what is known and what showed `also`, and search again."""
+    bench.begin()
+    bench.learn_noise((), [*known(bench, generic), *also])
+    return _searched(bench, effects, columns, generic, blind=False)
+
+
 def _silent(stage: str, share: float) -> None:
     del stage, share
 
 
 def _chosen(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> list[Search]:
-    """One search or two, the better model first and on this bench; the other has a bench of its own.
+    """One search or two, the better model first; of two each has a bench of its own, as it left it.
 
     With offsets always in the model and judged at the end (a drift is not called an offset), and with offsets among the
     hypotheses (a constant error of geometry is not called one).
@@ -290,22 +306,12 @@ def _chosen(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> list[
     )
     better = merit(other[1]) - merit(first[1])
     # A constant that something else accounts for as well is an effect too many.
-    if better > MERIT or (better > 0.0 and len(other[1].effects) < len(first[1].effects)):
+    if better > LOG_ODDS or (better > 0.0 and len(other[1].effects) < len(first[1].effects)):
         first, other = other, first
-    _taken_over(bench, *first)
     return [first, other]
 
 
-def _taken_over(bench: Bench, selection: Selection, model: Model) -> None:
-    """The bench as a search left its own."""
-    own = model.bench
-    bench.state = own.state
-    selection.scorer.bench = model.bench = bench
-
-
-def _held_up(
-    bench: Bench, searches: list[Search], holdout: Scene | None, *, nothing: bool
-) -> tuple[Selection, Model, Model, Judged]:
+def _held_up(searches: list[Search], holdout: Scene | None, *, nothing: bool) -> tuple[Selection, Model, Model, Judged]:
     """How it was found, the model that leaves `left`, the model without what held-out data refuse, and how it does on these.
 
     With `nothing` a premise refuses the recording: constants too are numbers of something else.
@@ -320,8 +326,7 @@ def _held_up(
         return selection, chosen, model, judged
     for other, rival in others:
         kept, its = earned(weighed(rival), holdout)
-        if merit(kept) > merit(model) + MERIT:
-            _taken_over(bench, other, kept)
+        if merit(kept) > merit(model) + LOG_ODDS:
             return other, chosen, kept, its
     return selection, chosen, model, judged
 

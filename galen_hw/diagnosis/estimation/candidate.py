@@ -11,7 +11,6 @@ import numpy as np
 from galen_hw.diagnosis.stats.linear_algebra import pinned_at
 from galen_hw.diagnosis.stats.sampling import Index, Mask
 from galen_hw.physics.effects.base import Columns, Effect
-from galen_hw.physics.effects.events import Contact
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
@@ -106,7 +105,7 @@ class Hypothesis:
         Told once, as `aside` is.
         """
         if self.telling is None:
-            touching = isinstance(self.effect, Contact)
+            touching = self.effect is not None and self.effect.OCCASIONAL
             self.telling = float(np.mean(self.raw.values[train].any(axis=(1, 2)))) if touching else 1.0
         return self.telling
 
@@ -117,8 +116,8 @@ class Hypothesis:
     def ways(self, train: Mask) -> float:
         """Log of how many ways it could have been found in: each of several touches, of which rows are learnt from, anywhere."""
         times = 1.0
-        if isinstance(self.effect, Contact) and self.count:
-            times = len(self.effect.episodes) * (1.0 - self.aside(train) / self.count)
+        if self.effect is not None and self.effect.OCCASIONAL and self.count:
+            times = self.effect.occasions * (1.0 - self.aside(train) / self.count)
         return times * math.log(self.looked)
 
     def does(self, theta: Array) -> Array:
@@ -148,13 +147,7 @@ def with_parameters(parts: Iterable[Hypothesis], theta: Array) -> Iterator[tuple
 
 def place_of(effect: Effect | None) -> tuple[str, ...]:
     """Where an effect sits: one hypothesis of a kind a place; those of moments may stand side by side."""
-    if effect is None or effect.KEY in ("step", "vibration", "torque_ripple", "contact"):
-        return (str(id(effect)),)
-    names = ("joint", "channel", "driver", "source", "place", "part", "axis", "upper")
-    place = [str(getattr(effect, name, "")) for name in names]
-    errors = getattr(effect, "errors", ())
-    form = getattr(effect, "form", "") if effect.KEY == "compliance" else ""
-    return (effect.KEY, *place, *map(str, errors), form)
+    return () if effect is None else effect.location
 
 
 def told(effect: Effect | None) -> tuple[object, ...]:

@@ -16,6 +16,7 @@ from galen_hw.diagnosis.estimation.least_squares import fit, predicted
 from galen_hw.diagnosis.estimation.linearisation import does
 from galen_hw.diagnosis.stats.linear_algebra import solve_sym
 from galen_hw.diagnosis.stats.sampling import Chosen
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Columns
 from galen_hw.physics.effects.sensor import Saturation
 from galen_hw.spatial import Array
@@ -28,8 +29,6 @@ STAYS: Final = 1e-2
 """Of the noise of one row: what moves by less stays."""
 NOTHING: Final = 1e-3
 """Mean square, of the noise's, that is no matter."""
-MERIT: Final = 6.0
-"""Difference of merit from which the other of two models is taken."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +44,9 @@ class Joint:
     searched: dict[tuple[int, str], float]
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Model:
-    """Nuisances and effects with parameters.
+    """Nuisances and effects with parameters: a value, of which others are made and which none changes.
 
     Args:
         bench: on which it was found.
@@ -68,16 +67,17 @@ class Model:
 
     def __post_init__(self) -> None:
         """Fits."""
-        self.y = self.bench.whole - _beyond(self.effects, self.bench.whole)
+        # Derived once, as `field(init=False)`; nothing sets them later.
+        object.__setattr__(self, "y", self.bench.whole - _beyond(self.effects, self.bench.whole))
         train, everything = np.flatnonzero(self.bench.train), np.flatnonzero(~self.bench.dropped)
         parts, y = self.flat() if self.plain else (self.parts, self.white)
-        self.final = self._fitted(parts, y, everything)
+        object.__setattr__(self, "final", self._fitted(parts, y, everything))
         # What belongs to moments has no rows to be learnt on but its own; the others are learnt beside it as it is.
         moments = np.full(len(self.final), np.nan)
         for h, s in zip(self.parts, self.slices(), strict=True):
             if h.effect is not None and h.effect.EPISODIC:
                 moments[s] = self.final[s]
-        self.theta = self._fitted(parts, y, train, moments)
+        object.__setattr__(self, "theta", self._fitted(parts, y, train, moments))
 
     @cached_property
     def covariance(self) -> Array:
@@ -131,29 +131,32 @@ class Model:
         What settles after a load is more in the end, or was less at first, and a load that was read wrong is the difference.
         """
         out = np.maximum(np.diag(self.joint.covariance), 0.0)
-        for k, h in enumerate(self.effects):
+        for h in self.effects:
             other = None if h.effect is None else h.effect.otherwise()
             if other is None or len(self.effects) < 2:
                 continue
-            effects = [
-                *self.effects[:k],
-                replace(self.bench.add(other, h.looked), beside=h.beside),
-                *self.effects[k + 1 :],
-            ]
-            rival = Model(self.bench, self.nuisances, effects, self.white, self.plain).retold()
+            rival = self.replacing(h, replace(self.bench.add(other, h.looked), beside=h.beside)).retold()
             own, its = (float(np.sum(m.rest(white=True)[self.bench.train] ** 2)) for m in (self, rival))
-            if abs(its - own) < MERIT:
+            if abs(its - own) < LOG_ODDS:
                 out = out + (rival.final - self.final) ** 2
         return out
 
     def retold(self) -> "Model":
         """The same with every law that binds parameters placed anew by what they are here: a small body where it now sits."""
-        effects, slices = list(self.effects), self.slices()[len(self.nuisances) :]
-        for k, (h, s) in enumerate(zip(self.effects, slices, strict=True)):
+        effects = list(self.effects)
+        for k, (h, s) in enumerate(zip(self.effects, self.slices()[len(self.nuisances) :], strict=True)):
             told = h.effect.told_by(self.final[s]) if h.effect is not None and h.effect.bound else None
             if told is not None:
                 effects[k] = replace(self.bench.add(told, h.looked), beside=h.beside)
-        return self if effects == self.effects else Model(self.bench, self.nuisances, effects, self.white, self.plain)
+        return self if effects == self.effects else replace(self, effects=effects)
+
+    def replacing(self, old: Hypothesis, new: Hypothesis) -> "Model":
+        """Return the same with another linear term in the place of one, fitted again."""
+        return replace(self, effects=[new if h is old else h for h in self.effects])
+
+    def with_(self, new: Hypothesis) -> "Model":
+        """Return the same with one more linear term, fitted again."""
+        return replace(self, effects=[*self.effects, new])
 
     def _fitted(self, parts: list[Hypothesis], y: Array, rows: Chosen, known: Array | None = None) -> Array:
         """Parameters learnt on some rows; what is curved stays where it was settled if its tangent does not reach so far.
@@ -195,14 +198,14 @@ class Model:
         if not limits:
             bent = any(h.bend is not None or h.beside is not None for h in out)
             white = self.bench.whitened(self.y + _beyond(out, self.y)) if bent else self.white
-            return Model(self.bench, self.nuisances, kept, white, self.plain)
+            return replace(self, effects=kept, white=white)
         bench = copy(self.bench)
         bench.stand(timing=[(effect, theta) for effect, theta in bench.timing if effect not in limits])
         whole = [
             h if h.effect is None or h.theta is not None else replace(bench.add(h.effect, h.looked), beside=h.beside)
             for h in kept
         ]
-        return Model(bench, self.nuisances, whole, self.white, self.plain)
+        return replace(self, bench=bench, effects=whole)
 
     def flat(self) -> tuple[list[Hypothesis], Array]:
         """Parts and residual with all frequencies weighed alike."""
@@ -302,5 +305,5 @@ def together(model: Model) -> Model:
         for (k, _), x in zip(kinds, now, strict=True):
             effects[k] = replace(effects[k], beside=x if x.any() else None)
         white = alone.white - bench.whitened(sum(now, np.zeros_like(bench.whole)))
-        model = Model(bench, model.nuisances, effects, white, model.plain)
+        model = replace(model, effects=effects, white=white)
     return model

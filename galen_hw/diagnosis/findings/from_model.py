@@ -13,7 +13,7 @@ from galen_hw.diagnosis.estimation.line_frequency import mean_frequency
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.findings.quantities import SIGNAL, headline
 from galen_hw.diagnosis.findings.variables import joint_units
-from galen_hw.diagnosis.findings.wording import BELIEVED, SAYS
+from galen_hw.diagnosis.findings.wording import believing, saying
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.preprocessing.data_quality import Premise
@@ -85,8 +85,9 @@ def says(finding: Finding) -> str:
     key = finding.effect
     names = finding.joints or finding.channels
     place = ", ".join(names) if len(names) < 4 else f"{', '.join(names[:3])} and {len(names) - 3} more"
-    first = f"{SAYS[key][0].upper()}{SAYS[key][1:]} ({place}): {headline(finding)}."
-    return f"{first} {BELIEVED[key][0].upper()}{BELIEVED[key][1:]}; on data it did not learn from it {finding.takes}."
+    what, why = saying(key), believing(key)
+    first = f"{what[0].upper()}{what[1:]} ({place}): {headline(finding)}."
+    return f"{first} {why[0].upper()}{why[1:]}; on data it did not learn from it {finding.takes}."
 
 
 def _free(model: Model) -> Array:

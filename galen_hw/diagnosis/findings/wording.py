@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from typing import Final
 
+from galen_hw.physics.effects.registry import effect_class
 from galen_hw.physics.scenes.base import Scene
 
 SAYS: Final[dict[str, str]] = {
@@ -192,3 +193,13 @@ def settled_by(found: str, rival: str) -> str:
     """What would tell two effects apart where it cannot be simulated."""
     plain = NEXT.get(rival, NEXT.get(found, "record a motion over a wider range, at two speeds"))
     return SETTLED_BY.get(frozenset((found, rival)), plain)
+
+
+def saying(key: str) -> str:
+    """Return what a kind of effect is, in words; of one without words here, the first line of its class."""
+    return SAYS.get(key) or (effect_class(key).__doc__ or key.replace("_", " ")).splitlines()[0].rstrip(".")
+
+
+def believing(key: str) -> str:
+    """Return by what a kind of effect is known."""
+    return BELIEVED.get(key, "nothing else that was asked does the same")

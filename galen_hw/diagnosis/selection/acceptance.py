@@ -11,7 +11,6 @@ from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.paired_test import sure
 from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.physics.effects.base import Effect
-from galen_hw.physics.effects.events import Contact, Step
 from galen_hw.spatial import Array
 
 WORTH = 0.25
@@ -45,7 +44,7 @@ def asked(bench: Bench, out: Selection, effect: Effect | None, misfit: float) ->
     whole nothing is asked where noise is all that is left and the excess was small.
     """
     episodic = effect is not None and effect.EPISODIC
-    stairs = isinstance(effect, Step) and bool(effect.later)
+    stairs = effect is not None and effect.staircase
     loud = float(np.max(out.start / bench.noise.sigma**2)) > LOUD
     beyond = min(1.0, misfit - 1.0)
     return STAIRS if stairs else WORTH * (1.0 + beyond * episodic), MATTERS * max(beyond, 0.3 * loud)
@@ -83,7 +82,7 @@ def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, 
     if not len(out.begun):
         out.begun = errors(bench, scorer, out.chosen) ** 2
     weight, begun = where_it_acts(scorer, out.chosen, i, bench), out.begun
-    if isinstance(effect, Contact):
+    if effect is not None and effect.OCCASIONAL:
         during = np.asarray(scorer.library[i].raw.values[bench.train].any(axis=(1, 2)))
         if _stands_out(before, during, weight):
             before, after, begun = before[during], after[during], begun[during]

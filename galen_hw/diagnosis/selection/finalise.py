@@ -1,5 +1,6 @@
 """The chosen model, settled: which constants stand in it, and which weights."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,7 +59,7 @@ def weighed(model: Model) -> Model:
     ours, plain = left_out(bench, model.parts, model.white), left_out(bench, parts, y)
     if float(np.mean(plain / ours)) >= BETTER:
         return model
-    return Model(bench, model.nuisances, model.effects, model.white, plain=True)
+    return replace(model, plain=True)
 
 
 def offsets(bench: Bench) -> list[Hypothesis]:

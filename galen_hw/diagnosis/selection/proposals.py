@@ -15,8 +15,9 @@ from galen_hw.physics.effects.registry import EFFECTS, effect_class
 
 def library(bench: Bench) -> list[Effect]:
     """Every hypothesis that the scene allows; offsets are always in the model and judged at the end."""
-    constant = {"bias"} | ({"joint_offset"} if bench.scene.observations.predict == "position" else set())
-    return [e for key in EFFECTS if key not in constant for e in effect_class(key).propose(bench.scene)]
+    predict = bench.scene.observations.predict
+    kinds = [kind for kind in map(effect_class, EFFECTS) if not kind.always_fitted(predict)]
+    return [effect for kind in kinds for effect in kind.propose(bench.scene)]
 
 
 def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sought]:

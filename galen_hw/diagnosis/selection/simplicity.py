@@ -5,24 +5,12 @@ import numpy as np
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.comparison import ahead
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
+from galen_hw.physics.effects.base import Effect
 
 SLACK = 0.25
 NOISE_ALONE = 1.1
 """Whitened mean square up to which a model is taken to leave noise alone: rounded readings are not quite white."""
-
-
-PLAIN = {
-    "time_delay": 0,
-    "bias": 0,
-    "joint_offset": 0,
-    "gain": 1,
-    "payload": 1,
-    "base_tilt": 1,
-    "friction": 1,
-    "backlash": 2,
-    "lag": 2,
-}
-"""Of look-alikes that do nearly as well while the model still misses much, the plainer goes first."""
 
 
 def slack(misfit: float) -> float:
@@ -48,7 +36,7 @@ def plainest(
     """
     best = able[0]
     nothing = slack(misfit) * scores[best].gain
-    nothing = nothing if nothing > 6.0 else TIE
+    nothing = nothing if nothing > LOG_ODDS else TIE
     alike = max(nothing, ALIKE * scores[best].gain)
 
     def cost(i: int) -> tuple[int, int, float]:
@@ -63,7 +51,7 @@ def plainest(
 def _plainness(scorer: Scorer, i: int) -> int:
     """The lower, the plainer."""
     effect = scorer.library[i].effect
-    return PLAIN.get("" if effect is None else effect.KEY, 3)
+    return Effect.COMPLEXITY if effect is None else effect.COMPLEXITY
 
 
 def favour(scorer: Scorer, i: int, j: int) -> int:

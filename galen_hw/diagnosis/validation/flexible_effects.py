@@ -5,12 +5,12 @@ from typing import Final
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.model import MERIT, Model
+from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit import structure_test, trees
 from galen_hw.diagnosis.lack_of_fit.gram import Functions
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder, learn
 from galen_hw.diagnosis.selection.criterion import merit
-from galen_hw.diagnosis.selection.moves.split import FLEXIBLE
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.diagnosis.validation.contact_or_place import foretold, touches_of
 from galen_hw.diagnosis.validation.holdout import earned, judge_remainder
 from galen_hw.diagnosis.validation.judgement import Judged
@@ -18,8 +18,6 @@ from galen_hw.diagnosis.validation.other_recording import left_elsewhere
 from galen_hw.diagnosis.validation.verdict import beyond, strong
 from galen_hw.physics.scenes.base import Scene
 
-YIELDING: Final = (*FLEXIBLE, "contact")
-"""Effects that bend far enough to take part of what has no name."""
 POWERS: Final = ("joint_offset", "compliance", "hardening")
 """Effects that go with a power of a joint's load."""
 
@@ -73,7 +71,7 @@ def predict_unnamed(
         place = foretold(model, less) if {id(h) for h in touches_of(model)} == out else []
         its_rest = sorted([*its_rest, *place], key=lambda one: -one.z)
         reached, its_own = _explained(less, its_rest, functions)
-        if reached > now + MERIT or place:
+        if reached > now + LOG_ODDS or place:
             other = judge_remainder(less, holdout, plainly, its_own)
             # A contact is fitted to the moments that it is judged on: nothing else can do as well there.
             if place or float(np.sum(other.reached / judged.floor)) < float(np.sum(judged.reached / judged.floor)):
@@ -117,7 +115,7 @@ def _yielding(model: Model) -> list[set[int]]:
     """Sets of effects that may be no more than part of what has no name: all flexible ones, each kind, polynomials."""
     kinds: dict[str, set[int]] = {}
     for h in model.effects:
-        if h.effect is not None and h.effect.KEY in YIELDING:
+        if h.effect is not None and (h.effect.FLEXIBLE or h.effect.OCCASIONAL):
             kinds.setdefault(h.effect.KEY, set()).add(id(h))
     every = set[int]().union(*kinds.values())
     flexible = [every, *kinds.values()] if len(kinds) > 1 else list(kinds.values())

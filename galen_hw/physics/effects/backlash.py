@@ -56,6 +56,7 @@ class Backlash(Effect):
     """
 
     KEY = "backlash"
+    COMPLEXITY = 2
     ROUGH = True
     SEARCHED: ClassVar = {
         "half_width": Searched(1e-7, 10.0, "rad or m"),

@@ -112,6 +112,19 @@ class Effect(ABC):
     ROUGH: ClassVar[bool] = False
     """A law of matter, or a shape: an idea of what happens, never the whole of it. Geometry and weight are no ideas."""
     NULL: ClassVar[Mapping[str, float]] = {}
+    COMPLEXITY: ClassVar[int] = 3
+    """Of look-alikes that do nearly as well while the model still misses much, that with less goes first."""
+    RIGID: ClassVar[bool] = False
+    """A constant of the arm or its load; these stand for each other in twos and threes: an axis that is turned is the joint
+    before it with another zero, and the sensor turned back."""
+    MIMICS_RIGID: ClassVar[bool] = False
+    """It may have been taken for one: a steady pull for a payload on a tilted arm, a gain for most of one on a single link."""
+    FLEXIBLE: ClassVar[bool] = False
+    """Its form bends enough to take what several constants of geometry or load do together."""
+    OCCASIONAL: ClassVar[bool] = False
+    """Of episodic effects: it is nothing but in its episodes, each of which was found by itself and tells of its own numbers."""
+    SIDE_BY_SIDE: ClassVar[bool] = False
+    """Several of its kind may stand in one place."""
 
     @classmethod
     def lasting(cls) -> bool:
@@ -168,6 +181,30 @@ class Effect(ABC):
         """Joints it sits in."""
         joint = getattr(self, "joint", "")
         return (joint,) if joint else ()
+
+    @property
+    def location(self) -> tuple[str, ...]:
+        """Where it sits, and what it is: two in one place are rivals."""
+        if self.SIDE_BY_SIDE:
+            return (str(id(self)),)
+        names = ("joint", "channel", "driver", "source", "place", "part", "axis", "upper")
+        return (self.KEY, *(str(getattr(self, name, "")) for name in names), *map(str, getattr(self, "errors", ())))
+
+    @property
+    def occasions(self) -> int:
+        """How many times it was found, each by itself."""
+        return 1
+
+    @property
+    def staircase(self) -> bool:
+        """Whether it is several jumps at once, which follow any slope."""
+        return False
+
+    @classmethod
+    def always_fitted(cls, predict: str) -> bool:
+        """Whether it is the constant of a channel of this group, which is in every model and judged at its end."""
+        del predict
+        return False
 
     @property
     def freedom(self) -> int | None:

@@ -57,6 +57,8 @@ class CableDrag(Effect):
     """
 
     KEY = "cable_drag"
+    MIMICS_RIGID = True
+    FLEXIBLE = True
     ROUGH = True
     form: str
     channel: str = ""

@@ -36,6 +36,11 @@ class Compliance(Effect):
     first: str = ""
     links: int = 1
 
+    @property
+    def location(self) -> tuple[str, ...]:
+        """A joint and a structure may give side by side."""
+        return (*super().location, self.form)
+
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
         """Every joint that bears load; the structure where a force on the tip is known."""

@@ -55,10 +55,16 @@ class Step(_Shaped):
     """
 
     KEY = "step"
+    SIDE_BY_SIDE = True
     channels: tuple[str, ...]
     moment: float
     carried: str = ""
     later: tuple[float, ...] = ()
+
+    @property
+    def staircase(self) -> bool:
+        """Whether more jumps follow the first."""
+        return bool(self.later)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """The jump of every channel, or shifts and turns of what has slipped."""
@@ -97,10 +103,17 @@ class Contact(_Shaped):
     """
 
     KEY = "contact"
+    SIDE_BY_SIDE = True
+    OCCASIONAL = True
     ROUGH = True
     channels: tuple[str, ...]
     episodes: tuple[tuple[float, float], ...]
     waves: int = 1
+
+    @property
+    def occasions(self) -> int:
+        """Its episodes."""
+        return len(self.episodes)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Level, bow and further half waves per channel and episode."""
@@ -141,6 +154,7 @@ class Vibration(_Shaped):
     """
 
     KEY = "vibration"
+    SIDE_BY_SIDE = True
     THROUGHOUT = True
     ROUGH = True
     SEARCHED: ClassVar = {"frequency": Searched(1e-2, 1e5, "Hz")}

@@ -48,6 +48,7 @@ class Friction(Effect):
     """
 
     KEY = "friction"
+    COMPLEXITY = 1
     ROUGH = True
     SEARCHED: ClassVar = {
         "transition": Searched(1e-6, 10.0, "rad/s or m/s"),
@@ -269,6 +270,7 @@ class TorqueRipple(Effect):
     """
 
     KEY = "torque_ripple"
+    SIDE_BY_SIDE = True
     SEARCHED: ClassVar = {"wave_number": Searched(0.1, 1e5, "rad/rad or rad/m")}
     joint: str
     wave_number: float

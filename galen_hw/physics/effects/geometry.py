@@ -27,7 +27,14 @@ class JointOffset(Effect):
     """
 
     KEY = "joint_offset"
+    COMPLEXITY = 0
+    RIGID = True
     joint: str
+
+    @classmethod
+    def always_fitted(cls, predict: str) -> bool:
+        """Of a joint that is compared itself."""
+        return predict == "position"
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -70,6 +77,7 @@ class JointScale(Effect):
     """
 
     KEY = "joint_scale"
+    RIGID = True
     joint: str
 
     @classmethod
@@ -117,6 +125,7 @@ class LinkGeometry(Effect):
     """
 
     KEY = "link_geometry"
+    RIGID = True
     joint: str
     errors: tuple[str, ...]
 
@@ -172,6 +181,7 @@ class SensorMounting(Effect):
     """
 
     KEY = "sensor_mounting"
+    RIGID = True
     part: str = "turn"
 
     @classmethod

@@ -50,6 +50,7 @@ class Creep(Effect):
     """
 
     KEY = "creep"
+    FLEXIBLE = True
     ROUGH = True
     SEARCHED: ClassVar = {
         "constant": Searched(0.3, 1e4, "s"),
@@ -201,6 +202,7 @@ class Hysteresis(Effect):
     """
 
     KEY = "hysteresis"
+    FLEXIBLE = True
     ROUGH = True
     SEARCHED: ClassVar = {
         "reach": Searched(1e-7, 10.0, "rad or m"),

@@ -31,6 +31,8 @@ class Payload(Effect):
     """
 
     KEY = "payload"
+    COMPLEXITY = 1
+    RIGID = True
     part: str = "body"
     at: tuple[float, float, float] | None = None
     still: bool = False
@@ -144,6 +146,8 @@ class BaseTilt(Effect):
     """
 
     KEY = "base_tilt"
+    COMPLEXITY = 1
+    RIGID = True
     axis: str = "xy"
 
     @classmethod

@@ -37,7 +37,13 @@ class Bias(Effect):
     """
 
     KEY = "bias"
+    COMPLEXITY = 0
     channel: str
+
+    @classmethod
+    def always_fitted(cls, predict: str) -> bool:
+        """In every group."""
+        return True
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -203,6 +209,8 @@ class Gain(Effect):
     """
 
     KEY = "gain"
+    COMPLEXITY = 1
+    MIMICS_RIGID = True
     channel: str
 
     @classmethod
@@ -235,6 +243,7 @@ class CrossTalk(Effect):
     """
 
     KEY = "cross_talk"
+    FLEXIBLE = True
     channel: str
     source: str
 

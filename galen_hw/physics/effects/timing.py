@@ -67,6 +67,7 @@ class TimeDelay(Timing):
     """
 
     KEY = "time_delay"
+    COMPLEXITY = 0
     joint: str = ""
     between: str = "lines"
 
@@ -121,6 +122,7 @@ class Lag(Timing):
     """
 
     KEY = "lag"
+    COMPLEXITY = 2
     BEHIND = ("time_delay",)
     """s + D (L s - s) + (D s - s) = D L s: a late clock delivers what the filter gives."""
     SEARCHED: ClassVar = {"constant": Searched(1e-4, 1e3, "s"), "damping": Searched(0.1, 0.98, "1")}

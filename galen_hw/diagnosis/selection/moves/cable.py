@@ -13,12 +13,11 @@ from galen_hw.diagnosis.estimation.nonlinear import settle
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import ALIKE
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.cable import TENDON, CableDrag
 from galen_hw.spatial import Array
 
 FIRST_STEPS = 6
-MARGIN = 6.0
-"""Beyond the price of a parameter, in units of the log likelihood ratio."""
 OFTEN = 3
 """Times that a search asks for its tendon: where physics is missing its models never settle."""
 Start = tuple[CableDrag, Array]
@@ -57,7 +56,7 @@ def _instead(out: Selection, i: int, most: int) -> bool:
         return False
     trial = _with_tendon(bench, scorer, out, others, starts, most)
     more = sum(_numbers(scorer, j) for j in trial) - sum(_numbers(scorer, j) for j in out.chosen)
-    price = more * float(np.log(bench.noise.effective)) + (MARGIN if more == 0 else 0.0)
+    price = more * float(np.log(bench.noise.effective)) + (LOG_ODDS if more == 0 else 0.0)
     if scorer.solve(trial)[2] + price < before and _as_good(errors, crossed(bench, scorer, trial)):
         out.chosen = trial
         return True
@@ -136,7 +135,7 @@ def _best(bench: Bench, beside: Beside, starts: list[Start]) -> Hypothesis:
         if not rubbing:
             continue
         less, other = _least(bench, beside, [(replace(effect, form=form), start) for start in rubbing])
-        price = (len(rubbing[0]) - len(theta)) * np.log(bench.noise.effective) + MARGIN
+        price = (len(rubbing[0]) - len(theta)) * np.log(bench.noise.effective) + LOG_ODDS
         if less + price < cost:
             cost, best = less + price, other
     return best

@@ -9,6 +9,7 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import PROVED, rests
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.events import Contact
 
 HAND = 5
@@ -19,8 +20,6 @@ ROWS_A_WAVE = 4
 """Rows of the shortest episode that a half wave has at least."""
 MOST = 1000
 """Columns that a touch may have, level and waves of all episodes and channels."""
-MARGIN = 6.0
-"""In rank, beyond the price of the waves: less may be luck of the search."""
 
 
 def followed(out: Selection) -> bool:
@@ -51,7 +50,7 @@ def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
         new = bench.add(replace(effect, waves=waves), looked)
         with scorer.trying([new]):
             score = scorer.scores(others, [len(scorer.library) - 1])[0].get(len(scorer.library) - 1)
-        if score is None or score.rank <= rank + MARGIN:
+        if score is None or score.rank <= rank + LOG_ODDS:
             break
         found, rank = new, score.rank
     if found is None:

@@ -11,6 +11,7 @@ from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import plausible
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.selection.simplicity import ALIKE
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.compliance import Compliance
 from galen_hw.physics.effects.hysteresis import Creep, Hysteresis
 from galen_hw.spatial import Array
@@ -23,8 +24,6 @@ TOLERANCE: Final = 3e-3
 """To which share friction and constant are sought from there, in so many points, by steps that begin with these logarithms."""
 MOST: Final = 60
 SIMPLEX: Final = np.array([[0.0, 0.0], [0.2, 0.0], [0.0, -0.2]])
-MARGIN: Final = 6.0
-"""Beyond the price of the parameters, in units of the log likelihood ratio."""
 
 
 def behind_friction(out: Selection) -> bool:
@@ -84,7 +83,7 @@ def _taken(out: Selection, pair: tuple[int, int], apart: tuple[Creep, Hysteresis
     options = {"xatol": TOLERANCE, "fatol": 0.1, "maxfev": MOST, "initial_simplex": begun[best] + SIMPLEX}
     found = minimize(lambda at: left(at)[way], begun[best], method="Nelder-Mead", options=options)
     before = scorer.solve(out.chosen)[2] + rows * _owed(scorer, out.chosen)
-    if found.fun + MARGIN >= before:
+    if found.fun + LOG_ODDS >= before:
         return False
     errors = crossed(bench, scorer, out.chosen)
     scorer.append(made(found.x))

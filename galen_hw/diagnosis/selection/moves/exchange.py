@@ -12,13 +12,8 @@ from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.acceptance import plausible
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import ALIKE, slack
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 
-RIGID = ("base_tilt", "joint_offset", "joint_scale", "link_geometry", "payload", "sensor_mounting")
-"""Constants of the arm and its load, which stand for each other in twos and threes: an axis that is turned is the joint
-before it with another zero, and the sensor turned back."""
-EXCHANGED = (*RIGID, "cable_drag", "gain")
-"""What may give way to them: a steady pull is the weight of a payload that hangs from a tilted arm, and a gain most of one at the
-end of a single link."""
 FIRSTS = 4
 """Kinds that are tried as the first of the others."""
 LEAST_PART = 0.1
@@ -30,9 +25,6 @@ FAIRLY = 0.1
 CHEAPER = 1.0
 """In rank, from which one is: rounding is none."""
 TRIALS = 2
-CERTAIN = 6.0
-"""Log likelihood ratio, beyond the prices, by which others that are no plainer must be better, and two than one effect with as
-many numbers."""
 
 
 def regrouped(out: Selection) -> bool:
@@ -45,7 +37,11 @@ def regrouped(out: Selection) -> bool:
     bench, scorer = out.bench, out.scorer
     if bench.state.restless:
         return False
-    able = [i for i in out.chosen if (effect := scorer.library[i].effect) is not None and effect.KEY in EXCHANGED]
+    able = [
+        i
+        for i in out.chosen
+        if (effect := scorer.library[i].effect) is not None and (effect.RIGID or effect.MIMICS_RIGID)
+    ]
     for pair in combinations(able, 2):
         tried = frozenset((scorer.library[i].family, i in pair) for i in out.chosen)
         if tried in out.regrouped:
@@ -105,7 +101,7 @@ def _best(
     ranked = sorted(((gain - sum(price[i] for i in chain), chain) for gain, chain in chains), reverse=True)
     found: dict[frozenset[object], list[int]] = {_kinds(scorer, pair): []}
     for rank, chain in ranked:
-        plainer = _needed(pair, chain, price) < CERTAIN
+        plainer = _needed(pair, chain, price) < LOG_ODDS
         if rank > whole - own - plainer * NEARLY * whole:
             found.setdefault(_kinds(scorer, chain), chain)
     return [chain for chain in found.values() if chain][:TRIALS]
@@ -115,8 +111,8 @@ def _needed(pair: Sequence[int], chain: Sequence[int], price: dict[int, float]) 
     """By how much a chain must be better than the pair, prices paid: one body need not be, beside its half and a shift."""
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
     if len(chain) < len(pair) and saved > -CHEAPER:
-        return -CERTAIN
-    return 0.0 if len(chain) <= len(pair) and saved > CHEAPER else CERTAIN
+        return -LOG_ODDS
+    return 0.0 if len(chain) <= len(pair) and saved > CHEAPER else LOG_ODDS
 
 
 def _kinds(scorer: Scorer, which: Sequence[int]) -> frozenset[object]:
@@ -131,7 +127,7 @@ def _firsts(
     best: dict[object, int] = {}
     for i in elsewhere(scorer, others, sorted(scores, key=lambda i: -scores[i].rank)):
         effect = scorer.library[i].effect
-        if effect is None or effect.KEY not in RIGID or scores[i].gain < LEAST_PART * whole:
+        if effect is None or not effect.RIGID or scores[i].gain < LEAST_PART * whole:
             continue
         if scorer.library[i].theta is None and i not in pair:
             best.setdefault(place_of(effect), i)
@@ -155,7 +151,7 @@ def _chain(
 
 def _rigid(scorer: Scorer, i: int) -> bool:
     effect = scorer.library[i].effect
-    return effect is not None and effect.KEY in RIGID
+    return effect is not None and effect.RIGID
 
 
 def _taken(out: Selection, pair: tuple[int, ...], chain: list[int], price: dict[int, float]) -> bool:

@@ -9,6 +9,7 @@ from galen_hw.diagnosis.selection.acceptance import plausible, taken
 from galen_hw.diagnosis.selection.comparison import polished
 from galen_hw.diagnosis.selection.moves.contact_profile import followed
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Effect
 
 RICHER = 0.1
@@ -48,7 +49,7 @@ def enriched(out: Selection) -> bool:
         kin = [j for j in scores if i in scores and _same_kind(scorer.library[j].effect, effect) and j != i]
         best: dict[object, int] = {}
         for j in sorted(kin, key=lambda j: -scores[j].rank):
-            if scores[j].rank > scores[i].rank + 6.0:
+            if scores[j].rank > scores[i].rank + LOG_ODDS:
                 best.setdefault(scorer.library[j].effect.family, j)  # type: ignore[union-attr]
         for j in list(best.values())[:RICHER_FORMS]:
             trial = [*out.chosen[:place], j, *out.chosen[place + 1 :]]

@@ -9,10 +9,9 @@ from galen_hw.diagnosis.selection.acceptance import plausible
 from galen_hw.diagnosis.selection.comparison import in_place
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import slack
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Effect
 
-FLEXIBLE = ("cable_drag", "creep", "cross_talk", "hysteresis")
-"""Effects whose form bends enough to take what several constants of geometry or load do together."""
 PAIRED = 5
 """Kinds that are tried as the first of a few."""
 LONGEST_CHAIN = 3
@@ -28,7 +27,7 @@ def split(out: Selection) -> bool:
     bench, scorer = out.bench, out.scorer
     for i in list(out.chosen):
         effect = scorer.library[i].effect
-        if effect is None or effect.KEY not in FLEXIBLE:
+        if effect is None or not effect.FLEXIBLE:
             continue
         others = [j for j in out.chosen if j != i]
         ranks = {j: s for j, s in in_place(bench, scorer, out.chosen, i).items() if i == j or _apart(scorer, i, j)}
@@ -40,7 +39,7 @@ def split(out: Selection) -> bool:
             chains = [_chain(scorer, others, a, plain, out.needed) for a in firsts]
         total, chain = max(chains, default=(0.0, []), key=lambda x: x[0])
         misfit = scorer.misfit(out.chosen)
-        if len(chain) < 2 or total < ranks[i].rank + 6.0 + slack(misfit) * ranks[i].gain:
+        if len(chain) < 2 or total < ranks[i].rank + LOG_ODDS + slack(misfit) * ranks[i].gain:
             continue
         real = all(plausible(bench, scorer, [*others, *(x for x in chain if x != one)], one) for one in chain)
         before = crossed(bench, scorer, out.chosen)
@@ -73,7 +72,7 @@ def _apart(scorer: Scorer, i: int, j: int) -> bool:
     """Whether j is plain beside the flexible i: lasting, nothing searched, and not flexible itself."""
     other = scorer.library[j]
     effect = other.effect
-    plain = effect is not None and effect.KEY not in FLEXIBLE and not effect.EPISODIC and not effect.searched()
+    plain = effect is not None and not effect.FLEXIBLE and not effect.EPISODIC and not effect.searched()
     return plain and other.looked == 1 and j != i
 
 

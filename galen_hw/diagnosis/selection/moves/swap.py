@@ -14,6 +14,7 @@ from galen_hw.diagnosis.selection.moves.add import TRIES, kin
 from galen_hw.diagnosis.selection.moves.step_times import parted
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import ALIKE, favour, handicap, slack
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.timing import Timing
 
 
@@ -45,7 +46,7 @@ def _swap(out: Selection) -> bool:
             able = {j: s.rank + handicap(bench, scorer, others, i, j, rivals) for j, s in rivals.items() if j != i}
         better = sorted((j for j in able if able[j] > rivals[i].rank), key=lambda j: -able[j])
         best = next((j for j in better[:TRIES] if plausible(bench, scorer, others, j)), i)
-        margin = 6.0 + slack(missed(bench, scorer, [*others, best])) * rivals[i].gain
+        margin = LOG_ODDS + slack(missed(bench, scorer, [*others, best])) * rivals[i].gain
         if best in kin(scorer, i) or (best != i and favour(scorer, i, best) > 0):
             margin = 1.0  # the same thing at a better value, or a plainer one that does as well
         if best == i or able[best] <= rivals[i].rank + margin:

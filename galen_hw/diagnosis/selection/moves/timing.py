@@ -19,9 +19,10 @@ from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.estimation.nonlinear import settle
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import taken
-from galen_hw.diagnosis.selection.moves.timing_search import MARGIN, Clocks, ClockSearch, numbers
+from galen_hw.diagnosis.selection.moves.timing_search import Clocks, ClockSearch, numbers
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.selection.simplicity import ALIKE
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.friction import Friction
 from galen_hw.physics.effects.timing import Lag, TimeDelay, Timing
@@ -89,7 +90,7 @@ def _sought(
     """
     old = _ends(scorer, chosen)
     # Friction of a servo has the servo's lag in it: it goes where that goes.
-    within = [e for i in chosen if (e := scorer.library[i].effect) is not None and "lag" in e.contains]
+    within = [e for i in chosen if (e := scorer.library[i].effect) is not None and Lag.KEY in e.contains]
     others = [i for i in chosen if i not in old and scorer.library[i].effect not in within]
     swings = any("damping" in e.searched() for i in old if (e := scorer.library[i].effect) is not None)
     none = bench.y + sum((b for i in old if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
@@ -157,7 +158,7 @@ def _exchanged(
     plainer = numbers([one for one, _ in clocks]) < numbers(gone) + told
     with out.attempt() as attempt:
         out.chosen = trial = _through(bench, scorer, [i for i in out.chosen if i not in old], clocks, instead)
-        better = before - scorer.solve(trial)[2] - price > MARGIN
+        better = before - scorer.solve(trial)[2] - price > LOG_ODDS
         attempt.kept = better and _pays(bench, missed, crossed(bench, scorer, trial), nearly=nearly, plainer=plainer)
     if attempt.kept:
         _as_told(scorer, clocks)

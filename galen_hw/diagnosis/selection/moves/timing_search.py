@@ -9,12 +9,11 @@ from scipy.optimize import minimize, minimize_scalar
 
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Columns, Effect, log_grid, spacing
 from galen_hw.physics.effects.timing import BETWEEN, Lag, TimeDelay, first_order, second_order
 from galen_hw.spatial import Array
 
-MARGIN = 6.0
-"""Beyond the price of the parameters, in units of the log likelihood ratio."""
 CONSTANTS = 6
 """Lags between half a sample and all of what is late that are tried with the delay that suits each."""
 DAMPINGS = (0.35, 0.7)
@@ -68,7 +67,7 @@ class ClockSearch:
         if not clocks or self.within or self.bench.stream.commanded:
             return clocks
         for between in BETWEEN:
-            if between != self.delay.between and self._differs(clocks, between) >= MARGIN:
+            if between != self.delay.between and self._differs(clocks, between) >= LOG_ODDS:
                 other = replace(self, delay=replace(self.delay, between=between))
                 if other.worth(found := other.best()) > search.worth(clocks):
                     clocks, search = found, other
@@ -99,13 +98,13 @@ class ClockSearch:
             lag = Lag(constant, self.delay.joint, shortest, whole=True, between=self.delay.between)
             ways.append((self._gain(0.0, constant) - self.price, [(lag, constant)]))
             most, late = self._latest(constant, (0.0, all_late))
-            ways.append((most - 2.0 * self.price - MARGIN, [(self.delay, late), (lag, constant)]))
+            ways.append((most - 2.0 * self.price - LOG_ODDS, [(self.delay, late), (lag, constant)]))
         clocks = self._plainer(self._refined(max(ways, key=lambda way: way[0])[1], all_late), all_late)
         # A response of second order looks like a delay, or a delay and a lag; friction within has a lag of the first. In one
         # joint by itself two more numbers would take what the others show to be something else.
         if self.within or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
             return clocks
-        wanted = self.worth(clocks) + (0.0 if self.swings else MARGIN)
+        wanted = self.worth(clocks) + (0.0 if self.swings else LOG_ODDS)
         swinging = self._swinging(shortest, all_late, wanted)
         return swinging if self.worth(swinging) > wanted else clocks
 
@@ -116,7 +115,7 @@ class ClockSearch:
         (_, late), (lag, constant) = clocks
         assert isinstance(lag, Lag), "a delay of what lags"
         alone = self._refined([(replace(lag, constant=constant + late), constant + late)], all_late)
-        return alone if self.worth(alone) + MARGIN >= self.worth(clocks) else clocks
+        return alone if self.worth(alone) + LOG_ODDS >= self.worth(clocks) else clocks
 
     def worth(self, clocks: Clocks) -> float:
         """Gain less the price of delay, lag or swing alone."""
