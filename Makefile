@@ -87,6 +87,7 @@ bench: $(STAMP)
 fuzz: $(STAMP)
 	@$(PIP) 'atheris>=3.0' 2>/dev/null || echo "make: atheris cannot be installed here; inputs are mutations of our own"
 	$(BIN)/python -m galen_hw.tools.fuzz.command --write docs/fuzz.md
+	$(BIN)/python -m galen_hw.tools.fuzz.live --append docs/fuzz.md
 
 # Universal: one file for every machine; no address of an index in it.
 LOCK_HEAD := \# Every package that `pip install galen-hw` brings, with its hashes; made with `make lock`. Install: pip install --require-hashes -r requirements.lock
