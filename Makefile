@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip install --quiet --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test inject-test loop-test lint lowest wheel-test bench fuzz proof mistakes clean
+.PHONY: help install demo test inject-test loop-test lint lowest wheel-test bench fuzz lock audit proof mistakes clean
 
 help:
 	@echo "make demo    calibrate a tool on the virtual robot and compensate live, with figures in demo-output/"
@@ -19,6 +19,8 @@ help:
 	@echo "make lowest  what pyproject.toml promises of old versions: its lowest set in a venv of its own, and a part of the tests"
 	@echo "make bench   the benchmarks, written to docs/benchmarks.md (about 15 minutes)"
 	@echo "make fuzz    a million inputs for whatever reads foreign bytes, written to docs/fuzz.md (long)"
+	@echo "make lock    requirements.lock anew: every package with its hashes"
+	@echo "make audit   the packages of the lock against the advisory database"
 	@echo "make proof   the blind proof of the diagnosis, written to docs/proof.md (long)"
 	@echo "make mistakes  300 recordings with one ordinary mistake each, a section of docs/proof.md (long)"
 
@@ -85,6 +87,18 @@ bench: $(STAMP)
 fuzz: $(STAMP)
 	@$(PIP) 'atheris>=3.0' 2>/dev/null || echo "make: atheris cannot be installed here; inputs are mutations of our own"
 	$(BIN)/python -m galen_hw.tools.fuzz.command --write docs/fuzz.md
+	$(BIN)/python -m galen_hw.tools.fuzz.live --append docs/fuzz.md
+
+# Universal: one file for every machine; no address of an index in it.
+LOCK_HEAD := \# Every package that `pip install galen-hw` brings, with its hashes; made with `make lock`. Install: pip install --require-hashes -r requirements.lock
+lock: $(STAMP)
+	@$(PIP) uv
+	@echo '$(LOCK_HEAD)' > requirements.lock
+	$(BIN)/uv pip compile pyproject.toml --quiet --python-version 3.11 --universal --generate-hashes --no-header >> requirements.lock
+
+audit: $(STAMP)
+	@$(PIP) pip-audit
+	PATH="$(abspath $(BIN)):$$PATH" $(BIN)/python .ci/audit
 
 proof: $(STAMP)
 	@$(PIP) 'torch>=2.4' mujoco 'pysindy>=2.0'

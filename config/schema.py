@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 from annotated_types import Len
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from galen_hw.config.paths import VIEWERS_ADDRESS
 from galen_hw.units import STANDARD_GRAVITY
@@ -117,27 +117,20 @@ _FROM_HERE = (
 class BusSection(Section):
     """Addresses beside the runtime directory's own; `keys`: folder of the viewers' keys, without which none may connect."""
 
+    keys: Path | None = Field(default=None, examples=["/etc/galen-hw/keys"])
     viewers: str = Field(default=VIEWERS_ADDRESS, examples=[VIEWERS_ADDRESS])
     queue_messages: int = Field(default=5000, ge=10, le=1_000_000)
 
-    keys: Path | None = Field(default=None, examples=["/etc/galen-hw/keys"])
-
     @field_validator("viewers")
     @classmethod
-    def _address(cls, value: str) -> str:
-        port = value.rpartition(":")[2]
-        if value and not value.startswith("tcp://"):
+    def _address(cls, value: str, others: ValidationInfo) -> str:
+        host, _, port = value.removeprefix("tcp://").rpartition(":")
+        from_here = _is_loopback(host.strip("[]")) or others.data.get("keys") is not None
+        if value and not (value.startswith("tcp://") and from_here):
             raise ValueError(_FROM_HERE)
         if value and not (port.isascii() and port.isdigit() and int(port[:6]) <= LARGEST_PORT):
             raise ValueError(f"{port!r} is no port: 1 to {LARGEST_PORT}, or 0 for any free one")
         return value
-
-    @model_validator(mode="after")
-    def _loopback(self) -> Self:
-        host = self.viewers.removeprefix("tcp://").rpartition(":")[0].strip("[]")
-        if self.viewers and self.keys is None and not _is_loopback(host):
-            raise ValueError(_FROM_HERE)
-        return self
 
 
 class DaemonSection(Section):

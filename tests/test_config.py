@@ -318,7 +318,7 @@ def test_default_file_is_good_and_complete() -> None:
 def test_default_file_comments_show_the_defaults() -> None:
     """With every comment of a setting taken away, the set-up is the same: the comments do not lie."""
     text = DEFAULT_CONFIG.read_text(encoding="utf-8")
-    examples = ("# urdf", "# sensor_link", "# base_link", "# settings")
+    examples = ("# urdf", "# sensor_link", "# base_link", "# settings", "# keys")
     lines = [line for line in text.splitlines() if not line.startswith(examples)]
     shown = "\n".join(line[2:] if line.startswith("# ") and " = " in line else line for line in lines)
     shown = shown.replace("# [robot.delta]", "[robot.delta]")
