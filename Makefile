@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip install --quiet --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test inject-test loop-test lint lowest wheel-test bench proof mistakes clean
+.PHONY: help install demo test inject-test loop-test lint lowest wheel-test bench soak proof mistakes clean
 
 help:
 	@echo "make demo    calibrate a tool on the virtual robot and compensate live, with figures in demo-output/"
@@ -18,6 +18,7 @@ help:
 	@echo "make lint    style, types, layers"
 	@echo "make lowest  what pyproject.toml promises of old versions: its lowest set in a venv of its own, and a part of the tests"
 	@echo "make bench   the benchmarks, written to docs/benchmarks.md (about 15 minutes)"
+	@echo "make soak    an hour of the daemon with faults at random and ten listeners, written to docs/soak.md"
 	@echo "make proof   the blind proof of the diagnosis, written to docs/proof.md (long)"
 	@echo "make mistakes  300 recordings with one ordinary mistake each, a section of docs/proof.md (long)"
 
@@ -80,6 +81,9 @@ wheel-test: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m galen_hw.tools.bench --write docs/benchmarks.md
+
+soak: $(STAMP)
+	$(BIN)/python -m galen_hw.tools.soak --write docs/soak.md
 
 proof: $(STAMP)
 	@$(PIP) 'torch>=2.4' mujoco 'pysindy>=2.0'
