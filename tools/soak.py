@@ -183,9 +183,9 @@ def report(story: Story, seconds: float) -> tuple[str, bool]:
     """Markdown, and whether the promises were kept."""
     slopes = {name: slope(points) for name, points in story.memory.items()}
     good = not story.lost and not story.wire and not any(value > MOST_SLOPE for value in slopes.values())
+    head = f"{seconds / 60:.0f} minutes at 1 kHz, {LISTENERS} subscribers, {STUCK} of them stuck, "
     lines = [
-        f"{seconds / 60:.0f} minutes at 1 kHz, {LISTENERS} subscribers, {STUCK} of them stuck, "
-        f"{len(story.faults)} faults at random.",
+        f"{head}{len(story.faults)} faults at random.",
         "",
         "| what | promised | measured |",
         "| --- | --- | --- |",
