@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip install --quiet --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test inject-test loop-test lint lowest wheel-test bench fuzz lock audit proof mistakes clean
+.PHONY: help install demo test inject-test loop-test lint lowest wheel-test bench soak fuzz lock audit proof mistakes clean
 
 help:
 	@echo "make demo    calibrate a tool on the virtual robot and compensate live, with figures in demo-output/"
@@ -21,6 +21,7 @@ help:
 	@echo "make fuzz    a million inputs for whatever reads foreign bytes, written to docs/fuzz.md (long)"
 	@echo "make lock    requirements.lock anew: every package with its hashes"
 	@echo "make audit   the packages of the lock against the advisory database"
+	@echo "make soak    an hour of the daemon with faults at random and ten listeners, written to docs/soak.md"
 	@echo "make proof   the blind proof of the diagnosis, written to docs/proof.md (long)"
 	@echo "make mistakes  300 recordings with one ordinary mistake each, a section of docs/proof.md (long)"
 
@@ -99,6 +100,9 @@ lock: $(STAMP)
 audit: $(STAMP)
 	@$(PIP) pip-audit
 	PATH="$(abspath $(BIN)):$$PATH" $(BIN)/python .ci/audit
+
+soak: $(STAMP)
+	$(BIN)/python -m galen_hw.tools.soak --write docs/soak.md
 
 proof: $(STAMP)
 	@$(PIP) 'torch>=2.4' mujoco 'pysindy>=2.0'

@@ -83,6 +83,14 @@ def browser_page(url: str, **window: Any) -> Iterator[Any]:
     assert complaints == []
 
 
+def reach(page: Any, role: str, name: str) -> Any:
+    """A button or link once it is there; what the page says where the calibration has ended before."""
+    wanted = page.get_by_role(role, name=name)
+    wanted.or_(page.get_by_text("It did not come to its end")).first.wait_for(timeout=LONG_MS)
+    assert wanted.is_visible(), page.inner_text("#cal-body")
+    return wanted
+
+
 def test_a_whole_calibration_by_clicking(tmp_path: Path) -> None:
     """Begin, tool off, tool on, accept; the tool is saved as it is, in hand, and its report can be opened."""
     with dashboard(tmp_path) as url:
@@ -91,13 +99,13 @@ def test_a_whole_calibration_by_clicking(tmp_path: Path) -> None:
             page.get_by_role("button", name="pointer").last.click()
             page.click("#calibrate")
             page.click("#ask-yes")
-            page.get_by_role("button", name="It is off, go on").click(timeout=LONG_MS)
+            reach(page, "button", "It is off, go on").click()
             page.get_by_text("Measuring").wait_for(timeout=LONG_MS)
-            page.get_by_role("button", name="It is on, go on").click(timeout=LONG_MS)
-            page.get_by_role("button", name="Accept").click(timeout=LONG_MS)
-            page.get_by_role("link", name="Open the report").wait_for(timeout=LONG_MS)
+            reach(page, "button", "It is on, go on").click()
+            reach(page, "button", "Accept").click()
+            report = reach(page, "link", "Open the report")
             with page.expect_popup() as opened:
-                page.get_by_role("link", name="Open the report").click()
+                report.click()
             assert "pointer" in opened.value.title()
             page.get_by_text("Valid: pointer compensated").wait_for(timeout=LONG_MS)
             page.click("#enable")
@@ -124,7 +132,7 @@ def test_a_page_that_is_closed_stops_its_calibration(tmp_path: Path) -> None:
             page.get_by_role("button", name="pointer").last.click()
             page.click("#calibrate")
             page.click("#ask-yes")
-            page.get_by_role("button", name="It is off, go on").click(timeout=LONG_MS)
+            reach(page, "button", "It is off, go on").click()
             page.get_by_text("pose 2 of").wait_for(timeout=LONG_MS)
         with browser_page(url) as page:
             page.get_by_text("the page that began it was closed").wait_for(timeout=LONG_MS)

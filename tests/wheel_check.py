@@ -27,6 +27,10 @@ MUST_HOLD = (
     "galen_hw/tools/calibration/report.html.j2",
     "galen_hw/tools/collect/session.py",
     "galen_hw/tools/deflection/report.html.j2",
+    "galen_hw/tools/dashboard/static/index.html",
+    "galen_hw/tools/dashboard/static/page.js",
+    "galen_hw/tools/dashboard/static/uPlot.iife.min.js",
+    "galen_hw/tools/dashboard/static/uPlot.LICENSE.txt",
     "galen_hw/py.typed",
 )
 

@@ -1,8 +1,7 @@
 """`galen-hw dashboard`: the robot live in a browser: wrench, arm, tools, tare, zero, calibration, stop, health, reports."""
 
 import argparse
-import os
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -14,7 +13,6 @@ if TYPE_CHECKING:
 
 PORT: Final = 8765
 HOST: Final = "127.0.0.1"
-LOWER: Final = 5
 NEEDED: Final = ("starlette", "uvicorn", "websockets")
 
 
@@ -75,8 +73,6 @@ def _serve(args: argparse.Namespace, addresses: "Addresses", overrides: dict[str
     from galen_hw.tools.dashboard.feed import Feed
     from galen_hw.tools.dashboard.server import Dashboard, listen, make_server
 
-    with suppress(OSError):
-        os.nice(LOWER)  # the robot's loop first, wherever the cores are few
     access = Access(args.host, look_only=args.look_only)
     calibration = Calibration(addresses, overrides, check=not args.no_check)
     dashboard = Dashboard(Feed(addresses), Actions(addresses, calibration), calibration, access)
