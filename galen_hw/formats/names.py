@@ -86,7 +86,8 @@ _KINDS: Final = {
 _INDEXED: Final = {kind: re.compile(rf"(?:(.*?)_)?(?:{words})_?(\d+)$") for kind, words in _KINDS.items()}
 _JOINT_FIRST: Final = {kind: re.compile(rf"(?:joint|j|axis)_?(\d+)_(?:{words})$") for kind, words in _KINDS.items()}
 _JOINT_ALONE: Final = re.compile(r"(?:joint|axis|j)_?(\d+)$")
-_NAMED: Final = re.compile(rf"({'|'.join(_KINDS.values())})\[(.+)\]$")
+_NAMED: Final = re.compile(rf"(?P<kind>{'|'.join(_KINDS.values())})\[(?P<name>.+)\]$")
+_LISTED: Final = re.compile(r"joints?\[(?P<name>.+)\]\.(?P<kind>position|velocity|effort)$")
 _TEMPERATURE: Final = re.compile(r"(?:temperature|temp)(?:_(.+))?$|(.+)_(?:temperature|temp)$")
 
 
@@ -113,9 +114,10 @@ def _of_column(stream: Stream, column: str) -> Iterator[Match]:
         yield match(stream.hints[column], SURE + 1)
     elif _ours(column):
         yield match(column, SURE)
-    elif joint := _NAMED.match(name):
-        named = f"joint_{joint[2]}" if joint[2].isdigit() else joint[2]
-        yield match(f"joint.{named}.{_kind(joint[1])}", SURE)
+    elif joint := _NAMED.match(name) or _LISTED.match(name):
+        kind, one = (joint["kind"], joint["name"])
+        named = f"joint_{one}" if one.isdigit() else one
+        yield match(f"joint.{named}.{_kind(kind)}", SURE)
     else:
         yield from (match(*one) for one in _by_name(plain(name)))
 
