@@ -134,10 +134,9 @@ def test_dds_carries_them_as_ros_does(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setenv("ROS_DOMAIN_ID", "77")
     listener = DomainParticipant(77)
-    readers = {
-        name: DataReader(listener, Topic(listener, f"rt/galen/{name}", kind, qos=QOS), qos=QOS)
-        for name, kind in (("ft/raw", WrenchStamped_), ("joint_states", JointState_))
-    }
+    kinds = {"ft/raw": WrenchStamped_, "joint_states": JointState_}
+    topics = {name: Topic(listener, f"rt/galen/{name}", kind, qos=QOS) for name, kind in kinds.items()}
+    readers = {name: DataReader(listener, topic, qos=QOS) for name, topic in topics.items()}
     args = Namespace(namespace="/galen/", sensor_frame="ft", base_frame="base")
     heard: dict[str, Any] = {}
     with ros2_publisher.opened(args) as (take, line):
@@ -152,4 +151,4 @@ def test_dds_carries_them_as_ros_does(monkeypatch: pytest.MonkeyPatch) -> None:
     assert heard["ft/raw"].header.frame_id == "ft"
     assert heard["joint_states"].name == list(JOINTS.position)
     assert heard["joint_states"].position == list(JOINTS.position.values())
-    assert WrenchStamped_.__idl__.get_type_name() == "geometry_msgs::msg::dds_::WrenchStamped_"  # type: ignore[attr-defined]
+    assert topics["ft/raw"].typename == "geometry_msgs::msg::dds_::WrenchStamped_"

@@ -16,7 +16,6 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 # ruff: noqa: D101, N801 - names and fields are those of the ROS messages
-# mypy: disable-error-code="misc, call-arg" - where cyclonedds is not installed its base class is not known
 
 
 @dataclass
