@@ -10,9 +10,12 @@ from galen_hw.formats.contents import Stream
 from galen_hw.formats.units import factor, split_unit
 from galen_hw.recording.recording import FIXED_COLUMNS, JOINT_KINDS, group_of, joint_column
 
+_REWORKED: Final = re.compile(r"_(raw|filt(?:ered)?|comp(?:ensated)?|zeroed|smooth(?:ed)?|est(?:imated)?)$")
 SURE, LIKELY, WEAK = 3, 2, 1
 """Told by the file or by our own name; by a usual name; by a name that may be something else."""
-LESSER: Final = re.compile(r"filter|compens|zero|desired|target|setpoint|command|_ref|bias|smooth|est", re.IGNORECASE)
+LESSER: Final = re.compile(
+    r"filt|/comp|compens|zero|desired|target|setpoint|command|_ref|bias|smooth|est", re.IGNORECASE
+)
 """Of two streams that fit, one that is so called is not the raw one."""
 
 
@@ -119,7 +122,8 @@ def _of_column(stream: Stream, column: str) -> Iterator[Match]:
         named = f"joint_{one}" if one.isdigit() else one
         yield match(f"joint.{named}.{_kind(kind)}", SURE)
     else:
-        yield from (match(*one) for one in _by_name(plain(name)))
+        bare, _, how = _REWORKED.sub(r"/\1", plain(name)).partition("/")
+        yield from (match(target, weight, f"{source}/{how}") for target, weight, source in _by_name(bare))
 
 
 def _kind(word: str) -> str:
