@@ -100,6 +100,9 @@ def import_files(paths: Sequence[Path], map_file: Path | None = None, info: dict
         except UsageError as error:
             where = f"{map_file}: {error.where}" if error.where else str(map_file)
             raise UsageError(error.what, where=where, todo=error.todo) from None
+    if not what.entries and what.doubtful:
+        titles = tuple(stream.title for one in contents for stream in one.streams)
+        return Imported(Recording({}), what, titles, (), tuple(name for name, _ in named))
     if not what.entries:
         raise _nothing(paths, contents)
     what.info = _beside(paths[0]) | what.info | (info or {})

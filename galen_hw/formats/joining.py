@@ -17,8 +17,8 @@ from galen_hw.spatial import Array
 
 ORDER: Final = ("wrench", "effort", "pose", "targets", "position")
 """Whose samples are the rows, where nothing is named to compare."""
-FAR_S: Final = 1.0
-"""Header stamps that differ from the log by more are of another clock, and that is said."""
+SAME_S: Final = 1e-9
+"""Stamps in whole nanoseconds that are this near are the same."""
 
 
 @dataclass
@@ -117,8 +117,10 @@ def _add(joined: Joined, base: Stream, stream: Stream, entries: list[Entry], wha
     _unit_length(out)
     joined.columns |= out
     if any(e.target.startswith("joint.") for e in entries):
-        newest = np.searchsorted(t, time, side="right") - 1
-        joined.columns["covariate.joint_age"] = np.where(newest < 0, np.nan, time - t[np.maximum(newest, 0)])
+        newest = np.searchsorted(t, time + SAME_S, side="right") - 1
+        joined.columns["covariate.joint_age"] = np.where(
+            newest < 0, np.nan, np.maximum(time - t[np.maximum(newest, 0)], 0.0)
+        )
     first = next(iter(out.values()))
     empty = int(np.isnan(first).sum())
     beyond = f", {empty} rows without it" if empty else ""

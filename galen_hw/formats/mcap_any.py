@@ -155,9 +155,11 @@ class _Objects:
             n: v for n, v in columns.items() if n.split(".")[-1] not in ("sec", "nsec", "nanosec", "seconds", "nanos")
         }
         late = (logged - origin) / NS_PER_S if headed else None
-        contents.streams.append(
-            Stream(self._topic, numbers, self._kind, (clock - origin) / NS_PER_S, origin, late, lost=self._lost)
-        )
+        stream = Stream(self._topic, numbers, self._kind, (clock - origin) / NS_PER_S, origin, late, lost=self._lost)
+        if self._kind == "foxglove.FrameTransform":
+            stream.hints = {f"rotation.{a}": f"sensor.orientation.{a}" for a in "xyzw"}
+            stream.columns = {name: values for name, values in numbers.items() if name in stream.hints}
+        contents.streams.append(stream)
 
 
 def _flatten(place: str, value: Any, row: dict[str, float]) -> None:
@@ -167,7 +169,8 @@ def _flatten(place: str, value: Any, row: dict[str, float]) -> None:
     elif isinstance(value, list):
         if len(value) <= MOST_ELEMENTS:
             for i, inner in enumerate(value):
-                _flatten(f"{place}[{i}]", inner, row)
+                name = inner.get("name") if isinstance(inner, dict) else None
+                _flatten(f"{place}[{name or i}]", inner, row)
     elif isinstance(value, bool | int | float):
         row[place] = float(value)
     elif value is None:

@@ -10,9 +10,12 @@ from galen_hw.formats.contents import Stream
 from galen_hw.formats.units import factor, split_unit
 from galen_hw.recording.recording import FIXED_COLUMNS, JOINT_KINDS, group_of, joint_column
 
+_REWORKED: Final = re.compile(r"_(raw|filt(?:ered)?|comp(?:ensated)?|zeroed|smooth(?:ed)?|est(?:imated)?)$")
 SURE, LIKELY, WEAK = 3, 2, 1
 """Told by the file or by our own name; by a usual name; by a name that may be something else."""
-LESSER: Final = re.compile(r"filter|compens|zero|desired|target|setpoint|command|_ref|bias|smooth|est", re.IGNORECASE)
+LESSER: Final = re.compile(
+    r"filt|/comp|compens|zero|desired|target|setpoint|command|_ref|bias|smooth|est", re.IGNORECASE
+)
 """Of two streams that fit, one that is so called is not the raw one."""
 
 
@@ -86,7 +89,8 @@ _KINDS: Final = {
 _INDEXED: Final = {kind: re.compile(rf"(?:(.*?)_)?(?:{words})_?(\d+)$") for kind, words in _KINDS.items()}
 _JOINT_FIRST: Final = {kind: re.compile(rf"(?:joint|j|axis)_?(\d+)_(?:{words})$") for kind, words in _KINDS.items()}
 _JOINT_ALONE: Final = re.compile(r"(?:joint|axis|j)_?(\d+)$")
-_NAMED: Final = re.compile(rf"({'|'.join(_KINDS.values())})\[(.+)\]$")
+_NAMED: Final = re.compile(rf"(?P<kind>{'|'.join(_KINDS.values())})\[(?P<name>.+)\]$")
+_LISTED: Final = re.compile(r"joints?\[(?P<name>.+)\]\.(?P<kind>position|velocity|effort)$")
 _TEMPERATURE: Final = re.compile(r"(?:temperature|temp)(?:_(.+))?$|(.+)_(?:temperature|temp)$")
 
 
@@ -113,11 +117,13 @@ def _of_column(stream: Stream, column: str) -> Iterator[Match]:
         yield match(stream.hints[column], SURE + 1)
     elif _ours(column):
         yield match(column, SURE)
-    elif joint := _NAMED.match(name):
-        named = f"joint_{joint[2]}" if joint[2].isdigit() else joint[2]
-        yield match(f"joint.{named}.{_kind(joint[1])}", SURE)
+    elif joint := _NAMED.match(name) or _LISTED.match(name):
+        kind, one = (joint["kind"], joint["name"])
+        named = f"joint_{one}" if one.isdigit() else one
+        yield match(f"joint.{named}.{_kind(kind)}", SURE)
     else:
-        yield from (match(*one) for one in _by_name(plain(name)))
+        bare, _, how = _REWORKED.sub(r"/\1", plain(name)).partition("/")
+        yield from (match(target, weight, f"{source}/{how}") for target, weight, source in _by_name(bare))
 
 
 def _kind(word: str) -> str:

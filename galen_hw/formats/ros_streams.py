@@ -1,5 +1,6 @@
 """Topics of ROS messages, of bags and of MCAP, as streams."""
 
+import re
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -19,12 +20,14 @@ HINTS: Final = {
         **{f"transform.translation.{a}": f"pose.position.{a}" for a in "xyz"},
         **{f"transform.rotation.{a}": f"pose.orientation.{a}" for a in "xyzw"},
     },
+    "geometry_msgs/msg/QuaternionStamped": {f"quaternion.{a}": f"sensor.orientation.{a}" for a in "xyzw"},
     "sensor_msgs/msg/Imu": {
         **{f"linear_acceleration.{a}": f"imu.acceleration.{a}" for a in "xyz"},
         **{f"angular_velocity.{a}": f"imu.angular_velocity.{a}" for a in "xyz"},
     },
 }
 """What the fields of a type are, where their names do not say it."""
+_TARGET: Final = re.compile(r".*/target/(\w+)")
 UNNEEDED: Final = ("covariance", ".header.")
 
 
@@ -130,6 +133,8 @@ class Topics:
         }
         frame = next((t for n, t in gatherer.texts.items() if n.endswith("header.frame_id")), "")
         hints = {c: t for c, t in HINTS.get(kind, {}).items() if c in numbers}
+        if kind == "geometry_msgs/msg/PointStamped" and (target := _TARGET.fullmatch(topic)):
+            hints = {f"point.{a}": f"target.{target[1]}.position.{a}" for a in "xyz"}
         return Stream(
             topic,
             numbers,
