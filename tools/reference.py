@@ -55,8 +55,9 @@ def _section(name: str, parser: argparse.ArgumentParser, level: int) -> Iterator
 
 
 def _shown(action: argparse.Action) -> bool:
-    parts = argparse._HelpAction | argparse._SubParsersAction  # noqa: SLF001
-    return action.help != argparse.SUPPRESS and not isinstance(action, parts)
+    """Whether it is a word of the command's own, and meant for people."""
+    hidden = (argparse._HelpAction, argparse._SubParsersAction)  # noqa: SLF001
+    return action.help != argparse.SUPPRESS and not isinstance(action, hidden)
 
 
 def _words(action: argparse.Action) -> str:
