@@ -57,7 +57,7 @@ loop-test: $(STAMP)
 
 docs: $(BASE)
 	@$(PIP) --editable '.[docs]'
-	$(BIN)/python -m galen_hw.tools.reference docs/commands.md
+	$(BIN)/python docs/reference.py docs/commands.md
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 lint: $(STAMP)

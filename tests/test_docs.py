@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 import galen_hw
+from docs.reference import reference
 from galen_hw.cli import COMMANDS, main
-from galen_hw.tools.reference import reference
 
 ROOT = Path(__file__).parents[1]
 

@@ -1,4 +1,4 @@
-"""Writes the reference of the command line from the program's own parsers: `python -m galen_hw.tools.reference FILE`."""
+"""Writes the reference of the command line from the program's own parsers: `python docs/reference.py FILE`."""
 
 import argparse
 import sys
@@ -9,7 +9,7 @@ from galen_hw.cli import COMMANDS, parser_of
 
 HEAD = """# Commands
 
-Written from the program's own parsers (`python -m galen_hw.tools.reference docs/commands.md`). Numbers may have a unit where
+Written from the program's own parsers (`python docs/reference.py docs/commands.md`). Numbers may have a unit where
 the option is a length of time or a force (`--seconds 2min`, `--max-force 12N`), and in `galen-hw command` (`17deg`, `5mm`).
 
 Exit status: 0 fine, 1 something was found, 2 wrong use or input, 3 hardware, 4 refused (nothing was done), 70 internal error,
