@@ -8,13 +8,14 @@ STAMP := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip install --quiet --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test inject-test loop-test lint lowest wheel-test bench soak fuzz lock audit proof mistakes clean
+.PHONY: help install docs demo test inject-test loop-test lint lowest wheel-test bench soak fuzz lock audit proof mistakes clean
 
 help:
 	@echo "make demo    calibrate a tool on the virtual robot and compensate live, with figures in demo-output/"
 	@echo "make test    the test suite (ten minutes)"
 	@echo "make inject-test  concealed recordings that take long to explain (eight minutes)"
 	@echo "make loop-test  a concealed cable and drift: recorded, named, saved, served, gone (minutes of a live robot)"
+	@echo "make docs    the documentation as a site in site/, to be read without a network"
 	@echo "make lint    style, types, layers"
 	@echo "make lowest  what pyproject.toml promises of old versions: its lowest set in a venv of its own, and a part of the tests"
 	@echo "make bench   the benchmarks, written to docs/benchmarks.md (about 15 minutes)"
@@ -57,6 +58,11 @@ inject-test: $(STAMP)
 
 loop-test: $(STAMP)
 	$(BIN)/python -m pytest -m long
+
+docs: $(BASE)
+	@$(PIP) --editable '.[docs]'
+	$(BIN)/python docs/reference.py docs/commands.md
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -113,4 +119,4 @@ mistakes: $(STAMP)
 	$(BIN)/python -m galen_hw.tools.blind_proof.mistakes --write docs/proof.md
 
 clean:
-	rm -rf $(VENV) $(LOWEST) build dist demo-output proof-output *.egg-info
+	rm -rf $(VENV) $(LOWEST) build dist site demo-output proof-output *.egg-info

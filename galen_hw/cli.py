@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
-from galen_hw.errors import EXIT_INTERNAL, EXIT_USAGE, GalenError
+from galen_hw.errors import EXIT_INTERNAL, EXIT_OK, EXIT_USAGE, GalenError, UsageError
 from galen_hw.extras import explained
 from galen_hw.version import VERSION
 
@@ -89,6 +89,8 @@ def _run(argv: list[str]) -> int:
         if unknown:
             meant = _meant(unknown[0].partition("=")[0], _options(parser))
             _Parser(prog=f"galen-hw {command or ''}".strip()).error(f"{' '.join(unknown)}: not known{meant}")
+        if args.completion is not None:
+            return _complete(args.completion)
         if args.command is None:
             parser.print_help()
             return EXIT_USAGE
@@ -100,6 +102,21 @@ def _run(argv: list[str]) -> int:
             raise missing from error
         raise
     return status
+
+
+def _complete(shell: str) -> int:
+    """Print what a shell needs to complete commands and options.
+
+    Raises:
+        MissingExtraError: shtab is not installed.
+        UsageError: not a shell that it knows.
+    """
+    import shtab
+
+    if shell not in shtab.SUPPORTED_SHELLS:
+        raise UsageError(f"no completion for {shell!r}", todo=f"one of: {', '.join(shtab.SUPPORTED_SHELLS)}")
+    print(shtab.complete(_parser(list(COMMANDS))[0], shell=shell))
+    return EXIT_OK
 
 
 def _named(argv: list[str]) -> str | None:
@@ -140,13 +157,24 @@ def _parser(argv: list[str]) -> tuple[argparse.ArgumentParser, str | None]:
         prog="galen-hw", description="Hardware interface of the Galen surgical robot.", formatter_class=_OneColumn
     )
     parser.add_argument("--version", action="version", version=f"galen-hw {VERSION}")
+    parser.add_argument("--completion", metavar="SHELL", help="print the completion of bash, zsh, fish or tcsh")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
     named = _named(argv)
     for name, (module, text) in COMMANDS.items():
         sub = subparsers.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-        if name == named:
+        if name == named or argv == [*COMMANDS]:  # all of them, for the completion
             importlib.import_module(module).add_arguments(sub)
     return parser, named if named in COMMANDS else None
+
+
+def parser_of(command: str) -> argparse.ArgumentParser:
+    """Return a command's own parser, for what is written from it: the reference, completion."""
+    parser, _ = _parser([command])
+    for action in parser._actions:  # noqa: SLF001 - argparse gives no other way to the parsers below
+        if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
+            found: argparse.ArgumentParser = action.choices[command]
+            return found
+    raise AssertionError(command)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -11,6 +11,7 @@ EXTRAS: Final[dict[str, tuple[str, ...]]] = {
     "import": ("pyarrow",),
     "dask": ("distributed", "dask"),
     "torch": ("torch",),
+    "completion": ("shtab",),
 }
 """Name of the extra: modules that nothing else needs."""
 NAMES: Final = {"sklearn": "scikit-learn", "jinja2": "Jinja2"}

@@ -3,6 +3,7 @@
 import contextlib
 import importlib
 import io
+import math
 import os
 import re
 import shlex
@@ -152,3 +153,51 @@ def test_commands_of_the_topics_page_can_be_pasted() -> None:
     lines = re.findall(r"`(galen-hw command motors [^`]+)`", (ROOT / "docs" / "topics.md").read_text())
     found = {shlex.split(line)[3]: parse_arguments(shlex.split(line)[4:]) for line in lines}
     assert found == {"move_jp": {"position": {"roll": 0.3}}, "servo_jv": {"velocity": {"roll": 0.1}}}
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["calibrat"], "calibrate"),
+        (["tool", "lst"], "list"),
+        (["record", "--secnds", "3"], "--seconds"),
+        (["tool", "import", "x.json", "--froeign"], "--foreign"),
+        (["deflection", "fit", "x", "--modles"], "--models"),
+    ],
+)
+def test_the_nearest_word_is_named(words: list[str], meant: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A command, a part or an option that is misspelt: one line with the one that was meant, status 2."""
+    with pytest.raises(SystemExit) as exit_:
+        main(words)
+    assert exit_.value.code == EXIT_USAGE
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"did you mean {meant}?" in line
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("17deg", math.radians(17.0)),
+        ("-5 mm", -5e-3),
+        ("1.5e1kN", 15e3),
+        ("2min", 120.0),
+        ("20deg/s", math.radians(20.0)),
+        ("7", 7),
+        ("5furlong", "5furlong"),
+        ('"5mm"', "5mm"),
+        ("retractor", "retractor"),
+    ],
+)
+def test_numbers_may_have_a_unit(text: str, value: float | str) -> None:
+    """SI where the unit is known; what is no quantity stays a word, and quotes keep a word that looks like one."""
+    found = parse_arguments([f"a.b={text}"])["a"]["b"]
+    assert found == (pytest.approx(value) if isinstance(value, float) else value)
+
+
+def test_an_option_takes_its_own_kind_of_unit(capsys: pytest.CaptureFixture[str]) -> None:
+    """Seconds in minutes, and no newtons for seconds."""
+    parser, _ = _parser(["record"])
+    assert parser.parse_args(["record", "--seconds", "2min"]).seconds == 120.0
+    with pytest.raises(SystemExit):
+        parser.parse_args(["record", "--seconds", "2N"])
+    assert "invalid number in s value: '2N'" in capsys.readouterr().err

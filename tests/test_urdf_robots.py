@@ -220,3 +220,12 @@ def test_a_file_may_name_its_encoding(tmp_path: Path) -> None:
     (tmp_path / "a.urdf").write_text(text, encoding="latin-1")
     for given in (text, tmp_path / "a.urdf"):
         assert UrdfRobot(given).base_link == "Fuß"
+
+
+def test_a_xacro_file_is_refused_with_what_makes_a_urdf_of_it(tmp_path: Path) -> None:
+    """It would run expressions and read other files: never done unasked."""
+    head = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="x">'
+    text = head + '<xacro:property name="w" value="1"/><link name="a"/></robot>'
+    (tmp_path / "arm.urdf.xacro").write_text(text)
+    with pytest.raises(UsageError, match="a xacro file, which is no URDF yet; make one of it: pip install xacrodoc"):
+        UrdfRobot(tmp_path / "arm.urdf.xacro")

@@ -10,7 +10,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", metavar="FILE", help="settings (default: /etc/galen-hw/galen.toml)")
     parser.add_argument("--virtual", action="store_true", help="start a virtual robot and use its wires")
     parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory for the sockets")
-    parser.add_argument("--parent-pid", type=int, metavar="PID", help="end when that process ends")
+    parser.add_argument("--parent-pid", type=int, metavar="PID", help=argparse.SUPPRESS)
     parser.epilog = "example: galen-hw run --virtual"
 
 

@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tool", help="in the holder at first: pointer or retractor; default none")
     parser.add_argument("--seed", type=int, default=0, help="of the noise; the same seed, the same noise")
     parser.add_argument("--settings", default="{}", help="JSON, settings by device: '{\"ati_netcanoem\": {...}}'")
-    parser.add_argument("--parent-pid", type=int, help="end when that process ends")
+    parser.add_argument("--parent-pid", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--json", action="store_true", help="one line of JSON instead of text when ready")
 
 

@@ -23,7 +23,7 @@ def export(recording: Recording, path: Path, kind: str, *, overwrite: bool = Fal
         UsageError: the file is there already or cannot be written, or a package is not installed.
     """
     if path.exists() and not (overwrite and path.is_file()):
-        raise UsageError("is there already", where=str(path), todo="give another name, or --force")
+        raise UsageError("is there already", where=str(path), todo="give another name, or --overwrite")
     if not path.parent.is_dir():
         raise UsageError("there is no such folder", where=str(path.parent), todo="make it first")
     try:
