@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2
@@ -458,6 +458,8 @@ float64 x
 
 
 @settings(max_examples=25, deadline=None)
+@example([(["a", "b", ""], [0.0, 0.0], False)])
+@example([(["1"], [], False), (["1", "1"], [2.0, 3.0], True)])
 @given(
     st.lists(
         st.tuples(

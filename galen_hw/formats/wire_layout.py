@@ -75,8 +75,8 @@ class Shape:
         out: dict[str, str] = {}
         for (head, place), elements in lists.items():
             for key in ("name", "joint_names", "names"):
-                texts = [self.texts.get(f"{head}{key}[{i}]", "") for i in range(len(elements) + 1)]
-                names, more = texts[:-1], texts[-1]
+                names = [self.texts.get(f"{head}{key}[{i}]", "") for i in range(len(elements))]
+                more = f"{head}{key}[{len(elements)}]" in self.texts
                 if all(names) and not more and len(set(names)) == len(names):
                     out |= {element: f"{head}{place}[{text}]" for element, text in zip(elements, names, strict=True)}
         return out
