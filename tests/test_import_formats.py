@@ -50,3 +50,10 @@ def test_a_file_in_and_a_diagnosis_out_in_one_command(name: str, tmp_path: Path)
     else:
         assert first["effect"] == "payload"
         assert abs(first["parameters"]["mass"]["value"] - MASS) < 0.03
+
+
+def test_the_table_in_the_docs_lists_what_is_tested() -> None:
+    """Every format of the tests has its line in docs/import.md, and every line is tested."""
+    lines = (Path(__file__).parents[1] / "docs" / "import.md").read_text(encoding="utf-8").splitlines()
+    rows = [line.split("|")[1].strip() for line in lines if "`galen-hw diagnose" in line and line.startswith("|")]
+    assert rows == [*WRENCHES, *ARMS]

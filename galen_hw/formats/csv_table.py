@@ -47,6 +47,9 @@ class Layout:
     first: int
 
 
+Score = tuple[float, bool, int]
+
+
 def sniff(head: Head) -> bool:
     """Whether it is a text with rows of numbers."""
     return layout_of(head.lines) is not None
@@ -54,16 +57,16 @@ def sniff(head: Head) -> bool:
 
 def layout_of(lines: Sequence[str]) -> Layout | None:
     """How the first lines of a file are written; None where they are no table of numbers."""
-    best: tuple[int, int, Layout] | None = None
+    best: tuple[Score, Layout] | None = None
     for separator in SEPARATORS:
         found = _layout(lines, separator)
-        if found is not None and (best is None or found[:2] > best[:2]):
+        if found is not None and (best is None or found[0] > best[0]):
             best = found
-    return None if best is None else best[2]
+    return None if best is None else best[1]
 
 
-def _layout(lines: Sequence[str], separator: str) -> tuple[int, int, Layout] | None:
-    """How many of the rows fit this separator and how wide they are, and the layout."""
+def _layout(lines: Sequence[str], separator: str) -> tuple[Score, Layout] | None:
+    """How well the rows fit this separator, and the layout: cells that are numbers, then names above them, then width."""
     rows = [_cells(line, separator) for line in lines]
     numeric = {
         i: _numbers(cells) for i, cells in enumerate(rows) if _numbers(cells) >= 1 and 2 * _numbers(cells) >= len(cells)
@@ -82,7 +85,8 @@ def _layout(lines: Sequence[str], separator: str) -> tuple[int, int, Layout] | N
     names = [f"column_{i + 1}" for i in range(width)] if header is None else [c.lstrip("#% ") for c in rows[header]]
     known = tuple(rows[units]) if units is not None else ()
     layout = Layout(separator, "," if commas > points else ".", header, tuple(_distinct(names)), known, first)
-    return len(fitting), width, layout
+    share = sum(numeric[i] for i in fitting) / (width * len(fitting))
+    return (round(share, 2), header is not None, width), layout
 
 
 def _cells(line: str, separator: str) -> list[str]:

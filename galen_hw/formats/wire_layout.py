@@ -62,16 +62,24 @@ class Shape:
 
     @cached_property
     def columns(self) -> dict[str, int]:
-        """Number of the field by the name of its column: what a list of names in the message names is called by it."""
-        return {self._named(name): i for i, (name, _, _) in enumerate(self.fields)}
+        """Number of the field by the name of its column: numbers that a list of names of their length names are called by it."""
+        named = self._named()
+        return {named.get(name, name): i for i, (name, _, _) in enumerate(self.fields)}
 
-    def _named(self, name: str) -> str:
-        found = _ELEMENT.match(name)
-        for key in ("name", "joint_names", "names"):
-            text = self.texts.get(f"{found['head']}{key}[{found['index']}]") if found else None
-            if found and text:
-                return f"{found['head']}{found['list']}[{text}]{found['rest']}"
-        return name
+    def _named(self) -> dict[str, str]:
+        """`position[2]` as `position[elbow]`, where the message has as many different names as positions."""
+        lists: dict[tuple[str, str], list[str]] = {}
+        for name, _, _ in self.fields:
+            if found := _ELEMENT.match(name):
+                lists.setdefault((found["head"], found["list"]), []).append(name)
+        out: dict[str, str] = {}
+        for (head, place), elements in lists.items():
+            for key in ("name", "joint_names", "names"):
+                names = [self.texts.get(f"{head}{key}[{i}]", "") for i in range(len(elements))]
+                more = f"{head}{key}[{len(elements)}]" in self.texts
+                if all(names) and not more and len(set(names)) == len(names):
+                    out |= {element: f"{head}{place}[{text}]" for element, text in zip(elements, names, strict=True)}
+        return out
 
     def fits(self, table: Bytes) -> "np.ndarray[Any, np.dtype[np.bool_]]":
         """(N,) which of messages of this length, (N, length) bytes, have this shape."""
@@ -85,7 +93,7 @@ class Shape:
         return self.fields[self.columns[name]][2]
 
 
-_ELEMENT: Final = re.compile(r"(?P<head>(?:.*\.)?)(?P<list>[^.\[]+)\[(?P<index>\d+)\](?P<rest>.*)$")
+_ELEMENT: Final = re.compile(r"(?P<head>(?:.*\.)?)(?P<list>[^.\[]+)\[\d+\]$")
 
 
 class _Walk:
