@@ -16,6 +16,10 @@ Key = tuple[str | int, ...]
 
 _HEAD: Final = re.compile(r"^\s*\[+\s*([^\[\]]+?)\s*\]+\s*(#.*)?$")
 _ASSIGNMENT: Final = re.compile(r"^\s*([A-Za-z0-9_\-.\"]+)\s*=")
+_TEXT: Final = re.compile(
+    r'"{3}(?:\\.|(?!"{3}).)*"{3}|\'{3}.*?\'{3}|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
+)
+"""Strings and comments: what stands in them is no key, even on a line of its own."""
 _INLINE: Final = re.compile(r"[{,]\s*([A-Za-z0-9_\-\"]+)\s*=")
 
 
@@ -63,15 +67,22 @@ class Places:
         self._lines: dict[Key, int] = {}
         self._begun: dict[Key, int] = {}  # tables that are there for what is in them: `a` of [a.b] and of a.b = 1
         table: Key = ()
-        for number, line in enumerate(text.splitlines(), start=1):
-            if head := _HEAD.match(line):
+        key: Key = ()
+        depth = 0  # of arrays and inline tables that are open where a line begins
+        bare = _TEXT.sub(lambda found: re.sub(r"[^\n]", "_", found[0]), text)
+        for number, (line, seen) in enumerate(zip(text.split("\n"), bare.split("\n"), strict=True), start=1):
+            if depth == 0 and "[" in seen and (head := _HEAD.match(line.rstrip("\r"))):
                 table = _split(head[1])
                 self._add(table, number)
-            elif found := _ASSIGNMENT.match(line):
+                continue
+            found = _ASSIGNMENT.match(line) if depth == 0 and "=" in seen else None
+            if found:
                 key = (*table, *_split(found[1]))
                 self._add(key, number)
-                for inner in _INLINE.finditer(line, found.end()):
-                    self._add((*key, *_split(inner[1])), number)
+            begin = found.end() if found else 0
+            for inner in _INLINE.finditer(line, begin) if found or depth else ():
+                self._add((*key, *_split(inner[1])), number)
+            depth = max(0, depth + sum(seen.count(c) for c in "[{") - sum(seen.count(c) for c in "]}"))
 
     def _add(self, key: Key, number: int) -> None:
         self._lines.setdefault(key, number)

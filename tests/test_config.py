@@ -427,3 +427,20 @@ def test_numbers_that_are_none_are_refused() -> None:
 
     assert math.isnan(tomllib.loads("x = nan")["x"])
     assert "robot.tilt_to_sensor_m" in found[0]
+
+
+@pytest.mark.parametrize(
+    ("before", "lines"),
+    [
+        ('viewers = """tcp\n[fake]\nvewers = 3"""\n', 3),
+        ("viewers = '''\nvewers = 1\n'''\n", 3),
+        ("other = [\n  [1, 2],\n  [3, 4]\n]\n", 4),
+        ('other = [ # [services]\n  { a = 1 },\n  { vewers = "x" } ]\n', 3),
+        ("# [services]\nother = '[x'\n", 2),
+    ],
+)
+def test_a_key_is_named_on_its_own_line_whatever_stands_before_it(before: str, lines: int) -> None:
+    """Strings over several lines, arrays of arrays and comments hold neither tables nor keys of the table they are in."""
+    places = Places("galen.toml", f"[bus]\n{before}vewers = 1\n[services.x]\nraet = 2\n")
+    assert places.where(("bus", "vewers")) == f"galen.toml:{lines + 2}: bus.vewers"
+    assert places.where(("services", "x", "raet")) == f"galen.toml:{lines + 4}: services.x.raet"
