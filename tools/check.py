@@ -22,7 +22,10 @@ STYLE = {"ok": "[green]ok[/green]", "note": "[yellow]note[/yellow]", "problem": 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument(
-        "recordings", nargs="*", metavar="RECORDING", help="check these recordings instead: cells, clocks, units, frames, load"
+        "recordings",
+        nargs="*",
+        metavar="RECORDING",
+        help="check these recordings instead: cells, clocks, units, frames, load",
     )
     parser.add_argument("--config", metavar="FILE", help="settings (default: /etc/galen-hw/galen.toml)")
     parser.add_argument("--virtual", action="store_true", help="check against a virtual robot's wires")

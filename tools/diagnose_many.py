@@ -67,7 +67,11 @@ def _named(given: str | Path, path: Path, *, several: bool) -> Path:
 
 def expanded(path: Path) -> list[Path]:
     """The recordings of a folder of recordings; else the path itself."""
-    if path.is_dir() and is_own(path) and not any((path / f"recording.{kind}").exists() for kind in ("csv", "parquet", "json")):
+    if (
+        path.is_dir()
+        and is_own(path)
+        and not any((path / f"recording.{kind}").exists() for kind in ("csv", "parquet", "json"))
+    ):
         inside = sorted(p for p in path.iterdir() if (p / "recording.json").exists() or p.suffix == ".mcap")
         return inside or [path]
     return [path]

@@ -23,9 +23,9 @@ from galen_hw.errors import CommandRejectedError, GalenError
 from galen_hw.permission import require_writable
 from galen_hw.recording import read_recording
 from galen_hw.tools.calibration.check import LiveCheck, live_check
-from galen_hw.tools.calibration.recorded import setting_of
 from galen_hw.tools.calibration.figures import write_report
 from galen_hw.tools.calibration.poses import poses_of
+from galen_hw.tools.calibration.recorded import setting_of
 from galen_hw.tools.calibration.result import Result, analyse, tool_file, with_terms
 from galen_hw.tools.calibration.sweep import Operator, by_virtual_hand, run_sweep
 

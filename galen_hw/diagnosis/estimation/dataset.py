@@ -19,7 +19,7 @@ from galen_hw.diagnosis.noise.spectrum import Noise, estimate, quantisation
 from galen_hw.diagnosis.stats.linear_algebra import orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.stats.sampling import Index, Mask, Rows, blocks, set_aside
 from galen_hw.physics.effects.base import Columns, Effect, spacing
-from galen_hw.physics.effects.timing import TimeDelay, Timing
+from galen_hw.physics.effects.timing import TimeDelay
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import fading
 from galen_hw.spatial import Array
@@ -163,7 +163,7 @@ class Bench:
     def know(self, hypotheses: Iterable[Hypothesis]) -> None:
         """Keeps what effects do by themselves, whatever the stream carries, until the noise is another: it is asked again."""
         each = ((h.effect, h) for h in hypotheses)
-        self.plain = {e: h for e, h in each if e is not None and (not e.DOWNSTREAM or isinstance(e, Timing))}
+        self.plain = {e: h for e, h in each if e is not None and (not e.DOWNSTREAM or e.CLOCK)}
 
     def raw(self, effect: Effect) -> Columns:
         """An effect's averaged columns, as the late, lagging or clipping stream delivers them."""

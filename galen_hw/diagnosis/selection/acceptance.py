@@ -44,7 +44,7 @@ def asked(bench: Bench, out: Selection, effect: Effect | None, misfit: float) ->
     whole nothing is asked where noise is all that is left and the excess was small.
     """
     episodic = effect is not None and effect.EPISODIC
-    stairs = effect is not None and effect.staircase
+    stairs = effect is not None and bool(effect.single)
     loud = float(np.max(out.start / bench.noise.sigma**2)) > LOUD
     beyond = min(1.0, misfit - 1.0)
     return STAIRS if stairs else WORTH * (1.0 + beyond * episodic), MATTERS * max(beyond, 0.3 * loud)

@@ -14,7 +14,6 @@ from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
 from galen_hw.diagnosis.estimation.linearisation import tangent, unbent
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.physics.effects.base import DOUBT, Effect
-from galen_hw.physics.effects.timing import Lag, Timing
 from galen_hw.spatial import Array
 
 NEARLY = 0.1
@@ -103,8 +102,8 @@ def loosens(other: Effect | None, effect: Effect | None) -> bool:
     """
     if other is None or effect is None:
         return False
-    if isinstance(other, Lag) and isinstance(effect, Timing):
-        return other.damping is not None and not (isinstance(effect, Lag) and effect.damping is not None)
+    if other.swings and effect.CLOCK:
+        return not effect.swings
     return effect.curved and not other.curved and place_of(other) == place_of(effect)
 
 

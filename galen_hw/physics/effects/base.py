@@ -112,6 +112,8 @@ class Effect(ABC):
     ROUGH: ClassVar[bool] = False
     """A law of matter, or a shape: an idea of what happens, never the whole of it. Geometry and weight are no ideas."""
     NULL: ClassVar[Mapping[str, float]] = {}
+    CLOCK: ClassVar[bool] = False
+    """Of downstream effects: a delay or filter through which all else arrives."""
     COMPLEXITY: ClassVar[int] = 3
     """Of look-alikes that do nearly as well while the model still misses much, that with less goes first."""
     RIGID: ClassVar[bool] = False
@@ -196,8 +198,13 @@ class Effect(ABC):
         return 1
 
     @property
-    def staircase(self) -> bool:
-        """Whether it is several jumps at once, which follow any slope."""
+    def single(self) -> tuple["Effect", ...]:
+        """Each part by itself of what was asked together, as several jumps are that follow any slope; empty where it is one."""
+        return ()
+
+    @property
+    def swings(self) -> bool:
+        """Of clocks: whether it answers with a frequency of its own."""
         return False
 
     @classmethod

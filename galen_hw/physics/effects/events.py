@@ -61,11 +61,6 @@ class Step(_Shaped):
     carried: str = ""
     later: tuple[float, ...] = ()
 
-    @property
-    def staircase(self) -> bool:
-        """Whether more jumps follow the first."""
-        return bool(self.later)
-
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """The jump of every channel, or shifts and turns of what has slipped."""
         if self.carried:
@@ -75,8 +70,8 @@ class Step(_Shaped):
 
     @property
     def single(self) -> tuple[Self, ...]:
-        """Each jump by itself."""
-        return tuple(replace(self, moment=t, later=()) for t in (self.moment, *self.later))
+        """Each jump by itself, of several."""
+        return tuple(replace(self, moment=t, later=()) for t in (self.moment, *self.later)) if self.later else ()
 
     def _slipped(self, scene: Scene) -> Carried:
         return next(one for one in scene.slipping() if one.name == self.carried)

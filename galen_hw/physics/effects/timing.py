@@ -20,6 +20,8 @@ BETWEEN = ("lines", "bows", "steps")
 class Timing(Downstream):
     """An effect of the clock."""
 
+    CLOCK = True
+
     NEEDS_CLOCK = True
     joint: str
     between: str
@@ -132,6 +134,11 @@ class Lag(Timing):
     whole: bool = False
     damping: float | None = None
     between: str = "lines"
+
+    @property
+    def swings(self) -> bool:
+        """Of second order."""
+        return self.damping is not None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:

@@ -22,7 +22,12 @@ NOT_ASKED: dict[str, Any] = {"exit": 0, "out": "", "err": "", "seconds": 0.0, "j
 
 
 def answers(
-    folder: Path, cases: list[tuple[str, str, str]], workers: int, patience_s: float = PATIENCE_S, *, control: bool = True
+    folder: Path,
+    cases: list[tuple[str, str, str]],
+    workers: int,
+    patience_s: float = PATIENCE_S,
+    *,
+    control: bool = True,
 ) -> list[Path]:
     """One file a case, {"asked": answer, "control": answer}; those that are there stay.
 

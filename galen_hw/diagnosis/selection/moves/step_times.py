@@ -42,7 +42,7 @@ def parted(out: Selection) -> None:
     chosen: list[int] = []
     for i in out.chosen:
         effect = scorer.library[i].effect
-        single = effect.single if isinstance(effect, Step) and effect.later else ()
+        single = () if effect is None else effect.single
         chosen += range(len(scorer.library), len(scorer.library) + len(single)) if single else [i]
         if single:
             scorer.append([bench.add(one, steps.places_of(len(bench.rows))) for one in single])

@@ -15,7 +15,6 @@ from galen_hw.diagnosis.selection.moves.step_times import parted
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import ALIKE, favour, handicap, slack
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
-from galen_hw.physics.effects.timing import Timing
 
 
 def swapped(out: Selection) -> bool:
@@ -67,7 +66,7 @@ def _swap(out: Selection) -> bool:
 def _flattered(bench: Bench, scorer: Scorer, trial: list[int], i: int, best: int) -> float:
     """How much less the trial leaves than it will without the delay or lag i, through which its columns came."""
     gone, come = scorer.library[i].effect, scorer.library[best].effect
-    if not isinstance(gone, Timing) or isinstance(come, Timing):
+    if gone is None or not gone.CLOCK or (come is not None and come.CLOCK):
         return 0.0
     with as_if(scorer, trial):
         promised = scorer.solve(trial)[2]

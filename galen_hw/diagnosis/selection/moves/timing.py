@@ -25,7 +25,7 @@ from galen_hw.diagnosis.selection.simplicity import ALIKE
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.friction import Friction
-from galen_hw.physics.effects.timing import Lag, TimeDelay, Timing
+from galen_hw.physics.effects.timing import Lag, TimeDelay
 from galen_hw.spatial import Array
 
 RICHER = 0.05
@@ -67,7 +67,7 @@ def own_clocks(out: Selection) -> bool:
     settle_together(bench, scorer, out.chosen)
     (one, _), (each, _) = _sought(bench, scorer, out.chosen, ([e for e in proposed if not e.joint], ends))
     # A response of second order is larger or smaller than what it follows: it would take a scale that is off for its own.
-    swings = any(isinstance(end, Lag) and end.damping is not None for end, _ in one)
+    swings = any(end.swings for end, _ in one)
     exchanged = bool(one) and _exchanged(bench, scorer, out, one, {}, nearly=1 if swings else 0)
     if len({end.joint for end, _ in each}) < 2 or not _exchanged(bench, scorer, out, each, {}, nearly=2):
         return exchanged
@@ -78,7 +78,7 @@ def own_clocks(out: Selection) -> bool:
 
 def _ends(scorer: Scorer, chosen: list[int]) -> list[int]:
     """The delays and lags among the chosen."""
-    return [i for i in chosen if isinstance(scorer.library[i].effect, Timing)]
+    return [i for i in chosen if (effect := scorer.library[i].effect) is not None and effect.CLOCK]
 
 
 def _sought(
@@ -111,7 +111,7 @@ def one_clock(out: Selection) -> bool:
     bench, scorer = out.bench, out.scorer
     late = [i for i in out.chosen if _without_viscous(scorer.library[i].effect) is not None]
     proposed = [e for e in (*TimeDelay.propose(bench.scene), *Lag.propose(bench.scene)) if not e.joint]
-    if len(late) < 2 or not proposed or any(isinstance(scorer.library[i].effect, Timing) for i in out.chosen):
+    if len(late) < 2 or not proposed or _ends(scorer, out.chosen):
         return False
     dry = [(_without_viscous(h.effect), h.looked) for h in (scorer.library[i] for i in late)]
     plain = [bench.add(effect, looked) for effect, looked in dry if effect is not None]
@@ -169,7 +169,7 @@ def _through(
     bench: Bench, scorer: Scorer, others: list[int], clocks: Clocks, instead: dict[Effect, Effect]
 ) -> list[int]:
     """A model of other effects as they arrive through these clocks, settled, and the clocks."""
-    kept = [(end, theta) for end, theta in bench.timing if not isinstance(end, Timing)]
+    kept = [(end, theta) for end, theta in bench.timing if not end.CLOCK]
     ends = [(effect, np.array([1.0 if isinstance(effect, Lag) else size])) for effect, size in clocks]
     # For a while: the search brings all columns to the clocks that it finds chosen.
     with bench.delivering([*kept, *ends]):
