@@ -2,6 +2,8 @@
 
 import json
 import logging
+import os
+import signal
 import subprocess
 import threading
 import urllib.error
@@ -15,7 +17,7 @@ from galen_hw.daemon.ages import Ages
 from galen_hw.daemon.logs import JournalFormatter, OncePerSecond, is_journal
 from galen_hw.messages import Alarm, Health, TopicHealth
 from galen_hw.tools.metrics import MetricsServer, metrics
-from tests.daemon_tree import Tree, daemon_tree
+from tests.daemon_tree import Tree, daemon_tree, within
 
 HEALTH = Health(
     timestamp=1.0,
@@ -142,6 +144,22 @@ def test_status_tells_of_a_running_daemon(tmp_path: Path) -> None:
     assert found["gauges"]["daemon.core disk_free_bytes"] > 0
     assert found["processes"]["health"] > 0
     assert "daemon.motion" in text
+
+
+def test_the_arm_goes_on_when_the_process_that_looks_dies(tmp_path: Path) -> None:
+    """It is started again, however often; the motors are not told to stop, as they are for any other."""
+    with daemon_tree(tmp_path) as tree:
+        tree.write_config("[services.health]\n")
+        tree.start_ready()
+        for _ in range(2):
+            before = tree.call("daemon", "info")["processes"]["health"]
+            os.kill(before, signal.SIGKILL)
+            assert within(
+                60, lambda before=before: tree.call("daemon", "info")["processes"]["health"] not in (0, before)
+            )
+        tree.motors.hear(b"no such word", timeout_s=0.2)
+        assert b"STOP" not in tree.motors.heard
+        assert tree.call("daemon", "info")["ready"]
 
 
 def test_status_without_the_service_says_what_to_add(tmp_path: Path) -> None:

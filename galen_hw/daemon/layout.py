@@ -21,6 +21,9 @@ PROCESS_OF: Final[dict[str, str]] = {
     "deflection": "tracking",
 }
 
+LOOKERS: Final = frozenset({"health"})
+"""Processes that only look: the start does not wait for them, and when one dies the arm may go on."""
+
 PRIORITY_BELOW_CORE: Final[dict[str, int]] = {CORE: 0, "motion": 5}
 """Processes that run in real time where permitted: joints that are stamped late are joints in the wrong place."""
 

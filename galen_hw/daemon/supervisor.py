@@ -19,7 +19,7 @@ from galen_hw.clock import TimeBase
 from galen_hw.config.load import Setup, Tables
 from galen_hw.config.paths import Addresses
 from galen_hw.daemon.broker import Broker
-from galen_hw.daemon.layout import CORE, MOTORS, Share, lay_out
+from galen_hw.daemon.layout import CORE, LOOKERS, MOTORS, Share, lay_out
 from galen_hw.daemon.links import Beat, DeviceState
 from galen_hw.daemon.lock import lock
 from galen_hw.daemon.notify import Notifier
@@ -200,7 +200,7 @@ class Supervisor:
         process.deaths.append(now)
         while process.deaths and process.deaths[0] < now - WITHIN_S:
             process.deaths.popleft()
-        if not self._is_ready or len(process.deaths) > DEATHS_ALLOWED:
+        if name not in LOOKERS and (not self._is_ready or len(process.deaths) > DEATHS_ALLOWED):
             # What dies before the first sample would only die again; a status of our own means that it has said why.
             if code not in (EXIT_USAGE, EXIT_HARDWARE):
                 log.error("%s: ended with status %d; giving up", name, code)
@@ -208,7 +208,7 @@ class Supervisor:
         wait_s = 0.25 * 2 ** (len(process.deaths) - 1)
         log.error("%s: ended with status %d; started again in %.2g s", name, code, wait_s)
         process.start_at = now + wait_s
-        if MOTORS not in process.share.devices:
+        if MOTORS not in process.share.devices and name not in LOOKERS:
             self._broker.command(MOTORS, "stop")
         return EXIT_OK
 
@@ -216,7 +216,7 @@ class Supervisor:
         """READY once all that is required answers and samples flow; an exit status when that cannot be."""
         if self._is_ready:
             return EXIT_OK
-        missing = [name for name in self._processes if name not in self._broker.beats]
+        missing = [name for name in self._processes if name not in self._broker.beats and name not in LOOKERS]
         verdict = self._readiness.judge(
             time.monotonic(), self._device_states(), all_up=not missing, flows=self._flows()
         )
