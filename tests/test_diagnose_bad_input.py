@@ -159,7 +159,7 @@ def test_files_that_are_not_there_or_broken(tmp_path, capsys):
         ("nowhere",): "there is no such recording",
         (str(broken),): "not JSON",
         (str(alone),): "there is no recording.json",
-        (str(junk),): "not an MCAP file",
+        (str(junk),): "not a format that is known",
         (str(tmp_path / "empty"),): "there is no recording.csv",
         (str(good), "--holdout", "nowhere"): "there is no such recording",
         (str(good), "--holdout", "1.5"): "not a share",
