@@ -31,7 +31,8 @@ AT_ONCE: Final = 500
 HEAD: Final = """
 ## A running daemon
 
-Mutated frames of each kind, and crowds of frames, on every socket of `galen-hw run --virtual`. After each socket the same processes must run and new samples be compensated.
+Mutated frames of each kind, and crowds of frames, on every socket of `galen-hw run --virtual`. After each socket the same
+processes must run and new samples be compensated.
 
 | socket | frames | frames/s | processes that ended |
 | --- | --- | --- | --- |
