@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from galen_hw.tools.fuzz import live
 from galen_hw.tools.fuzz.command import main
 from galen_hw.tools.fuzz.mutate import LONGEST, mutated
 from galen_hw.tools.fuzz.targets import TARGETS
@@ -63,3 +64,13 @@ def test_inputs_are_bounded() -> None:
     first = [mutated(random.Random(seed), pool) for seed in range(200)]
     assert max(map(len, first)) <= LONGEST
     assert first == [mutated(random.Random(seed), pool) for seed in range(200)]
+
+
+@pytest.mark.live
+def test_no_frame_ends_a_process_of_a_running_daemon(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A small shower on every socket of a daemon on the virtual robot: the same processes run, samples flow, the page has it."""
+    page = tmp_path / "fuzz.md"
+    page.write_text("# Fuzzing\n")
+    assert live.main(["--frames", "2000", "--append", str(page)]) == 0
+    assert capsys.readouterr().out.count("| 2000 |") == 4
+    assert page.read_text().count("| none |") == 4
