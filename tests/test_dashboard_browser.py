@@ -39,6 +39,7 @@ def dashboard(tmp_path: Path) -> Iterator[str]:
     config = tmp_path / "galen.toml"
     # As in the tests of the command line: no port for viewers, and a stall of this machine is not what this is about.
     text = text.replace("[bus]\n", '[bus]\nviewers = ""\n').replace("[daemon]\n", "[daemon]\nblind_after_s = 2.0\n")
+    text = text.replace("[services.calibration]\n", "[services.calibration]\nheartbeat_s = 5.0\n")
     config.write_text(text, encoding="utf-8")
     words = [
         "dashboard",
@@ -109,7 +110,7 @@ def test_a_whole_calibration_by_clicking(tmp_path: Path) -> None:
             assert "pointer" in opened.value.title()
             page.get_by_text("Valid: pointer compensated").wait_for(timeout=LONG_MS)
             page.click("#enable")
-            page.get_by_text("compensation is off").wait_for(timeout=LONG_MS)
+            page.get_by_text("Valid, but compensation is off").wait_for(timeout=LONG_MS)
             page.click("#stop")
             page.get_by_text("Stopped", exact=True).wait_for(timeout=LONG_MS)
         with browser_page(re.sub("#.*", "", url), viewport={"width": 400, "height": 800}) as page:
