@@ -27,7 +27,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--together", action="store_true", help="fit all recordings as one: the same machine, several runs"
     )
-    parser.add_argument("--json", action="store_true", help="print the answer as JSON, the summary on stderr")
+    parser.add_argument(
+        "--json",
+        nargs="?",
+        const="-",
+        metavar="OUT",
+        help="print the answer as JSON, the summary on stderr; or write it to this file, as -o does",
+    )
     parser.add_argument("-o", "--output", metavar="FILE", type=Path, help="write the answer as JSON to this file")
     parser.add_argument(
         "--report", metavar="PAGE", type=Path, help="write a page with figures: FILE.html, or a folder for report.html"
@@ -61,16 +67,19 @@ def run(args: argparse.Namespace) -> int:
     from galen_hw.tools.diagnose_many import answers_to, expanded
     from galen_hw.tools.diagnose_screen import show
 
+    if args.json and args.json != "-":
+        args.output = args.output or Path(args.json)
+    printed = args.json == "-"
     _check_outputs(args)
     paths = [p for given in args.recordings for p in expanded(Path(given))]
     answers = answers_to(paths, args)
-    show(Console(stderr=args.json), answers)
-    if args.json or args.output:
+    show(Console(stderr=printed), answers)
+    if printed or args.output:
         values = [stamped(answer.to_json(), seed=args.seed) for answer in answers]
         text = json.dumps(values if len(values) > 1 else values[0], indent=1, ensure_ascii=False, allow_nan=False)
         if args.output:
             write_atomic(args.output, text + "\n")
-        if args.json:
+        if printed:
             print(text)
     return EXIT_OK if all(a.verdict == "agrees" for a in answers) else EXIT_FOUND
 
