@@ -101,7 +101,7 @@ function resultOf(r) {
     { cls: "result" },
     tile("Mass", `${r.mass_g.toFixed(1)} g`, `± ${r.mass_half_g.toFixed(2)} g`),
     tile("Centre of mass", a.map((x) => x.toFixed(1).replace("-", "−")).join(", "), `mm, ± ${Math.max(...b).toFixed(2)} mm`),
-    tile("What is left", `${r.residual_n.toFixed(3)} N`, `${r.residual_nmm.toFixed(2)} N mm`),
+    tile("Residual", `${r.residual_n.toFixed(3)} N`, `${r.residual_nmm.toFixed(2)} N mm`),
   );
   const remarks = r.remarks.length ? [make("ul", { cls: "remarks" }, ...r.remarks.map((text) => make("li", { text })))] : [];
   return [tiles, ...remarks];
