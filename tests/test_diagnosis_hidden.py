@@ -49,8 +49,9 @@ def test_two_that_hide_each_other_are_found_together() -> None:
 def test_of_nothing_no_two_are_made() -> None:
     work = diagnosed(Bench(6, rows=2000))
     work.selection.chosen = []
-    able = [place(work, JointOffset("tilt")), place(work, BaseTilt("y"))]
-    assert hidden(work.bench, work.selection.scorer, work.selection, able) is None
+    work.selection.turn.able = [place(work, JointOffset("tilt")), place(work, BaseTilt("y"))]
+    assert not hidden(work.selection)
+    assert not work.selection.chosen
 
 
 @pytest.mark.inject

@@ -218,8 +218,8 @@ def test_a_jump_goes_to_the_moment_that_the_present_model_gives_it() -> None:
     scorer = Scorer(bench, [bench.add(Gain(WRENCH[5])), late])
     first = len(scorer.base)
     out = Selection(scorer, [first, first + 1])
-    assert timed(bench, scorer, out)
+    assert timed(out)
     assert out.chosen[0] == first
     told = scorer.library[out.chosen[1]]
     assert (told.effect, told.looked) == (Step(WRENCH[:2], moment), len(bench.rows) // 4)
-    assert not timed(bench, scorer, out)
+    assert not timed(out)

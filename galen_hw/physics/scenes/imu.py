@@ -14,6 +14,8 @@ ANGULAR_VELOCITY = tuple(f"imu.angular_velocity.{axis}" for axis in "xyz")
 
 ROUNDS = 20
 """Of the seat of an IMU, one after the other: each takes away most of what is left, a turn that nothing shows aside."""
+SLOW = 0.1
+"""Rms of accelerations, its own errors included, over g up to which an IMU's seat is told by gravity."""
 EXCITED = 0.003
 """Mean square that gravity must change in a second direction of the sensor, over g squared, to show how an IMU is turned."""
 
@@ -42,7 +44,7 @@ def imu_motion(observations: Observations, T: Array) -> Motion | None:
         omega, alpha = turn_rates(time, R, segments)
     quiet = felt if time is None else denoised(time, felt, segments)
     weighs = feels_gravity(felt, R, observations.belief.gravity)
-    turn, zero = seat(felt, R, segments) if weighs else (np.eye(3), np.zeros(3))
+    turn, zero = seat(felt, R, segments) if weighs and _slow(felt, R, segments) else (np.eye(3), np.zeros(3))
     acceleration = _in_base(R, (quiet - zero) @ turn)
     if weighs:
         acceleration -= _mean(acceleration, segments)
@@ -52,6 +54,13 @@ def imu_motion(observations: Observations, T: Array) -> Motion | None:
 def feels_gravity(felt: Array, R: Array, gravity: Array) -> bool:
     """Whether readings (N, 3) are nearer to an accelerometer's at rest, R^T (-g), than to none: some logs are without g."""
     return bool(np.mean((felt + gravity_in_sensor(R, gravity)) ** 2) < np.mean(felt**2))
+
+
+def _slow(felt: Array, R: Array, segments: list[slice]) -> bool:
+    """Whether accelerations are so small beside gravity that the mean of what is felt tells gravity from them."""
+    still = _mean(_in_base(R, felt), segments)
+    rest = _in_base(R, felt) - still
+    return bool(np.mean(np.sum(rest**2, axis=1)) < (SLOW * np.linalg.norm(still)) ** 2)
 
 
 def seat(felt: Array, R: Array, segments: list[slice]) -> tuple[Array, Array]:
