@@ -25,7 +25,7 @@ CHROMIUM = next(
 )
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed on this machine"),
-    pytest.mark.live,
+    pytest.mark.long,  # a page in a browser beside a live robot: a machine of its own
     pytest.mark.slow,
     pytest.mark.timeout(600),
 ]
@@ -107,6 +107,7 @@ def test_a_whole_calibration_by_clicking(tmp_path: Path) -> None:
             report = reach(page, "link", "Open the report")
             with page.expect_popup() as opened:
                 report.click()
+            opened.value.wait_for_load_state()
             assert "pointer" in opened.value.title()
             page.get_by_text("Valid: pointer compensated").wait_for(timeout=LONG_MS)
             page.click("#enable")
