@@ -17,7 +17,7 @@ class Criteria:
         gross_left: unexplained share that a believed other reading may leave at most.
         gross_gain: times the unexplained share of the columns as named that it may leave at most.
         as_good: times the least unexplained share within which a simpler reading is preferred.
-        half: the same as `gross_gain` between two units of which one is right.
+        half: the same as `gross_gain` between two readings of which one is right.
         fewest_split: rows on which two loads are told from one at least.
         same_factor: log ratio within which a scale is that of a unit: a sensor's gain error.
         least_factor: times, either way, that a gain, a payload or a friction does not change a whole signal.

@@ -57,10 +57,11 @@ class WrenchFrames:
         if seen.predict != "wrench" or not all(name in seen.columns for name in (*FORCE, *TORQUE)):
             return
         found = self._found(at_rest(comparable(seen, CRITERIA.most_rows)))
-        if found is not None and np.array_equal(found.Q, -IDENTITY):
-            found = self._found(comparable(seen)) or found
-        if found is None and seen.belief.dynamic and seen.time is not None:
-            # What accelerates the tool may be the larger part of the force.
+        named = (
+            found is not None and np.array_equal(found.Q, IDENTITY) and found.kind == "plain" and not found.reading.says
+        )
+        if not named and seen.belief.dynamic and seen.time is not None:
+            # What accelerates the tool may be the larger part of the force, and tells a sign from gravity that points up.
             found = self._found(comparable(seen))
         if found is None:
             return
@@ -77,15 +78,15 @@ class WrenchFrames:
         if plain.rank < 2:
             return None
         if plain.unexplained <= CRITERIA.small_turn:
-            # Turned round as a whole: a sign, which for the force alone is as gravity that points up.
-            found = _Found(usable[0], plain.Q, plain.unexplained, "plain")
-            return found if _is_named(plain.Q) else _sign_or_gravity(seen, found)
-        best = _best(usable, plain.unexplained if _is_named(plain.Q) else np.inf)
-        best = best if best is None or not np.array_equal(best.Q, -IDENTITY) else _sign_or_gravity(seen, best)
+            best: _Found | None = _Found(usable[0], plain.Q, plain.unexplained, "plain")
+        else:
+            best = _best(usable, plain.unexplained if _is_named(plain.Q) else np.inf)
+        if best is not None and np.array_equal(best.Q, -IDENTITY):
+            best = _sign_or_gravity(seen, best)
         return None if best is not None and best.kind == "gravity" and not _possible(seen, best) else best
 
     def _of_gravity(self, seen: Observations, found: _Found) -> Remark:
-        weight = _weight(found.reading)
+        weight, _ = _gravity(found.reading)
         size = float(np.linalg.norm(seen.belief.gravity))
         gravity = size * weight / np.linalg.norm(weight)
         if np.linalg.norm(_between(-seen.belief.gravity, gravity)) < CRITERIA.least_turn:
@@ -169,7 +170,7 @@ def _possible(seen: Observations, found: _Found) -> bool:
 
     A cable that pulls one way in the base is as a part of gravity, but of another size.
     """
-    weight = _weight(found.reading)
+    weight, _ = _gravity(found.reading)
     mass = sum(body.mass for body in seen.belief.hanging)
     size = float(np.linalg.norm(seen.belief.gravity))
     off = abs(float(np.linalg.norm(weight)) / (mass * size) - 1.0) if mass > 0.0 else 0.0
@@ -189,7 +190,7 @@ def _best(usable: list[Reading], plain: float) -> _Found | None:
     for determinant in (1, -1):
         one = usable[0].turned(determinant)
         options.append(_Found(usable[0], one.Q, one.unexplained, "turned"))
-    _weight, unexplained = any_gravity(_rotations(usable[0].seen), usable[0].force)
+    _weight, unexplained = _gravity(usable[0])
     options.insert(len(options) - 1, _Found(usable[0], IDENTITY, unexplained, "gravity"))
     for reading in usable[1:]:
         for determinant in (1, -1):
@@ -208,12 +209,12 @@ def _best(usable: list[Reading], plain: float) -> _Found | None:
     return next(o for o in good if o.unexplained <= enough)
 
 
-def _weight(reading: Reading) -> Array:
-    """(3,) N in the base, beside what accelerates the tool where the model says it."""
+def _gravity(reading: Reading) -> tuple[Array, float]:
+    """As `any_gravity`, less what accelerates the tool where the model says it."""
     seen, force = reading.seen, reading.force
     if seen.belief.dynamic and seen.time is not None and seen.simulation is None and len(seen.belief.hanging):
         force = force - (scene_of(seen).simulated - scene_of(at_rest(seen)).simulated)[:, :3]
-    return any_gravity(_rotations(seen), force)[0]
+    return any_gravity(_rotations(seen), force)
 
 
 def _sign_or_gravity(seen: Observations, sign: _Found) -> _Found:

@@ -12,22 +12,15 @@ from galen_hw.spatial import Array, quaternion_from_rotation
 ACCELERATION = tuple(f"imu.acceleration.{axis}" for axis in "xyz")
 ANGULAR_VELOCITY = tuple(f"imu.angular_velocity.{axis}" for axis in "xyz")
 
-ROUNDS = 20
-"""Of the seat of an IMU, one after the other: each takes away most of what is left, a turn that nothing shows aside."""
-SLOW = 0.1
-"""Rms of accelerations, its own errors included, over g up to which an IMU's seat is told by gravity."""
-EXCITED = 0.003
-"""Mean square that gravity must change in a second direction of the sensor, over g squared, to show how an IMU is turned."""
-
 
 def imu_motion(observations: Observations, T: Array) -> Motion | None:
     """Of the sensor at poses T (N, 4, 4), from the columns `imu.*`; None unless every row has an acceleration and a pose.
 
     The IMU sits at the sensor's origin. White noise is taken off by penalised splines where there is a clock. From what feels
     gravity, gravity is taken off as it is felt itself: what stays the same in the base, since an arm that swings to and fro has
-    no acceleration on average. (With the believed gravity, a base that is tilted would look like an acceleration.) How the IMU
-    is turned against the sensor, and its zero, are told by gravity too, see `seat`. The angular velocity is the gyroscope's, else
-    that of the orientation; its derivative, never over the border of a segment, is zero without a clock.
+    no acceleration on average. (With the believed gravity, a base that is tilted would look like an acceleration.) The angular
+    velocity is the gyroscope's, else that of the orientation; its derivative, never over the border of a segment, is zero
+    without a clock.
     """
     felt, turning = (observations.matrix(*names) for names in (ACCELERATION, ANGULAR_VELOCITY))
     if not len(felt) or not (np.isfinite(felt).all() and np.isfinite(T).all()):
@@ -43,10 +36,8 @@ def imu_motion(observations: Observations, T: Array) -> Motion | None:
     else:
         omega, alpha = turn_rates(time, R, segments)
     quiet = felt if time is None else denoised(time, felt, segments)
-    weighs = feels_gravity(felt, R, observations.belief.gravity)
-    turn, zero = seat(felt, R, segments) if weighs and _slow(felt, R, segments) else (np.eye(3), np.zeros(3))
-    acceleration = _in_base(R, (quiet - zero) @ turn)
-    if weighs:
+    acceleration = _in_base(R, quiet)
+    if feels_gravity(felt, R, observations.belief.gravity):
         acceleration -= _mean(acceleration, segments)
     return Motion(T, acceleration, omega, alpha)
 
@@ -54,33 +45,6 @@ def imu_motion(observations: Observations, T: Array) -> Motion | None:
 def feels_gravity(felt: Array, R: Array, gravity: Array) -> bool:
     """Whether readings (N, 3) are nearer to an accelerometer's at rest, R^T (-g), than to none: some logs are without g."""
     return bool(np.mean((felt + gravity_in_sensor(R, gravity)) ** 2) < np.mean(felt**2))
-
-
-def _slow(felt: Array, R: Array, segments: list[slice]) -> bool:
-    """Whether accelerations are so small beside gravity that the mean of what is felt tells gravity from them."""
-    still = _mean(_in_base(R, felt), segments)
-    rest = _in_base(R, felt) - still
-    return bool(np.mean(np.sum(rest**2, axis=1)) < (SLOW * np.linalg.norm(still)) ** 2)
-
-
-def seat(felt: Array, R: Array, segments: list[slice]) -> tuple[Array, Array]:
-    """Turn (3, 3) of the IMU against the sensor and zero (3,) of what it feels (N, 3), by gravity as it is felt itself.
-
-    felt = Q R^T s + b with s the same in the base: s and then Q and b (Kabsch, Acta Crystallographica A 32, 1976) in turn. Turned
-    about one axis alone, the sensor does not show what of Q is about that axis: it stays as it is, for s takes it. An
-    acceleration that goes with the angle stretches what is felt; a rotation cannot follow it.
-    """
-    Q, b = np.eye(3), np.zeros(3)
-    for _ in range(ROUNDS):
-        s = _mean(_in_base(R, (felt - b) @ Q), segments)
-        expected = np.einsum("nji,j->ni", R, s)
-        centre = expected.mean(axis=0), felt.mean(axis=0)
-        u, size, vt = np.linalg.svd((felt - centre[1]).T @ (expected - centre[0]))
-        if size[1] < EXCITED * np.linalg.norm(s) ** 2 * len(felt):
-            return np.eye(3), np.zeros(3)
-        Q = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-        b = centre[1] - Q @ centre[0]
-    return Q, b
 
 
 def imu_ends(observations: Observations, R: Array) -> NDArray[np.bool_]:
