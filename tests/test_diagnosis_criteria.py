@@ -59,3 +59,11 @@ def test_noise_that_was_fitted_is_not_told() -> None:
     fitted = paired(noise, rest, np.zeros(1), parameters=60)
     assert fitted.fall < 0.0
     assert not fitted.credible()
+
+
+def test_a_name_beside_much_that_stays_unexplained_must_take_a_tenth_of_that() -> None:
+    """Three hundredths of the excess: told where hardly anything is left, not where nearly all of it is."""
+    small = gain(0.7, other=4.0)
+    assert 0.02 < small.share < 0.05
+    assert small.credible(unexplained=0.1)
+    assert not small.credible(unexplained=0.95)

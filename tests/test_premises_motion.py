@@ -9,7 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from galen_hw.cli import main
+from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.kinematics import GalenRobot, UrdfRobot
+from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.rigid import Body
 from galen_hw.premises import Action, examined
@@ -163,6 +165,16 @@ def test_a_sign_that_does_not_explain_the_constant_is_not_turned(tmp_path: Path)
     one = arm(tmp_path)
     found = examined(spoilt(one, joint__shoulder__effort=80.0 - one.columns["joint.shoulder.effort"]))
     assert "joint_signs" not in [r.premise for r in found.remarks]
+
+
+def test_what_a_premise_refuses_gets_no_numbers(tmp_path: Path) -> None:
+    """The diagnosis says what is wrong with it, and names nothing else: no bias, no gain, no friction of newton millimetres."""
+    one = arm(tmp_path)
+    wrong = spoilt(one, joint__elbow__effort=1e3 * one.columns["joint.elbow.effort"] + 50.0)
+    found = diagnose(scene_of(wrong)).diagnosis
+    assert [finding.effect for finding in found.findings] == ["unknown"]
+    assert "N mm" in found.findings[0].says
+    assert found.verdict == "unexplained"
 
 
 @pytest.mark.parametrize(("factor", "status"), [(1.0, 0), (1e3, 1)])
