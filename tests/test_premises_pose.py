@@ -199,3 +199,15 @@ def test_a_constant_offset_and_a_bent_arm_are_no_frame():
     spoilt = original | {POSITION[0]: original[POSITION[0]] + 0.05, POSITION[2]: original[POSITION[2]] + bent}
     assert not examined(seen(spoilt)).remarks
     assert not examined(replace(seen(spoilt), belief=Belief(robot=ROBOT, tip=TIP + 0.01))).remarks
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mm", 1e3), ("cm", 1e2), ("", 1.0)])
+def test_the_unit_of_an_arm_that_stands_is_told_by_its_place(unit: str, factor: float) -> None:
+    """Pushed at its tip by 2 mm: no motion shows a scale, and the base is where it is."""
+    columns, rng = pose(), np.random.default_rng(4)
+    still = {n: v if n == "time" else np.full_like(v, v[0]) for n, v in columns.items() if n not in QUATERNION}
+    still |= {n: factor * (still[n] + 2e-3 * rng.normal(size=len(still[n]))) for n in POSITION}
+    found = examined(seen(still))
+    assert [r.premise for r in found.remarks] == ["pose_frames"] * bool(unit)
+    assert all(f"in {unit}" in r.what for r in found.remarks)
+    assert found.observations.columns[POSITION[0]] == pytest.approx(still[POSITION[0]] / factor)

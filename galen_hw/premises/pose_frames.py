@@ -56,6 +56,7 @@ class PoseFrames:
         expected, measured = scene_of(some).simulated[:, :3], some.matrix(*POSITION)
         plain = scaled(expected, measured)
         if plain.rank < 2:
+            yield from self._standing(seen, expected.mean(axis=0), measured.mean(axis=0))
             return
         right = plain.Q[0, 0] > 0.0 and plain.unexplained <= CRITERIA.small_turn
         found, unit = _axes(expected, measured, plain if right else None), None
@@ -85,6 +86,15 @@ class PoseFrames:
         else:
             what = f"the pose is in other axes than the base's, turned by {as_turn(found.Q)}"
         yield Remark(self.KEY, f"{what}; registered to the base", "", POSITION, Action.REPAIRED, repaired)
+
+    def _standing(self, seen: Observations, expected: Array, measured: Array) -> Iterator[Remark]:
+        """Yield a remark on the unit of an arm that stands: in metres its place (3,) in the base would be the simulated one."""
+        far, near = float(np.linalg.norm(measured)), float(np.linalg.norm(expected))
+        unit = length_unit(far / near) if near > 0.0 else None
+        if unit is not None and float(measured @ expected) > np.cos(CRITERIA.least_turn) * far * near:
+            repaired = with_columns(seen, {name: seen.columns[name] / unit[1] for name in POSITION})
+            text = f"the tracked position lies {far / near:.4g} times as far from the base as the arm reaches: it is in {unit[0]}"
+            yield Remark(self.KEY, text, "", POSITION, Action.REPAIRED, repaired)
 
     def _orientation(self, seen: Observations) -> Iterator[Remark]:
         some = sampled(seen, (*POSITION, *QUATERNION))
