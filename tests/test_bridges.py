@@ -146,7 +146,6 @@ def test_dds_carries_them_as_ros_does(monkeypatch: pytest.MonkeyPatch) -> None:
             for topic, message in STREAM:
                 take(topic, message)
             heard |= {name: found[0] for name, reader in readers.items() if (found := reader.take(N=1))}
-            time.sleep(0.01)
     assert heard["ft/raw"].wrench.force.y == -2.0
     assert heard["ft/raw"].header.frame_id == "ft"
     assert heard["joint_states"].name == list(JOINTS.position)

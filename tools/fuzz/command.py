@@ -10,6 +10,7 @@ import resource
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Callable
@@ -86,8 +87,7 @@ def run_one(name: str, inputs: int, seconds: float, seed: int) -> None:
         rng = random.Random(seed)
         while True:
             watched(mutated(rng, target.seeds))
-    corpus = Path(f"/tmp/galen-hw-corpus-{os.getpid()}")  # noqa: S108 - libFuzzer wants a folder
-    corpus.mkdir()
+    corpus = Path(tempfile.mkdtemp(prefix="galen-hw-corpus-"))  # libFuzzer wants a folder, and never returns
     for number, content in enumerate(target.seeds):
         (corpus / str(number)).write_bytes(content)
     bounds = [f"-max_len={LONGEST}", f"-rss_limit_mb={MOST_DATA >> 20}"]

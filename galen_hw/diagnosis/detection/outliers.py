@@ -115,7 +115,7 @@ def _heavy_tailed(z: Array, far: Array) -> Mask:
 
 
 def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
-    """(N, C) isolated samples, see `smoothing.isolated`; a channel with more than 3 % of them has another kind of noise.
+    """(N, C) isolated samples, see `differentiation.isolated`; a channel with more than 3 % of them has another kind of noise.
 
     Of a sweep of few poses a handful is more than that.
     """

@@ -27,7 +27,7 @@ class Judged:
         floor: of the noise.
         support: per effect's key, the share of the held-out excess that would be left without it, in the channels where it
             acts, that it takes.
-        sure: per effect's key, by how many standard errors held-out rows want it, see `wanted.sure`.
+        sure: per effect's key, by how many standard errors it lowers the error on held-out rows, see `paired_test.sure`.
         refused: keys of which held-out rows, that it would show in, hold the contrary.
         untouched: `after` on the rows of no contact that the model believes in, None: there is none or no such row; how a touch
             swells and lets go is no law of the arm, and fitted no better than its few shapes allow.
