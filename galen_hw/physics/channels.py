@@ -1,15 +1,6 @@
 """What the names of channels say."""
 
 
-def kind_of(name: str) -> str:
-    """The unit of a channel."""
-    if name.startswith("wrench.force"):
-        return "N"
-    if name.startswith("wrench.torque"):
-        return "N m"
-    return "m" if "position" in name and not name.startswith("joint.") else "rad"
-
-
 def joint_of(channel: str) -> str:
     """NAME of joint.NAME.kind."""
     return channel.split(".", 1)[1].rsplit(".", 1)[0] if channel.startswith("joint.") else ""

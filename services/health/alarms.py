@@ -60,10 +60,6 @@ class Alarms:
         """What an alarm was about is not there any more."""
         self._on.pop(cause, None)
 
-    def causes(self, prefix: str) -> list[str]:
-        """Causes that are on and begin so."""
-        return [cause for cause in self._on if cause.startswith(prefix)]
-
     def since(self, cause: str, wall_s: float) -> float:
         """Since when an alarm is on; `wall_s` if it is not."""
         gate = self._on.get(cause)

@@ -225,10 +225,6 @@ class Model:
             out[:, list(h.white.channels)] -= h.white.values @ self.theta[s]
         return out
 
-    def mse(self, rows: Chosen) -> Array:
-        """(C,) mean squared error on rows."""
-        return np.asarray(np.mean(self.rest()[rows] ** 2, axis=0))
-
     def _covariance(
         self, parts: list[Hypothesis], white: Array, rows: Chosen, more: Sequence[Hypothesis] = ()
     ) -> Array:

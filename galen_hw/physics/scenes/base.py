@@ -362,10 +362,6 @@ class Scene(Operated):
         """(N, C) what the arm's motion adds to a geometry port, per rad or m; None where it adds nothing."""
         return None
 
-    def tip_force_port(self) -> Array | None:
-        """(N, C, 3) answer to an outside force on the tip, base frame, per N."""
-        return None
-
     def slipping(self) -> list[Carried]:
         """What may slip on the arm; nothing where the channels are not of a place."""
         return []

@@ -71,15 +71,6 @@ class JointScene(Scene):
         order = [self.joint_index(_joint(name)) for name in self.channels]
         return np.asarray(values[:, order])
 
-    @once
-    def weight_torque(self) -> Array | None:
-        """(N, n) efforts that hold the robot's weight; None without a URDF."""
-        robot = self._urdf()
-        if robot is None:
-            return None
-        zero = np.zeros_like(self.q)
-        return self._coarse(lambda rows: robot.inverse_dynamics(self.q[rows], zero[rows], zero[rows]))
-
     def _coarse(self, run: Callable[[Any], Array]) -> Array:
         """run(rows) -> (M, ...) on an even choice of rows, cubic in between; exact where there are few."""
         n = len(self)

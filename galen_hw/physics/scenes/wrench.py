@@ -306,12 +306,6 @@ class WrenchScene(Scene):
         torque = np.einsum("nij,nj->ni", self.R, at_sensor[:, 3:]) + np.cross(self.T[:, :3, 3], force)
         return np.asarray(np.sum(screws[:, :3] * force + screws[:, 3:] * torque, axis=1))
 
-    @once
-    def tip_force_port(self) -> Array | None:
-        """R^T on the force, tip x R^T on the torque."""
-        Rt = np.swapaxes(self.R, 1, 2)
-        return np.concatenate([Rt, skew(self.belief.tip) @ Rt], axis=1)
-
 
 def _displaced(screws: list[Array], T: Array) -> Array:
     """Poses (N, 4, 4) moved by screws (N, 6) applied one after the other, the last one first."""
