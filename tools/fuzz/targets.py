@@ -2,7 +2,6 @@
 
 import io
 import json
-import logging
 import os
 import tempfile
 from collections.abc import Callable, Sequence
@@ -130,7 +129,6 @@ def _settings(data: bytes) -> None:
 
 
 def _kept() -> Callable[[bytes], None]:
-    logging.getLogger("galen-hw").setLevel(logging.CRITICAL)  # it says what is wrong with each of them
     keeper = Keeper(_folder())
     path = _folder() / "fuzz.json"
 
