@@ -111,7 +111,7 @@ def client_runtime_dir(environ: Mapping[str, str] = os.environ) -> Path:
 
 
 def _may_be_there(path: Path) -> bool:
-    """Whether a file is there, or may be where this user may not look."""
+    """Return whether a file is there, or may be where this user may not look."""
     try:
         return path.exists()
     except PermissionError:

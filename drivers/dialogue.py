@@ -33,7 +33,7 @@ class Expect:
     prefix: bytes = b""
 
     def fits(self, frame: CanFrame) -> bool:
-        """Whether `frame` can be this frame."""
+        """Return whether `frame` can be this frame."""
         return (
             frame.arbitration_id == self.arbitration_id
             and len(frame.data) == self.length

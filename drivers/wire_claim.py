@@ -88,7 +88,7 @@ def port_key(path: str) -> str:
 
 
 def is_pseudo_terminal(path: str) -> bool:
-    """Whether a port leads to a program of this machine and not to a device."""
+    """Return whether a port leads to a program of this machine and not to a device."""
     return os.path.realpath(path).startswith("/dev/pts/")
 
 

@@ -93,7 +93,7 @@ def sealed(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def intact(data: dict[str, Any]) -> bool | None:
-    """Whether the content is what its `digest` was made of; None where there is none."""
+    """Return whether the content is what its `digest` was made of; None where there is none."""
     if "digest" not in data:
         return None
     return bool(sealed(data)["digest"] == data["digest"])

@@ -390,7 +390,7 @@ STREAMS: Final = frozenset(name for name, topic in TOPICS.items() if topic.strea
 
 
 def too_old(topic: str, t_ns: int, now_ns: int) -> bool:
-    """Whether a message with the stamp `t_ns` is too old at `now_ns` to be valid."""
+    """Return whether a message with the stamp `t_ns` is too old at `now_ns` to be valid."""
     return now_ns - t_ns > MAX_AGE_NS[topic]
 
 

@@ -65,7 +65,7 @@ class Story:
     faulty: bool = False
 
     def excused(self, now: float) -> bool:
-        """Whether a loss now is one of an injected fault."""
+        """Return whether a loss now is one of an injected fault."""
         return self.faulty or now < self.faulty_until
 
 

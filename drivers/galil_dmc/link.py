@@ -135,7 +135,7 @@ class GalilLink:
         return b"\r"
 
     def settled(self, now_ns: int) -> bool:
-        """Whether a drain has ended by `now_ns` (once true, the line is idle); false when there is none.
+        """Return whether a drain has ended by `now_ns` (once true, the line is idle); false when there is none.
 
         A line that never falls quiet is given up after twenty times the quiet.
         """
@@ -178,7 +178,7 @@ class GalilLink:
         return self._character(waiting, t_ns)
 
     def _echo(self, waiting: _Waiting) -> bool:
-        """Whether the buffer may (still) be the echo of the line sent; a whole echo is dropped."""
+        """Return whether the buffer may (still) be the echo of the line sent; a whole echo is dropped."""
         if self._buffer[0] >= _SIDE_TALK and not waiting.exchange.record:
             self._stray(self._buffer.pop(0))
             return True

@@ -72,7 +72,7 @@ def _start(letters: str, timeout_s: float) -> Generator[Step, Answer | None, str
 
 
 def beaten(answer: Answer) -> bool:
-    """Whether the program ran when it was told that the host lives."""
+    """Return whether the program ran when it was told that the host lives."""
     try:
         return not any(answer.refused) and numbers(answer.parts[-1])[0] >= 0
     except (ValueError, IndexError):

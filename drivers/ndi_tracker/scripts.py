@@ -117,7 +117,7 @@ def _reach(baud_rate: int, init_ns: int, reset_ns: int) -> Generator[Step, str, 
 
 
 def _init(init_ns: int) -> Generator[Step, str, bool]:
-    """Whether INIT is answered with OKAY; tracking left on by an earlier session is ended first."""
+    """Return whether INIT is answered with OKAY; tracking left on by an earlier session is ended first."""
     for _ in range(2):
         try:
             return (yield Ask("INIT:", init_ns)) == "OKAY"

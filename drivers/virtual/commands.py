@@ -126,7 +126,7 @@ class Commands:
             self._world.noise_sigma = _numbers(sigma, 6)
 
     def inertial(self, on: bool = True) -> None:
-        """Whether moving masses read."""
+        """Return whether moving masses read."""
         self._world.inertial = bool(on)
 
     def power_cycle(self, device: str) -> None:

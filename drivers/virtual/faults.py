@@ -36,11 +36,11 @@ class FaultPicker:
         return [number for number, every in self._rules[name] if count % every == 0]
 
     def strikes(self, name: str) -> bool:
-        """Whether `name` strikes on this occasion."""
+        """Return whether `name` strikes on this occasion."""
         return bool(self.hits(name))
 
     def begins(self, name: str) -> bool:
-        """Whether `name` was switched on since this was last asked."""
+        """Return whether `name` was switched on since this was last asked."""
         if not self.any or name not in self._begun:
             return False
         self._begun.discard(name)

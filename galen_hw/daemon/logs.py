@@ -33,7 +33,7 @@ class OncePerSecond(logging.Filter):
         self._said: dict[tuple[object, ...], tuple[float, int]] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether this line may be written; see the class."""
+        """Return whether this line may be written; see the class."""
         words = record.args if isinstance(record.args, tuple) else (record.args,)
         cause = (record.name, record.msg, *(word for word in words if isinstance(word, str)))
         now = self._clock()
@@ -60,7 +60,7 @@ class JournalFormatter(logging.Formatter):
 
 
 def is_journal(fd: int, environ: Mapping[str, str] = os.environ) -> bool:
-    """Whether a descriptor is the one that systemd has connected to the journal."""
+    """Return whether a descriptor is the one that systemd has connected to the journal."""
     found = os.fstat(fd)
     return environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"
 

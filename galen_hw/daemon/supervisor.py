@@ -178,7 +178,7 @@ class Supervisor:
         return EXIT_OK
 
     def _moves_the_arm(self, name: str) -> bool:
-        """Whether the arm hangs on this process: it moves it, or feels what it does."""
+        """Return whether the arm hangs on this process: it moves it, or feels what it does."""
         return name == CORE or MOTORS in self._processes[name].share.devices
 
     def _look_at_loop(self, name: str, process: _Process) -> float:

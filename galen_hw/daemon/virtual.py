@@ -35,7 +35,7 @@ def virtual_setup(setup: Setup, tables: Tables, folder: Path) -> Iterator[Setup]
 
 
 def _markers_open(setup: Setup) -> bool:
-    """Whether the configuration leaves open which marker bodies there are; the virtual ones are then taken."""
+    """Return whether the configuration leaves open which marker bodies there are; the virtual ones are then taken."""
     return TRACKER in setup.devices and "markers" not in setup.config.devices[TRACKER].settings
 
 

@@ -78,7 +78,7 @@ def observed(recording: Recording) -> Observations:
 
 
 def _said_better(line: str, columns: list[str]) -> bool:
-    """Whether a line of the reader is about cells of which a premise has said what they are."""
+    """Return whether a line of the reader is about cells of which a premise has said what they are."""
     name = line.partition(":")[0].partition(",")[0].strip()
     return any(column.startswith(name) for column in columns)
 

@@ -51,7 +51,7 @@ Score = tuple[float, bool, int]
 
 
 def sniff(head: Head) -> bool:
-    """Whether it is a text with rows of numbers."""
+    """Return whether it is a text with rows of numbers."""
     return layout_of(head.lines) is not None
 
 

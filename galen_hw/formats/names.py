@@ -188,7 +188,7 @@ def _complete(family: str, group: list[Match]) -> bool:
 
 
 def fits(match: Match) -> bool:
-    """Whether the unit that the file gives is one of what the column is taken for."""
+    """Return whether the unit that the file gives is one of what the column is taken for."""
     return not match.unit or factor(match.unit, quantity_of(match.target)) is not None
 
 

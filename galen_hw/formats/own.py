@@ -13,7 +13,7 @@ BAGS = ("metadata.yaml", "*.db3", "*.db3.zstd", "*.mcap.zstd")
 
 
 def is_own(path: Path) -> bool:
-    """Whether `read_recording` reads it: a table folder or one of its files, or an MCAP file of the recorder."""
+    """Return whether `read_recording` reads it: a table folder or one of its files, or an MCAP file of the recorder."""
     if path.is_dir():
         return not any(next(path.glob(pattern), None) for pattern in (*BAGS, "*.mcap")) or _has_table(path)
     if path.name in TABLES:

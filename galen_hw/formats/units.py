@@ -54,7 +54,7 @@ def factor(unit: str, quantity: str) -> float | None:
 
 
 def any_unit(unit: str) -> bool:
-    """Whether it is a unit at all."""
+    """Return whether it is a unit at all."""
     return any(canonical(unit) in table for table in FACTORS.values())
 
 

@@ -153,7 +153,7 @@ class UrdfChain:
         return tuple((name,) for name in carried if name in self.joint_names and name not in below)
 
     def slides(self, joint: str) -> bool:
-        """Whether a joint is prismatic."""
+        """Return whether a joint is prismatic."""
         return self.urdf.joints[joint].kind == "prismatic"
 
     def _moved_by(self, joint: str) -> int:

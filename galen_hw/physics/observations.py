@@ -119,7 +119,7 @@ class Observations:
         return self.matrix(*(f"joint.{name}.{kind}" for name in self.joint_names))
 
     def has(self, prefix: str) -> bool:
-        """Whether any column begins so."""
+        """Return whether any column begins so."""
         return any(name.startswith(prefix) for name in self.columns)
 
     def taken(self, rows: Any) -> "Observations":

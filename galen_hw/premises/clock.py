@@ -81,7 +81,7 @@ class ClockUnit:
 
 
 def _possible(seen: Observations, period: float) -> bool:
-    """Whether machines move as fast as this one would with so many seconds between rows."""
+    """Return whether machines move as fast as this one would with so many seconds between rows."""
     fastest = max(float(np.sqrt(np.mean(np.diff(q) ** 2))) for q in moving(seen)) / period
     return SPEEDS[0] <= fastest <= SPEEDS[1]
 

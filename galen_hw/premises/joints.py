@@ -199,7 +199,7 @@ class PositionUnits:
 
 
 def _slides(robot: Robot, k: int) -> bool:
-    """Whether joint k of a robot is prismatic."""
+    """Return whether joint k of a robot is prismatic."""
     if isinstance(robot, UrdfRobot):
         return bool(robot.model.joints[k + 1].shortname().startswith("JointModelP"))
     return robot.joint_names[k].startswith("carriage")
@@ -287,7 +287,7 @@ class SignMagnitude:
 
 
 def _folded(values: Array) -> bool:
-    """Whether values keep to two bands, at zero and at a top, half of it empty between, and jump from one to the other."""
+    """Return whether values keep to two bands, at zero and at a top, half of it empty between, and jump from one to the other."""
     v = values[np.isfinite(values)]
     if len(v) < 40 or v.min() < 0.0 or v.max() == 0.0:
         return False
@@ -303,7 +303,7 @@ def _folded(values: Array) -> bool:
 
 
 def _flickers(values: Array) -> bool:
-    """Whether values lie in two bands that both have a sharp edge, the lower one at its beginning."""
+    """Return whether values lie in two bands that both have a sharp edge, the lower one at its beginning."""
     v = values[np.isfinite(values)]
     begins, _ = _upper_band(v)
     low, high = v[v < begins], v[v >= begins]
@@ -311,7 +311,7 @@ def _flickers(values: Array) -> bool:
 
 
 def _sharp(band: Array) -> bool:
-    """Whether values begin at an edge, densely, as the sizes of what goes to and fro about zero do."""
+    """Return whether values begin at an edge, densely, as the sizes of what goes to and fro about zero do."""
     least, tenth, most = np.quantile(band, [0.0, 0.1, 0.9])
     return bool(tenth - least < 0.2 * (most - least))
 

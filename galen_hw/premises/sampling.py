@@ -133,7 +133,7 @@ def _rows_held(changes: Mask) -> int | None:
 
 
 def _moves_throughout(moves: Array, changes: Mask) -> bool:
-    """Whether steps are those of a motion that went on meanwhile: smooth when the held rows are left out."""
+    """Return whether steps are those of a motion that went on meanwhile: smooth when the held rows are left out."""
     fresh = moves[np.concatenate([[True], changes])]
     return len(fresh) > 10 and bool(any(float(np.mean(np.diff(q) ** 2)) < 0.1 * float(np.var(q)) for q in fresh.T))
 

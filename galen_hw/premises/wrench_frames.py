@@ -166,7 +166,7 @@ def _is_named(Q: Array) -> bool:
 
 
 def _possible(seen: Observations, found: _Found) -> bool:
-    """Whether gravity may point as found: far from what is named, and the known tool weighs what it weighs.
+    """Return whether gravity may point as found: far from what is named, and the known tool weighs what it weighs.
 
     A cable that pulls one way in the base is as a part of gravity, but of another size.
     """
@@ -255,7 +255,7 @@ def _between(a: Array, b: Array) -> Array:
 
 
 def _tool_known(seen: Observations) -> bool:
-    """Whether the simulation has a moment: its sign is then known."""
+    """Return whether the simulation has a moment: its sign is then known."""
     tool = seen.belief.tool
     return seen.simulation is not None or (tool.mass > 0.0 and bool(np.any(tool.com)))
 

@@ -94,7 +94,7 @@ class Recording:
         return str(self.path) if where == "recording" else where
 
     def has(self, *names: str) -> bool:
-        """Whether every named column or group is there."""
+        """Return whether every named column or group is there."""
         return all(name in self.columns or (name in GROUPS and bool(self.names(name))) for name in names)
 
     @property

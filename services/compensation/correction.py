@@ -90,7 +90,7 @@ class Correction:
         return self.awaited and self.rests_on_zero and self.tare == ZERO
 
     def look_for_tool(self, raw: WrenchRaw, predicted: Six) -> bool:
-        """Whether this sample shows, for the first time since the sensor was zeroed, that the tool hangs on it.
+        """Return whether this sample shows, for the first time since the sensor was zeroed, that the tool hangs on it.
 
         Zeroed with the tool on, a sensor misses its weight from then on in every pose, as it does while the tool is off.
 

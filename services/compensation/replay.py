@@ -203,14 +203,14 @@ class _Feeder:
             self._next_state, self._state_lost = self._next_state + 1, False
 
     def _is_state_lost(self) -> bool:
-        """Whether a state may be missing after the last one that was taken: the next one's number tells."""
+        """Return whether a state may be missing after the last one that was taken: the next one's number tells."""
         if self._next_state == len(self._states):
             return True
         last, following = self._states[self._next_state - 1], self._states[self._next_state]
         return following.seq > last.seq + 1
 
     def _are_joints_lost(self) -> bool:
-        """Whether one is missing among the last joint states that this sample depends on."""
+        """Return whether one is missing among the last joint states that this sample depends on."""
         newest = self._joints[self._next_joints - 1]
         # Between two of them, and where rates are not measured, it takes the one before.
         two = self._between or any(map(isnan, newest.velocity.values()))

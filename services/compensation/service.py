@@ -147,7 +147,7 @@ class CompensationService(Service):
         return usable and self._correction.look_for_tool(raw, predicted)
 
     def _judge(self, raw: WrenchRaw, joints: tuple[tuple[float, ...], int, bool] | None, wrench: Six) -> bool:
-        """Whether the sample may be used as far as wire, joints and calibration go, with its counters."""
+        """Return whether the sample may be used as far as wire, joints and calibration go, with its counters."""
         self._age_s = nan if joints is None else joints[1] / NS_PER_S
         fresh = joints is not None and joints[2]
         good = raw.valid and not raw.saturated and not self._commands.problem and isfinite(sum(wrench))
@@ -157,7 +157,7 @@ class CompensationService(Service):
         return good and (fresh or not self._correction.active)
 
     def _flags(self, raw: WrenchRaw, *, usable: bool, fresh: bool) -> dict[str, bool]:
-        """Whether the wrench is vouched for: not with the sensor's own offset in it, with a tool or without one."""
+        """Return whether the wrench is vouched for: not with the sensor's own offset in it, with a tool or without one."""
         unzeroed = self._correction.unzeroed(raw)
         self._offset = self._correction.holds_offset(raw)
         unseen = self._correction.unseen

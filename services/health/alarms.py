@@ -28,7 +28,7 @@ class Alarms:
     _raised: list[Alarm] = field(default_factory=list)
 
     def is_on(self, cause: str) -> bool:
-        """Whether an alarm of this cause is on."""
+        """Return whether an alarm of this cause is on."""
         return cause in self._on
 
     def judge(

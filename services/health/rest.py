@@ -51,7 +51,7 @@ class Second:
     rest: bool
 
     def follows(self, before: "Second") -> bool:
-        """Whether it goes on where the second before has left off: a sensor drifts, a hand lets go."""
+        """Return whether it goes on where the second before has left off: a sensor drifts, a hand lets go."""
         expected = before.mean + (before.slope + self.slope) / 2.0
         # The slope within a second has sqrt(12) times the error of its mean.
         error = 4.0 * math.sqrt(12.0) * self.error + SLOW_NOISE_SHARE * self.noise

@@ -59,7 +59,7 @@ class Scored:
 
     @property
     def a_guess(self) -> bool:
-        """Whether no test of the recording could tell one of the effects from its look-alike."""
+        """Return whether no test of the recording could tell one of the effects from its look-alike."""
         return bool(self.near)
 
     @property

@@ -138,7 +138,7 @@ class ParameterRow(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether the 95 % interval holds the truth."""
+        """Return whether the 95 % interval holds the truth."""
         return self.error <= 1.96 * self.std
 
 

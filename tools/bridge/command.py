@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def _ending() -> Iterator[Callable[[], bool]]:
-    """Whether somebody has asked to end."""
+    """Return whether somebody has asked to end."""
     asked = []
     before = {
         number: signal.signal(number, lambda *_: asked.append(True)) for number in (signal.SIGINT, signal.SIGTERM)

@@ -147,7 +147,7 @@ def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") 
 
 
 def _can_be_fitted(tool: str, folder: Path) -> bool:
-    """Whether the poses of a sweep that was stopped are enough for a fit: asked of the fit itself."""
+    """Return whether the poses of a sweep that was stopped are enough for a fit: asked of the fit itself."""
     from galen_hw.recording import read_recording
     from galen_hw.tools.calibration.poses import poses_of
     from galen_hw.tools.calibration.result import analyse
@@ -224,7 +224,7 @@ def _conclude(session: _Session, result: "Result", tool: "ToolFile", premises: "
 
 
 def _can_draw(console: "Console") -> bool:
-    """Whether there can be a page at all; a robot's computer may do without."""
+    """Return whether there can be a page at all; a robot's computer may do without."""
     from galen_hw.extras import MissingExtraError, need
 
     try:

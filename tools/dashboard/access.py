@@ -15,7 +15,7 @@ TOKEN_BYTES: Final = 24
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is of this machine only."""
+    """Return whether an address is of this machine only."""
     if host == "localhost":
         return True
     try:
@@ -49,11 +49,11 @@ class Access:
         return ["127.0.0.1", "localhost", "[::1]"] if is_loopback(self.host) else [self.host]
 
     def allows(self, token: str) -> bool:
-        """Whether this token commands."""
+        """Return whether this token commands."""
         return bool(self.token) and hmac.compare_digest(token.encode(), self.token.encode())
 
     def is_own(self, origin: str | None, host: str | None) -> bool:
-        """Whether a websocket was opened by a page of this server."""
+        """Return whether a websocket was opened by a page of this server."""
         if origin is None or host is None:
             return False
         try:
@@ -63,6 +63,6 @@ class Access:
         return parts.scheme == "http" and parts.netloc == host and self.knows(host)
 
     def knows(self, host: str) -> bool:
-        """Whether a Host header names this server."""
+        """Return whether a Host header names this server."""
         name = host if host.endswith("]") else host.rpartition(":")[0] or host
         return name in self.hosts

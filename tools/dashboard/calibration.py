@@ -59,7 +59,7 @@ class Calibration:
 
     @property
     def running(self) -> bool:
-        """Whether one is under way."""
+        """Return whether one is under way."""
         return self.state["step"] in RUNNING
 
     def start(self, tool: str, owner: object) -> None:

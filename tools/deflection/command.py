@@ -159,7 +159,7 @@ def _fit(args: argparse.Namespace, store: "DeflectionStore") -> int:
 
 
 def _ask(as_json: bool) -> bool:
-    """Whether a person wants the recommended model saved; who cannot be asked does not."""
+    """Return whether a person wants the recommended model saved; who cannot be asked does not."""
     if as_json or not sys.stdin.isatty():
         print("not saved, nobody can be asked: add --yes to save, --no-save to be spared this line", file=sys.stderr)
         return False

@@ -79,11 +79,11 @@ class View:
         return now - min(seen.heard_s, seen.message.t_ns / 1e9)
 
     def is_old(self, topic: str, now: float) -> bool:
-        """Whether the last message must not be taken for the present any more, whatever it says of itself."""
+        """Return whether the last message must not be taken for the present any more, whatever it says of itself."""
         return self.age_s(topic, now) > fresh_for_s(topic)
 
     def is_silent(self, source: str, now: float) -> bool:
-        """Whether a source has not said for too long how it is."""
+        """Return whether a source has not said for too long how it is."""
         return now - self.statuses[source][1] > fresh_for_s("status")
 
     def rate_hz(self, topic: str, now: float) -> float:

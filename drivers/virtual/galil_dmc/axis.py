@@ -86,7 +86,7 @@ class Axis:
         return self.commanded(t) - self.position(t)
 
     def switch_closed(self, t: float, direction: int) -> bool:
-        """Whether the motor stands on a limit switch, +1 forward, -1 reverse."""
+        """Return whether the motor stands on a limit switch, +1 forward, -1 reverse."""
         p = self.physical(t).p
         return p >= self.plant.forward_switch if direction > 0 else p <= self.plant.reverse_switch
 
@@ -99,7 +99,7 @@ class Axis:
         return int(self.physical(t).p >= self.plant.home_switch)
 
     def limited(self, t: float, direction: int) -> bool:
-        """Whether a switch (as CN reads it, unless LD disables it) or a software limit forbids this direction."""
+        """Return whether a switch (as CN reads it, unless LD disables it) or a software limit forbids this direction."""
         mask = 1 if direction > 0 else 2
         active = self.switch_level(t, direction) == int(self.limit_active_high)
         if active and not int(self.registers.LD) & mask:

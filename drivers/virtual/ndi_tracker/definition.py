@@ -48,7 +48,7 @@ def checksum(data: bytes | bytearray) -> int:
 
 
 def is_definition(data: bytes | bytearray) -> bool:
-    """Whether a tracker can make a tool of these bytes: signature, checksum, and a possible number of markers."""
+    """Return whether a tracker can make a tool of these bytes: signature, checksum, and a possible number of markers."""
     if len(data) < SIZE or data[:3] != SIGNATURE:
         return False
     return struct.unpack_from("<H", data, _CHECKSUM)[0] == checksum(data) and _FEWEST <= data[_COUNT] <= _MOST

@@ -42,7 +42,7 @@ def repeated(scene: Scene) -> Mask:
     still, out = moved < STILL, np.zeros(y.shape, dtype=bool)
 
     def by_itself(channels: list[int], same: Mask) -> bool:
-        """Whether the sensor is slower than its record, or has no noise."""
+        """Return whether the sensor is slower than its record, or has no noise."""
         resting = still.sum() >= FEW_ROWS and float(np.mean(again[still][:, channels].all(axis=1))) > 0.5
         return float(np.mean(same)) > MOST_REPEATED or resting
 

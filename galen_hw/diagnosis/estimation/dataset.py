@@ -263,7 +263,7 @@ class Bench:
 
     @property
     def apart(self) -> bool:
-        """Whether each row is a pose by itself, held for a second or for nobody knows how long."""
+        """Return whether each row is a pose by itself, held for a second or for nobody knows how long."""
         return not self.scene.clock or self.spacing >= POSE
 
     def motion_band(self) -> float:

@@ -99,7 +99,7 @@ def _placed(scorer: Scorer, chosen: list[int], theta: Array) -> list[tuple[Effec
 
 
 def _same_clips(timing: list[tuple[Downstream, Array]], old: "Scene", new: "Scene") -> bool:
-    """Whether the readings that clip are the same ones, and come back to the same constants."""
+    """Return whether the readings that clip are the same ones, and come back to the same constants."""
     clips = [effect for effect, _ in timing if isinstance(effect, Saturation)]
     return all(np.array_equal(c.clipped(old), c.clipped(new)) for c in clips)
 

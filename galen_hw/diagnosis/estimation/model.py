@@ -173,7 +173,7 @@ class Model:
         return fit(parts, y, rows, self.bench.width, held) if far else theta
 
     def _reaches(self, h: Hypothesis, theta: Array) -> bool:
-        """Whether an effect does at theta (k,) what its tangent says, by the noise."""
+        """Return whether an effect does at theta (k,) what its tangent says, by the noise."""
         assert h.effect is not None, "nuisances are linear"
         assert h.bend is not None, "a tangent has one"
         off = does(self.bench, h.effect, theta) - h.bend - h.raw.values @ theta

@@ -75,7 +75,7 @@ class _Beside(NamedTuple):
         return self.room[:, : len(self.at)]
 
     def takes(self, count: int) -> bool:
-        """Whether there is room for so many more."""
+        """Return whether there is room for so many more."""
         return bool(len(self.at) + count <= self.room.shape[1])
 
     def joined(self, at: "Index", X: Array) -> "_Beside":

@@ -147,7 +147,7 @@ def _region(
 
 
 def _sure(bench: Bench, surplus: Array, rows: Mask) -> bool:
-    """Whether the sum over some rows lies above zero by more than blocks of them differ."""
+    """Return whether the sum over some rows lies above zero by more than blocks of them differ."""
     by_block = np.bincount(bench.block[rows], surplus[rows])[np.unique(bench.block[rows])]
     spread = float(np.std(by_block, ddof=1)) * np.sqrt(len(by_block)) if len(by_block) > 3 else np.inf
     return float(by_block.sum()) > SURE * spread

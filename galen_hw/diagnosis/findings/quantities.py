@@ -111,7 +111,7 @@ def headline(finding: Finding) -> str:
 
 
 def _sure(value: Value) -> bool:
-    """Whether it differs from zero at all."""
+    """Return whether it differs from zero at all."""
     return abs(value.value) > 2.0 * value.std
 
 

@@ -171,12 +171,12 @@ def _agreed(scorer: Scorer, own: Own, rival: Rival) -> float:
 
 
 def _coarse(rival: Rival) -> bool:
-    """Whether a searched value between the points of its grid could make a near rival nearer."""
+    """Return whether a searched value between the points of its grid could make a near rival nearer."""
     return len(rival.effect.searched()) == 1 and ALREADY < rival.angle < NEAR
 
 
 def _pinned(scorer: Scorer, effect: Effect) -> bool:
-    """Whether its searched value is its size: what it would add at a point of the grid says nothing of it."""
+    """Return whether its searched value is its size: what it would add at a point of the grid says nothing of it."""
     return effect.pinned(scorer.bench.scene) is not None
 
 

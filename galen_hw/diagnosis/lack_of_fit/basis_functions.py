@@ -182,7 +182,7 @@ class Inputs:
         return np.concatenate([self.position, self.rate, self.second, self.load, self.warmth, self.past], axis=1)
 
     def comparable(self, other: "Inputs") -> bool:
-        """Whether what is by the row here holds there too: a row lasts as long, and there are enough of them."""
+        """Return whether what is by the row here holds there too: a row lasts as long, and there are enough of them."""
         same = abs(self.period - other.period) <= 0.01 * self.period
         return same and len(other.position) > max(self.lags, default=1)
 

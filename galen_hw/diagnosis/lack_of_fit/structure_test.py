@@ -184,7 +184,7 @@ def sureness(each: Array) -> float:
 
 
 def _beyond_shuffled(U: Array, y: Array, block: Index, *, ridge: float) -> bool:
-    """Whether functions predict blocks left out far better than they predict the same blocks in another order.
+    """Return whether functions predict blocks left out far better than they predict the same blocks in another order.
 
     What acts in a few corners of the motion lies in a few blocks: their gains differ so much that a mean over its error says
     little. That the rest is large at just the moments that the motion foretells is no luck.

@@ -210,7 +210,7 @@ def quiet(scene: Scene) -> Scene:
 
 
 def _as_near(other: Scene, scene: Scene) -> bool:
-    """Whether another simulation of a recording misses hardly more of it, all channels alike, and not surely more.
+    """Return whether another simulation of a recording misses hardly more of it, all channels alike, and not surely more.
 
     Joints that were read on an even clock and stamped unevenly are not where a smooth motion has them at those times.
     """

@@ -98,7 +98,7 @@ def taken(before: Array, after: Array, floor: Array) -> Array:
 
 
 def _stands_out(square: Array, during: Mask, weight: Array) -> bool:
-    """Whether squared errors (n, C) are far larger during some rows than at all others, in the channels that count."""
+    """Return whether squared errors (n, C) are far larger during some rows than at all others, in the channels that count."""
     if not during.any() or during.all():
         return False
     ratio = np.mean(square[during], axis=0) / np.maximum(np.mean(square[~during], axis=0), 1e-300)
@@ -116,7 +116,7 @@ def where_it_acts(scorer: Scorer, chosen: list[int], i: int, bench: Bench) -> Ar
 
 
 def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
-    """Whether the parameters can be what the effect is called."""
+    """Return whether the parameters can be what the effect is called."""
     h = scorer.library[i]
     assert h.effect is not None, "nuisances are never candidates"
     theta, at, _ = scorer.solve([*chosen, i], asked=i)

@@ -95,7 +95,7 @@ def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:
 
 
 def loosens(other: Effect | None, effect: Effect | None) -> bool:
-    """Whether the other is of the kind that the effect was found from, linear in more parameters than its physics has.
+    """Return whether the other is of the kind that the effect was found from, linear in more parameters than its physics has.
 
     Or a response of second order for a delay or a lag: quicker than the rows it follows noise between them, and the clocks
     are asked all at once whether there is one.
@@ -108,7 +108,7 @@ def loosens(other: Effect | None, effect: Effect | None) -> bool:
 
 
 def _on_a_grid(h: Hypothesis) -> bool:
-    """Whether it has searched values, and these from a grid; what was sought in the residual has found its own."""
+    """Return whether it has searched values, and these from a grid; what was sought in the residual has found its own."""
     return h.effect is not None and bool(h.effect.searched()) and h.looked == 1
 
 

@@ -47,7 +47,7 @@ SAME_LINE = 0.1
 
 
 def known(bench: Bench, scorer: Scorer, effect: Effect) -> bool:
-    """Whether a hypothesis is in the library: turn after turn the rest shows the same, as long as nothing takes it."""
+    """Return whether a hypothesis is in the library: turn after turn the rest shows the same, as long as nothing takes it."""
     family = effect.family
     alike = [h.effect for h in scorer.library if h.family == family]
     if not isinstance(effect, Vibration):

@@ -31,7 +31,7 @@ class Gain:
         return float(np.clip(self.fall / self.excess, -1.0, 1.0)) if self.excess > 0.0 else 0.0
 
     def credible(self, criteria: Criteria = CRITERIA, *, rough: float = 1.0, unexplained: float = 0.0) -> bool:
-        """Whether it is there beyond luck, and larger than what the laws beside it may miss themselves.
+        """Return whether it is there beyond luck, and larger than what the laws beside it may miss themselves.
 
         Args:
             criteria: the levels.

@@ -34,7 +34,7 @@ def left_by(models: Sequence[Model], generic: list[structure_test.Family]) -> li
 
 
 def might_yield(model: Model) -> bool:
-    """Whether a model believes in something that bends far enough to be part of what has no name."""
+    """Return whether a model believes in something that bends far enough to be part of what has no name."""
     return bool(_yielding(model))
 
 

@@ -64,7 +64,7 @@ def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure
 
 
 def _anew(effect: Effect) -> bool:
-    """Whether an effect belongs to moments, and these are not left out of what is judged."""
+    """Return whether an effect belongs to moments, and these are not left out of what is judged."""
     return not effect.lasting() and not isinstance(effect, Contact)
 
 

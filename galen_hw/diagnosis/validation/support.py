@@ -17,7 +17,7 @@ LEAST_SUPPORT = 0.05
 
 
 def poor(support: float, sure: float, *, alone: bool) -> bool:
-    """Whether held-out data do not support what has this share of the excess and this certainty."""
+    """Return whether held-out data do not support what has this share of the excess and this certainty."""
     return support < LEAST_SUPPORT or sure < (LEAST_SURE if alone else BESIDE)
 
 
@@ -36,7 +36,7 @@ def support(without: Array, rest: Array) -> float:
 
 
 def belied(rest: Array, without: Array) -> bool:
-    """Whether held-out rows show in some channel that an effect does not act there as was learnt.
+    """Return whether held-out rows show in some channel that an effect does not act there as was learnt.
 
     Of rests (n, c) with and without it, in units of the noise. The error is larger there with it, by more than a wrong estimate
     of a right effect would make it and by more than luck: what is right in one channel and wrong in the next is the wrong
@@ -52,7 +52,7 @@ def belied(rest: Array, without: Array) -> bool:
 
 
 class Guard:
-    """Whether held-out data want an effect: how much of what would be left it takes, and how surely.
+    """Return whether held-out data want an effect: how much of what would be left it takes, and how surely.
 
     In raw units, weighed by the noise of each channel, where physics is left over: then the weights of the noise would favour
     frequencies at which the model is wrong. Where the model leaves noise alone, in whitened units: a small quick effect is then
@@ -101,7 +101,7 @@ class Guard:
         return paired(self._raw_of(part), self._raw_rest, before / self._floor - 1.0)
 
     def could_tell(self, part: Model) -> bool:
-        """Whether held-out rows would surely want what a smaller model has left out if it is there as it was learnt.
+        """Return whether held-out rows would surely want what a smaller model has left out if it is there as it was learnt.
 
         Luck has the square of the effect itself for its variance, in units of the noise: a motion that hardly rouses an effect
         neither wants nor refuses it.

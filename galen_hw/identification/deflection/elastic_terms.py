@@ -56,7 +56,7 @@ class Term:
 
     @property
     def bare(self) -> bool:
-        """Whether it acts on the whole load; the others act on what the friction leaves of it."""
+        """Return whether it acts on the whole load; the others act on what the friction leaves of it."""
         return self.kind in ("compliance", "hysteresis")
 
     @property

@@ -130,7 +130,7 @@ class Effect(ABC):
 
     @classmethod
     def lasting(cls) -> bool:
-        """Whether it acts all along, and in another recording as in this one."""
+        """Return whether it acts all along, and in another recording as in this one."""
         return not (cls.EPISODIC or cls.BRIEF)
 
     @classmethod
@@ -161,7 +161,7 @@ class Effect(ABC):
         return None
 
     def bends(self, scene: Scene, theta: Array) -> bool:
-        """Whether `exact` gives a change: an effect may know without computing it."""
+        """Return whether `exact` gives a change: an effect may know without computing it."""
         return self.exact(scene, theta) is not None
 
     def change(self, scene: Scene, theta: Array) -> Array:
@@ -209,7 +209,7 @@ class Effect(ABC):
 
     @classmethod
     def always_fitted(cls, predict: str) -> bool:
-        """Whether it is the constant of a channel of this group, which is in every model and judged at its end."""
+        """Return whether it is the constant of a channel of this group, which is in every model and judged at its end."""
         del predict
         return False
 
@@ -261,7 +261,7 @@ class Effect(ABC):
         return ()
 
     def reads(self, scene: Scene) -> bool:
-        """Whether it acts on a load as it is read, whatever makes it up: the changes of other effects too."""
+        """Return whether it acts on a load as it is read, whatever makes it up: the changes of other effects too."""
         return False
 
     def body(self, scene: Scene, theta: Array) -> Array | None:
@@ -292,7 +292,7 @@ class Effect(ABC):
 
     @property
     def curved(self) -> bool:
-        """Whether its slope at nothing says little of what it does elsewhere: it is settled step by damped step."""
+        """Return whether its slope at nothing says little of what it does elsewhere: it is settled step by damped step."""
         return False
 
     @property
@@ -302,7 +302,7 @@ class Effect(ABC):
 
     @property
     def bound(self) -> bool:
-        """Whether a law between its parameters holds, as placed by `told_by`."""
+        """Return whether a law between its parameters holds, as placed by `told_by`."""
         return False
 
     def told_by(self, theta: Array) -> Self | None:

@@ -127,7 +127,7 @@ class CableDrag(Effect):
         return np.array([1e-4 * max(abs(theta[0]), 1.0), *7 * [1e-4], *(1e-4 * abs(theta[8:])).clip(1e-6)])
 
     def known(self, theta: Array, spread: Array) -> bool:
-        """Whether it surely pulls, by its parameters (k,) and their standard deviations (k,).
+        """Return whether it surely pulls, by its parameters (k,) and their standard deviations (k,).
 
         What turns without a force, or pulls nobody knows how much from nobody knows where, is no cable: a tendon must be stiffer
         than its own error, and of a spring's or a pull's forces one must be there by three errors.

@@ -180,7 +180,7 @@ class Friction(Effect):
         return ("lag",) if "servo" in self.form and self.simulated is None else ()
 
     def at_work(self, scene: Scene) -> bool:
-        """Whether a servo that gives way while it sticks also breaks loose, in so many of the rows that move."""
+        """Return whether a servo that gives way while it sticks also breaks loose, in so many of the rows that move."""
         if self.settling is None or self.coulomb is None:
             return True
         response, settling = self.constants()

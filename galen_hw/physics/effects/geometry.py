@@ -239,7 +239,7 @@ class SensorMounting(Effect):
 
 
 def answers(scene: Scene, joint: str) -> bool:
-    """Whether any channel answers to the joint."""
+    """Return whether any channel answers to the joint."""
     port = scene.joint_port(joint)
     return port is not None and bool(np.nanmax(np.abs(port), initial=0.0) > 1e-12)
 

@@ -86,7 +86,7 @@ class Creep(Effect):
         return "Its load came on as the recording began: nothing had settled." if self.rested else ""
 
     def at_work(self, scene: Scene) -> bool:
-        """Whether it is slower than a filter: at the shortest constant it stands for something quicker."""
+        """Return whether it is slower than a filter: at the shortest constant it stands for something quicker."""
         return self.constant > SLOWER * self.SEARCHED["constant"].low
 
     def with_searched(self, values: Mapping[str, float]) -> Self:
@@ -163,7 +163,7 @@ BEGUN = 0.1
 
 
 def _begun(scene: Scene, channel: str, joint: str) -> bool:
-    """Whether what bears has a load at the start."""
+    """Return whether what bears has a load at the start."""
     load = scene.load(joint) if joint else scene.simulated[:, scene.channels.index(channel) if channel else slice(None)]
     return load is not None and bool(np.any(np.abs(load[0]) > BEGUN * np.nanstd(load, axis=0)))
 
@@ -275,7 +275,7 @@ class Hysteresis(Effect):
         return super().searched_unit(name)
 
     def rubs_in(self, joint: str) -> bool:
-        """Whether it is a joint's friction beside its spring."""
+        """Return whether it is a joint's friction beside its spring."""
         return not self.channel and self.wear is None and self.driver == f"load:{joint}"
 
     def stuck_by(self, friction: float) -> Self:

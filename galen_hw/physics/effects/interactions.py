@@ -65,7 +65,7 @@ def compound(scene: "Scene", placed: Sequence[Placed]) -> list[Array]:
 
 
 def meet(scene: "Scene", placed: Sequence[Placed]) -> bool:
-    """Whether any of them does otherwise because of the others."""
+    """Return whether any of them does otherwise because of the others."""
     if len(placed) > 1 and any(e.reads(scene) or e.body(scene, theta) is not None for e, theta in placed):
         return True
     wrong = [placed[k] for k in _wrong(placed)]

@@ -83,7 +83,7 @@ class Payload(Effect):
         return np.asarray(self._bodies(scene) @ theta)
 
     def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
-        """Whether the tool with it is a distribution of mass, where the tool is known and the inertia is free.
+        """Return whether the tool with it is a distribution of mass, where the tool is known and the inertia is free.
 
         Its second moments about the centre of mass along any axis u, u . S u with S = tr(I) / 2 - I, are of no sign but
         positive (Wensing, Kim, Slotine 2018).

@@ -33,7 +33,7 @@ class Timing(Downstream):
 
     @property
     def bowed(self) -> bool:
-        """Whether the simulated runs along parabolas between two rows."""
+        """Return whether the simulated runs along parabolas between two rows."""
         return self.between == "bows"
 
     @abstractmethod

@@ -26,7 +26,7 @@ EVEN = 1e-9
 
 
 def evenly(time: Array) -> bool:
-    """Whether a clock (N,) is even but for rounding; of less than three rows nobody knows."""
+    """Return whether a clock (N,) is even but for rounding; of less than three rows nobody knows."""
     steps = np.diff(time)
     return len(steps) > 1 and bool(np.ptp(steps) <= EVEN * steps[0])
 

@@ -44,7 +44,7 @@ class Operated:
 
     @cached_property
     def even(self) -> bool:
-        """Whether the clock is even in every segment of a batch."""
+        """Return whether the clock is even in every segment of a batch."""
         return all(self._evenly.values())
 
     @cached_property

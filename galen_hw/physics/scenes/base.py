@@ -259,7 +259,7 @@ class Scene(Operated):
         return ends(self.time, moved, self.segments, self.band)
 
     def _uses_rates(self) -> bool:
-        """Whether the baseline differentiates the motion."""
+        """Return whether the baseline differentiates the motion."""
         return False
 
     @property
@@ -268,7 +268,7 @@ class Scene(Operated):
         return None
 
     def loses(self, band: float) -> bool:
-        """Whether a vibration would go with what a low-pass of the motion (Hz) takes."""
+        """Return whether a vibration would go with what a low-pass of the motion (Hz) takes."""
         return False
 
     def error_with(self, band: float | None) -> float:

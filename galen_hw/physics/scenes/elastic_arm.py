@@ -160,7 +160,7 @@ class RestingLoad:
     square: float = 0.0
 
     def take(self, load: float, half_width: float) -> bool:
-        """Whether it rests still; a load that moves is no part of the mean."""
+        """Return whether it rests still; a load that moves is no part of the mean."""
         away = load - self.mean
         if self.count and abs(away) > RESTING * half_width:
             return False

@@ -114,7 +114,7 @@ FOOT = 5
 
 
 def has_line(x: Array, dt: float, above: float) -> bool:
-    """Whether a signal (N,) holds one narrow line, and no row of lines, above a frequency (Hz)."""
+    """Return whether a signal (N,) holds one narrow line, and no row of lines, above a frequency (Hz)."""
     n = len(x)
     first = max(int(np.ceil(above * n * dt)), 1)
     if n < SHORTEST or n // 2 - first < SHORTEST or not np.isfinite(x).all():
@@ -266,7 +266,7 @@ def _rests(x: Array, shortest: int) -> Iterator[slice]:
 
 
 def _stays(z: Array) -> bool:
-    """Whether values (n,) of unit variance are that alone: no coarser means of them, down to two, are further apart."""
+    """Return whether values (n,) of unit variance are that alone: no coarser means of them, down to two, are further apart."""
     while len(z) >= 2:
         if float(np.sum((z - z.mean()) ** 2)) > len(z) - 1 + STILL_SUM * math.sqrt(2.0 * (len(z) - 1)):
             return False

@@ -72,7 +72,7 @@ class Recording:
         return copy.deepcopy(self)
 
     def has(self, *names: str) -> bool:
-        """Whether all of these columns are there."""
+        """Return whether all of these columns are there."""
         return all(n in self.columns for n in names)
 
     def joints(self, what: str = "position") -> list[str]:

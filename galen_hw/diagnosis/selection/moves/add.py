@@ -21,7 +21,7 @@ TRIES = 8
 
 
 def added(out: Selection) -> bool:
-    """Whether the best effect that is there joined the model; of a clock that is far off no slope promises anything."""
+    """Return whether the best effect that is there joined the model; of a clock that is far off no slope promises anything."""
     best = clock_offset(out.bench, out.scorer, out.chosen, out.turn.scores)
     best = _best(out) if best is None else best
     if best is not None:

@@ -27,7 +27,7 @@ MOST_BESIDE = 3
 
 
 def tightened(out: Selection, just: int | None = None) -> bool:
-    """Whether a tendon took the place of a spring, with what then comes to light beside it.
+    """Return whether a tendon took the place of a spring, with what then comes to light beside it.
 
     A spring that is linear in all that is unknown has fifteen parameters for a tendon's eight: the others take a tilt, a
     payload or a joint's zero with them. These are asked for again beside the tendon, and both models pay for every
@@ -47,7 +47,7 @@ def tightened(out: Selection, just: int | None = None) -> bool:
 
 
 def _instead(out: Selection, i: int, most: int) -> bool:
-    """Whether a better tendon, with so many others at most, took the place of the chosen cable i."""
+    """Return whether a better tendon, with so many others at most, took the place of the chosen cable i."""
     bench, scorer = out.bench, out.scorer
     before, errors = scorer.solve(out.chosen)[2], crossed(bench, scorer, out.chosen)
     others = [j for j in out.chosen if j != i]
@@ -109,13 +109,13 @@ def _beside(scorer: Scorer, out: Selection, trial: list[int]) -> int | None:
 
 
 def _is_plain(scorer: Scorer, j: int) -> bool:
-    """Whether it lasts and nothing of it is searched: a spring that is linear knows neither the clock nor the past."""
+    """Return whether it lasts and nothing of it is searched: a spring that is linear knows neither the clock nor the past."""
     h = scorer.library[j]
     return h.effect is not None and not h.effect.EPISODIC and not h.effect.searched() and h.looked == 1
 
 
 def _as_good(before: Array, after: Array) -> bool:
-    """Whether errors (C,) on blocks left out do not rise."""
+    """Return whether errors (C,) on blocks left out do not rise."""
     return float(np.mean(after / before)) <= 1.0 + ALIKE
 
 

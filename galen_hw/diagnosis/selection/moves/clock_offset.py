@@ -75,7 +75,7 @@ def far_off(model: Model) -> list[Columns]:
 
 
 def _whole(effect: Effect | None) -> TypeGuard[TimeDelay]:
-    """Whether it is a delay of the whole stream."""
+    """Return whether it is a delay of the whole stream."""
     return isinstance(effect, TimeDelay) and not effect.joint
 
 

@@ -71,7 +71,7 @@ def _counts(bench: Bench, effect: Contact) -> Iterator[int]:
 
 
 def _quiet_else(bench: Bench, scorer: Scorer, model: list[int], effect: Contact) -> bool:
-    """Whether a model leaves hardly more than noise on the rows outside a touch's episodes."""
+    """Return whether a model leaves hardly more than noise on the rows outside a touch's episodes."""
     time = bench.rows.average(bench.scene.time)
     outside = bench.train & ~np.any([(time >= start) & (time <= end) for start, end in effect.episodes], axis=0)
     rest = rests(bench, scorer, model)[0][outside]

@@ -27,7 +27,7 @@ SIMPLEX: Final = np.array([[0.0, 0.0], [0.2, 0.0], [0.0, -0.2]])
 
 
 def behind_friction(out: Selection) -> bool:
-    """Whether a joint's creep beside its friction was better told as one behind the other, of the same friction.
+    """Return whether a joint's creep beside its friction was better told as one behind the other, of the same friction.
 
     Apart, each is told wrong: friction with the widths that creep makes of it, and what both miss as a give or a jump.
     """
@@ -50,7 +50,7 @@ def behind_friction(out: Selection) -> bool:
 
 
 def _taken(out: Selection, pair: tuple[int, int], apart: tuple[Creep, Hysteresis]) -> bool:
-    """Whether the pair with one friction was better, and stands in the place of the two that were apart.
+    """Return whether the pair with one friction was better, and stands in the place of the two that were apart.
 
     A give of the joint that only made up for a creep told from the wrong end goes with them.
     """
@@ -100,6 +100,6 @@ def _owed(scorer: Scorer, model: list[int]) -> int:
 
 
 def _gives(scorer: Scorer, k: int, joint: str) -> bool:
-    """Whether it is a give of the joint in proportion to its load."""
+    """Return whether it is a give of the joint in proportion to its load."""
     effect = scorer.library[k].effect
     return isinstance(effect, Compliance) and effect.form == "joint" and effect.joint == joint

@@ -28,7 +28,7 @@ TRIALS = 2
 
 
 def regrouped(out: Selection) -> bool:
-    """Whether two rigid errors gave way to others that do as much with fewer numbers, or more.
+    """Return whether two rigid errors gave way to others that do as much with fewer numbers, or more.
 
     Forward search takes what is best alone. Of an axis turned about one direction beside a joint's zero that is a turned sensor
     with three numbers, and then the zero of the wrong joint: no single exchange is better, and each is the other's reason.
@@ -66,7 +66,7 @@ def regrouped(out: Selection) -> bool:
 
 
 def _counted_otherwise(out: Selection) -> bool:
-    """Whether an effect counted from another zero did without one that only made up for the difference.
+    """Return whether an effect counted from another zero did without one that only made up for the difference.
 
     What settles after a load is less at first than in the end: told as what is missing at first, it wants a heavier load.
     """
@@ -155,7 +155,7 @@ def _rigid(scorer: Scorer, i: int) -> bool:
 
 
 def _taken(out: Selection, pair: tuple[int, ...], chain: list[int], price: dict[int, float]) -> bool:
-    """Whether the others, at their optimum, were better and were taken."""
+    """Return whether the others, at their optimum, were better and were taken."""
     bench, scorer = out.bench, out.scorer
     before, errors, misfit = scorer.solve(out.chosen)[2], crossed(bench, scorer, out.chosen), scorer.misfit(out.chosen)
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)

@@ -15,7 +15,7 @@ LEADERS: Final = 3
 
 
 def hidden(out: Selection) -> bool:
-    """Whether the first able hypothesis joined that takes what two must, once the likeliest partner stands beside it.
+    """Return whether the first able hypothesis joined that takes what two must, once the likeliest partner stands beside it.
 
     An arm that is turned and late errs by the sum: what fits one of the two alone fits the other's half as well, and the
     rest is hardly smaller for it on blocks left out.

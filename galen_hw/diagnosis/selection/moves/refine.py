@@ -26,7 +26,7 @@ BOUND_MARGIN = 0.1
 
 
 def refined(out: Selection) -> bool:
-    """Whether a chosen effect was told in a richer form, bound to what it is here, or followed more finely."""
+    """Return whether a chosen effect was told in a richer form, bound to what it is here, or followed more finely."""
     return enriched(out) or _bound(out) or followed(out)
 
 
@@ -74,12 +74,12 @@ def _grown(bench: Bench, scorer: Scorer, others: list[int], forms: list[Effect])
 
 
 def _nests(effect: Effect) -> bool:
-    """Whether all forms of its kind in its joint are richer or poorer than one another."""
+    """Return whether all forms of its kind in its joint are richer or poorer than one another."""
     return bool(effect.joints) and not effect.EPISODIC
 
 
 def _same_kind(other: Effect | None, effect: Effect) -> bool:
-    """Whether another is of the kind and in the joint of an effect; without a joint, the same at other searched values."""
+    """Return whether another is of the kind and in the joint of an effect; without a joint, the same at other searched values."""
     if other is None or other.KEY != effect.KEY:
         return False
     return other.joints == effect.joints if _nests(effect) else other.family == effect.family

@@ -69,7 +69,7 @@ def _chain(
 
 
 def _apart(scorer: Scorer, i: int, j: int) -> bool:
-    """Whether j is plain beside the flexible i: lasting, nothing searched, and not flexible itself."""
+    """Return whether j is plain beside the flexible i: lasting, nothing searched, and not flexible itself."""
     other = scorer.library[j]
     effect = other.effect
     plain = effect is not None and not effect.FLEXIBLE and not effect.EPISODIC and not effect.searched()

@@ -13,7 +13,7 @@ BETTER: Final = 1.0
 
 
 def timed(out: Selection) -> bool:
-    """Whether a jump was moved, before a touch that lasts from one moment to the other makes up for it."""
+    """Return whether a jump was moved, before a touch that lasts from one moment to the other makes up for it."""
     bench, scorer = out.bench, out.scorer
     moved = False
     for place, i in enumerate(out.chosen):

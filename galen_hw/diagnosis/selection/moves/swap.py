@@ -18,7 +18,7 @@ from galen_hw.diagnosis.stats.significance import LOG_ODDS
 
 
 def swapped(out: Selection) -> bool:
-    """Whether any effect was exchanged for a rival in its place."""
+    """Return whether any effect was exchanged for a rival in its place."""
     out.turn.swapped = _swap(out)
     return out.turn.swapped
 
@@ -74,7 +74,7 @@ def _flattered(bench: Bench, scorer: Scorer, trial: list[int], i: int, best: int
 
 
 def swapped_again(out: Selection) -> bool:
-    """Whether one more round of swaps brings other hypotheses in, not only better values of the same.
+    """Return whether one more round of swaps brings other hypotheses in, not only better values of the same.
 
     What was exchanged last may have made room for better: a wander beside a tool stood for a warm-up beside a cable.
     """

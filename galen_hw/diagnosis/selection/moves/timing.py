@@ -37,7 +37,7 @@ OFTEN = 2
 
 
 def reclocked(out: Selection) -> bool:
-    """Whether the delays and lags of a model were exchanged for better ones: of the whole stream, or of each joint."""
+    """Return whether the delays and lags of a model were exchanged for better ones: of the whole stream, or of each joint."""
     bench, scorer = out.bench, out.scorer
     # Not for ever: what the search takes back of an exchange, it would take back again.
     model = frozenset(scorer.library[i].family for i in out.chosen)
@@ -146,7 +146,7 @@ def _exchanged(
     *,
     nearly: int = 0,
 ) -> bool:
-    """Whether a model with other clocks, and all else as it arrives through them, was better and was taken.
+    """Return whether a model with other clocks, and all else as it arrives through them, was better and was taken.
 
     `nearly`: only if these take nearly all that is above the noise wherever they are better, in so many channels at least.
     """
@@ -201,7 +201,7 @@ def _in_place_of(bench: Bench, h: Hypothesis, instead: dict[Effect, Effect]) -> 
 
 
 def _pays(bench: Bench, before: Array, after: Array, *, nearly: int, plainer: bool) -> bool:
-    """Whether errors (C,) on blocks left out fall, by enough of the excess in some channel; of fewer clocks, do not rise.
+    """Return whether errors (C,) on blocks left out fall, by enough of the excess in some channel; of fewer clocks, do not rise.
 
     `nearly`: by nearly all of the excess wherever they fall, in so many channels at least.
     """

@@ -62,7 +62,7 @@ class Kind:
     fits: Callable[[Recording], bool] = lambda _: True
 
     def names(self, text: str) -> bool:
-        """Whether a text shows that the cause was seen."""
+        """Return whether a text shows that the cause was seen."""
         return any(re.search(pattern, text, re.IGNORECASE | re.DOTALL) for pattern in self.named)
 
 

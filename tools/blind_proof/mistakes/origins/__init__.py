@@ -25,7 +25,7 @@ REAL = frozenset(real.REALS)
 
 
 def present(family: str) -> bool:
-    """Whether recordings of a family can be made on this machine."""
+    """Return whether recordings of a family can be made on this machine."""
     return family not in REAL or real.present(family)
 
 

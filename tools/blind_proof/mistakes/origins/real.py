@@ -30,7 +30,7 @@ REALS = {
 
 
 def present(name: str) -> bool:
-    """Whether this one is on this machine."""
+    """Return whether this one is on this machine."""
     data = data_folder()
     return data is not None and (data / REALS[name].folder / "recording.csv").exists()
 
