@@ -363,6 +363,18 @@ def test_raw_rows_of_poses_become_poses():
     assert found.observations.columns["covariate.samples"].tolist() == [200.0] * 12 + [1.0]
 
 
+def test_raw_rows_with_the_stamp_of_their_pose_become_poses():
+    """The clock of a sweep says when the pose was held, not when a row was read."""
+    turn = Rotation.random(13, random_state=5)
+    many = Rotation.from_quat(np.concatenate([np.repeat(turn.as_quat()[:3], 40, axis=0), turn.as_quat()[3:]]))
+    columns = reading(many, np.random.default_rng(3), G) | {
+        "time": np.array([*np.repeat([0.0, 6.0, 12.0], 40), *np.arange(18.0, 78.0, 6.0)])
+    }
+    found = examined(seen(columns))
+    assert keys(found) == ["pose_rows"]
+    assert found.observations.columns["time"].tolist() == np.arange(0.0, 78.0, 6.0).tolist()
+
+
 def test_two_topics_on_rows_of_their_own_are_joined():
     """Orientations at 25 Hz between wrenches at 25 Hz."""
     columns = moving()

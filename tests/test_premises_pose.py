@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.premises import examined
+from galen_hw.premises import Action, examined
 
 ROBOT = GalenRobot()
 TIP = np.array([0.045, 0.0, -0.14])
@@ -211,3 +211,59 @@ def test_the_unit_of_an_arm_that_stands_is_told_by_its_place(unit: str, factor: 
     assert [r.premise for r in found.remarks] == ["pose_frames"] * bool(unit)
     assert all(f"in {unit}" in r.what for r in found.remarks)
     assert found.observations.columns[POSITION[0]] == pytest.approx(still[POSITION[0]] / factor)
+
+
+def test_one_column_in_another_unit_is_repaired() -> None:
+    """Two axes in metres and one in mm."""
+    original = pose()
+    found = examined(seen(original | {POSITION[1]: 1e3 * original[POSITION[1]]}))
+    (remark,) = found.remarks
+    assert remark.columns == (POSITION[1],)
+    assert "in mm" in remark.what
+    same_as(found, original, 1e-9)
+
+
+def test_a_registration_is_as_good_as_positions_and_orientations_together() -> None:
+    """Along a line the positions say little of a turn about it: the orientations say the rest, to twice their mean's error."""
+    columns, rng = joints(), np.random.default_rng(8)
+    columns |= {f"joint.carriage{k}.position": 0.1 * np.sin(0.9 * columns["time"]) for k in (1, 2, 3)}
+    columns["joint.roll.position"] = 0.02 * np.sin(columns["time"])
+    columns["joint.tilt.position"] = 0.02 * np.cos(0.7 * columns["time"])
+    T = ROBOT.sensor_pose(np.stack([columns[f"joint.{n}.position"] for n in ROBOT.joint_names], axis=1))
+    position = T[:, :3, 3] + T[:, :3, :3] @ TIP + 2e-4 * rng.normal(size=(len(T), 3))
+    R = Rotation.from_matrix(T[:, :3, :3]) * Rotation.from_rotvec(2e-4 * rng.normal(size=(len(T), 3)))
+    original = columns | dict(zip(POSITION + QUATERNION, (*position.T, *R.as_quat().T), strict=True))
+    found = examined(seen(turned(original, Rotation.from_rotvec([0.4, 1.1, -0.7]).as_matrix())))
+    assert [r.premise for r in found.remarks] == ["pose_frames"]
+    back = Rotation.from_quat(matrix(dict(found.observations.columns), QUATERNION))
+    off = (back * Rotation.from_matrix(T[:, :3, :3]).inv()).as_rotvec().mean(axis=0)
+    assert np.max(np.abs(off)) < 1e-4
+
+
+def pushed(sign: float, mirror: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Observations:
+    """An arm that stands and gives by 20 um/N under pushes to all sides, as a tracker sees it."""
+    columns, rng = joints(600), np.random.default_rng(3)
+    q = np.array([0.03, -0.02, 0.05, 0.4, -0.3])
+    T = ROBOT.sensor_pose(q[None])
+    force = 8.0 * np.stack([np.sin(w * columns["time"]) for w in (0.5, 0.8, 1.3)], axis=1)
+    place = T[0, :3, 3] + T[0, :3, :3] @ TIP + 2e-5 * force + 1e-4 * rng.normal(size=force.shape)
+    still = {"time": columns["time"]} | {
+        f"joint.{n}.position": np.full(600, v) for n, v in zip(ROBOT.joint_names, q, strict=True)
+    }
+    still |= {f"applied.force.{a}": sign * force[:, k] for k, a in enumerate("xyz")}
+    return seen(still | dict(zip(POSITION, (place * np.array(mirror)).T, strict=True)))
+
+
+def test_a_push_of_the_wrong_sign_is_refused() -> None:
+    """No structure gives against a push."""
+    assert not examined(pushed(1.0)).remarks
+    (remark,) = examined(pushed(-1.0)).remarks
+    assert remark.premise == "push_signs"
+    assert "opposite sign" in remark.what
+
+
+def test_a_mirrored_tracker_of_an_arm_that_stands_is_told_by_its_place() -> None:
+    """One place in the base: where it would be with an axis mirrored, and far from where it is."""
+    remarks = examined(pushed(1.0, mirror=(-1.0, 1.0, 1.0))).remarks
+    assert "left-handed" in remarks[0].what
+    assert remarks[0].action is Action.REFUSED

@@ -74,13 +74,24 @@ class UrdfRobot(UrdfChain):
         other.model.gravity.linear = self._T_zero_base[:3, :3] @ other.gravity
         return other
 
-    def load_regressor(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Joint efforts per inertial parameter of the link at the sensor, (N, n, 10): m, m c, I about its joint.
+    @property
+    def bodiless(self) -> dict[str, int]:
+        """Links that a joint moves and that weigh nothing, with all that is fixed to them: names, and that joint of the model."""
+        massless = [k for k in range(1, self.model.njoints) if self.model.inertias[k].mass == 0.0]
+        return {self.urdf.joints[self.model.names[k]].child: k for k in massless}
 
-        Of nothing where it is fixed to the root (`carrier`).
+    def load_regressor(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
+        """Joint efforts per inertial parameter of the link at the sensor, see `body_regressor`; of nothing where it is fixed."""
+        return self.body_regressor(self.carrier or 0, q, dq, ddq)
+
+    def body_regressor(self, joint: int, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
+        """Joint efforts per inertial parameter of what a joint of the model moves, (N, n, 10): m, m c, I about that joint.
+
+        Args:
+            joint: of `carrier` or `bodiless`; 0, the root: nothing.
         """
         rows = self._moved(q, dq, ddq)
-        joint, data = self.carrier or 0, self._scratch(rows[0])
+        data = self._scratch(rows[0])
 
         def one(qi: Array, vi: Array, ai: Array) -> Array:
             whole = np.asarray(pin.computeJointTorqueRegressor(self.model, data, qi, vi, ai))

@@ -29,9 +29,12 @@ PREMISES: Final = (
     "wrench_frames.WrenchFrames",
     "units.WrenchUnits",
     "units.EffortUnits",
+    "efforts.EffortGravity",
+    "efforts.MissingBody",
     "channels.JointSigns",
     "pose_frames.PoseFrames",
     "pose_frames.TargetFrames",
+    "pushes.PushSigns",
     "load.LoadChange",
 )
 """Modules and classes, in order."""

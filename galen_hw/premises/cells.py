@@ -155,17 +155,19 @@ def _side_by_side(values: Array) -> Mask:
 
 
 class PoseRows:
-    """Tests for raw rows of static poses in a table without a clock: rows of one pose share its errors and are one pose."""
+    """Tests for raw rows of static poses whose clock, if any, stamps the pose: rows of one pose share its errors and are one."""
 
     KEY: ClassVar[str] = "pose_rows"
     STAGE: ClassVar[Stage] = Stage.CELLS
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield one remark; each pose becomes one row, with its number of samples and their standard deviations."""
-        if seen.time is not None or seen.simulation is not None or seen.predict not in ("wrench", "pose", "targets"):
+        if seen.simulation is not None or seen.predict not in ("wrench", "pose", "targets"):
             return
         bounds = pose_bounds(seen)
         counts = np.diff([*bounds, len(seen)])
+        if seen.time is not None and np.any(np.delete(np.diff(seen.time), np.array(bounds[1:], dtype=int) - 1) != 0.0):
+            return  # a clock of the rows
         if len(bounds) < 4 or not np.any(counts >= RAW_ROWS) or len(bounds) == len(seen):
             return
         columns = {name: _means(values, bounds) for name, values in seen.columns.items()}

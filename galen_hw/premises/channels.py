@@ -73,7 +73,7 @@ class JointSigns:
         scene = compared(seen)
         if scene is None or len(scene) < 50 or not np.isfinite(scene.simulated).all():
             return
-        scales = np.array([[_scale(y, s) for s in scene.simulated.T] for y in scene.measured.T])
+        scales = np.array([[slope(s, y) or 0.0 for s in scene.simulated.T] for y in scene.measured.T])
         for c, name in enumerate(scene.channels):
             if scales[c, c] < 0.0 and _turned(scene.measured[:, c], scene.simulated[:, c]):
                 seen = with_columns(seen, {name: -seen.columns[name]})
@@ -91,8 +91,8 @@ def _turned(y: Array, x: Array) -> bool:
     return bool(np.sum((y + x) ** 2) < CRITERIA.gross_left * np.sum((y - x) ** 2))
 
 
-def _scale(y: Array, x: Array) -> float:
-    """Slope of y (N,) over x (N,) where the two are one signal; 0 where they are not."""
-    if np.std(x) == 0.0 or np.std(y) == 0.0 or abs(float(np.corrcoef(y, x)[0, 1])) < CRITERIA.one_signal:
-        return 0.0
+def slope(x: Array, y: Array) -> float | None:
+    """Return the least-squares slope of y (N,) over x (N,) where the two are one signal; None where they are not."""
+    if np.std(x) == 0.0 or np.std(y) == 0.0 or abs(float(np.corrcoef(x, y)[0, 1])) < CRITERIA.one_signal:
+        return None
     return float(np.cov(y, x)[0, 1] / np.var(x, ddof=1))

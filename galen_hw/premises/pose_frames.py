@@ -8,24 +8,25 @@ import numpy as np
 
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.pose import POSITION, QUATERNION
 from galen_hw.premises.base import Action, Claim, Remark, Stage, with_columns
+from galen_hw.premises.channels import slope
 from galen_hw.premises.criteria import CRITERIA
-from galen_hw.premises.rotations import Similarity, angle_of, as_axes, as_turn, nearest_axes, scaled, similarity
-from galen_hw.spatial import Array, quaternion_from_rotation, rotation_from_quaternion, rotation_log
+from galen_hw.premises.registration import poses, registered, sampled
+from galen_hw.premises.rotations import (
+    Similarity,
+    angle_of,
+    as_axes,
+    as_turn,
+    nearest_axes,
+    scaled,
+    signed_permutations,
+    similarity,
+    turned_alike,
+)
+from galen_hw.spatial import Array, rotation_from_quaternion, rotation_log
 
 LENGTHS: Final = {"mm": 1e3, "cm": 1e2, "inches": 1.0 / 0.0254, "feet": 1.0 / 0.3048, "km": 1e-3}
-
-
-def sampled(seen: Observations, names: tuple[str, ...]) -> Observations:
-    """Return rows with joints and the named columns, at most `CRITERIA.most_rows` of them, evenly chosen."""
-    robot = seen.belief.robot
-    joints = () if robot is None else tuple(f"joint.{name}.position" for name in robot.joint_names)
-    rows = np.flatnonzero(np.isfinite(seen.matrix(*joints, *names)).all(axis=1))
-    if len(rows) > CRITERIA.most_rows:
-        rows = rows[np.linspace(0, len(rows) - 1, CRITERIA.most_rows).astype(int)]
-    return seen.taken(rows)
 
 
 def length_unit(scale: float) -> tuple[str, float] | None:
@@ -46,11 +47,30 @@ class PoseFrames:
         some = sampled(seen, POSITION)
         if len(some) < CRITERIA.fewest_vectors:
             return
+        for remark in self._column(seen, some):
+            yield remark
+            seen = remark.repaired or seen
+            some = sampled(seen, POSITION)
         for remark in self._position(seen, some):
             yield remark
             seen = remark.repaired or seen
         if all(name in seen.columns for name in QUATERNION):
             yield from self._orientation(seen)
+
+    def _column(self, seen: Observations, some: Observations) -> Iterator[Remark]:
+        """Yield a remark on the one column that is in another unit than the others."""
+        expected, measured = scene_of(some).simulated[:, :3], some.matrix(*POSITION)
+        found = [slope(x, y) for x, y in zip(expected.T, measured.T, strict=True)]
+        scales = {k: scale for k, scale in enumerate(found) if scale is not None and scale > 0.0}
+        units = {k: told for k, scale in scales.items() if (told := length_unit(scale)) is not None}
+        if len(units) != 1 or len(scales) < 2:
+            return
+        ((k, (unit, factor)),) = units.items()
+        if any(abs(np.log(scale)) > np.log(CRITERIA.least_factor) for n, scale in scales.items() if n != k):
+            return
+        repaired = with_columns(seen, {POSITION[k]: seen.columns[POSITION[k]] / factor})
+        what = f"{POSITION[k]} moves {scales[k]:.4g} times as far as the arm, the others do not: it is in {unit}"
+        yield Remark(self.KEY, what, "", (POSITION[k],), Action.REPAIRED, repaired)
 
     def _position(self, seen: Observations, some: Observations) -> Iterator[Remark]:
         expected, measured = scene_of(some).simulated[:, :3], some.matrix(*POSITION)
@@ -77,7 +97,7 @@ class PoseFrames:
         if not mirrored and angle_of(found.Q) <= CRITERIA.least_turn:
             return
         factor = 1.0 if unit is None else unit[1]
-        repaired = _registered(seen, found.Q, measured / factor, expected)
+        repaired = registered(seen, found.Q, measured / factor, expected)
         if mirrored:
             what = f"the tracker's axes are left-handed: {as_axes(axes)} of the base"
             what += "" if away < CRITERIA.least_turn else ", and turned"
@@ -88,19 +108,28 @@ class PoseFrames:
         yield Remark(self.KEY, f"{what}; registered to the base", "", POSITION, Action.REPAIRED, repaired)
 
     def _standing(self, seen: Observations, expected: Array, measured: Array) -> Iterator[Remark]:
-        """Yield a remark on the unit of an arm that stands: in metres its place (3,) in the base would be the simulated one."""
+        """Yield a remark on unit or handedness of an arm that stands: read so its place (3,) in the base is the simulated one."""
         far, near = float(np.linalg.norm(measured)), float(np.linalg.norm(expected))
         unit = length_unit(far / near) if near > 0.0 else None
         if unit is not None and float(measured @ expected) > np.cos(CRITERIA.least_turn) * far * near:
             repaired = with_columns(seen, {name: seen.columns[name] / unit[1] for name in POSITION})
             text = f"the tracked position lies {far / near:.4g} times as far from the base as the arm reaches: it is in {unit[0]}"
             yield Remark(self.KEY, text, "", POSITION, Action.REPAIRED, repaired)
+            return
+        plain = float(np.linalg.norm(measured - expected))
+        others = [(float(np.linalg.norm(measured @ P - expected)), k) for k, P in enumerate(signed_permutations()) if k]
+        missed, k = min(others)
+        if plain > CRITERIA.small_turn * near and missed < CRITERIA.gross_left * plain:
+            axes = signed_permutations()[k]
+            left = "the tracker's axes are left-handed" if np.linalg.det(axes) < 0.0 else "the pose is in other axes"
+            what = f"the tip stands where the arm has it if x, y, z are read otherwise: {left}: {as_axes(axes)} of the base"
+            yield Remark(self.KEY, what, "write the position in the base's right-handed axes", POSITION, Action.REFUSED)
 
     def _orientation(self, seen: Observations) -> Iterator[Remark]:
         some = sampled(seen, (*POSITION, *QUATERNION))
         if len(some) < CRITERIA.fewest_vectors:
             return
-        expected = _poses(scene_of(some))
+        expected = poses(scene_of(some))
         x, y, z, w = (some.columns[name] for name in QUATERNION)
         tries = {
             "": (x, y, z, w),
@@ -111,8 +140,8 @@ class PoseFrames:
         misses = {}
         for says, quaternion in tries.items():
             R = rotation_from_quaternion(np.stack(quaternion, axis=1))
-            misses[says] = _turned_alike(expected, R)
-        spread = _turned_alike(np.tile(np.eye(3), (len(some), 1, 1)), expected)[1]
+            misses[says] = turned_alike(expected, R)
+        spread = turned_alike(np.tile(np.eye(3), (len(some), 1, 1)), expected)[1]
         if spread < CRITERIA.least_turn:
             return  # an arm that hardly turns cannot tell
         turn, left = misses[""]
@@ -169,36 +198,6 @@ def _axes(expected: Array, measured: Array, plain: Similarity | None) -> Similar
     least = min(o.unexplained for o in good)
     # In a plane a mirror is a turn: a turn is what people do.
     return next(o for o in good if o.unexplained <= CRITERIA.as_good * least)
-
-
-def _registered(seen: Observations, Q: Array, measured: Array, expected: Array) -> Observations:
-    """The recording with positions, and orientations, brought from axes Q (3, 3) to the base's, its middle where the arm's is."""
-    shift = expected.mean(axis=0) - measured.mean(axis=0) @ Q
-    position = seen.matrix(*POSITION) @ Q + shift
-    columns = dict(zip(POSITION, position.T, strict=True))
-    if all(name in seen.columns for name in QUATERNION):
-        there = np.isfinite(seen.matrix(*QUATERNION)).all(axis=1)
-        q = np.full((len(seen), 4), np.nan)
-        R = rotation_from_quaternion(seen.matrix(*QUATERNION)[there])
-        # Of a mirrored frame a rotation is mirrored on both sides: where the body's axes are mirrored too.
-        turned = Q.T @ R @ (np.eye(3) if np.linalg.det(Q) > 0.0 else Q)
-        q[there] = quaternion_from_rotation(turned)
-        columns |= dict(zip(QUATERNION, q.T, strict=True))
-    return with_columns(seen, columns)
-
-
-def _poses(scene: Scene) -> Array:
-    """(N, 3, 3) simulated orientation of the tip."""
-    return np.asarray(scene._pose[:, :3, :3])  # type: ignore[attr-defined]  # noqa: SLF001
-
-
-def _turned_alike(expected: Array, R: Array) -> tuple[Array, float]:
-    """The turn G (3, 3) of R (N, 3, 3) = expected G, and the rms angle (rad) that it leaves."""
-    relative = np.swapaxes(expected, 1, 2) @ R
-    U, _, Vt = np.linalg.svd(relative.mean(axis=0))
-    G = (U * np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])) @ Vt
-    left = rotation_log(np.swapaxes(relative, 1, 2) @ G)
-    return G, float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
 
 
 class TargetFrames:

@@ -9,6 +9,7 @@ import numpy as np
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.channels import slope
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.rotations import scaled
 from galen_hw.premises.wrench_reading import FORCE, TORQUE, at_rest, comparable, lever_fit, readings
@@ -114,7 +115,7 @@ class WrenchUnits:
         if some.belief.tool.mass > 0.0 and some.simulation is None:
             groups.append((TORQUE, scene_of(some).simulated[:, 3:], TORQUES))
         for names, x, table in groups:
-            scales = [_scale(x[:, k], some.columns[name]) for k, name in enumerate(names)]
+            scales = [slope(x[:, k], some.columns[name]) for k, name in enumerate(names)]
             known = [k for k, s in enumerate(scales) if s is not None and s > 0.0]
             if len(known) < 3:
                 continue
@@ -192,13 +193,6 @@ def _weighed(some: Observations) -> _Weighed | None:
     return _Weighed(plain.scale, com, plain.scale / mass, turned.scale if fits else 0.0)
 
 
-def _scale(x: Array, y: Array) -> float | None:
-    """Least squares y = scale x + constant where the two are one signal; None where they are not."""
-    if np.std(x) == 0.0 or np.std(y) == 0.0 or abs(float(np.corrcoef(x, y)[0, 1])) < CRITERIA.one_signal:
-        return None
-    return float(np.cov(y, x)[0, 1] / np.var(x, ddof=1))
-
-
 class EffortUnits:
     """Tests joint efforts against what the rigid model needs: a factor of every joint that no load and no friction has."""
 
@@ -264,8 +258,7 @@ def _slope(expected: Array, measured: Array, speed: Array) -> float | None:
     if good.sum() < 50 or np.std(expected[good]) == 0.0:
         return None
     x, y, v = expected[good], measured[good], speed[good]
-    small = 0.05 * max(float(np.std(v)), 1e-12)
-    others = np.column_stack([np.ones_like(v), np.tanh(v / small), v])
+    others = beside_friction(v)
     own = x - others @ np.linalg.lstsq(others, x, rcond=None)[0]
     rest = y - others @ np.linalg.lstsq(others, y, rcond=None)[0]
     if np.std(own) < 0.05 * np.std(x) or np.std(rest) == 0.0:
@@ -273,3 +266,9 @@ def _slope(expected: Array, measured: Array, speed: Array) -> float | None:
     if float(np.corrcoef(own, rest)[0, 1]) < 0.8:
         return None
     return float(np.sum(own * rest) / np.sum(own**2))
+
+
+def beside_friction(speed: Array) -> Array:
+    """Return (N, 3) a constant, dry and viscous friction of a joint of speed (N,), each of any size."""
+    small = 0.05 * max(float(np.std(speed)), 1e-12)
+    return np.column_stack([np.ones_like(speed), np.tanh(speed / small), speed])

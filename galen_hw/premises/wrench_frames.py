@@ -10,7 +10,7 @@ from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Claim, Remark, Stage
 from galen_hw.premises.criteria import CRITERIA
-from galen_hw.premises.rotations import angle_of, as_axes, as_turn, nearest_axes, signed_permutations
+from galen_hw.premises.rotations import angle_of, as_axes, as_turn, between, nearest_axes, signed_permutations
 from galen_hw.premises.wrench_reading import (
     FORCE,
     ORIENTATION,
@@ -89,9 +89,9 @@ class WrenchFrames:
         weight, _ = _gravity(found.reading)
         size = float(np.linalg.norm(seen.belief.gravity))
         gravity = size * weight / np.linalg.norm(weight)
-        if np.linalg.norm(_between(-seen.belief.gravity, gravity)) < CRITERIA.least_turn:
+        if np.linalg.norm(between(-seen.belief.gravity, gravity)) < CRITERIA.least_turn:
             gravity = -seen.belief.gravity  # hung upside down; what is left is small, and an effect's
-        turn = _between(seen.belief.gravity, gravity)
+        turn = between(seen.belief.gravity, gravity)
         direction = ", ".join(f"{g:.2f}" for g in gravity)
         angle = np.degrees(np.linalg.norm(turn))
         what = f"gravity points along ({direction}) m/s^2 in the base, {angle:.1f} deg from what is named"
@@ -175,7 +175,7 @@ def _possible(seen: Observations, found: _Found) -> bool:
     size = float(np.linalg.norm(seen.belief.gravity))
     off = abs(float(np.linalg.norm(weight)) / (mass * size) - 1.0) if mass > 0.0 else 0.0
     return bool(
-        off < CRITERIA.gross_left and np.linalg.norm(_between(seen.belief.gravity, weight)) > CRITERIA.least_turn
+        off < CRITERIA.gross_left and np.linalg.norm(between(seen.belief.gravity, weight)) > CRITERIA.least_turn
     )
 
 
@@ -240,18 +240,6 @@ def _weighs(option: _Found) -> bool:
 
 def _rotations(seen: Observations) -> Array:
     return np.asarray(scene_of(seen).R)  # type: ignore[attr-defined]
-
-
-def _between(a: Array, b: Array) -> Array:
-    """(3,) least rotation vector that takes the direction of a to that of b."""
-    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-    axis = np.cross(a, b)
-    sine, cosine = float(np.linalg.norm(axis)), float(a @ b)
-    if sine < 1e-9:
-        other = np.eye(3)[int(np.argmin(np.abs(a)))]
-        axis, sine = np.cross(a, other), float(np.linalg.norm(np.cross(a, other)))
-        return np.asarray(axis / sine * np.arccos(np.clip(cosine, -1.0, 1.0)))
-    return np.asarray(axis / sine * np.arctan2(sine, cosine))
 
 
 def _tool_known(seen: Observations) -> bool:

@@ -211,7 +211,7 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
             follows = dependence(best.kind, Inputs.of(bench.scene, bench.rows).names)
             says = (
                 f"Structure is left in {where} that no named effect explains: {follows}, "
-                f"which makes up {100 * share:.2g} % of what is left and holds on blocks that it was not fitted on."
+                f"which makes up {100 * share:.3g} % of what is left and holds on blocks that it was not fitted on."
             )
         elif best.kind == FEW_SAMPLES:
             says = (
@@ -230,7 +230,7 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
             )
     gain = judged.unnamed_gain()
     if gain > 0.0:
-        says += f" Generic functions of the inputs, without a name, take {100 * gain:.2g} % of the held-out excess"
+        says += f" Generic functions of the inputs, without a name, take {100 * gain:.3g} % of the held-out excess"
         says += "; they are not saved."
     parameters = {"share_left": Value(float(share), 0.0, "1")}
     for c in np.flatnonzero(judged.reached != judged.after):

@@ -232,6 +232,12 @@ def _plain(key: str) -> str:
 def _unexplained(model: Model, left: list[Left]) -> str:
     """Where no name fits: whether it is of place, of time or of speed."""
     place = f" in {model.bench.scene.channels[left[0].channel]}"
+    if left[0].kind.startswith("covariate."):
+        return (
+            f"Something is left{place} that no name fits and that {left[0].kind} goes with: run once with that held constant, "
+            "and once with it alone moved, up and down again, with pauses. What stays after a pause is friction or play, what "
+            "goes back with it is give."
+        )
     if not model.bench.scene.clock:
         return (
             f"Something is left{place} that no name fits: repeat the same poses in another order, each of them twice."

@@ -1,7 +1,7 @@
 """Generic functions of the known inputs and their past: what explains without a name is sought, and predicted, with these."""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -34,6 +34,10 @@ PLAIN = (
     *WARM,
 )
 """Families of low powers of the inputs at the moment: what they say of one motion holds of another."""
+COMPUTED = tuple(
+    f"covariate.{name}" for name in ("compensated.", "std.", "samples", "pose", "tool", "verify", "joint_age")
+)
+"""Covariates that this program adds itself, by how they begin."""
 MOST_PRODUCTS = 40
 MOST_PAIRS = 25
 PLACES = np.array([-1.5, -0.5, 0.5, 1.5])
@@ -72,9 +76,10 @@ class Inputs:
             applied forces.
         load: (M, c) simulated channels; rate, second: (M, p) of the positions, by the row; empty without a clock.
         reach: (p,) of the positions.
-        warmth: (M, w) thermometers that move.
+        warmth: (M, w) thermometers that move; beside: (M, b) covariates that do.
         lags: rows by which the past is taken.
-        scales: of position, load, rate, second and warmth; joints, forces: which columns the positions are; places: of warmth.
+        scales: of position, load, rate, second, warmth and covariates; joints, forces: which columns the positions are; places:
+            of warmth; covariates: of `beside`.
         period: s a row.
         same: the simulated channels are positions themselves; turns: the positions are the sensor's axes.
     """
@@ -85,11 +90,13 @@ class Inputs:
     second: Array
     reach: Array
     warmth: Array
+    beside: Array
     lags: tuple[int, ...]
-    scales: tuple[Scale, Scale, Scale, Scale, Scale]
+    scales: tuple[Scale, Scale, Scale, Scale, Scale, Scale]
     joints: tuple[str, ...]
     forces: tuple[str, ...]
     places: tuple[str, ...]
+    covariates: tuple[str, ...]
     period: float
     same: bool
     turns: bool
@@ -115,11 +122,12 @@ class Inputs:
         raw += [rows.average(np.nan_to_num(given[name]))[:, None] for name in forces]
         places = tuple(n for n in given if n.startswith("temperature.")) if like is None else like.places
         warm = [rows.average(np.nan_to_num(given[name]))[:, None] for name in places]
-        named = joints, forces, places
+        others = covariates(given) if like is None else like.covariates
+        beside = [rows.average(np.asarray(given[name], dtype=float))[:, None] for name in others]
+        named = joints, forces, places, others
         still = np.zeros((len(rows), 0))
-        return cls._scaled(
-            scene, rows, np.concatenate(raw, axis=1), load, np.concatenate([still, *warm], axis=1), like, named
-        )
+        warmth, rest = (np.concatenate([still, *columns], axis=1) for columns in (warm, beside))
+        return cls._scaled(scene, rows, np.concatenate(raw, axis=1), load, warmth, rest, like, named)
 
     @classmethod
     def _scaled(
@@ -129,8 +137,9 @@ class Inputs:
         raw: Array,
         load: Array,
         warm: Array,
+        rest: Array,
         like: "Inputs | None",
-        named: tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]],
+        named: tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], tuple[str, ...]],
     ) -> Self:
         scale = Scale.of(raw) if like is None else like.scales[0]
         position = scale(raw)
@@ -144,7 +153,8 @@ class Inputs:
         period = float(np.median(np.diff(rows.average(scene.time)))) if scene.clock and len(rows) > 1 else 0.0
         lags = tuple(k for k in LAGS if k < len(rows) // 4) if like is None else like.lags
         heat = Scale.of(warm) if like is None else like.scales[4]
-        scales = (scale, weight, speed, bend, heat)
+        others = Scale.of(rest) if like is None else like.scales[5]
+        scales = (scale, weight, speed, bend, heat, others)
         return cls(
             position,
             weight(load),
@@ -152,6 +162,7 @@ class Inputs:
             bend(second),
             reach,
             heat(warm),
+            others(rest),
             lags,
             scales,
             *named,
@@ -179,7 +190,8 @@ class Inputs:
     @property
     def seen(self) -> Array:
         """(M, k) all of it in one row, as what learns functions by itself wants it."""
-        return np.concatenate([self.position, self.rate, self.second, self.load, self.warmth, self.past], axis=1)
+        every = [self.position, self.rate, self.second, self.load, self.warmth, self.beside, self.past]
+        return np.concatenate(every, axis=1)
 
     def comparable(self, other: "Inputs") -> bool:
         """Return whether what is by the row here holds there too: a row lasts as long, and there are enough of them."""
@@ -196,6 +208,7 @@ def dictionaries(inputs: Inputs) -> Iterator[tuple[str, Array]]:
 def broad(inputs: Inputs) -> Iterator[tuple[str, Array]]:
     """Functions that are large over most of the motion."""
     z, load, rate, second = inputs.position, inputs.load, inputs.rate, inputs.second
+    yield from _recorded(inputs)
     if not z.size:
         return
     for scale, name in ((0.7, "the joint positions"), (2.0, POSITION)):
@@ -253,6 +266,22 @@ def _warm(inputs: Inputs) -> Iterator[tuple[str, Array]]:
     if rate.shape[1]:
         speeds = np.concatenate([rate, np.tanh(4.0 * rate)], axis=1)
         yield of_speeds, _products(speeds, warmth)
+
+
+def _recorded(inputs: Inputs) -> Iterator[tuple[str, Array]]:
+    """Each covariate by itself: the recorder held that it may matter."""
+    for name, z in zip(itertools.compress(inputs.covariates, inputs.scales[5].kept), inputs.beside.T, strict=True):
+        yield name, np.stack([z, np.abs(z), z**2, np.tanh(4.0 * z)], axis=-1)
+
+
+def covariates(columns: Mapping[str, Array]) -> tuple[str, ...]:
+    """Return the covariates that may be a cause: no count, no clock, and none that was computed from the compared group."""
+    names = (n for n in columns if n.startswith("covariate.") and not n.startswith(COMPUTED))
+    return tuple(n for n in names if np.isfinite(columns[n]).all() and not _counts(np.diff(columns[n])))
+
+
+def _counts(steps: Array) -> bool:
+    return bool((steps >= 0.0).all() or (steps <= 0.0).all())
 
 
 def _products(a: Array, b: Array) -> Array:

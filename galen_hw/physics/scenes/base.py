@@ -242,6 +242,8 @@ class Scene(Operated):
         if self.observations.simulation is not None or not self._uses_rates():
             return None
         step = float(np.median(np.diff(self.time)))
+        if step <= 0.0:
+            return None  # rows that share a stamp are no motion
         middle = max(self.segments, key=lambda part: part.stop - part.start)
         rows = slice(middle.start, min(middle.stop, middle.start + 8000))
         part = type(self)(self.observations.taken(rows), known=self.known)

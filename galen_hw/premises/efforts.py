@@ -1,0 +1,160 @@
+"""Efforts of joints against the rigid model: where gravity points, and a link whose body the model leaves out.
+
+Both are linear: inverse dynamics in gravity, and in the inertial parameters of a body (Atkeson, An, Hollerbach 1986). They are
+solved exactly beside a constant and friction of any size in every joint.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from galen_hw.kinematics import UrdfRobot
+from galen_hw.physics.observations import Observations
+from galen_hw.physics.scenes.joint import EffortScene
+from galen_hw.premises.base import Action, Claim, Remark, Stage
+from galen_hw.premises.channels import compared
+from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.rotations import between
+from galen_hw.premises.units import beside_friction
+from galen_hw.spatial import Array
+
+FEWEST_ROWS = 50
+PIECES = 20
+"""Of a stretch, each one value of a paired comparison: what is slow inside a piece is one piece of luck."""
+SURE = 3.5
+"""Standard errors, one chance in four thousand."""
+
+
+@dataclass(frozen=True)
+class Efforts:
+    """A stretch of a motion with the efforts that it took.
+
+    Args:
+        scene: of N rows and C joints; robot: of its model.
+        beside: per joint orthonormal columns (N, 3) of a constant and of friction.
+    """
+
+    scene: EffortScene
+    robot: UrdfRobot
+    beside: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, seen: Observations) -> Self | None:
+        """Return those of a recording; None where there is no model, no clock or hardly a row."""
+        if seen.predict != "effort" or seen.simulation is not None or not isinstance(seen.belief.robot, UrdfRobot):
+            return None
+        scene = compared(seen)
+        if not isinstance(scene, EffortScene) or len(scene) < FEWEST_ROWS or not scene.clock:
+            return None
+        speeds = scene.rates[0]
+        joints = [name.split(".", 1)[1].rsplit(".", 1)[0] for name in scene.channels]
+        bases = [np.linalg.qr(beside_friction(speeds[:, scene.joint_index(joint)]))[0] for joint in joints]
+        return cls(scene, seen.belief.robot, tuple(bases))
+
+    def own(self, values: Array) -> Array:
+        """Return (N C, k) values (N, C, k) without what a constant and friction can do, over the efforts' spread by unit."""
+        spread = np.std(self.scene.measured, axis=0)
+        units = np.array(self.scene.units)
+        size = [max(float(np.max(spread[units == unit])), 1e-12) for unit in self.scene.units]
+        each = [(x - Q @ (Q.T @ x)) / s for Q, x, s in zip(self.beside, np.moveaxis(values, 1, 0), size, strict=True)]
+        return np.concatenate(each)
+
+    def unexplained(self, efforts: Array) -> float:
+        """Return the share of the measured efforts' square, beside friction, that efforts (N, C) do not explain."""
+        whole, rest = (self.own(x[:, :, None]) for x in (self.scene.measured, self.scene.measured - efforts))
+        return float(np.sum(rest**2) / max(float(np.sum(whole**2)), 1e-300))
+
+
+class EffortGravity:
+    """Tests that gravity points where the model says: whatever its direction, efforts are linear in it."""
+
+    KEY: ClassVar[str] = "effort_gravity"
+    STAGE: ClassVar[Stage] = Stage.FRAMES
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark where another direction explains the efforts, with gravity's own size, and the named one does not."""
+        efforts = Efforts.of(seen)
+        port = None if efforts is None else efforts.scene.gravity_port()
+        if efforts is None or port is None or np.linalg.norm(seen.belief.gravity) == 0.0:
+            return
+        scene, named = efforts.scene, seen.belief.gravity
+        moving = scene.simulated - port @ named
+        X = efforts.own(port)
+        size = np.linalg.svd(X, compute_uv=False)
+        if size[0] == 0.0 or size[1] < CRITERIA.small_turn * size[0]:
+            return
+        y = efforts.own((scene.measured - moving)[:, :, None])[:, 0]
+        found: Array = np.asarray(np.linalg.lstsq(X, y, rcond=CRITERIA.small_turn)[0], dtype=float)
+        length = float(np.linalg.norm(found) / np.linalg.norm(named))
+        turn = between(named, found) if length > 0.0 else np.zeros(3)
+        if abs(length - 1.0) > CRITERIA.gross_left or np.linalg.norm(turn) <= CRITERIA.least_turn:
+            return
+        gravity: Array = np.asarray(found / length, dtype=float)
+        left, plain = efforts.unexplained(moving + port @ gravity), efforts.unexplained(scene.simulated)
+        turned = efforts.unexplained(-scene.simulated)
+        if left > min(CRITERIA.gross_left, CRITERIA.gross_gain * plain, CRITERIA.half * turned):
+            return
+        yield self._remark(seen, gravity, turn, scene.channels)
+
+    def _remark(self, seen: Observations, gravity: Array, turn: Array, channels: tuple[str, ...]) -> Remark:
+        direction = ", ".join(f"{g:.2f}" for g in gravity)
+        angle = np.degrees(np.linalg.norm(turn))
+        what = f"gravity points along ({direction}) m/s^2 in the base, {angle:.1f} deg from what is named"
+        parameters = {f"tilt_{a}": (float(turn[k]), 0.0, "rad") for k, a in enumerate("xy")}
+        term = {"effect": "base_tilt", "parameters": {"axis": "xy", **{k: v[0] for k, v in parameters.items()}}}
+        claim = Claim("base_tilt", parameters, channels, terms=(term,))
+        robot = seen.belief.robot
+        assert isinstance(robot, UrdfRobot), "asked only of efforts of a URDF"
+        repaired = replace(seen, belief=replace(seen.belief, gravity=gravity, robot=robot.under(gravity)))
+        todo = f'"gravity": [{direction}] in recording.json'
+        return Remark(self.KEY, what, todo, channels, Action.REPAIRED, repaired, claim)
+
+
+class MissingBody:
+    """Tests for a link without <inertial> that must weigh something: with a body there the model explains the efforts."""
+
+    KEY: ClassVar[str] = "missing_body"
+    STAGE: ClassVar[Stage] = Stage.FRAMES
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield a refusal with the link of which a body explains most; a load at the sensor that does as well is no mistake."""
+        efforts = Efforts.of(seen)
+        if efforts is None:
+            return
+        carrier = efforts.robot.carrier or 0
+        missing = {link: joint for link, joint in efforts.robot.bodiless.items() if joint != carrier}
+        if not missing:
+            return
+        rests = {link: self._rest(efforts, joint) for link, joint in missing.items()}
+        link = min(rests, key=lambda name: float(np.sum(rests[name] ** 2)))
+        whole = float(np.sum(efforts.own(efforts.scene.residual[:, :, None]) ** 2))
+        left = float(np.sum(rests[link] ** 2)) / max(whole, 1e-300)
+        if left > CRITERIA.gross_left or not _surely_less(rests[link], self._rest(efforts, carrier)):
+            return
+        what = (
+            f"{efforts.robot.urdf.where}: link {link}: no <inertial>, so that it weighs nothing; with a body there the model "
+            f"explains {100.0 * (1.0 - left):.0f} % of what the efforts are off by"
+        )
+        yield Remark(self.KEY, what, "give its mass, origin and inertia", efforts.scene.channels, Action.REFUSED)
+
+    def _rest(self, efforts: Efforts, joint: int) -> Array:
+        """Residual (C, N), as of `own`, beside a body on what a joint of the model moves; all of it where it moves nothing."""
+        scene = efforts.scene
+        y = efforts.own(scene.residual[:, :, None])[:, 0]
+        zero = np.zeros_like(scene.q)
+        dq, ddq = scene.rates if scene.belief.dynamic else (zero, zero)
+        whole = efforts.robot.body_regressor(joint, scene.q, dq, ddq)
+        order = [scene.joint_index(name.split(".", 1)[1].rsplit(".", 1)[0]) for name in scene.channels]
+        X = efforts.own(whole[:, order])
+        size = np.linalg.norm(X, axis=0)
+        X = X[:, size > 0.0] / size[size > 0.0]
+        return np.asarray((y - X @ np.linalg.lstsq(X, y, rcond=1e-6)[0]).reshape(len(scene.channels), -1))
+
+
+def _surely_less(rest: Array, other: Array) -> bool:
+    """Return whether a residual (C, N) is less than another's, piece by piece, by `SURE` standard errors of the difference."""
+    pieces = np.array_split(np.sum(other**2 - rest**2, axis=0), PIECES)
+    gain = np.array([piece.sum() for piece in pieces])
+    return bool(gain.mean() > SURE * gain.std(ddof=1) / np.sqrt(PIECES))
