@@ -83,19 +83,22 @@ def _origin(values: Array, group: list[str]) -> Mask:
 
 
 def _held(values: Array) -> Mask:
-    """(N,) rows that repeat the row before to the last bit, in runs, where nearly all others change.
+    """(N,) rows that repeat the row before to the last bit: all where chance makes none, else those in runs if nearly all change.
 
     The first row of a run was measured.
     """
     same = np.zeros(len(values), dtype=bool)
-    same[1:] = np.all(values[1:] == values[:-1], axis=1)
-    runs = _runs(same)
-    out = np.zeros(len(values), dtype=bool)
-    for start, stop in runs:
-        if stop - start >= HELD_ROWS - 1:
-            out[start:stop] = True
-    often = same & ~out
-    return out if out.sum() < 0.5 * len(values) and often.sum() <= 0.01 * len(values) else np.zeros_like(out)
+    alike = values[1:] == values[:-1]
+    same[1:] = alike.all(axis=1)
+    if same.sum() >= 0.5 * len(values):
+        return np.zeros_like(same)
+    # By chance each column repeats as often as it does beside others that do not.
+    if len(values) * float(np.prod(np.mean(alike[~same[1:]], axis=0))) < 1.0:
+        return same
+    out = np.zeros_like(same)
+    for start, stop in _runs(same):
+        out[start:stop] = stop - start >= HELD_ROWS - 1
+    return out if np.sum(same & ~out) <= 0.01 * len(values) else np.zeros_like(out)
 
 
 def _runs(flags: Mask) -> list[tuple[int, int]]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns
 from galen_hw.premises.cells import rows_in
+from galen_hw.premises.criteria import CRITERIA
 from galen_hw.spatial import Array
 
 UNITS: Final = {"ms": 1e3, "us": 1e6, "ns": 1e9}
@@ -229,6 +230,10 @@ def _floored(even: Array, t: Array) -> float:
     return 1.0 if float(np.mean(even - t)) > 0.0 else 0.0
 
 
+RATES: Final = (180.0 / np.pi, 2.0 * np.pi, 30.0 / np.pi, 60.0, 1e3)
+"""Factors of units: degrees, revolutions a second and a minute, a minute, mm."""
+
+
 class ClockRate:
     """Tests whether the clock runs as positions and measured velocities say: all joints alike, a factor that is not 1."""
 
@@ -253,7 +258,7 @@ class ClockRate:
         scale = float(np.median(found))
         if abs(np.log(scale)) < self.OFF or np.max(np.abs(np.log(np.array(found) / scale))) > self.OFF:
             return
-        if scale > 10.0 or scale < 0.1:
+        if any(abs(abs(np.log(scale)) - np.log(unit)) < CRITERIA.same_factor for unit in RATES):
             return  # a unit of the velocities, or of the positions: theirs to say
         what = f"the clock runs at {1.0 / scale:.4g} times the rate that positions and velocities of {len(found)} joints agree on"
         yield Remark(self.KEY, what, "", ("time",), Action.REPAIRED, replace_time(seen, time * scale))

@@ -34,7 +34,7 @@ class Criteria:
     gross_gain: float = 0.25
     as_good: float = 2.0
     fewest_vectors: int = 6
-    fewest_split: int = 10
+    fewest_split: int = 6
     half: float = 0.5
     same_factor: float = 0.03
     least_factor: float = 3.0

@@ -195,7 +195,7 @@ MIRROR = (
 )
 ORDER = (
     r"permut|swap|order of (?:the )?(?:axes|columns)|turned.{0,60}(?:deg|rad|about)|mount"
-    r"|(?:axis|axes).{0,80}(?:turned|order|exchang|another|differ|rotat)|" + MIRROR
+    r"|(?:axis|axes).{0,80}(?:turned|order|exchang|another|differ|rotat|read like)|" + MIRROR
 )
 SIGN = r"\bsigns?\b|reaction|negat|revers|opposite|other way|negative mass|invert"
 TILT = (
