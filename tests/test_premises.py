@@ -563,3 +563,16 @@ def test_a_turn_is_said_by_axis_and_angle():
     """Degrees about the nearest axis, or about a vector."""
     assert as_turn(Rotation.from_euler("z", 0.785398).as_matrix()) == "45.0 deg about z"
     assert as_turn(Rotation.from_rotvec([0.6, 0.8, 0.0]).as_matrix()) == "57.3 deg about (0.60, 0.80, 0.00)"
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("degrees", 180.0 / np.pi), ("revolutions", 0.5 / np.pi)])
+def test_positions_in_another_unit_than_their_simulation_are_repaired(unit, factor):
+    """No robot is known: only the simulation says how far the joints went."""
+    one = joints()
+    columns = {n: v for n, v in one.columns.items() if not n.endswith(".effort")}
+    simulation = {n: v for n, v in columns.items() if n.endswith(".position")}
+    spoilt = {n: v if n == "time" else factor * v for n, v in columns.items()}
+    found = examined(Observations("position", spoilt, simulation, Belief(bias_free=True)))
+    assert keys(found) == ["position_units"]
+    assert f"in {unit}" in found.remarks[0].what
+    assert found.observations.columns["joint.a.velocity"] == pytest.approx(columns["joint.a.velocity"])

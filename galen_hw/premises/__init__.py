@@ -21,7 +21,7 @@ PREMISES: Final = (
     "joints.WrappedJoints",
     "clock.ClockRate",
     "sampling.Staircase",
-    "joints.PositionUnits",
+    "position_units.PositionUnits",
     "joints.VelocityColumns",
     "joints.SignMagnitude",
     "units.ToolSize",

@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
+FARTHEST_SCALE = 0.5
+"""Relative error of a scale, or leak into a channel of the same unit, beyond which no sensor or encoder is in service: a unit or
+an axis is mixed up instead, or other physics is missing."""
+
 
 @dataclass(frozen=True, slots=True)
 class Parameter:

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 
 from galen_hw.physics.channels import joint_unit
-from galen_hw.physics.effects.base import Columns, Effect, Parameter, in_all
+from galen_hw.physics.effects.base import FARTHEST_SCALE, Columns, Effect, Parameter, in_all
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.pose import ArmScene
 from galen_hw.physics.scenes.screws import axis_moves, joint_screws
@@ -87,7 +87,7 @@ class JointScale(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Relative error of the scale."""
-        return (Parameter("scale_error", "1"),)
+        return (Parameter("scale_error", "1", furthest=FARTHEST_SCALE),)
 
     def columns(self, scene: Scene) -> Columns:
         """Slope of the misread arm, else the joint's port times its position."""

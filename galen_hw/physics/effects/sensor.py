@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.physics.effects.base import (
+    FARTHEST_SCALE,
     LOADS,
     Columns,
     Downstream,
@@ -22,10 +23,6 @@ from galen_hw.physics.effects.base import (
 )
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
-
-FARTHEST_SCALE = 0.5
-"""Relative error of a scale, or leak into a channel of the same unit, beyond which no sensor is in service: a unit or an axis is
-mixed up instead, or other physics is missing."""
 
 
 @dataclass(frozen=True)
