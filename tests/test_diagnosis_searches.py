@@ -11,11 +11,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import SIGMA, WRENCH, Bench
 
-from galen_hw.diagnosis import pipeline
 from galen_hw.diagnosis.estimation.dataset import Bench as DiagnosisBench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.pipeline import Search, diagnose
+from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.searching import Search, held_up
 from galen_hw.diagnosis.selection.acceptance import plausible
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.physics.effects.base import Effect
@@ -43,7 +43,7 @@ def test_where_a_name_is_refused_the_other_search_is_asked(warming: DiagnosisBen
     """A gain of what does not read wrong holds on no block that was set aside; the drift does."""
     drift = Drift(WRENCH[2], "linear", None, 0.0, float(warming.scene.time[-1]))
     wrong, right = search(warming, Gain(WRENCH[0])), search(warming, drift)
-    selection, chosen, model, judged = pipeline._held_up([wrong, right], None, nothing=False)
+    selection, chosen, model, judged = held_up([wrong, right], None, nothing=False)
     assert selection is right[0]
     assert chosen is wrong[1]
     assert [h.effect for h in model.effects] == [drift]
@@ -55,9 +55,9 @@ def test_what_holds_is_kept_and_what_is_no_better_does_not_take_its_place(warmin
     """The better model stays as long as no name of it is refused, and where the other has nothing that holds either."""
     drift = Drift(WRENCH[2], "linear", None, 0.0, float(warming.scene.time[-1]))
     right, wrong = search(warming, drift), search(warming, Gain(WRENCH[0]))
-    assert pipeline._held_up([right, wrong], None, nothing=False)[0] is right[0]
+    assert held_up([right, wrong], None, nothing=False)[0] is right[0]
     other = search(warming, Gain(WRENCH[4]))
-    selection, chosen, model, _ = pipeline._held_up([wrong, other], None, nothing=False)
+    selection, chosen, model, _ = held_up([wrong, other], None, nothing=False)
     assert selection is wrong[0]
     assert model is not chosen
     assert not model.effects

@@ -1,0 +1,91 @@
+"""A model that was judged, in the words of an answer."""
+
+import numpy as np
+
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.findings.from_model import findings_of, unknown_finding
+from galen_hw.diagnosis.findings.localisation import channels_of, episodes_of, where_of
+from galen_hw.diagnosis.identifiability.experiment import next_experiment
+from galen_hw.diagnosis.identifiability.rivals import confusions
+from galen_hw.diagnosis.lack_of_fit import structure_test
+from galen_hw.diagnosis.preprocessing.data_quality import Premise
+from galen_hw.diagnosis.result import Diagnosis
+from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.validation.judgement import Judged
+from galen_hw.diagnosis.validation.verdict import beyond, contradicted, outlying, verdict_of
+from galen_hw.physics.effects.events import Glitches
+from galen_hw.physics.effects.sensor import Drift
+
+
+def answer(
+    model: Model,
+    selection: Selection,
+    judged: Judged,
+    left: list[structure_test.Left],
+    premise: Premise,
+    glitch: list[Glitches],
+    name: str,
+) -> Diagnosis:
+    """Return what was found, what is left and what to record next."""
+    bench = model.bench
+    findings = findings_of(model, selection, judged, glitch)
+    for finding in findings:
+        finding.confounded_with = confusions(model, selection, finding)
+    rest = left or beyond(judged, model, untouched=True) or contradicted(judged, model)
+    rest = rest if rest or findings else outlying(model)
+    if premise.wrong or rest:
+        findings.append(unknown_finding(bench, judged, rest, premise))
+    verdict = verdict_of(findings, rest, premise)
+    advice = next_experiment(model, selection, findings, rest)
+    notes = list(premise.notes)
+    if verdict == "agrees":
+        notes.append(_limit(bench))
+    notes += _wandering(model)
+    if judged.at_home:
+        told = ", ".join(key.replace("_", " ") for key in sorted(judged.at_home))
+        notes.append(f"the recording held out hardly rouses {told}: told by blocks left out of the first")
+    if bench.scene.heard is not None:
+        notes.append(
+            f"above {bench.scene.heard:.3g} Hz the noise of the joint positions, differentiated, drowns all: it was filtered out"
+        )
+    return Diagnosis(
+        recording=name,
+        holdout="",
+        predict=bench.scene.observations.predict,
+        verdict=verdict,
+        channels=channels_of(bench, judged),
+        where=where_of(model) if findings else [],
+        when=episodes_of(model, glitch) if findings else [],
+        findings=findings,
+        fit=judged.fit(bench, left),
+        next_experiment=advice,
+        notes=notes,
+        terms=[
+            h.effect.to_term(bench.scene, model.final[s])
+            for h, s in zip(model.parts, model.slices(), strict=True)
+            if h.effect is not None
+        ],
+    )
+
+
+def _limit(bench: Bench) -> str:
+    """The smallest effect that would have been seen, in words: a slow one, where noise is slow."""
+    rows = max(int(bench.train.sum()), 1)
+    least = np.sqrt(2.0 * 14.0 / rows * np.maximum(bench.noise.slow, bench.noise.sigma**2))
+    worst = ", ".join(f"{n} {v:.2g}" for n, v in zip(bench.scene.channels, least, strict=True))
+    return f"an effect of this rms in one channel would have been seen: {worst}"
+
+
+def _wandering(model: Model) -> list[str]:
+    """Which channels wander by more than their quick noise although no drift was found: nobody is to take them for quiet."""
+    bench = model.bench
+    drifting = {
+        name for h in model.effects if isinstance(h.effect, Drift) for name in h.effect.channels or (h.effect.channel,)
+    }
+    told = [
+        f"{name} {wander:.2g} {unit}"
+        for name, unit, wander, quick in zip(bench.scene.channels, bench.scene.units, *bench.noise.wander, strict=True)
+        if wander > quick and name not in drifting
+    ]
+    return [f"what wanders so slowly passes for noise, rms: {', '.join(told)}"] if told else []

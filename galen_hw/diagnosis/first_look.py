@@ -1,0 +1,124 @@
+"""A first look at a recording: what is there, so that it does not pass for noise."""
+
+from dataclasses import dataclass
+
+from joblib import Parallel, delayed
+
+from galen_hw.diagnosis.detection import outliers
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.initial_state import left_open
+from galen_hw.diagnosis.estimation.signal_chain import Timing, arrived
+from galen_hw.diagnosis.lack_of_fit import structure_test
+from galen_hw.diagnosis.searching import searched
+from galen_hw.diagnosis.selection.moves.clock_offset import far_off
+from galen_hw.diagnosis.selection.proposals import at_first_sight
+from galen_hw.physics.effects.base import Columns, Effect
+from galen_hw.physics.effects.events import Contact, Glitches
+from galen_hw.physics.scenes.base import Scene
+from galen_hw.spatial import Array
+
+PARTS = 6
+"""Into which a touch is parted so that nothing of it passes for noise."""
+LEAST_SHARE = 12
+"""Rows for each direction that may be kept from passing for noise."""
+COARSE = 3000
+"""Rows of the first look: motion is slow beside a force sensor's samples."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a first look has found: effects (with parameters where these are not linear), generic functions by channel.
+
+    step: between the rows of the first look, s; ends: late clocks, filters and limits that it goes through; stream: the scene
+    with all that these effects add.
+    """
+
+    effects: list[tuple[Effect, Array]]
+    left: dict[int, str]
+    step: float
+    ends: Timing
+    stream: Scene
+
+    def columns(self, bench: Bench, generic: list[structure_test.Family]) -> list[Columns]:
+        """On the rows of a bench: what must not pass for noise, as it arrives."""
+        with bench.delivering(self.ends):
+            out = [bench.raw(effect.relaxed) for effect, _ in self.effects]
+            # How a touch swells and turns round inside its episode no plain shape follows; it is no noise for that.
+            touches = [effect for effect, _ in self.effects if isinstance(effect, Contact)]
+            out += [bench.raw(effect.parted(PARTS)) for effect in touches]
+            if self.step > bench.spacing:
+                # And where it begins and ends is known to a row of the first look.
+                out += [bench.raw(effect.edges(self.step).parted(2)) for effect in touches]
+            everywhere = tuple(range(bench.width))
+            for effect, theta in self.effects:
+                change = effect.exact(bench.scene, theta)
+                if change is not None:
+                    seen = arrived(bench.stream, effect, change, self.ends)
+                    out.append(Columns(everywhere, bench.rows.average(seen)[:, :, None]))
+        for channel, kind in self.left.items():
+            alike = [one.basis for one in generic if one.kind == kind]
+            # In few rows all directions of what looked best would leave too little of the noise, and find themselves again.
+            most = max(len(bench.rows) // LEAST_SHARE // len(alike), 2)
+            out += [Columns((channel,), basis[:, None, :most]) for basis in alike]
+        return out
+
+
+def benches(scene: Scene, held: float, seed: int) -> tuple[Bench, Bench, list[Glitches]]:
+    """The data of the search, those of the first look, and the isolated samples that both leave out."""
+    bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, COARSE)
+    glitch = outliers.marked(bench)
+    coarse.leave_out(bench.spoilt)
+    return bench, coarse, glitch
+
+
+def effect_columns(effects: list[Effect], *benches: Bench) -> tuple[list[Columns], ...]:
+    """Columns of all effects on the rows of several benches of one scene, computed once."""
+    kinds: dict[type[Effect], dict[int, Effect]] = {}
+    for place, effect in enumerate(effects):
+        kinds.setdefault(type(effect), {})[place] = effect
+
+    def of(kind: type[Effect], alike: dict[int, Effect]) -> dict[int, list[Columns]]:
+        kind.ahead(benches[0].scene, list(alike.values()))
+        whole = ((place, effect.columns(benches[0].scene_of(effect))) for place, effect in alike.items())
+        return {place: [bench.averaged(columns) for bench in benches] for place, columns in whole}
+
+    # The largest kind first: it takes as long as all others.
+    work = sorted(kinds.items(), key=lambda one: -len(one[1]))
+    done: dict[int, list[Columns]] = {}
+    for part in Parallel(n_jobs=2, require="sharedmem", batch_size=1)(delayed(of)(*one) for one in work):
+        done |= part
+    return tuple([done[place][k] for place in range(len(effects))] for k in range(len(benches)))
+
+
+def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list[Columns], *, blind: bool) -> Known:
+    """Effects and leftovers under a noise that is too small rather than too large, on few rows."""
+    generic = structure_test.families(coarse)
+    seen = [coarse.raw(s.effect) for s in at_first_sight(bench)]
+    extra, above = [*structure_test.compact(coarse, generic), *seen], coarse.motion_band()
+    coarse.learn_noise(columns, extra, above=above)
+    ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind)
+    coarse = model.bench
+    if shifts := far_off(model):
+        # On the clock that was off no effect is like what was measured: slow ones had passed for noise.
+        late = [coarse.raw(effect) for effect in effects]
+        coarse.begin()
+        coarse.learn_noise(late, [*extra, *shifts], above=above)
+        ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind)
+        coarse = model.bench
+    if not left and len(coarse.noise.edges):
+        # What is finely structured passes for quick noise. Only blocks that it was not fitted on can tell, whatever the noise.
+        coarse.noise = coarse.noise.flat()
+        rest = model.rest()
+        plain = structure_test.Fitted([h.raw for h in model.parts], rest, rest / coarse.noise.sigma)
+        (left,) = structure_test.leftovers(coarse, generic, [plain])
+    parts = zip(model.parts, model.slices(), strict=True)
+    chosen = [(h.effect, model.final[s]) for h, s in parts if h.effect is not None]
+    return Known(chosen, {x.channel: x.kind for x in reversed(left)}, coarse.spacing, coarse.timing, coarse.stream)
+
+
+def begun(bench: Bench, known: Known, holdout: Scene | None) -> Scene | None:
+    """The other recording, and the bench with the stream of the first look: of the beginnings that a model leaves open."""
+    beginning = left_open(bench.scene, known.effects)
+    bench.begun(bench.scene.begun(beginning))
+    bench.stand(stream=known.stream)
+    return None if holdout is None else holdout.begun(beginning)

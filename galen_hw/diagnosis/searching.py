@@ -1,0 +1,98 @@
+"""The searches under one noise, and what held-out data leave of the better model."""
+
+from collections.abc import Callable, Sequence
+from copy import copy
+
+from joblib import Parallel, delayed
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.initial_state import supposable
+from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.lack_of_fit import structure_test
+from galen_hw.diagnosis.selection.criterion import merit
+from galen_hw.diagnosis.selection.finalise import offsets, settle_model, weighed
+from galen_hw.diagnosis.selection.search import select
+from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.stats.significance import LOG_ODDS
+from galen_hw.diagnosis.validation.flexible_effects import left_by
+from galen_hw.diagnosis.validation.holdout import earned
+from galen_hw.diagnosis.validation.judgement import Judged
+from galen_hw.physics.effects.base import Columns, Effect
+from galen_hw.physics.scenes.base import Scene
+
+Search = tuple[Selection, Model]
+"""How a model was found, and the model."""
+
+
+def searched(
+    bench: Bench, effects: list[Effect], columns: list[Columns], generic: list[structure_test.Family], *, blind: bool
+) -> tuple[list[Search], list[structure_test.Left]]:
+    """What was searched under the present noise, the better model first, and what that leaves."""
+    hypotheses = [bench.made(e, raw) for e, raw in supposable(bench.scene, effects, columns)]
+    bench.know(hypotheses)
+    searches = _models(bench, hypotheses, blind=blind)
+    return searches, left_by([searches[0][1]], generic)[0]
+
+
+def searched_again(
+    bench: Bench,
+    effects: list[Effect],
+    columns: list[Columns],
+    generic: list[structure_test.Family],
+    known: Callable[[Bench, list[structure_test.Family]], list[Columns]],
+    also: Sequence[Columns] = (),
+) -> tuple[list[Search], list[structure_test.Left]]:
+    """Learn the noise anew beside what is known and what showed `also`, and search again."""
+    bench.begin()
+    bench.learn_noise((), [*known(bench, generic), *also])
+    return searched(bench, effects, columns, generic, blind=False)
+
+
+def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> list[Search]:
+    """One search or two, the better model first; of two each has a bench of its own, as it left it.
+
+    With offsets always in the model and judged at the end (a drift is not called an offset), and with offsets among the
+    hypotheses (a constant error of geometry is not called one).
+    """
+    if blind:
+        nothing = Selection(Scorer(bench, hypotheses))
+        return [(nothing, settle_model(bench, nothing.scorer, nothing))]
+
+    def one(on: Bench, own: list[Hypothesis]) -> Search:
+        selection = select(on, Scorer(on, [*own, *hypotheses], free=not own))
+        return selection, settle_model(on, selection.scorer, selection)
+
+    own = offsets(bench)
+    if not own:
+        return [one(bench, own)]
+    # Each has what the search changes (the residual without bends, the late stream) to itself, and a core if there are two.
+    first, other = Parallel(n_jobs=2, require="sharedmem")(
+        delayed(one)(*each) for each in ((copy(bench), []), (copy(bench), own))
+    )
+    better = merit(other[1]) - merit(first[1])
+    # A constant that something else accounts for as well is an effect too many.
+    if better > LOG_ODDS or (better > 0.0 and len(other[1].effects) < len(first[1].effects)):
+        first, other = other, first
+    return [first, other]
+
+
+def held_up(searches: list[Search], holdout: Scene | None, *, nothing: bool) -> tuple[Selection, Model, Model, Judged]:
+    """How it was found, the model that leaves `left`, the model without what held-out data refuse, and how it does on these.
+
+    With `nothing` a premise refuses the recording: constants too are numbers of something else.
+
+    Where some of the better model's names are refused (two offsets in the place of a warm-up), the other search may have found
+    what holds: then that is taken.
+    """
+    (selection, found), *others = searches
+    chosen = found.without(list(found.effects)) if nothing else weighed(found)
+    model, judged = earned(chosen, holdout)
+    if model is chosen or nothing:
+        return selection, chosen, model, judged
+    for other, rival in others:
+        kept, its = earned(weighed(rival), holdout)
+        if merit(kept) > merit(model) + LOG_ODDS:
+            return other, chosen, kept, its
+    return selection, chosen, model, judged
