@@ -50,6 +50,7 @@ NOT_READ = link("upper", 2.0).replace("<mass", "<weight")
         (arm(link("upper", -2.0)), "refuse", "link upper: a mass of -2 kg"),
         (arm(link("upper", "2,0")), "refuse", "link upper: its <inertial> is not read: <mass> value is '2,0'"),
         (arm(NOT_READ), "refuse", "link upper: its <inertial> is not read: it has no <mass>"),
+        (arm(link("upper")), "note", "no <inertial> of upper, nor of what is fixed to it"),
         (
             arm(GOOD, more='<dynamics friction="1.5" damping="0.2"/>'),
             "note",

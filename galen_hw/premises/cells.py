@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar, Final
 
 import numpy as np
@@ -49,8 +50,8 @@ class LostValues:
             value = float(seen.columns[worst][np.abs(seen.columns[worst]) > LARGEST][0])
             said.append(f"{rows_in(lost, len(seen))} of {worst} read {value:.7g}, which means lost")
         for group in _tracked(columns):
-            values = np.stack([columns[name] for name in group], axis=1)
-            for what, lost_rows in (("the origin", _origin(values, group)), ("their last value again", _held(values))):
+            for what, lost in (("the origin", partial(_origin, group=group)), ("their last value again", _held)):
+                lost_rows = lost(np.stack([columns[name] for name in group], axis=1))
                 if lost_rows.any():
                     for name in group:
                         columns[name] = np.where(lost_rows, np.nan, columns[name])
@@ -58,7 +59,6 @@ class LostValues:
                     said.append(
                         f"{rows_in(int(lost_rows.sum()), len(seen))} of {group[0].rsplit('.', 2)[0]} read {what}"
                     )
-                    values = np.stack([columns[name] for name in group], axis=1)
         if names:
             what = f"{'; '.join(said)}: taken as not measured"
             columns_said = tuple(dict.fromkeys(names))

@@ -111,6 +111,10 @@ def mass_problems(robot: UrdfRobot) -> list[ModelProblem]:
     if 0.0 < total < HYDROGEN * reach**3:
         what = f"its links weigh {total:.4g} kg at a reach of {reach:.3g} m, less than hydrogen in a cube of that size"
         out.append(ModelProblem(what, where, "give masses in kg (are they in t?) and lengths in m (are they in mm?)"))
+    bodiless = [name for name in robot.bodiless if not robot.urdf.links[name].unread] if total > 0.0 else []
+    if bodiless:
+        what = f"no <inertial> of {_some(bodiless)}, nor of what is fixed to it: it weighs nothing"
+        out.append(ModelProblem(what, where, "give its mass, origin and inertia if it has any"))
     return out + [problem for link in moved if (problem := _unread(robot, link))]
 
 
