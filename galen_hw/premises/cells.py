@@ -50,8 +50,8 @@ class LostValues:
             value = float(seen.columns[worst][np.abs(seen.columns[worst]) > LARGEST][0])
             said.append(f"{rows_in(lost, len(seen))} of {worst} read {value:.7g}, which means lost")
         for group in _tracked(columns):
-            for what, lost in (("the origin", partial(_origin, group=group)), ("their last value again", _held)):
-                lost_rows = lost(np.stack([columns[name] for name in group], axis=1))
+            for what, sought in (("the origin", partial(_origin, group=group)), ("their last value again", _held)):
+                lost_rows = sought(np.stack([columns[name] for name in group], axis=1))
                 if lost_rows.any():
                     for name in group:
                         columns[name] = np.where(lost_rows, np.nan, columns[name])
