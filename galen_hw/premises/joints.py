@@ -1,24 +1,21 @@
-"""Joints: angles that wrap, columns of velocity that are none, positions in degrees, millimetres or counts."""
+"""Joints: angles that wrap, columns of velocity that are none, numbers that were read as unsigned."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import ClassVar, Final
 
 import numpy as np
 
-from galen_hw.kinematics import Robot, UrdfRobot
-from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns, without_columns
 from galen_hw.premises.clock import travelled
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.sampling import compared_names
-from galen_hw.premises.wrench_reading import at_rest, readings
 from galen_hw.spatial import Array
 
 TURN: Final = 2.0 * np.pi
 WRAPS: Final = {"rad": TURN, "degrees": 360.0}
-ANGLES: Final = {"degrees": 180.0 / np.pi, "revolutions": 1.0 / TURN, "mrad": 1e3}
 SURELY_MOVED: Final = 50.0
 """Times the noise of a reading that a joint must have gone before its velocities are doubted."""
 FEWEST_JUMPS: Final = 3
@@ -27,7 +24,14 @@ BY_CHANCE: Final = 0.01
 """Chance that is taken that columns seem to be folded at one and the same number."""
 LEAST_MOTION: Final = 0.02
 """rad or m, the same of an encoder without noise."""
-LENGTHS: Final = {"mm": 1e3, "cm": 1e2, "um": 1e6}
+RATIOS: Final = {
+    "degrees a second": 180.0 / np.pi,
+    "radians, the position in degrees": np.pi / 180.0,
+    "revolutions a minute": 60.0 / TURN,
+    "radians, the position in revolutions": TURN,
+    "mm": 1e3,
+}
+"""Velocity over the change of position, where they are in different units."""
 
 
 def joint_columns(seen: Observations, kind: str) -> list[str]:
@@ -83,17 +87,33 @@ class VelocityColumns:
         why: dict[str, list[str]] = {}
         for name in joint_columns(seen, "velocity"):
             q = seen.columns.get(name.replace(".velocity", ".position"))
-            says = None if q is None else _wrong(seen, q, seen.columns[name])
+            says = None if q is None else wrong_velocity(seen, q, seen.columns[name])
             if says:
                 why.setdefault(says, []).append(name)
+        crossed = _crossed(seen, [name for names in why.values() for name in names])
+        if crossed:
+            first, second = (name.rsplit(".", 1)[0] for name in crossed)
+            what = f"{first}.velocity is the change of {second}.position and the other way round: columns of the two are swapped"
+            yield Remark(self.KEY, what, "give each joint its own columns", crossed, Action.REFUSED)
+            return
         for says, names in why.items():
             seen = without_columns(seen, names)
             what = f"{', '.join(names)}: {says}; left out, the positions say how the arm moves"
             yield Remark(self.KEY, what, "", tuple(names), Action.REPAIRED, seen)
 
 
-def _wrong(seen: Observations, q: Array, v: Array) -> str:
-    """What is wrong with velocities v (N,) beside positions q (N,); empty where nothing is, or the joint hardly moves."""
+def _crossed(seen: Observations, names: Sequence[str]) -> tuple[str, ...]:
+    """Return two of the velocity columns of which each is the change of the other's position; empty without such a pair."""
+    for one, other in combinations(names, 2):
+        pairs = ((one, other), (other, one))
+        found = [travelled(seen, seen.columns[q.replace(".velocity", ".position")], seen.columns[v]) for v, q in pairs]
+        if all(x is not None and min(map(np.ptp, x)) > 0.0 and np.corrcoef(*x)[0, 1] > 0.9 for x in found):
+            return one, other
+    return ()
+
+
+def wrong_velocity(seen: Observations, q: Array, v: Array) -> str:
+    """Say what is wrong with velocities v (N,) beside positions q (N,); empty where nothing is, or the joint hardly moves."""
     found = travelled(seen, q, v)
     if found is None:
         return ""
@@ -118,133 +138,9 @@ def _unlike(change: Array, told: Array) -> str:
     if correlation < -0.9:
         return "the opposite sign of the position's change"
     if correlation > 0.9 and not 0.2 < scale < 5.0:
-        return f"{scale:.3g} times the position's change (is it in degrees or mm?)"
+        hint = next((u for u, f in RATIOS.items() if abs(np.log(scale / f)) < CRITERIA.same_factor), "")
+        return f"{scale:.3g} times the position's change (is it in {hint or 'degrees or mm'}?)"
     return ""
-
-
-class PositionUnits:
-    """Tests joint positions against the robot's limits: degrees, revolutions or millimetres, for the whole group at once."""
-
-    KEY: ClassVar[str] = "position_units"
-    STAGE: ClassVar[Stage] = Stage.UNITS
-
-    def examine(self, seen: Observations) -> Iterator[Remark]:
-        """Yield one remark for revolute joints and one for prismatic ones; repaired where one unit alone fits all limits."""
-        robot = seen.belief.robot
-        if robot is None:
-            yield from self._by_size(seen)
-            return
-        # A prismatic joint's limits are metres, mostly below one: told apart by what the robot itself says.
-        for slides, units in ((False, ANGLES), (True, LENGTHS)):
-            joints = [k for k, name in enumerate(robot.joint_names) if _slides(robot, k) is slides]
-            names = [f"joint.{robot.joint_names[k]}.position" for k in joints]
-            present = [(n, k) for n, k in zip(names, joints, strict=True) if n in seen.columns]
-            beyond = [
-                (n, k)
-                for n, k in present
-                if _beyond(seen.columns[n], robot.lower[k], robot.upper[k], slides=slides) > 0.5
-            ]
-            if not beyond:
-                remark = self._by_simulation(seen, [robot.joint_names[k] for _, k in present], units)
-                if remark is not None and remark.repaired is not None:
-                    seen = remark.repaired
-                    yield remark
-                continue
-            fitting = [
-                (unit, f)
-                for unit, f in units.items()
-                if f > 1.0
-                and all(
-                    _beyond(seen.columns[n] / f, robot.lower[k], robot.upper[k], slides=slides) <= 0.05
-                    for n, k in present
-                )
-            ]
-            name, k = beyond[0]
-            reach = float(seen.columns[name][np.nanargmax(np.abs(seen.columns[name]))])
-            what = f"{name} reaches {reach:.4g}, far beyond the joint's limits of {robot.lower[k]:.3g} to {robot.upper[k]:.3g}"
-            moving = [robot.joint_names[k] for _, k in present]
-            chosen = _told(seen, moving, fitting) if len(fitting) != 1 else fitting[0][0]
-            if chosen:
-                columns = _scaled(seen, moving, units[chosen])
-                seen = with_columns(seen, columns)
-                yield Remark(self.KEY, f"{what}: joints are in {chosen}", "", tuple(columns), Action.REPAIRED, seen)
-            else:
-                hint = " or ".join(unit for unit, _ in fitting) or ("mm" if slides else "degrees")
-                yield Remark(self.KEY, f"{what}: is it in {hint}?", "give rad and m", (name,), Action.REFUSED)
-
-    def _by_simulation(self, seen: Observations, joints: Sequence[str], units: Mapping[str, float]) -> Remark | None:
-        """Within all limits, as revolutions are: another unit with which the simulation follows, unlike the named one."""
-        if not joints:
-            return None
-        plain = _unexplained(seen)
-        if plain <= CRITERIA.gross_left:
-            return None
-        left = {u: _unexplained(with_columns(seen, _scaled(seen, joints, f))) for u, f in units.items()}
-        unit = min(left, key=lambda u: left[u])
-        if left[unit] > min(CRITERIA.gross_left, CRITERIA.gross_gain * plain):
-            return None
-        columns = _scaled(seen, joints, units[unit])
-        what = f"the simulation explains {1.0 - plain:.0%} of what is compared, and {1.0 - left[unit]:.0%} with joints in {unit}"
-        return Remark(
-            self.KEY, f"{what}: joints are in {unit}", "", tuple(columns), Action.REPAIRED, with_columns(seen, columns)
-        )
-
-    def _by_size(self, seen: Observations) -> Iterator[Remark]:
-        """Without a robot nobody knows a limit: only what no joint reaches is said."""
-        for name in joint_columns(seen, "position"):
-            values = seen.columns[name]
-            if seen.predict == "wrench" and np.isfinite(values).any() and float(np.nanmax(np.abs(values))) > 4.0 * TURN:
-                what = f"{name} reaches {float(np.nanmax(np.abs(values))):.4g}: is it in degrees or mm?"
-                yield Remark(self.KEY, what, "give rad and m", (name,))
-
-
-def _slides(robot: Robot, k: int) -> bool:
-    """Return whether joint k of a robot is prismatic."""
-    if isinstance(robot, UrdfRobot):
-        return bool(robot.model.joints[k + 1].shortname().startswith("JointModelP"))
-    return robot.joint_names[k].startswith("carriage")
-
-
-def _beyond(values: Array, low: float, high: float, *, slides: bool) -> float:
-    """How far values go beyond limits, as a share of their span; 0 where there are none. A whole turn more is the same angle."""
-    there = values[np.isfinite(values)]
-    span = high - low
-    if not len(there) or not np.isfinite(span) or span <= 0.0:
-        return 0.0
-    shifts = (0.0,) if slides else (-TURN, 0.0, TURN)
-    return min(max(float(there.max()) + x - high, low - float(there.min()) - x, 0.0) for x in shifts) / span
-
-
-def _scaled(seen: Observations, joints: Sequence[str], factor: float) -> dict[str, Array]:
-    """Columns of some joints in another unit."""
-    names = (f"joint.{joint}.{kind}" for joint in joints for kind in ("position", "velocity", "command"))
-    return {name: seen.columns[name] / factor for name in names if name in seen.columns}
-
-
-def _told(seen: Observations, joints: Sequence[str], fitting: Sequence[tuple[str, float]]) -> str:
-    """The unit in which the simulation follows what is compared; empty where it cannot tell."""
-    left = sorted((_unexplained(with_columns(seen, _scaled(seen, joints, f))), unit) for unit, f in fitting)
-    return left[0][1] if left and left[0][0] < CRITERIA.half * min(1.0, left[1][0]) else ""
-
-
-def _unexplained(seen: Observations) -> float:
-    """Mean share of the compared channels' variance that their simulation at rest does not explain; 1 where nothing is known."""
-    robot = seen.belief.robot
-    assert robot is not None, "asked only with a robot"
-    driven = [n for name in robot.joint_names if (n := f"joint.{name}.position") in seen.columns]
-    rows = np.flatnonzero(np.isfinite(seen.matrix(*compared_names(seen), *driven)).all(axis=1))
-    if len(rows) < CRITERIA.fewest_vectors or len(driven) < len(robot.joint_names):
-        return 1.0
-    some = at_rest(seen.taken(rows[np.linspace(0, len(rows) - 1, min(len(rows), CRITERIA.most_rows)).astype(int)]))
-    if seen.predict == "wrench" and not some.belief.hanging:
-        return next(iter(readings(some))).plain.unexplained
-    scene = scene_of(some)
-    if not np.isfinite(scene.simulated).all():
-        return 1.0
-    # An orientation is measured from the simulated one: its place says it all.
-    width = 3 if seen.predict == "pose" else len(scene.channels)
-    y, left = scene.measured[:, :width], (scene.measured - scene.simulated)[:, :width]
-    return float(np.mean(np.minimum(np.var(left, axis=0) / np.maximum(np.var(y, axis=0), 1e-300), 1.0)))
 
 
 class SignMagnitude:

@@ -100,7 +100,7 @@ class PoseFrames:
         some = sampled(seen, (*POSITION, *QUATERNION))
         if len(some) < CRITERIA.fewest_vectors:
             return
-        expected = _poses(scene_of(some))
+        expected = simulated_turns(scene_of(some))
         x, y, z, w = (some.columns[name] for name in QUATERNION)
         tries = {
             "": (x, y, z, w),
@@ -111,8 +111,8 @@ class PoseFrames:
         misses = {}
         for says, quaternion in tries.items():
             R = rotation_from_quaternion(np.stack(quaternion, axis=1))
-            misses[says] = _turned_alike(expected, R)
-        spread = _turned_alike(np.tile(np.eye(3), (len(some), 1, 1)), expected)[1]
+            misses[says] = turned_alike(expected, R)
+        spread = turned_alike(np.tile(np.eye(3), (len(some), 1, 1)), expected)[1]
         if spread < CRITERIA.least_turn:
             return  # an arm that hardly turns cannot tell
         turn, left = misses[""]
@@ -187,13 +187,13 @@ def _registered(seen: Observations, Q: Array, measured: Array, expected: Array) 
     return with_columns(seen, columns)
 
 
-def _poses(scene: Scene) -> Array:
-    """(N, 3, 3) simulated orientation of the tip."""
+def simulated_turns(scene: Scene) -> Array:
+    """Return the simulated orientation (N, 3, 3) of the tip."""
     return np.asarray(scene._pose[:, :3, :3])  # type: ignore[attr-defined]  # noqa: SLF001
 
 
-def _turned_alike(expected: Array, R: Array) -> tuple[Array, float]:
-    """The turn G (3, 3) of R (N, 3, 3) = expected G, and the rms angle (rad) that it leaves."""
+def turned_alike(expected: Array, R: Array) -> tuple[Array, float]:
+    """Return the turn G (3, 3) of R (N, 3, 3) = expected G, and the rms angle (rad) that it leaves."""
     relative = np.swapaxes(expected, 1, 2) @ R
     U, _, Vt = np.linalg.svd(relative.mean(axis=0))
     G = (U * np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])) @ Vt

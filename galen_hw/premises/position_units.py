@@ -1,0 +1,193 @@
+"""Units of joint positions: degrees, revolutions or mm, by the robot's limits, measured velocities and the simulation."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import ClassVar, Final
+
+import numpy as np
+
+from galen_hw.kinematics import Robot, UrdfRobot
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.observations import Observations
+from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.clock import travelled
+from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.joints import TURN, joint_columns, wrong_velocity
+from galen_hw.premises.sampling import compared_names
+from galen_hw.premises.wrench_reading import at_rest, readings
+from galen_hw.spatial import Array
+
+ANGLES: Final = {"degrees": 180.0 / np.pi, "revolutions": 1.0 / TURN, "mrad": 1e3}
+LENGTHS: Final = {"mm": 1e3, "cm": 1e2, "um": 1e6}
+
+
+class PositionUnits:
+    """Tests joint positions against the robot's limits: degrees, revolutions or millimetres, for the whole group at once."""
+
+    KEY: ClassVar[str] = "position_units"
+    STAGE: ClassVar[Stage] = Stage.UNITS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark for revolute joints and one for prismatic ones; repaired where one unit alone fits all limits."""
+        robot = seen.belief.robot
+        if robot is None:
+            yield from self._by_size(seen)
+            return
+        # A prismatic joint's limits are metres, mostly below one: told apart by what the robot itself says.
+        for slides, units in ((False, ANGLES), (True, LENGTHS)):
+            joints = [k for k, name in enumerate(robot.joint_names) if _slides(robot, k) is slides]
+            names = [f"joint.{robot.joint_names[k]}.position" for k in joints]
+            present = [(n, k) for n, k in zip(names, joints, strict=True) if n in seen.columns]
+            beyond = [
+                (n, k)
+                for n, k in present
+                if _beyond(seen.columns[n], robot.lower[k], robot.upper[k], slides=slides) > 0.5
+            ]
+            if not beyond:
+                moving = [robot.joint_names[k] for _, k in present]
+                remark = self._by_velocity(seen, moving, units) or self._by_simulation(seen, moving, units)
+                if remark is not None and remark.repaired is not None:
+                    seen = remark.repaired
+                    yield remark
+                continue
+            fitting = [
+                (unit, f)
+                for unit, f in units.items()
+                if f > 1.0
+                and all(
+                    _beyond(seen.columns[n] / f, robot.lower[k], robot.upper[k], slides=slides) <= 0.05
+                    for n, k in present
+                )
+            ]
+            name, k = beyond[0]
+            reach = float(seen.columns[name][np.nanargmax(np.abs(seen.columns[name]))])
+            what = f"{name} reaches {reach:.4g}, far beyond the joint's limits of {robot.lower[k]:.3g} to {robot.upper[k]:.3g}"
+            moving = [robot.joint_names[k] for _, k in present]
+            by_velocity = self._by_velocity(seen, moving, dict(fitting)) if len(fitting) > 1 else None
+            if by_velocity is not None and by_velocity.repaired is not None:
+                seen = by_velocity.repaired
+                yield by_velocity
+                continue
+            chosen = _told(seen, moving, fitting) if len(fitting) != 1 else fitting[0][0]
+            if chosen:
+                columns = _scaled(seen, moving, units[chosen])
+                seen = with_columns(seen, columns)
+                yield Remark(self.KEY, f"{what}: joints are in {chosen}", "", tuple(columns), Action.REPAIRED, seen)
+            else:
+                hint = " or ".join(unit for unit, _ in fitting) or ("mm" if slides else "degrees")
+                yield Remark(self.KEY, f"{what}: is it in {hint}?", "give rad and m", (name,), Action.REFUSED)
+
+    def _by_velocity(self, seen: Observations, joints: Sequence[str], units: Mapping[str, float]) -> Remark | None:
+        """Within all limits: measured velocities of all joints, in SI, are the change of positions in another unit."""
+        scales = [s for joint in joints if (s := _velocity_scale(seen, joint)) is not None]
+        if len(scales) < 2:
+            return None
+        off = {u: float(np.max(np.abs(np.log(np.array(scales) * f)))) for u, f in units.items()}
+        unit = min(off, key=lambda u: off[u])
+        if off[unit] > CRITERIA.same_factor:
+            return None
+        columns = _scaled(seen, joints, units[unit])
+        what = f"velocities of {len(scales)} joints are {float(np.median(scales)):.4g} times the change of the position"
+        repaired = with_columns(seen, columns)
+        return Remark(self.KEY, f"{what}: joints are in {unit}", "", tuple(columns), Action.REPAIRED, repaired)
+
+    def _by_simulation(self, seen: Observations, joints: Sequence[str], units: Mapping[str, float]) -> Remark | None:
+        """Within all limits, as revolutions are: another unit with which the simulation follows, unlike the named one."""
+        if not joints:
+            return None
+        shares = {"": _shares(seen)}
+        if float(np.mean(shares[""])) <= CRITERIA.gross_left:
+            return None
+        shares |= {u: _shares(with_columns(seen, _scaled(seen, joints, f))) for u, f in units.items()}
+        # What no unit explains (friction alone, noise) says nothing of units.
+        told = np.min(list(shares.values()), axis=0) < CRITERIA.half
+        left = {u: float(np.mean(x[told])) if told.any() else 1.0 for u, x in shares.items()}
+        plain = left.pop("")
+        unit = min(left, key=lambda u: left[u])
+        if left[unit] > min(CRITERIA.gross_left, CRITERIA.gross_gain * plain):
+            return None
+        columns = _scaled(seen, joints, units[unit])
+        what = f"the simulation explains {1.0 - plain:.0%} of what is compared, and {1.0 - left[unit]:.0%} with joints in {unit}"
+        return Remark(
+            self.KEY, f"{what}: joints are in {unit}", "", tuple(columns), Action.REPAIRED, with_columns(seen, columns)
+        )
+
+    def _by_size(self, seen: Observations) -> Iterator[Remark]:
+        """Without a robot nobody knows a limit: only what no joint reaches is said."""
+        for name in joint_columns(seen, "position"):
+            values = seen.columns[name]
+            if seen.predict == "wrench" and np.isfinite(values).any() and float(np.nanmax(np.abs(values))) > 4.0 * TURN:
+                what = f"{name} reaches {float(np.nanmax(np.abs(values))):.4g}: is it in degrees or mm?"
+                yield Remark(self.KEY, what, "give rad and m", (name,))
+
+
+def _velocity_scale(seen: Observations, joint: str) -> float | None:
+    """Return a joint's measured velocity over the change of its position; None where the two are not one signal."""
+    q, v = (seen.columns.get(f"joint.{joint}.{kind}") for kind in ("position", "velocity"))
+    found = None if q is None or v is None else travelled(seen, q, v)
+    if found is None or min(map(np.ptp, found)) == 0.0 or np.corrcoef(*found)[0, 1] < CRITERIA.one_signal:
+        return None
+    change, told = found
+    return float(np.sum(told * change) / np.sum(change**2))
+
+
+def _slides(robot: Robot, k: int) -> bool:
+    """Return whether joint k of a robot is prismatic."""
+    if isinstance(robot, UrdfRobot):
+        return bool(robot.model.joints[k + 1].shortname().startswith("JointModelP"))
+    return robot.joint_names[k].startswith("carriage")
+
+
+def _beyond(values: Array, low: float, high: float, *, slides: bool) -> float:
+    """How far values go beyond limits, as a share of their span; 0 where there are none. A whole turn more is the same angle."""
+    there = values[np.isfinite(values)]
+    span = high - low
+    if not len(there) or not np.isfinite(span) or span <= 0.0:
+        return 0.0
+    shifts = (0.0,) if slides else (-TURN, 0.0, TURN)
+    return min(max(float(there.max()) + x - high, low - float(there.min()) - x, 0.0) for x in shifts) / span
+
+
+def _scaled(seen: Observations, joints: Sequence[str], factor: float) -> dict[str, Array]:
+    """Columns of some joints in another unit; velocities too, unless they are already those of the position so read."""
+    out = {}
+    for joint in joints:
+        for kind in ("position", "command", "velocity"):
+            name = f"joint.{joint}.{kind}"
+            if name in seen.columns:
+                out[name] = seen.columns[name] / factor
+        q, v = (f"joint.{joint}.{kind}" for kind in ("position", "velocity"))
+        if v in out and q in out and seen.time is not None and not wrong_velocity(seen, out[q], seen.columns[v]):
+            del out[v]
+    return out
+
+
+def _told(seen: Observations, joints: Sequence[str], fitting: Sequence[tuple[str, float]]) -> str:
+    """The unit in which the simulation follows what is compared; empty where it cannot tell."""
+    left = sorted((_unexplained(with_columns(seen, _scaled(seen, joints, f))), unit) for unit, f in fitting)
+    return left[0][1] if left and left[0][0] < CRITERIA.half * min(1.0, left[1][0]) else ""
+
+
+def _unexplained(seen: Observations) -> float:
+    """Mean share of the compared channels' variance that their simulation at rest does not explain; 1 where nothing is known."""
+    return float(np.mean(_shares(seen)))
+
+
+def _shares(seen: Observations) -> Array:
+    """The same by channel (K,); a single 1 where nothing is known."""
+    robot = seen.belief.robot
+    assert robot is not None, "asked only with a robot"
+    driven = [n for name in robot.joint_names if (n := f"joint.{name}.position") in seen.columns]
+    rows = np.flatnonzero(np.isfinite(seen.matrix(*compared_names(seen), *driven)).all(axis=1))
+    unknown = np.ones(3 if seen.predict == "pose" else len(compared_names(seen)))
+    if len(rows) < CRITERIA.fewest_vectors or len(driven) < len(robot.joint_names):
+        return unknown
+    some = at_rest(seen.taken(rows[np.linspace(0, len(rows) - 1, min(len(rows), CRITERIA.most_rows)).astype(int)]))
+    if seen.predict == "wrench" and not some.belief.hanging:
+        return np.array([next(iter(readings(some))).plain.unexplained])
+    scene = scene_of(some)
+    if not np.isfinite(scene.simulated).all():
+        return unknown
+    # An orientation is measured from the simulated one: its place says it all.
+    width = 3 if seen.predict == "pose" else len(scene.channels)
+    y, left = scene.measured[:, :width], (scene.measured - scene.simulated)[:, :width]
+    return np.asarray(np.minimum(np.var(left, axis=0) / np.maximum(np.var(y, axis=0), 1e-300), 1.0))
