@@ -2,10 +2,15 @@
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from galen_hw.errors import GalenError
+from galen_hw.errors import GalenError, UsageError
+
+if TYPE_CHECKING:
+    from galen_hw.premises import Observations, Remark
+    from galen_hw.recording import Recording
 
 SCHEMA = 1
 
@@ -37,7 +42,7 @@ def _asked(path: Path) -> dict[str, Any]:
     """What is said of one recording.
 
     Raises:
-        GalenError: it cannot be read, or its model is no machine's.
+        GalenError: it cannot be read.
     """
     from galen_hw.premises import examined
     from galen_hw.recording import read_recording
@@ -47,16 +52,41 @@ def _asked(path: Path) -> dict[str, Any]:
     with named_in(recording):
         seen = observations_of(recording)
         found = examined(seen)
+    remarks = _with_model(found.remarks, _of_model(recording, seen))
     return {
         "recording": str(path),
         "predict": seen.predict,
         "rows": len(seen),
-        "premises": [r.to_json() for r in found.remarks],
-        "lines": [r.line for r in found.remarks],
+        "premises": [r.to_json() for r in remarks],
+        "lines": [r.line for r in remarks],
     }
+
+
+def _of_model(recording: "Recording", seen: "Observations") -> list["Remark"]:
+    """What is said of the robot's model."""
+    from galen_hw.premises import Action, Remark
+    from galen_hw.recording.robot import model_notes
+
+    try:
+        return [Remark("model", line) for line in model_notes(recording, seen.belief.robot, seen.predict)]
+    except UsageError as error:
+        return [Remark("model", f"{error.where}: {error.what}", error.todo, (), Action.REFUSED)]
+
+
+def _with_model(remarks: Sequence["Remark"], model: list["Remark"]) -> list["Remark"]:
+    """All remarks in the order of their stages; a model that is refused silences what is only its consequence."""
+    from galen_hw.premises import Action, Stage, premises
+
+    early = {p.KEY for p in premises() if p.STAGE in (Stage.CELLS, Stage.UNITS)}
+    before = [r for r in remarks if r.premise in early]
+    if any(r.action is Action.REFUSED for r in before):
+        return before
+    later = [r for r in remarks if r.premise not in early]
+    return [*before, *model, *([] if any(r.action is Action.REFUSED for r in model) else later)]
 
 
 def _lines(answer: dict[str, Any]) -> list[str]:
     head = f"{answer['recording']}: {answer['rows']} rows, {answer['predict']} compared"
     said = [f"  {p['action']:9} {line}" for p, line in zip(answer["premises"], answer["lines"], strict=True)]
-    return [head, *(said or ["  ok        nothing that was looked for is wrong with it"])]
+    right = all(p["action"] == "note" for p in answer["premises"])
+    return [head, *said, *(["  ok        nothing that was looked for is wrong with it"] if right else [])]

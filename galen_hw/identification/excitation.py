@@ -83,7 +83,8 @@ def require_precision(found: Estimate, where: str) -> None:
     half = found.t95 * found.std[:4]
     if found.mass - half[0] <= 0.0:
         what = f"the mass comes out as {found.mass:.4f} +- {half[0]:.4f} kg: nothing hangs on the sensor"
-        raise UsageError(what, where=where, todo="put the tool on, and check the sign convention of the wrench")
+        todo = "put the tool on, zero the sensor once and not at each pose, and check the sign convention of the wrench"
+        raise UsageError(what, where=where, todo=todo)
     limits = (WIDEST_MASS * found.mass, WIDEST_COM, WIDEST_COM, WIDEST_COM)
     for name, width, limit in zip(TOOL_NAMES, half, limits, strict=True):
         if not width <= limit:

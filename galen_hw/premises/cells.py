@@ -27,7 +27,8 @@ POSE = tuple(f"pose.position.{a}" for a in "xyz") + tuple(f"pose.orientation.{a}
 
 def rows_in(count: int, total: int) -> str:
     """Say a number of rows with its share."""
-    return f"{count} of {total} rows ({100.0 * count / max(total, 1):.2g} %)"
+    share = 100.0 * count / max(total, 1)
+    return f"{count} of {total} rows ({share:.2g} %)" if share < 99.5 else f"{count} of {total} rows"
 
 
 class LostValues:
@@ -50,7 +51,11 @@ class LostValues:
             value = float(seen.columns[worst][np.abs(seen.columns[worst]) > LARGEST][0])
             said.append(f"{rows_in(lost, len(seen))} of {worst} read {value:.7g}, which means lost")
         for group in _tracked(columns):
-            for what, sought in (("the origin", partial(_origin, group=group)), ("their last value again", _held)):
+            for what, sought in (
+                ("the origin", partial(_origin, group=group)),
+                ("one and the same far place", partial(_far, group=group)),
+                ("their last value again", _held),
+            ):
                 lost_rows = sought(np.stack([columns[name] for name in group], axis=1))
                 if lost_rows.any():
                     for name in group:
@@ -80,6 +85,27 @@ def _origin(values: Array, group: list[str]) -> Mask:
     position = [k for k, name in enumerate(group) if ".position." in name]
     zero = np.all(values[:, position] == 0.0, axis=1)
     return zero if 0 < zero.sum() < 0.5 * len(values) else np.zeros(len(values), dtype=bool)
+
+
+def _far(values: Array, group: list[str]) -> Mask:
+    """(N,) rows that all read one place to the last bit, as far from every other as these are from one another, or farther.
+
+    What moves does not come back to the last bit; a number that stands for "lost" (9999, -1000) does nothing else.
+    """
+    columns = [k for k, name in enumerate(group) if ".position." in name]
+    position = values[:, columns]
+    there = np.isfinite(position).all(axis=1)
+    places, which, counts = np.unique(position[there], axis=0, return_inverse=True, return_counts=True)
+    out = np.zeros(len(values), dtype=bool)
+    if len(places) < HELD_ROWS or counts.max() < 2:
+        return out
+    best = int(np.argmax(counts))
+    others = np.delete(places, best, axis=0)
+    middle, size = others.mean(axis=0), np.linalg.norm(np.ptp(others, axis=0))
+    alone = counts[best] < 0.5 * len(values) and float(np.linalg.norm(places[best] - middle)) > 2.0 * size > 0.0
+    if alone:
+        out[there] = which.reshape(-1) == best
+    return out
 
 
 def _held(values: Array) -> Mask:

@@ -140,6 +140,34 @@ def _scale(seen: Observations, q: Array, v: Array) -> float | None:
     return float(np.sum(moved * told) / np.sum(told**2))
 
 
+class RowOrder:
+    """Tests whether rows are in the order of their stamps: a table that was sorted by something else, or written as a set."""
+
+    KEY: ClassVar[str] = "row_order"
+    STAGE: ClassVar[Stage] = Stage.CELLS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark; rows are sorted by their stamps, where the motion is then smoother."""
+        time = seen.time
+        if time is None or len(time) < 50 or len(seen.segments) > 1 or len(np.unique(time)) < len(time):
+            return
+        back = int(np.sum(np.diff(time) < 0.0))
+        if back <= ALONE:
+            return
+        order = np.argsort(time)
+        taken = seen.taken(order)
+        before, after = (sum(_roughness(q) for q in moving(one)) for one in (seen, taken))
+        if not after < 0.5 * before:
+            return  # a clock that was set: rows follow each other as they stand
+        what = f"rows are not in the order of their stamps, which go back {back} times: sorted by them, the motion is smooth"
+        yield Remark(self.KEY, what, "", ("time",), Action.REPAIRED, taken)
+
+
+def _roughness(q: Array) -> float:
+    """Mean squared step of q (N,) over its variance."""
+    return float(np.mean(np.diff(q) ** 2)) / max(float(np.var(q)), 1e-300)
+
+
 class ClockSteps:
     """Tests for a clock that was set back while recording: rows are in order, their stamps are not. Forth, it is a gap."""
 

@@ -16,8 +16,8 @@ from galen_hw.physics.scenes.joint import EffortScene
 from galen_hw.premises.base import Action, Claim, Remark, Stage
 from galen_hw.premises.channels import compared
 from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.effort_units import beside_friction
 from galen_hw.premises.rotations import between
-from galen_hw.premises.units import beside_friction
 from galen_hw.spatial import Array
 
 FEWEST_ROWS = 50

@@ -1,7 +1,8 @@
-"""Joints: angles that wrap, columns of velocity that are none, numbers whose sign was lost."""
+"""Joints: angles that wrap, columns of velocity that are none, numbers that were read as unsigned."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import ClassVar, Final
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns, without_columns
 from galen_hw.premises.clock import travelled
+from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.sampling import compared_names
 from galen_hw.spatial import Array
 
@@ -22,6 +24,14 @@ BY_CHANCE: Final = 0.01
 """Chance that is taken that columns seem to be folded at one and the same number."""
 LEAST_MOTION: Final = 0.02
 """rad or m, the same of an encoder without noise."""
+RATIOS: Final = {
+    "degrees a second": 180.0 / np.pi,
+    "radians, the position in degrees": np.pi / 180.0,
+    "revolutions a minute": 60.0 / TURN,
+    "radians, the position in revolutions": TURN,
+    "mm": 1e3,
+}
+"""Velocity over the change of position, where they are in different units."""
 
 
 def joint_columns(seen: Observations, kind: str) -> list[str]:
@@ -77,17 +87,33 @@ class VelocityColumns:
         why: dict[str, list[str]] = {}
         for name in joint_columns(seen, "velocity"):
             q = seen.columns.get(name.replace(".velocity", ".position"))
-            says = None if q is None else _wrong(seen, q, seen.columns[name])
+            says = None if q is None else wrong_velocity(seen, q, seen.columns[name])
             if says:
                 why.setdefault(says, []).append(name)
+        crossed = _crossed(seen, [name for names in why.values() for name in names])
+        if crossed:
+            first, second = (name.rsplit(".", 1)[0] for name in crossed)
+            what = f"{first}.velocity is the change of {second}.position and the other way round: columns of the two are swapped"
+            yield Remark(self.KEY, what, "give each joint its own columns", crossed, Action.REFUSED)
+            return
         for says, names in why.items():
             seen = without_columns(seen, names)
             what = f"{', '.join(names)}: {says}; left out, the positions say how the arm moves"
             yield Remark(self.KEY, what, "", tuple(names), Action.REPAIRED, seen)
 
 
-def _wrong(seen: Observations, q: Array, v: Array) -> str:
-    """What is wrong with velocities v (N,) beside positions q (N,); empty where nothing is, or the joint hardly moves."""
+def _crossed(seen: Observations, names: Sequence[str]) -> tuple[str, ...]:
+    """Return two of the velocity columns of which each is the change of the other's position; empty without such a pair."""
+    for one, other in combinations(names, 2):
+        pairs = ((one, other), (other, one))
+        found = [travelled(seen, seen.columns[q.replace(".velocity", ".position")], seen.columns[v]) for v, q in pairs]
+        if all(x is not None and min(map(np.ptp, x)) > 0.0 and np.corrcoef(*x)[0, 1] > 0.9 for x in found):
+            return one, other
+    return ()
+
+
+def wrong_velocity(seen: Observations, q: Array, v: Array) -> str:
+    """Say what is wrong with velocities v (N,) beside positions q (N,); empty where nothing is, or the joint hardly moves."""
     found = travelled(seen, q, v)
     if found is None:
         return ""
@@ -112,7 +138,8 @@ def _unlike(change: Array, told: Array) -> str:
     if correlation < -0.9:
         return "the opposite sign of the position's change"
     if correlation > 0.9 and not 0.2 < scale < 5.0:
-        return f"{scale:.3g} times the position's change (is it in degrees or mm?)"
+        hint = next((u for u, f in RATIOS.items() if abs(np.log(scale / f)) < CRITERIA.same_factor), "")
+        return f"{scale:.3g} times the position's change (is it in {hint or 'degrees or mm'}?)"
     return ""
 
 

@@ -1,4 +1,4 @@
-"""Units of joint positions: by the robot's limits, by what follows from them, and by their own simulation."""
+"""Units of joint positions: degrees, revolutions or mm, by the robot's limits, measured velocities and the simulation."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, Final
@@ -10,8 +10,9 @@ from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns
 from galen_hw.premises.channels import compared, slope
+from galen_hw.premises.clock import travelled
 from galen_hw.premises.criteria import CRITERIA
-from galen_hw.premises.joints import TURN, joint_columns
+from galen_hw.premises.joints import TURN, joint_columns, wrong_velocity
 from galen_hw.premises.sampling import compared_names
 from galen_hw.premises.wrench_reading import at_rest, readings
 from galen_hw.spatial import Array
@@ -46,7 +47,8 @@ class PositionUnits:
                 if _beyond(seen.columns[n], robot.lower[k], robot.upper[k], slides=slides) > 0.5
             ]
             if not beyond:
-                remark = self._by_simulation(seen, [robot.joint_names[k] for _, k in present], units)
+                moving = [robot.joint_names[k] for _, k in present]
+                remark = self._by_velocity(seen, moving, units) or self._by_simulation(seen, moving, units)
                 if remark is not None and remark.repaired is not None:
                     seen = remark.repaired
                     yield remark
@@ -64,6 +66,11 @@ class PositionUnits:
             reach = float(seen.columns[name][np.nanargmax(np.abs(seen.columns[name]))])
             what = f"{name} reaches {reach:.4g}, far beyond the joint's limits of {robot.lower[k]:.3g} to {robot.upper[k]:.3g}"
             moving = [robot.joint_names[k] for _, k in present]
+            by_velocity = self._by_velocity(seen, moving, dict(fitting)) if len(fitting) > 1 else None
+            if by_velocity is not None and by_velocity.repaired is not None:
+                seen = by_velocity.repaired
+                yield by_velocity
+                continue
             chosen = _told(seen, moving, fitting) if len(fitting) != 1 else fitting[0][0]
             if chosen:
                 columns = _scaled(seen, moving, units[chosen])
@@ -89,14 +96,32 @@ class PositionUnits:
                 return Remark(self.KEY, what, "", tuple(columns), Action.REPAIRED, with_columns(seen, columns))
         return None
 
+    def _by_velocity(self, seen: Observations, joints: Sequence[str], units: Mapping[str, float]) -> Remark | None:
+        """Within all limits: measured velocities of all joints, in SI, are the change of positions in another unit."""
+        scales = [s for joint in joints if (s := _velocity_scale(seen, joint)) is not None]
+        if len(scales) < 2:
+            return None
+        off = {u: float(np.max(np.abs(np.log(np.array(scales) * f)))) for u, f in units.items()}
+        unit = min(off, key=lambda u: off[u])
+        if off[unit] > CRITERIA.same_factor:
+            return None
+        columns = _scaled(seen, joints, units[unit])
+        what = f"velocities of {len(scales)} joints are {float(np.median(scales)):.4g} times the change of the position"
+        repaired = with_columns(seen, columns)
+        return Remark(self.KEY, f"{what}: joints are in {unit}", "", tuple(columns), Action.REPAIRED, repaired)
+
     def _by_simulation(self, seen: Observations, joints: Sequence[str], units: Mapping[str, float]) -> Remark | None:
         """Within all limits, as revolutions are: another unit with which the simulation follows, unlike the named one."""
         if not joints:
             return None
-        plain = _unexplained(seen)
-        if plain <= CRITERIA.gross_left:
+        shares = {"": _shares(seen)}
+        if float(np.mean(shares[""])) <= CRITERIA.gross_left:
             return None
-        left = {u: _unexplained(with_columns(seen, _scaled(seen, joints, f))) for u, f in units.items()}
+        shares |= {u: _shares(with_columns(seen, _scaled(seen, joints, f))) for u, f in units.items()}
+        # What no unit explains (friction alone, noise) says nothing of units.
+        told = np.min(list(shares.values()), axis=0) < CRITERIA.half
+        left = {u: float(np.mean(x[told])) if told.any() else 1.0 for u, x in shares.items()}
+        plain = left.pop("")
         unit = min(left, key=lambda u: left[u])
         if left[unit] > min(CRITERIA.gross_left, CRITERIA.gross_gain * plain):
             return None
@@ -113,6 +138,16 @@ class PositionUnits:
             if seen.predict == "wrench" and np.isfinite(values).any() and float(np.nanmax(np.abs(values))) > 4.0 * TURN:
                 what = f"{name} reaches {float(np.nanmax(np.abs(values))):.4g}: is it in degrees or mm?"
                 yield Remark(self.KEY, what, "give rad and m", (name,))
+
+
+def _velocity_scale(seen: Observations, joint: str) -> float | None:
+    """Return a joint's measured velocity over the change of its position; None where the two are not one signal."""
+    q, v = (seen.columns.get(f"joint.{joint}.{kind}") for kind in ("position", "velocity"))
+    found = None if q is None or v is None else travelled(seen, q, v)
+    if found is None or min(map(np.ptp, found)) == 0.0 or np.corrcoef(*found)[0, 1] < CRITERIA.one_signal:
+        return None
+    change, told = found
+    return float(np.sum(told * change) / np.sum(change**2))
 
 
 def _slides(robot: Robot, k: int) -> bool:
@@ -133,9 +168,17 @@ def _beyond(values: Array, low: float, high: float, *, slides: bool) -> float:
 
 
 def _scaled(seen: Observations, joints: Sequence[str], factor: float) -> dict[str, Array]:
-    """Columns of some joints in another unit."""
-    names = (f"joint.{joint}.{kind}" for joint in joints for kind in ("position", "velocity", "command"))
-    return {name: seen.columns[name] / factor for name in names if name in seen.columns}
+    """Columns of some joints in another unit; velocities too, unless they are already those of the position so read."""
+    out = {}
+    for joint in joints:
+        for kind in ("position", "command", "velocity"):
+            name = f"joint.{joint}.{kind}"
+            if name in seen.columns:
+                out[name] = seen.columns[name] / factor
+        q, v = (f"joint.{joint}.{kind}" for kind in ("position", "velocity"))
+        if v in out and q in out and seen.time is not None and not wrong_velocity(seen, out[q], seen.columns[v]):
+            del out[v]
+    return out
 
 
 def _told(seen: Observations, joints: Sequence[str], fitting: Sequence[tuple[str, float]]) -> str:
@@ -146,19 +189,25 @@ def _told(seen: Observations, joints: Sequence[str], fitting: Sequence[tuple[str
 
 def _unexplained(seen: Observations) -> float:
     """Mean share of the compared channels' variance that their simulation at rest does not explain; 1 where nothing is known."""
+    return float(np.mean(_shares(seen)))
+
+
+def _shares(seen: Observations) -> Array:
+    """The same by channel (K,); a single 1 where nothing is known."""
     robot = seen.belief.robot
     assert robot is not None, "asked only with a robot"
     driven = [n for name in robot.joint_names if (n := f"joint.{name}.position") in seen.columns]
     rows = np.flatnonzero(np.isfinite(seen.matrix(*compared_names(seen), *driven)).all(axis=1))
+    unknown = np.ones(3 if seen.predict == "pose" else len(compared_names(seen)))
     if len(rows) < CRITERIA.fewest_vectors or len(driven) < len(robot.joint_names):
-        return 1.0
+        return unknown
     some = at_rest(seen.taken(rows[np.linspace(0, len(rows) - 1, min(len(rows), CRITERIA.most_rows)).astype(int)]))
     if seen.predict == "wrench" and not some.belief.hanging:
-        return next(iter(readings(some))).plain.unexplained
+        return np.array([next(iter(readings(some))).plain.unexplained])
     scene = scene_of(some)
     if not np.isfinite(scene.simulated).all():
-        return 1.0
+        return unknown
     # An orientation is measured from the simulated one: its place says it all.
     width = 3 if seen.predict == "pose" else len(scene.channels)
     y, left = scene.measured[:, :width], (scene.measured - scene.simulated)[:, :width]
-    return float(np.mean(np.minimum(np.var(left, axis=0) / np.maximum(np.var(y, axis=0), 1e-300), 1.0)))
+    return np.asarray(np.minimum(np.var(left, axis=0) / np.maximum(np.var(y, axis=0), 1e-300), 1.0))

@@ -1,4 +1,4 @@
-"""Units of what is compared: wrenches, efforts and the tool's own numbers, judged by the simulation for whole groups at once."""
+"""Units of a wrench and of the tool's own numbers, judged by the simulation for whole groups at once."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -150,8 +150,8 @@ class WrenchUnits:
             if named and (forces or not off) and torques:
                 yield self._in_units(seen, text, forces if off else [], torques)
                 return
-            units = [u for u, f in TORQUES.items() if f > 1.0 and 1e-3 < lever / f < 1.0]
-            hint = "is it in N mm?" if "N mm" in units else "it is not in N m"
+            units = [u for u in ("N mm", "N cm") if 1e-3 < lever / TORQUES[u] < 1.0]
+            hint = f"is it in {' or '.join(units)}?" if units else "it is not in N m"
             yield Remark(
                 self.KEY, f"wrench.torque is {lever:.3g} m times the force: {hint}", "give N m", TORQUE, Action.REFUSED
             )
@@ -191,84 +191,3 @@ def _weighed(some: Observations) -> _Weighed | None:
     turned = scaled(expected, torque)
     fits = turned.unexplained <= CRITERIA.gross_left and turned.Q[0, 0] > 0.0 and turned.rank >= 2
     return _Weighed(plain.scale, com, plain.scale / mass, turned.scale if fits else 0.0)
-
-
-class EffortUnits:
-    """Tests joint efforts against what the rigid model needs: a factor of every joint that no load and no friction has."""
-
-    KEY: ClassVar[str] = "effort_units"
-    STAGE: ClassVar[Stage] = Stage.FRAMES
-
-    def examine(self, seen: Observations) -> Iterator[Remark]:
-        """Yield at most one remark for all joints."""
-        if seen.predict != "effort" or len(seen) < 50 or seen.simulation is not None:
-            return  # what someone else simulated may leave out most of an effort
-        # A stretch without gaps: what accelerates the arm is part of what the model needs.
-        scene = scene_of(seen.taken(slice(0, CRITERIA.stretch)))
-        if not scene.clock or not np.isfinite(scene.q).all():
-            return
-        found = [
-            (name, _slope(scene.simulated[:, c], scene.measured[:, c], _speed(scene, name)))
-            for c, name in enumerate(scene.channels)
-        ]
-        known = [(name, s) for name, s in found if s is not None]
-        if not known or len(known) < 0.5 * len(found):
-            return
-        slopes = np.array([s for _, s in known])
-        low, high = 1.0 / CRITERIA.least_factor, CRITERIA.least_factor
-        if not (np.all(slopes > high) or np.all((slopes < low) & (slopes > 0.0))):
-            yield from self._single([name for name, _ in known], slopes)
-            return
-        names = tuple(name for name, _ in known)
-        each = ", ".join(f"{name.split('.', 1)[1].rsplit('.', 1)[0]} {s:.3g}" for name, s in known)
-        equal = float(np.max(np.abs(np.log(slopes / np.median(slopes))))) < CRITERIA.same_factor
-        units = units_of(float(np.median(slopes)), TORQUES) if equal else []
-        if len(known) == 1 and not units:
-            return  # one joint may carry what the model does not know
-        hint = f"are they in {' or '.join(units)}?" if units else "per mille of a rated torque, mA or counts?"
-        what = f"efforts are not in N m: times what the model needs, {each}; {hint}"
-        yield Remark(
-            self.KEY,
-            what,
-            "give N m: times the rated torque, or the torque constant, of each motor",
-            names,
-            Action.REFUSED,
-        )
-
-    def _single(self, names: list[str], slopes: Array) -> Iterator[Remark]:
-        """Yield a remark on the one column that is in another unit than all others: a load that nobody knows acts on more."""
-        off = np.flatnonzero(np.abs(np.log(np.maximum(slopes, 1e-300))) > np.log(CRITERIA.least_factor))
-        if len(off) != 1 or len(slopes) < 2 or slopes[off[0]] <= 0.0:
-            return
-        k = int(off[0])
-        units = units_of(float(slopes[k]), TORQUES)
-        if units:
-            what = f"{names[k]} is {slopes[k]:.4g} times what the model needs, the others are not: is it in {' or '.join(units)}?"
-            yield Remark(self.KEY, what, "give N m", (names[k],), Action.REFUSED)
-
-
-def _speed(scene: object, channel: str) -> Array:
-    joint = channel.split(".", 1)[1].rsplit(".", 1)[0]
-    return np.asarray(scene.rates[0][:, scene.joint_index(joint)])  # type: ignore[attr-defined]
-
-
-def _slope(expected: Array, measured: Array, speed: Array) -> float | None:
-    """Slope of measured over expected beside friction of any size; None where the model's effort cannot be told from that."""
-    good = np.isfinite(expected) & np.isfinite(measured) & np.isfinite(speed)
-    if good.sum() < 50 or np.std(expected[good]) == 0.0:
-        return None
-    x, y, v = expected[good], measured[good], speed[good]
-    others = beside_friction(v)
-    own = x - others @ np.linalg.lstsq(others, x, rcond=None)[0]
-    rest = y - others @ np.linalg.lstsq(others, y, rcond=None)[0]
-    if np.std(own) < 0.05 * np.std(x) or np.std(rest) == 0.0:
-        return None
-    if float(np.corrcoef(own, rest)[0, 1]) < 0.8:
-        return None
-    return float(np.sum(own * rest) / np.sum(own**2))
-
-
-def beside_friction(speed: Array) -> Array:
-    """Return (N, 3) a constant, dry and viscous friction of a joint of speed (N,), each of any size."""
-    small = 0.05 * max(float(np.std(speed)), 1e-12)
-    return np.column_stack([np.ones_like(speed), np.tanh(speed / small), speed])

@@ -1,0 +1,62 @@
+"""Units of an inertial measurement unit, told by how the sensor turns."""
+
+from collections.abc import Iterator
+from typing import ClassVar, Final
+
+import numpy as np
+
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.observations import Observations
+from galen_hw.physics.scenes.imu import turn_rates
+from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.criteria import CRITERIA
+from galen_hw.spatial import Array
+
+ACCELERATION: Final = tuple(f"imu.acceleration.{axis}" for axis in "xyz")
+OMEGA: Final = tuple(f"imu.angular_velocity.{axis}" for axis in "xyz")
+ACCELERATIONS: Final = {"g": 1.0 / 9.80665, "mg": 1e3 / 9.80665, "gal": 1e2}
+RATES: Final = {"degrees a second": 180.0 / np.pi, "mrad/s": 1e3, "revolutions a minute": 30.0 / np.pi}
+
+
+class ImuUnits:
+    """Tests accelerations against gravity and rates against the change of the orientation: in m/s^2 and rad/s."""
+
+    KEY: ClassVar[str] = "imu_units"
+    STAGE: ClassVar[Stage] = Stage.UNITS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield a remark for each of the two."""
+        time = seen.time
+        names = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
+        if seen.predict != "wrench" or seen.belief.robot is not None or not all(n in seen.columns for n in names):
+            return
+        if not seen.has("imu.") or len(seen) < 50 or not np.isfinite(seen.matrix(*names)).all():
+            return
+        R = np.asarray(scene_of(seen).R)  # type: ignore[attr-defined]
+        up = -np.einsum("nji,j->ni", R, seen.belief.gravity)
+        turning = np.zeros((len(seen), 3))
+        if time is not None:
+            turning = np.einsum("nji,nj->ni", R, turn_rates(np.asarray(time), R, seen.segments)[0])
+        for columns, expected, table in ((ACCELERATION, up, ACCELERATIONS), (OMEGA, turning, RATES)):
+            if not all(name in seen.columns for name in columns):
+                continue
+            scale = _scale(expected, seen.matrix(*columns))
+            unit = next((u for u, f in table.items() if scale and abs(np.log(scale / f)) < 0.05), None)
+            if unit is None:
+                continue
+            seen = with_columns(seen, {name: seen.columns[name] / table[unit] for name in columns})
+            what = f"{columns[0].rsplit('.', 1)[0]} is {scale:.4g} times what the orientation says: it is in {unit}"
+            yield Remark(self.KEY, what, "", columns, Action.REPAIRED, seen)
+
+
+def _scale(expected: Array, measured: Array) -> float:
+    """Slope of measured (N, 3) over expected where they are one signal; 0 where they are not, or not known."""
+    good = np.isfinite(measured).all(axis=1) & np.isfinite(expected).all(axis=1)
+    if good.sum() < 50:
+        return 0.0
+    x, y = (v[good] - v[good].mean(axis=0) for v in (expected, measured))
+    size = float(np.sum(x**2)) * float(np.sum(y**2))
+    product = float(np.sum(x * y))
+    if size <= 0.0 or product / np.sqrt(size) < CRITERIA.one_signal:
+        return 0.0
+    return product / float(np.sum(x**2))
