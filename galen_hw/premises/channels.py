@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from typing import ClassVar, Final
+from weakref import ref
 
 import numpy as np
 
@@ -17,8 +18,21 @@ DEAD: Final = 0.05
 """Of the liveliest simulated channel of its unit: a channel that should move so much cannot stand still."""
 
 
+_kept: Final[dict[str, tuple[ref[Observations], Scene | None]]] = {}
+"""The scene asked last: several premises ask for the same one, whose motion is differentiated and simulated."""
+
+
 def compared(seen: Observations) -> Scene | None:
-    """Return the scene of an evenly chosen part of the rows that can be compared; None where there are hardly any."""
+    """Return the scene of a stretch of the rows that can be compared; None where there are hardly any."""
+    last = _kept.get("last")
+    if last is not None and last[0]() is seen:
+        return last[1]
+    scene = _stretch(seen)
+    _kept["last"] = (ref(seen), scene)
+    return scene
+
+
+def _stretch(seen: Observations) -> Scene | None:
     names = compared_names(seen)
     robot = seen.belief.robot
     driven = [] if robot is None else [n for j in robot.joint_names if (n := f"joint.{j}.position") in seen.columns]

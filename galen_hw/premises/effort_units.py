@@ -6,10 +6,10 @@ from typing import ClassVar
 import numpy as np
 
 from galen_hw.kinematics import UrdfRobot
-from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.premises.base import Action, Remark, Stage
+from galen_hw.premises.channels import compared
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.units import FORCES, TORQUES, units_of
 from galen_hw.spatial import Array
@@ -25,9 +25,8 @@ class EffortUnits:
         """Yield at most one remark for all joints."""
         if seen.predict != "effort" or len(seen) < 50:
             return
-        # A stretch without gaps: what accelerates the arm is part of what the model needs.
-        scene = scene_of(seen.taken(slice(0, CRITERIA.stretch)))
-        if not scene.clock or not np.isfinite(scene.q).all():
+        scene = compared(seen)
+        if scene is None or not scene.clock or not np.isfinite(scene.q).all():
             return
         beyond = None if seen.simulation is not None else _beyond_limits(seen, scene)
         if beyond is not None:

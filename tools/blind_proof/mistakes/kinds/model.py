@@ -118,7 +118,7 @@ MASSLESS = (
 LINK = r"sensor_?link|no link|\b(?:ft_sensor|ft_link|FT|tool0)\b.{0,80}\b(?:no|not|in)\b"
 HEAVY = r"mass(?:es)?.{0,160}(?:gram|\bg\b|tonne|times|power|unit|1000|heav|light|kg)"
 LARGE = r"inertia.{0,160}(?:mm|times|power|unit|1000|size|radius|big|large|body|possible)"
-NO_BODY = r"triangle|inertia.{0,120}(?:no body|possible|negative|positive|physical)|no (?:real )?body"
+NO_BODY = r"triangle|inertia.{0,120}(?:no body|possible|negative|below zero|positive|physical)|no (?:real )?body"
 
 KINDS = (
     Kind("no_masses", ABOUT, "diagnose", EFFORT, no_masses, (MASSLESS,)),
