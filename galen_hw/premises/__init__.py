@@ -35,6 +35,7 @@ PREMISES: Final = (
     "pose_frames.PoseFrames",
     "pose_frames.TargetFrames",
     "joint_reading.JointReading",
+    "applied_force.AppliedForce",
     "load.LoadChange",
 )
 """Modules and classes, in order."""
