@@ -38,6 +38,7 @@ PREMISES: Final = (
     "pose_frames.TargetFrames",
     "pushes.PushSigns",
     "joint_reading.JointReading",
+    "applied_force.AppliedForce",
     "load.LoadChange",
 )
 """Modules and classes, in order."""
