@@ -296,5 +296,5 @@ def test_a_tip_that_goes_against_the_push_says_that_it_is_the_reaction(tmp_path:
     columns |= {n: seen.columns[n] + 1e-4 * force[:, k] for k, n in enumerate(POSITION)}
     columns["joint.lift.position"] = columns["joint.lift.position"] + 1e-3
     remarks = examined(replace(seen, columns=columns)).remarks
-    assert [r.premise for r in remarks] == ["applied_force"] * (sign < 0.0)
+    assert [r.premise for r in remarks] == ["push_signs"] * (sign < 0.0)
     assert all("reaction" in r.what for r in remarks)

@@ -38,7 +38,6 @@ PREMISES: Final = (
     "pose_frames.TargetFrames",
     "pushes.PushSigns",
     "joint_reading.JointReading",
-    "applied_force.AppliedForce",
     "load.LoadChange",
 )
 """Modules and classes, in order."""

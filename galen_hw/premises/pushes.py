@@ -9,7 +9,7 @@ import numpy as np
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.pose import POSITION
-from galen_hw.premises.base import Action, Remark, Stage
+from galen_hw.premises.base import Action, Remark, Stage, with_columns
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.spatial import Array
 
@@ -21,36 +21,45 @@ SURE: Final = 5.0
 
 
 class PushSigns:
-    """Tests that the tip of an arm that stands moves with the force on it: the work of a push on a structure is not negative."""
+    """Tests that the tip moves with the force on it: no spring, friction or play gives back more than a push puts in.
+
+    Judged within each segment, so that neither registration nor a constant of either enters. An arm that moves is missed for
+    more reasons than a push: there the two must be one signal.
+    """
 
     KEY: ClassVar[str] = "push_signs"
     STAGE: ClassVar[Stage] = Stage.FRAMES
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
-        """Yield one refusal where the work of the pushes is surely negative."""
+        """Yield one remark where the work of the pushes is surely negative; the force is turned round."""
         names = (*FORCE, *POSITION)
         if seen.predict != "pose" or seen.belief.robot is None or not all(n in seen.columns for n in names):
             return
-        some = seen.taken(np.flatnonzero(np.isfinite(seen.matrix(*names)).all(axis=1)))
+        joints = [n for j in seen.belief.robot.joint_names if (n := f"joint.{j}.position") in seen.columns]
+        some = seen.taken(np.flatnonzero(np.isfinite(seen.matrix(*names, *joints)).all(axis=1)))
         if len(some) < BLOCKS * CRITERIA.fewest_vectors:
             return
         scene = scene_of(replace(some, belief=replace(some.belief, compliance={})))
-        give, arm = scene.residual[:, :3], scene.simulated[:, :3]
-        if not np.isfinite(give).all() or np.sum(np.var(arm, axis=0)) > np.sum(np.var(give, axis=0)):
-            return  # an arm that moves is missed for more reasons than a push
-        if not np.any(np.ptp(some.matrix(*FORCE), axis=0) > 0.0):
+        force, give = some.matrix(*FORCE), scene.residual[:, :3]
+        arm = float(np.sum(np.var(scene.simulated[:, :3], axis=0)))
+        for part in some.segments:
+            force[part] -= force[part].mean(axis=0)
+            give[part] -= give[part].mean(axis=0)
+        size = float(np.sum(force**2)) * float(np.sum(give**2))
+        if not np.isfinite(size) or size == 0.0:
             return
-        slope, spread = _given(some.matrix(*FORCE), give)
-        if slope < -SURE * spread:
-            what = f"the tip moves against the push, by {-1e6 * slope:.3g} +- {1e6 * spread:.2g} um/N"
-            hint = "the opposite sign (reaction instead of action), or other axes than the base's?"
-            todo = "give the force on the tip, in the base's axes"
-            yield Remark(self.KEY, f"{what}: has the force {hint}", todo, names, Action.REFUSED)
+        slope, spread = _given(force, give)
+        stands = arm <= float(np.sum(np.var(give, axis=0)))
+        alike = float(np.sum(force * give)) / np.sqrt(size)
+        if slope < -SURE * spread and (stands or alike < -CRITERIA.half):
+            repaired = with_columns(seen, {name: -seen.columns[name] for name in FORCE})
+            told = f"the tip moves against applied.force, by {-1e6 * slope:.3g} +- {1e6 * spread:.2g} um/N"
+            what = f"{told}: its sign is opposite, it is the arm's reaction and not the push"
+            yield Remark(self.KEY, what, "", FORCE, Action.REPAIRED, repaired)
 
 
-def _given(force: Array, give: Array) -> tuple[float, float]:
-    """Give along the push (N, 3), m/N, of all pushes together, and its standard error over contiguous pieces."""
-    F, d = force - force.mean(axis=0), give - give.mean(axis=0)
+def _given(F: Array, d: Array) -> tuple[float, float]:
+    """Give (N, 3) along the push (N, 3), m/N, of all pushes together, and its standard error over contiguous pieces."""
     work, size = np.sum(F * d, axis=1), np.sum(F**2, axis=1)
     slope = float(work.sum() / size.sum())
     left = work - slope * size
