@@ -1,7 +1,6 @@
 """`galen-hw check`: every problem of the set-up at once, as a tree; or what is wrong with recordings."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -126,7 +125,9 @@ def _running(addresses: "Addresses") -> dict[str, object] | None:
 
 def _print(root: "Finding", *, as_json: bool) -> None:
     if as_json:
-        print(json.dumps(root.as_dict()))
+        from galen_hw.tools.answer import print_stamped
+
+        print_stamped(root.as_dict())
         return
     from rich.console import Console
     from rich.tree import Tree

@@ -1,13 +1,11 @@
 """`galen-hw check RECORDING`: what the premises say of a recording, before anything is fitted to it."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 from galen_hw.errors import GalenError
-
-SCHEMA = 1
+from galen_hw.tools.answer import print_stamped
 
 
 def check_recordings(paths: list[Path], *, as_json: bool) -> int:
@@ -29,7 +27,7 @@ def check_recordings(paths: list[Path], *, as_json: bool) -> int:
         if not as_json:
             print("\n".join(_lines(answer)))
     if as_json:
-        print(json.dumps({"schema": SCHEMA, "recordings": answers}))
+        print_stamped({"recordings": answers})
     return status
 
 
