@@ -1,8 +1,10 @@
 """The documentation is true where a machine can tell: the reference, the links of the site, the release files."""
 
+import argparse
 import importlib.util
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -12,7 +14,7 @@ import pytest
 
 import galen_hw
 from docs.reference import reference
-from galen_hw.cli import COMMANDS, main
+from galen_hw.cli import COMMANDS, main, parser_of
 
 ROOT = Path(__file__).parents[1]
 
@@ -23,6 +25,38 @@ def test_the_reference_of_the_commands_is_current():
     assert (ROOT / "docs" / "commands.md").read_text(encoding="utf-8") == text
     assert all(f"## galen-hw {name}\n" in text for name in COMMANDS)
     assert "--parent-pid" not in text
+
+
+def without_usage(page):
+    """A manual page without its lines of usage, which argparse wraps in another way in each Python."""
+    return re.sub(r"^usage: .*?\n\n", "", page, flags=re.MULTILINE | re.DOTALL)
+
+
+def test_the_manual_page_is_current():
+    """docs/galen-hw.1 is what the parsers say now; `make docs` writes it again."""
+    pytest.importorskip("argparse_manpage", reason="argparse-manpage is not installed: make docs")
+    from docs.man import page
+
+    assert without_usage((ROOT / "docs" / "galen-hw.1").read_text(encoding="utf-8")) == without_usage(page())
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_and_option_is_in_the_manual_page(name):
+    """Told from the file that is shipped; what is not meant for people is not in it."""
+    page = (ROOT / "docs" / "galen-hw.1").read_text(encoding="utf-8").replace("\\-", "-")
+    assert f".SS \\fBgalen-hw {name}\\fR" in page
+    options = [o for a in parser_of(name)._actions if a.help != argparse.SUPPRESS for o in a.option_strings]
+    assert [o for o in options if f"\\fB{o}\\fR" not in page and o not in ("-h", "--help")] == []
+    assert "--parent-pid" not in page
+
+
+@pytest.mark.skipif(shutil.which("groff") is None, reason="groff is not installed")
+def test_the_manual_page_is_set_without_a_warning():
+    """As `man galen-hw` shows it."""
+    words = ["groff", "-man", "-Tutf8", "-ww", "-rLL=100n", str(ROOT / "docs" / "galen-hw.1")]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "galen-hw diagnose" in re.sub(r"\x1b\[[0-9;]*m", "", done.stdout)
 
 
 def test_every_page_is_in_the_site():

@@ -53,6 +53,7 @@ def main() -> None:
         run(python, "-m", "pip", "install", "--quiet", str(wheel))
         check_size(next((work / "venv/lib").glob("python3*/site-packages")))
         run(str(work / "venv/bin/galen-hw"), "--help", cwd=work)
+        assert (work / "venv/share/man/man1/galen-hw.1").is_file(), "pip has not put the manual page where man looks"
         run(python, "-I", "-c", CONFORMANCE, cwd=work)
         run(str(work / "venv/bin/galen-hw"), "tool", "list", cwd=work)
     print("wheel: contents, installation and every row of the tables are in order")
@@ -75,7 +76,8 @@ for row in [*DRIVERS.values(), *VIRTUAL_DEVICES.values(), *SERVICES.values(), *E
 def check_contents(names: list[str]) -> None:
     """The wheel holds one top-level package, with the linked folders inside it."""
     tops = {n.split("/")[0] for n in names}
-    assert {t for t in tops if not t.endswith(".dist-info")} == {"galen_hw"}, tops
+    assert {t for t in tops if not t.endswith((".dist-info", ".data"))} == {"galen_hw"}, tops
+    assert any(n.endswith(".data/data/share/man/man1/galen-hw.1") for n in names), "the wheel lacks the manual page"
     missing = [n for n in MUST_HOLD if n not in names]
     assert not missing, f"the wheel lacks {missing}"
     assert not [n for n in names if "blind_proof" in n], "the blind proof is run from a clone, it is not for the wheel"
