@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "recordings",
         nargs="*",
         metavar="RECORDING",
-        help="check these recordings instead: cells, clocks, units, frames, load",
+        help="check these recordings instead, or all of a folder: cells, clocks, units, frames, load",
     )
     parser.add_argument("--config", metavar="FILE", help="settings (default: /etc/galen-hw/galen.toml)")
     parser.add_argument("--virtual", action="store_true", help="check against a virtual robot's wires")

@@ -5,17 +5,18 @@ from pathlib import Path
 from typing import Any
 
 from galen_hw.errors import GalenError
+from galen_hw.formats.own import expanded
 from galen_hw.tools.answer import print_stamped
 
 
 def check_recordings(paths: list[Path], *, as_json: bool) -> int:
-    """Ask all premises of each recording, print what they say.
+    """Ask all premises of each recording, or of each in a folder of them; print what they say.
 
     Returns:
         0 if nothing forbids a fit, 1 if a premise refuses a recording, 2 if one cannot be read.
     """
     answers, status = [], 0
-    for path in paths:
+    for path in [inside for given in paths for inside in expanded(given)]:
         try:
             answer = _asked(path)
         except GalenError as error:
@@ -37,11 +38,11 @@ def _asked(path: Path) -> dict[str, Any]:
     Raises:
         GalenError: it cannot be read, or its model is no machine's.
     """
+    from galen_hw.formats import read
     from galen_hw.premises import examined
-    from galen_hw.recording import read_recording
     from galen_hw.recording.observations import named_in, observations_of
 
-    recording = read_recording(path)
+    recording = read(path)
     with named_in(recording):
         seen = observations_of(recording)
         found = examined(seen)
