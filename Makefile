@@ -63,6 +63,7 @@ docs: $(BASE)
 	@$(PIP) --editable '.[docs]'
 	$(BIN)/python docs/reference.py docs/commands.md
 	$(BIN)/python -m docs.man docs/galen-hw.1
+	$(BIN)/python -m docs.tables
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 lint: $(STAMP)
