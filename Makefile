@@ -15,7 +15,7 @@ help:
 	@echo "make test    the test suite (ten minutes)"
 	@echo "make inject-test  concealed recordings that take long to explain (eight minutes)"
 	@echo "make loop-test  a concealed cable and drift: recorded, named, saved, served, gone (minutes of a live robot)"
-	@echo "make docs    the documentation as a site in site/, to be read without a network"
+	@echo "make docs    the documentation as a site in site/, to be read without a network, and the manual page"
 	@echo "make lint    style, types, layers"
 	@echo "make lowest  what pyproject.toml promises of old versions: its lowest set in a venv of its own, and a part of the tests"
 	@echo "make bench   the benchmarks, written to docs/benchmarks.md (about 15 minutes)"
@@ -62,6 +62,8 @@ loop-test: $(STAMP)
 docs: $(BASE)
 	@$(PIP) --editable '.[docs]'
 	$(BIN)/python docs/reference.py docs/commands.md
+	$(BIN)/python -m docs.man docs/galen-hw.1
+	$(BIN)/python -m docs.tables
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 lint: $(STAMP)

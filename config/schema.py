@@ -38,7 +38,13 @@ class Section(BaseModel):
 
 
 class DeltaSection(Section):
-    """The linear delta; defaults are the nominal Galen."""
+    """The linear delta; defaults are the nominal Galen.
+
+    Args:
+        rod_length_m: between the joints of a carriage and of the platform.
+        radius_m: of the circle of the rails, less that of the platform's joints.
+        azimuths_rad: of the three rails about the base's z axis.
+    """
 
     rod_length_m: float = Field(default=0.400, gt=0.0, le=2.0)
     radius_m: float = Field(default=0.150, gt=0.0, le=2.0)
@@ -52,7 +58,21 @@ class DeltaSection(Section):
 
 
 class RobotSection(Section):
-    """The robot that carries the sensor: the Galen's geometry, or a URDF file."""
+    """The robot that carries the sensor: the Galen's geometry, or a URDF file.
+
+    Args:
+        name: that messages bear.
+        urdf: file of another robot, instead of the Galen.
+        sensor_link: of the URDF, whose frame is the sensor's.
+        base_link: of the URDF, whose frame is the base's; its root if left out.
+        gravity_m_per_s2: in the base frame.
+        delta: a table of its own, below.
+        platform_to_roll_m: from the platform's frame to the roll axis, in the platform's axes.
+        roll_to_tilt_m: from the roll axis to the tilt axis, both at 0.
+        tilt_to_sensor_m: from the tilt axis to the sensor's origin, at 0.
+        carriage_lower_m, carriage_upper_m: travel of the three carriages.
+        roll_limits_rad, tilt_limits_rad: lowest and highest angle.
+    """
 
     name: str = Field(default="galen", pattern=NAME_PATTERN)
     urdf: Path | None = Field(default=None, examples=["/etc/galen-hw/robot.urdf"])
@@ -91,7 +111,14 @@ class RobotSection(Section):
 
 
 class DeviceSection(Section):
-    """One device: its driver, its wire, and the driver's own settings."""
+    """One device: its driver, its wire, and the driver's own settings.
+
+    Args:
+        driver: of the table of drivers.
+        optional: the daemon is ready without it.
+        transport: keys of its wire, below.
+        settings: keys of its driver, below.
+    """
 
     driver: str = Field(examples=["ati_netcanoem"])
     optional: bool = False
@@ -115,7 +142,13 @@ _FROM_HERE = (
 
 
 class BusSection(Section):
-    """Addresses beside the runtime directory's own; `keys`: folder of the viewers' keys, without which none may connect."""
+    """Addresses beside the runtime directory's own.
+
+    Args:
+        keys: folder of the viewers' keys, without which none may connect; viewers may then be on other machines.
+        viewers: address of the copy of the bus for viewers; port 0: any free one; empty: none.
+        queue_messages: kept for a slow subscriber before it loses messages.
+    """
 
     keys: Path | None = Field(default=None, examples=["/etc/galen-hw/keys"])
     viewers: str = Field(default=VIEWERS_ADDRESS, examples=[VIEWERS_ADDRESS])
@@ -134,7 +167,16 @@ class BusSection(Section):
 
 
 class DaemonSection(Section):
-    """The process tree; `blind_after_s`: silence of the sensor, or of the core process, that stops the arm."""
+    """The process tree.
+
+    Args:
+        start_timeout_s: all devices but optional ones must answer within.
+        optional_wait_s: "ready" waits so long for an optional device that says nothing.
+        command_timeout_s: a command that nobody answers ends with an error after.
+        realtime_priority: SCHED_FIFO of the core (motion: 5 less) where permitted; 0 for none.
+        blind_after_s: silence of the sensor, or of the core process, that stops the arm.
+        garbage_interval_s: Python's garbage is collected so often, between samples.
+    """
 
     start_timeout_s: float = Field(default=20.0, gt=0.0, le=600.0)
     optional_wait_s: float = Field(default=5.0, ge=0.0, le=600.0)

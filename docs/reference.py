@@ -7,15 +7,17 @@ from pathlib import Path
 
 from galen_hw.cli import COMMANDS, parser_of
 
-HEAD = """# Commands
+STATUS = """0 fine, 1 something was found, 2 wrong use or input, 3 hardware, 4 refused (nothing was done), 70 internal error,
+130 interrupted, 141 output cut off.
+"""
+HEAD = f"""# Commands
 
 Written from the program's own parsers (`python docs/reference.py docs/commands.md`). Numbers may have a unit where
 the option is a length of time or a force (`--seconds 2min`, `--max-force 12N`), and in `galen-hw command` (`17deg`, `5mm`).
 
-Exit status: 0 fine, 1 something was found, 2 wrong use or input, 3 hardware, 4 refused (nothing was done), 70 internal error,
-130 interrupted, 141 output cut off.
-
+Exit status: {STATUS}
 Completion: `galen-hw --completion bash` (zsh, fish, tcsh) prints it; it needs `pip install 'galen-hw[completion]'`.
+The same as a manual page: `man galen-hw`, where pip has put it (`share/man/man1` of the environment).
 """
 
 

@@ -115,7 +115,7 @@ def _complete(shell: str) -> int:
 
     if shell not in shtab.SUPPORTED_SHELLS:
         raise UsageError(f"no completion for {shell!r}", todo=f"one of: {', '.join(shtab.SUPPORTED_SHELLS)}")
-    print(shtab.complete(_parser(list(COMMANDS))[0], shell=shell))
+    print(shtab.complete(whole_parser(), shell=shell))
     return EXIT_OK
 
 
@@ -165,6 +165,11 @@ def _parser(argv: list[str]) -> tuple[argparse.ArgumentParser, str | None]:
         if name == named or argv == [*COMMANDS]:  # all of them, for the completion
             importlib.import_module(module).add_arguments(sub)
     return parser, named if named in COMMANDS else None
+
+
+def whole_parser() -> argparse.ArgumentParser:
+    """Return the parser with every command's own, for what is written from it: completion, the manual page."""
+    return _parser(list(COMMANDS))[0]
 
 
 def parser_of(command: str) -> argparse.ArgumentParser:

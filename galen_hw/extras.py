@@ -8,13 +8,13 @@ from galen_hw.errors import UsageError
 EXTRAS: Final[dict[str, tuple[str, ...]]] = {
     "diagnose": ("sklearn", "joblib", "threadpoolctl"),
     "reports": ("matplotlib", "jinja2"),
-    "import": ("pyarrow",),
+    "import": ("pyarrow", "pandas", "rosbags", "h5py", "matio", "asammdf"),
     "dask": ("distributed", "dask"),
     "torch": ("torch",),
     "completion": ("shtab",),
 }
 """Name of the extra: modules that nothing else needs."""
-NAMES: Final = {"sklearn": "scikit-learn", "jinja2": "Jinja2"}
+NAMES: Final = {"sklearn": "scikit-learn", "jinja2": "Jinja2", "matio": "mat-io"}
 """Module: what it is called where it is installed from."""
 
 
@@ -22,13 +22,13 @@ class MissingExtraError(UsageError, ImportError):
     """A library of an extra is not installed; an `ImportError` too, as Python calls it."""
 
 
-def need(extra: str, where: str = "") -> None:
-    """Return if every library of an extra is installed; asked before the work, not after it.
+def need(extra: str, where: str = "", *modules: str) -> None:
+    """Return if the libraries of an extra (or these of its modules alone) are installed; asked before the work, not after it.
 
     Raises:
         MissingExtraError: one is not: which, and what to type.
     """
-    for module in EXTRAS[extra]:
+    for module in modules or EXTRAS[extra]:
         if importlib.util.find_spec(module) is None:
             raise _missing(extra, module, where)
 

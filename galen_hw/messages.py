@@ -54,6 +54,7 @@ class WrenchRaw(Message, frozen=True, kw_only=True):
     """`wrench/raw`: what the sensor reports, in the sensor frame about its origin, never altered (N, N m).
 
     Args:
+        force, torque: about the sensor's origin, N and N m.
         status: the device's own status word, 0 where it has none.
         saturated: a gauge or an axis is at its limit; the wrench must not be used.
         serial_number: of the sensor, empty until read.
@@ -72,6 +73,7 @@ class WrenchCompensated(Message, frozen=True, kw_only=True):
     """`wrench/compensated` and `wrench/contact`: measured minus predicted (report, equation 12), N and N m.
 
     Args:
+        force, torque: of the hand or the tissue, N and N m.
         tool: name of the tool, empty with compensation off.
         calibration: identity of the calibration that made it (see the tool's file), empty when none.
         enabled: false while compensation is switched off (then equal to raw minus tare).
@@ -134,6 +136,7 @@ class JointsState(Message, frozen=True, kw_only=True):
     """`joints/state`: by joint name; rad or m, rad/s or m/s, N m or N (NaN where not measured).
 
     Args:
+        position, velocity, effort: by joint.
         moving: the controller says a move is in progress.
         enabled: motor on.
         stop_code: the controller's reason of the last stop.
@@ -156,6 +159,7 @@ class Pose(Message, frozen=True, kw_only=True):
     """`pose/reported`, `pose/corrected`: tool tip in the base frame, m.
 
     Args:
+        position, orientation: of the tip in the base frame, m.
         covariance: 6 x 6 row-major of [position (m), rotation vector (rad)]; empty when not known.
         tool: whose tip; model: which deflection model made it, empty for the reported pose.
     """
@@ -171,9 +175,11 @@ class TrackedPose(Message, frozen=True, kw_only=True):
     """`tracker/tool`, `tracker/reference`: pose of one marker body in the tracker frame, m.
 
     Args:
+        position, orientation: of the marker body in the tracker's frame, m.
         handle: the tracker's port handle; frame: its frame number at 60 Hz, the sample clock.
         missing: the marker body was not seen; position and orientation are then NaN.
         error_m: the tracker's own fit error.
+        port_status, system_status: the tracker's own words, bit by bit as its manual has them.
     """
 
     handle: str
@@ -203,7 +209,11 @@ class Status(Message, frozen=True, kw_only=True):
 
 
 class Fault(Message, frozen=True, kw_only=True):
-    """`fault`: something went wrong, at most once a second of a kind: what, where, what to do."""
+    """`fault`: something went wrong, at most once a second of a kind.
+
+    Args:
+        what, where, todo: the line that people read; what to do may be empty.
+    """
 
     what: str
     where: str = ""
@@ -217,6 +227,7 @@ class CalibrationProgress(Message, frozen=True, kw_only=True):
         state: "checking", "waiting" (for the operator), "moving", "settling", "averaging",
             "paused" (a device is silent), "done", "stopped".
         pose, poses: which one of how many; remaining_s: estimated time left.
+        detail: for people.
     """
 
     state: str
@@ -261,6 +272,7 @@ class Health(Message, frozen=True, kw_only=True):
 
     Args:
         state: "good", "advice", "warning" or "fault": the worst of the alarms.
+        alarms: what an operator should know, the worst first.
         parts: state of each source of `status`, "silent" when it says nothing; details: its one line.
         topics: by name, of those that have a nominal rate.
         gauges: numbers by name, each with its unit in it; NaN where it is not known.

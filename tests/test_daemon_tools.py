@@ -49,6 +49,7 @@ def test_monitor_once_as_json_has_rates_ages_losses_and_the_last_message(
     """A script gets every topic with numbers; NaN becomes null."""
     assert main(["monitor", "--once", "--json", "--seconds", "2.5", *directory(running)]) == 0
     found = json.loads(capsys.readouterr().out)
+    assert list(found)[:3] == ["schema", "software", "date"]
     wrench = found["topics"]["wrench/compensated"]
 
     assert wrench["rate_hz"] > 10
@@ -108,7 +109,9 @@ def test_command_prints_the_result_for_people_and_for_scripts(
     assert main(["command", "ft", "say", "text=hello", *directory(running)]) == 0
     assert capsys.readouterr().out.startswith("line: ")
     assert main(["command", "daemon", "info", "--json", *directory(running)]) == 0
-    assert json.loads(capsys.readouterr().out)["ready"] is True
+    said = json.loads(capsys.readouterr().out)
+    assert list(said)[:3] == ["schema", "software", "date"]
+    assert said["ready"] is True
     assert running.sensor.hear(b"hello")
 
 
@@ -189,7 +192,9 @@ def check(tree: Tree, *words: str) -> tuple[int, dict[str, dict[str, object]]]:
         for below in finding["below"]:  # type: ignore[attr-defined]
             walk(below, f"{path}/{below['name']}".strip("/"))
 
-    walk(json.loads(done.stdout), "")
+    said = json.loads(done.stdout)
+    assert list(said)[:3] == ["schema", "software", "date"]
+    walk(said, "")
     return done.returncode, found
 
 

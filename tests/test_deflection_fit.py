@@ -179,12 +179,13 @@ def test_saved_models_are_listed_and_chosen_for_scripts_and_people(
     words = ["deflection", "--state", str(tmp_path / "state")]
     capsys.readouterr()
     assert main([*words, "list", "--json"]) == 0
-    (row,) = json.loads(capsys.readouterr().out)
+    (row,) = json.loads(capsys.readouterr().out)["models"]
     assert (row["id"], row["selected"], row["tool"]) == ("mine/0002", True, ROBOT.tool)
     assert main([*words, "rollback", "mine", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"model": "mine/0001"}
+    assert json.loads(capsys.readouterr().out)["model"] == "mine/0001"
     assert main([*words, "select", "none", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"selected": None, "model": None}
+    said = json.loads(capsys.readouterr().out)
+    assert (said["selected"], said["model"]) == (None, None)
     assert main([*words, "select", "mine"]) == 0
     assert capsys.readouterr().out.startswith("selected mine/0001; ")
 

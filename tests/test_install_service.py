@@ -194,6 +194,6 @@ def test_find_prints_what_can_be_pasted(
     assert main(["find"]) == 0
     assert 'transport = { interface = "socketcan", channel = "can1" }' in capsys.readouterr().out
     assert main(["find", "--json"]) == 0
-    assert [row["kind"] for row in json.loads(capsys.readouterr().out)] == ["serial"] * 3 + ["can"] * 2
+    assert [row["kind"] for row in json.loads(capsys.readouterr().out)["ports"]] == ["serial"] * 3 + ["can"] * 2
     monkeypatch.setattr("galen_hw.config.found_ports.found_ports", list)
     assert main(["find"]) == 1

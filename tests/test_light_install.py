@@ -25,7 +25,7 @@ DAEMON = (
     "galen_hw.services.compensation.service, galen_hw.services.deflection.service, galen_hw.services.calibration.service, "
     "galen_hw.services.recorder, galen_hw.drivers.ati_netcanoem.device, galen_hw.drivers.galil_dmc.device"
 )
-WITHOUT = f"import sys; sys.modules.update(dict.fromkeys({(*EXTRA, 'pandas')!r})); from galen_hw.cli import main; "
+WITHOUT = f"import sys; sys.modules.update(dict.fromkeys({EXTRA!r})); from galen_hw.cli import main; "
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def resident_mb(code):
     """Resident memory of a fresh interpreter after some imports, and which libraries of extras those loaded."""
     code += (
         f"\nimport sys; kb = next(l for l in open('/proc/self/status') if l.startswith('VmRSS')).split()[1]"
-        f"\nprint(int(kb) / 1024, [m for m in {(*EXTRA, 'pandas', 'scipy')!r} if m in sys.modules])"
+        f"\nprint(int(kb) / 1024, [m for m in {(*EXTRA, 'scipy')!r} if m in sys.modules])"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     size, _, loaded = said.partition(" ")
@@ -96,16 +96,33 @@ def test_a_tool_is_calibrated_without_extras(poses):
         (["calibrate", "--from", "POSES", "--report", "x"], "--report: matplotlib is not installed"),
         (["deflection", "fit", "POSES", "--report", "x.html"], "--report: matplotlib is not installed"),
         (["export", "POSES", "OUT", "--format", "parquet"], "pyarrow is not installed; pip install 'galen-hw[import]'"),
+        (
+            ["export", "POSES", "OUT", "--format", "mat"],
+            "a MATLAB file needs the package mat-io; pip install 'galen-hw[import]'",
+        ),
+        (["import", "FOREIGN", "-o", "OUT"], "pandas is not installed; pip install 'galen-hw[import]'"),
     ],
 )
 def test_a_missing_extra_is_one_line(poses, tmp_path, without_extras, capsys, words, said):
     """What is missing and what to type, status 2, nothing begun."""
-    words = [{"POSES": str(poses), "OUT": str(tmp_path / "out")}.get(word, word) for word in words]
+    foreign = tmp_path / "other.csv"
+    foreign.write_text("t;fx\n0,0;1,5\n0,1;1,6\n")
+    places = {"POSES": str(poses), "OUT": str(tmp_path / "out"), "FOREIGN": str(foreign)}
+    words = [places.get(word, word) for word in words]
     capsys.readouterr()
     assert main(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
     assert not (tmp_path / "out").exists()
+
+
+def test_formats_of_the_plain_install_need_no_extra(tmp_path):
+    """A CAN log is told and read by python-can; what an extra brings is not loaded to find that the file is not its."""
+    log = tmp_path / "run.log"
+    log.write_text("(1700000000.000000) can0 7FF#00\n(1700000000.010000) can0 7FF#00\n")
+    done = run_without(["import", log, "-o", tmp_path / "out"])
+    assert done.returncode == 2
+    assert "no driver knows its frames (identifiers 7FF)" in done.stderr
 
 
 def test_a_missing_extra_is_an_import_error_of_ours(without_extras):

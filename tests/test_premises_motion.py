@@ -10,11 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from galen_hw.cli import main
 from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.formats.own import expanded
 from galen_hw.kinematics import GalenRobot, UrdfRobot
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.rigid import Body
 from galen_hw.premises import Action, examined
+from galen_hw.recording import Recording, read_recording
+from galen_hw.recording.to_mcap import write_mcap
 from tests.physics_scenes import URDF
 
 ROBOT = GalenRobot()
@@ -192,6 +195,39 @@ def test_check_asks_the_premises_of_a_recording(tmp_path: Path, capsys, factor: 
     (said,) = json.loads(capsys.readouterr().out)["recordings"]
     assert (said["predict"], said["rows"]) == ("effort", 2000)
     assert [p["premise"] for p in said["premises"] if p["action"] == "refused"] == ["effort_units"] * status
+
+
+def test_check_of_a_folder_asks_each_recording_in_it(tmp_path: Path, capsys) -> None:
+    """As `diagnose` takes a folder: tables and MCAP files of the recorder; one that is refused makes it 1, one unreadable 2."""
+    one = arm(tmp_path)
+    about = {"schema": 1, "robot": "arm.urdf", "predict": "effort", "model": {"bias": "free"}}
+    for name, factor in (("good", 1.0), ("other", 1e3)):
+        columns = {n: factor * v if n == "joint.elbow.effort" else v for n, v in one.columns.items()}
+        folder = tmp_path / "all" / name
+        folder.mkdir(parents=True)
+        (folder / "arm.urdf").write_text((tmp_path / "arm.urdf").read_text())
+        table = np.column_stack(list(columns.values()))
+        np.savetxt(folder / "recording.csv", table, delimiter=",", header=",".join(columns), comments="")
+        (folder / "recording.json").write_text(json.dumps(about))
+    write_mcap(read_recording(tmp_path / "all" / "good"), tmp_path / "all" / "run.mcap")
+    assert main(["check", str(tmp_path / "all"), "--json"]) == 1
+    said = json.loads(capsys.readouterr().out)["recordings"]
+    assert [Path(each["recording"]).name for each in said] == ["good", "other", "run.mcap"]
+    assert [[p["premise"] for p in each["premises"]] for each in said] == [[], ["effort_units"], []]
+    (tmp_path / "all" / "good" / "recording.csv").write_text("time\n")
+    assert main(["check", str(tmp_path / "all")]) == 2
+    said = capsys.readouterr()
+    assert "good" in said.err
+    assert str(tmp_path / "all" / "run.mcap") in said.out
+
+
+def test_a_folder_of_the_recorders_files_is_no_bag(tmp_path: Path) -> None:
+    """MCAP files alone in a folder are recordings one by one, not parts of one ROS bag."""
+    recording = Recording({"time": np.arange(9) / 10.0, "wrench.force.x": np.arange(9.0)})
+    (tmp_path / "day").mkdir()
+    for name in ("a.mcap", "b.mcap"):
+        write_mcap(recording, tmp_path / "day" / name)
+    assert [p.name for p in expanded(tmp_path / "day")] == ["a.mcap", "b.mcap"]
 
 
 def test_check_of_a_recording_that_is_not_there_is_wrong_use(tmp_path: Path, capsys) -> None:

@@ -1,7 +1,8 @@
-"""Robots as their makers publish them: every URDF of example-robot-data loads and agrees with other readers.
+"""Robots as their makers publish them: every URDF of example-robot-data and rtb-data loads and agrees with other readers.
 
 Gravity torques and the Jacobian of the farthest link, at drawn positions, to 1e-9: with pinocchio's own reader, and for arms
-with MuJoCo's. The package is files alone; no network is asked.
+with MuJoCo's. The packages are files alone; no network is asked. What cannot be had so: robot_descriptions fetches each robot
+with git when it is imported, mujoco-menagerie has MJCF alone, and rtb-data's other robots are xacro.
 """
 
 import importlib.util
@@ -20,7 +21,11 @@ from galen_hw.units import STANDARD_GRAVITY
 
 FOLDERS = [Path(p) / "cmeel.prefix/share/example-robot-data/robots" for p in site.getsitepackages()]
 FOLDER = next((f for f in FOLDERS if f.is_dir()), None)
+RTB = importlib.util.find_spec("rtbdata")
 FILES = [] if FOLDER is None else sorted(FOLDER.rglob("*.urdf"))
+TOOLBOX = [] if RTB is None or RTB.origin is None else sorted(Path(RTB.origin).parent.rglob("*.urdf"))
+"""Industrial arms of the Robotics Toolbox; some bear no masses, or links whose inertia no body has, which MuJoCo refuses."""
+MODELS = [*FILES, *TOOLBOX]
 ARMS = (
     "panda",
     "ur3_robot",
@@ -33,9 +38,12 @@ ARMS = (
     "so101",
     "talos_left_arm",
     "baxter",
+    "kr120r2500pro",
+    "kr16_2",
+    "kr210l150",
 )
 """Files of arms, which MuJoCo reads too."""
-REFUSED = {"ur3": "not one tree of links: 0 links"}
+REFUSED = {"ur3": "not one tree of links: 0 links", "test": "not a readable URDF"}
 """Files that hold no robot, and what is said of them."""
 TOLERANCE = 1e-9
 
@@ -111,7 +119,7 @@ def mujocos(path, robot, q):
     return share.T @ data.qfrc_bias, jacobian @ share
 
 
-@pytest.mark.parametrize("path", [p for p in FILES if p.stem not in REFUSED], ids=named)
+@pytest.mark.parametrize("path", [p for p in MODELS if p.stem not in REFUSED], ids=named)
 def test_every_model_agrees_with_pinocchio(path):
     """Humanoids, hands and legs as well as arms."""
     robot, q = loaded(path)
@@ -121,7 +129,7 @@ def test_every_model_agrees_with_pinocchio(path):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="mujoco is not installed")
-@pytest.mark.parametrize("path", [p for p in FILES if p.stem in ARMS], ids=named)
+@pytest.mark.parametrize("path", [p for p in MODELS if p.stem in ARMS], ids=named)
 def test_arms_agree_with_mujoco(path):
     """A reader and a dynamics of its own: gravity and Jacobian, grippers that mimic included."""
     robot, q = loaded(path)
@@ -133,11 +141,17 @@ def test_arms_agree_with_mujoco(path):
 def test_the_table_is_long():
     """The pinned package has sixty and more; fewer were found if its layout has changed."""
     assert len(FILES) >= 60
-    assert {p.stem for p in FILES} >= set(ARMS)
+    assert {p.stem for p in MODELS} >= set(ARMS) - (set() if TOOLBOX else {"kr120r2500pro", "kr16_2", "kr210l150"})
 
 
-@pytest.mark.parametrize("path", [p for p in FILES if p.stem in REFUSED], ids=named)
+@pytest.mark.skipif(not TOOLBOX, reason="rtb-data is not installed: pip install 'galen-hw[dev]'")
+def test_the_toolboxs_arms_are_there():
+    """ABB, KUKA, Lynxmotion and the Puma 560."""
+    assert {p.stem for p in TOOLBOX} >= {"irb140", "kr16_2", "lbr_iiwa_14_r820", "al5d_robot", "puma560_robot"}
+
+
+@pytest.mark.parametrize("path", [p for p in MODELS if p.stem in REFUSED], ids=named)
 def test_what_holds_no_robot_is_refused_and_why(path):
-    """One line: the generated file is empty."""
+    """One line: the generated file is empty; a file of another kind."""
     with pytest.raises(UsageError, match=REFUSED[path.stem]):
         UrdfRobot(path)

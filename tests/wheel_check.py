@@ -3,6 +3,7 @@
 Run by `make wheel-test`; not a pytest file, because it must not see the checkout.
 """
 
+import shutil
 import subprocess
 import sys
 import tarfile
@@ -33,6 +34,8 @@ MUST_HOLD = (
     "galen_hw/tools/dashboard/static/uPlot.LICENSE.txt",
     "galen_hw/py.typed",
 )
+WHOLE_MB = 700
+SMALL_MB = 500
 
 
 def main() -> None:
@@ -48,7 +51,9 @@ def main() -> None:
         venv.create(work / "venv", with_pip=True)
         python = str(work / "venv/bin/python")
         run(python, "-m", "pip", "install", "--quiet", str(wheel))
+        check_size(next((work / "venv/lib").glob("python3*/site-packages")))
         run(str(work / "venv/bin/galen-hw"), "--help", cwd=work)
+        assert (work / "venv/share/man/man1/galen-hw.1").is_file(), "pip has not put the manual page where man looks"
         run(python, "-I", "-c", CONFORMANCE, cwd=work)
         run(str(work / "venv/bin/galen-hw"), "tool", "list", cwd=work)
     print("wheel: contents, installation and every row of the tables are in order")
@@ -71,10 +76,28 @@ for row in [*DRIVERS.values(), *VIRTUAL_DEVICES.values(), *SERVICES.values(), *E
 def check_contents(names: list[str]) -> None:
     """The wheel holds one top-level package, with the linked folders inside it."""
     tops = {n.split("/")[0] for n in names}
-    assert {t for t in tops if not t.endswith(".dist-info")} == {"galen_hw"}, tops
+    assert {t for t in tops if not t.endswith((".dist-info", ".data"))} == {"galen_hw"}, tops
+    assert any(n.endswith(".data/data/share/man/man1/galen-hw.1") for n in names), "the wheel lacks the manual page"
     missing = [n for n in MUST_HOLD if n not in names]
     assert not missing, f"the wheel lacks {missing}"
     assert not [n for n in names if "blind_proof" in n], "the blind proof is run from a clone, it is not for the wheel"
+
+
+def check_size(packages: Path) -> None:
+    """The size that docs/install.md gives; then the C++ headers go, as it says that they may."""
+    whole = megabytes(packages)
+    assert whole < WHOLE_MB, f"the plain install takes {whole:.0f} MB"
+    shutil.rmtree(packages / "cmeel.prefix/include")
+    small = megabytes(packages)
+    assert small < SMALL_MB, f"the plain install takes {small:.0f} MB without headers"
+    print(f"wheel: the plain install takes {whole:.0f} MB, {small:.0f} MB without C++ headers")
+
+
+def megabytes(packages: Path) -> float:
+    """Space on the disk in units of 2^20 bytes, as du -m counts it; of all but pip and what venv itself brings."""
+    ours = [p for p in packages.iterdir() if not p.name.startswith(("pip", "setuptools", "pkg_resources"))]
+    files = [f for p in ours for f in (p.rglob("*") if p.is_dir() else [p])]
+    return sum(f.lstat().st_blocks for f in files) * 512 / 2**20
 
 
 def check_sdist(names: list[str]) -> None:

@@ -1,5 +1,6 @@
 """What a command prints for `--json`: one object that says its schema, the version that made it, when, and with which seed."""
 
+import json
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any, Final
@@ -14,7 +15,7 @@ def stamped(values: Mapping[str, Any], *, seed: int | None = None, date: str | N
     """Return the values behind `schema`, `software`, `date` (ISO 8601, UTC) and, where chance had a part, `seed`.
 
     Args:
-        values: of the answer; a `schema` of their own is kept.
+        values: of the answer; a `schema` of their own is kept, other keys of the head are not its own.
         seed: of what was drawn by chance, None: nothing was; date: now if None.
     """
     head: dict[str, Any] = {
@@ -25,3 +26,8 @@ def stamped(values: Mapping[str, Any], *, seed: int | None = None, date: str | N
     if seed is not None:
         head["seed"] = seed
     return head | {key: value for key, value in values.items() if key not in head}
+
+
+def print_stamped(values: Mapping[str, Any], *, seed: int | None = None) -> None:
+    """Print the values behind the head, see `stamped`, as one line of JSON."""
+    print(json.dumps(stamped(values, seed=seed)))

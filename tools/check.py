@@ -1,7 +1,6 @@
 """`galen-hw check`: every problem of the set-up at once, as a tree; or what is wrong with recordings."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "recordings",
         nargs="*",
         metavar="RECORDING",
-        help="check these recordings instead: cells, clocks, units, frames, load",
+        help="check these recordings instead, or all of a folder: cells, clocks, units, frames, load",
     )
     parser.add_argument("--config", metavar="FILE", help="settings (default: /etc/galen-hw/galen.toml)")
     parser.add_argument("--virtual", action="store_true", help="check against a virtual robot's wires")
@@ -126,7 +125,9 @@ def _running(addresses: "Addresses") -> dict[str, object] | None:
 
 def _print(root: "Finding", *, as_json: bool) -> None:
     if as_json:
-        print(json.dumps(root.as_dict()))
+        from galen_hw.tools.answer import print_stamped
+
+        print_stamped(root.as_dict())
         return
     from rich.console import Console
     from rich.tree import Tree

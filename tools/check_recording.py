@@ -1,28 +1,27 @@
 """`galen-hw check RECORDING`: what the premises say of a recording, before anything is fitted to it."""
 
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from galen_hw.errors import GalenError, UsageError
+from galen_hw.formats.own import expanded
+from galen_hw.tools.answer import print_stamped
 
 if TYPE_CHECKING:
     from galen_hw.premises import Observations, Remark
     from galen_hw.recording import Recording
 
-SCHEMA = 1
-
 
 def check_recordings(paths: list[Path], *, as_json: bool) -> int:
-    """Ask all premises of each recording, print what they say.
+    """Ask all premises of each recording, or of each in a folder of them; print what they say.
 
     Returns:
         0 if nothing forbids a fit, 1 if a premise refuses a recording, 2 if one cannot be read.
     """
     answers, status = [], 0
-    for path in paths:
+    for path in [inside for given in paths for inside in expanded(given)]:
         try:
             answer = _asked(path)
         except GalenError as error:
@@ -34,7 +33,7 @@ def check_recordings(paths: list[Path], *, as_json: bool) -> int:
         if not as_json:
             print("\n".join(_lines(answer)))
     if as_json:
-        print(json.dumps({"schema": SCHEMA, "recordings": answers}))
+        print_stamped({"recordings": answers})
     return status
 
 
@@ -44,11 +43,11 @@ def _asked(path: Path) -> dict[str, Any]:
     Raises:
         GalenError: it cannot be read.
     """
+    from galen_hw.formats import read
     from galen_hw.premises import examined
-    from galen_hw.recording import read_recording
     from galen_hw.recording.observations import named_in, observations_of
 
-    recording = read_recording(path)
+    recording = read(path)
     with named_in(recording):
         seen = observations_of(recording)
         found = examined(seen)

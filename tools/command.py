@@ -8,6 +8,7 @@ from typing import Any, NoReturn
 
 from galen_hw.documents import DocumentError, load_json
 from galen_hw.errors import UsageError
+from galen_hw.tools.answer import stamped
 from galen_hw.units import number_in, quantity
 
 
@@ -42,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     with CommandClient(addresses.command) as client:
         result = client.call(args.target, args.name, arguments, args.timeout)
     if args.json:
-        print(json.dumps(result))
+        print(json.dumps(stamped({}) | result))  # the reply's own keys come through, whatever they are called
     else:
         print("\n".join(f"{key}: {_text(value)}" for key, value in result.items()) or "done")
     return 0

@@ -64,7 +64,8 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from galen_hw.config.tool_store import write_atomic
-    from galen_hw.tools.diagnose_many import answers_to, expanded
+    from galen_hw.formats.own import expanded
+    from galen_hw.tools.diagnose_many import answers_to
     from galen_hw.tools.diagnose_screen import show
 
     if args.json and args.json != "-":

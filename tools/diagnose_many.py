@@ -10,7 +10,7 @@ from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.work import Work
 from galen_hw.errors import UsageError
 from galen_hw.formats import read as read_recording
-from galen_hw.formats.own import is_own
+from galen_hw.formats.own import expanded
 from galen_hw.recording import Recording
 from galen_hw.tools.diagnose_screen import counting, working
 from galen_hw.tools.diagnose_tool import model_to_save, tool_named, with_tool
@@ -63,18 +63,6 @@ def _whole(
 def _named(given: str | Path, path: Path, *, several: bool) -> Path:
     target = Path(given)
     return target.with_stem(f"{target.stem}-{path.stem}") if several else target
-
-
-def expanded(path: Path) -> list[Path]:
-    """The recordings of a folder of recordings; else the path itself."""
-    if (
-        path.is_dir()
-        and is_own(path)
-        and not any((path / f"recording.{kind}").exists() for kind in ("csv", "parquet", "json"))
-    ):
-        inside = sorted(p for p in path.iterdir() if (p / "recording.json").exists() or p.suffix == ".mcap")
-        return inside or [path]
-    return [path]
 
 
 def one(paths: list[Path], args: argparse.Namespace, progress: Progress | None = None) -> tuple[Work, Recording]:

@@ -1,15 +1,15 @@
 """`galen-hw find`: the ports of this machine, each with the line that goes into galen.toml."""
 
 import argparse
-import json
 from dataclasses import asdict
 
 from galen_hw.errors import EXIT_FOUND, EXIT_OK
+from galen_hw.tools.answer import print_stamped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("--json", action="store_true", help="a list of objects")
+    parser.add_argument("--json", action="store_true", help="print JSON")
     parser.epilog = "exit status: 0 ports were found, 1 none; example: galen-hw find"
 
 
@@ -19,7 +19,7 @@ def run(args: argparse.Namespace) -> int:
 
     ports = found_ports()
     if args.json:
-        print(json.dumps([asdict(port) | {"setting": port.setting} for port in ports]))
+        print_stamped({"ports": [asdict(port) | {"setting": port.setting} for port in ports]})
         return EXIT_OK if ports else EXIT_FOUND
     for port in ports:
         print(port.setting)

@@ -1,7 +1,6 @@
 """`galen-hw status`: whether everything is well, in one look, for people, scripts and Prometheus."""
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable
@@ -65,7 +64,9 @@ def run(args: argparse.Namespace) -> int:
 
         sys.stdout.write(metrics(health))
     elif args.json:
-        print(json.dumps(as_json(health, info)))
+        from galen_hw.tools.answer import print_stamped
+
+        print_stamped(as_json(health, info))
     else:
         from rich.console import Console
 
@@ -104,7 +105,7 @@ def as_json(health: "Health", info: dict[str, Any]) -> dict[str, Any]:
     import msgspec
 
     found = msgspec.json.decode(msgspec.json.encode(health))  # NaN becomes null
-    return {"schema": 1, **found, "ready": info["ready"], "processes": info["processes"], "config": info["config"]}
+    return {**found, "ready": info["ready"], "processes": info["processes"], "config": info["config"]}
 
 
 def show(console: "Console", health: "Health", info: dict[str, Any]) -> None:

@@ -1,13 +1,13 @@
 """`galen-hw tool`: the tools, their calibrations and their history."""
 
 import argparse
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from galen_hw.errors import EXIT_OK, GalenError, UsageError
+from galen_hw.tools.answer import print_stamped
 
 if TYPE_CHECKING:
     from galen_hw.config.tool_file import ToolFile
@@ -80,7 +80,7 @@ def _ask_daemon(runtime: Path | None, target: str, name: str, arguments: dict[st
 def _list(args: argparse.Namespace, store: "ToolStore") -> int:
     rows = [row for name in store.names() for row in _rows(store, name)]
     if args.json:
-        print(json.dumps(rows))
+        print_stamped({"tools": rows})
         return EXIT_OK
     table = _table("", "tool", "mass g", "com mm", "calibration", "date", "robot", "sensor")
     for row in rows:
@@ -110,7 +110,7 @@ def _show(args: argparse.Namespace, store: "ToolStore") -> int:
     if args.json:
         data = tool.model_dump(by_alias=True, mode="json")
         data |= {"calibrated": tool.calibrated, "calibration": tool.calibration_id}
-        print(json.dumps(data))
+        print_stamped(data)
         return EXIT_OK
     _print_tool(tool)
     return EXIT_OK
@@ -137,7 +137,7 @@ def _select(args: argparse.Namespace, store: "ToolStore") -> int:
 def _history(args: argparse.Namespace, store: "ToolStore") -> int:
     history = store.history(args.name)
     if args.json:
-        print(json.dumps([_entry(g) for g in history]))
+        print_stamped({"history": [_entry(g) for g in history]})
         return EXIT_OK
     if not history:
         print(f"{args.name} was never calibrated: galen-hw calibrate --tool {args.name}")
@@ -258,7 +258,10 @@ def _print_tool(tool: "ToolFile") -> None:
 
 
 def _done(args: argparse.Namespace, data: dict[str, Any], text: str) -> int:
-    print(json.dumps(data) if args.json else text)
+    if args.json:
+        print_stamped(data)
+    else:
+        print(text)
     return EXIT_OK
 
 

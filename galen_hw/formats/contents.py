@@ -110,6 +110,7 @@ class Head:
 
 
 HEAD_BYTES = 64 * 1024
+BLOCK = 65536
 
 
 def head_of(path: Path) -> Head:
@@ -131,7 +132,10 @@ def head_of(path: Path) -> Head:
 
 def relative(stamps_ns: Nanoseconds, origin_ns: int) -> Array:
     """Seconds after an origin; the difference is made in whole nanoseconds, so that no digit is lost."""
-    return np.asarray((stamps_ns - origin_ns) / NS_PER_S)
+    out = np.empty(len(stamps_ns))
+    for start in range(0, len(out), BLOCK):  # so that of a million stamps no second array of differences is held
+        out[start : start + BLOCK] = (stamps_ns[start : start + BLOCK] - origin_ns) / NS_PER_S
+    return out
 
 
 def unreadable(path: Path, error: object, todo: str = "check the file") -> UsageError:

@@ -7,25 +7,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import pandas as pd
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.errors import UsageError
+from galen_hw.extras import need
 from galen_hw.formats.contents import Contents, Head, Stream, head_of, unreadable
 from galen_hw.formats.units import any_unit, canonical
 from galen_hw.recording.table import EMPTY
 from galen_hw.spatial import Array
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 SEPARATORS: Final = (";", "\t", ",", "|", " ")
 _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$|[+-]?(nan|inf)$", re.IGNORECASE)
 _COMMA_NUMBER: Final = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?$")
-EXACT: Final[dict[str, Any]] = (
-    {} if tuple(map(int, pd.__version__.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
-)
-"""Every digit of a number counts; newer pandas reads so by itself, and warns of being told."""
 LOST: Final = [*EMPTY, "MISSING", "missing", "-", "--", "#N/A", "NULL", "none", "OCCLUDED"]
 """Cells that mean "not measured", here and elsewhere."""
 
@@ -212,7 +211,13 @@ def _whole_rows(lines: list[str], layout: Layout) -> tuple[list[str], dict[str, 
     return kept, {"a row that is not whole": short} if short else {}, notes
 
 
-def _frame(path: Path, rows: list[str], layout: Layout) -> pd.DataFrame:
+def _frame(path: Path, rows: list[str], layout: Layout) -> "pd.DataFrame":
+    need("import", str(path), "pandas")
+    import pandas as pd
+
+    # Every digit of a number counts; newer pandas reads so by itself, and warns of being told.
+    told = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
+    exact: dict[str, Any] = {"float_precision": "round_trip"} if told else {}
     try:
         found: pd.DataFrame = pd.read_csv(
             StringIO("\n".join(rows) + "\n"),
@@ -223,7 +228,7 @@ def _frame(path: Path, rows: list[str], layout: Layout) -> pd.DataFrame:
             decimal=layout.decimal,
             na_values=LOST,
             skipinitialspace=True,
-            **EXACT,
+            **exact,
         )
     except (ValueError, pd.errors.ParserError) as error:
         raise unreadable(path, error) from None
@@ -232,6 +237,8 @@ def _frame(path: Path, rows: list[str], layout: Layout) -> pd.DataFrame:
 
 def numbers(cells: "pd.Series[float]") -> tuple[Array | None, int, bool]:
     """A column's numbers, how many of its cells are none, and whether they were dates; None where it is text."""
+    import pandas as pd
+
     if pd.api.types.is_bool_dtype(cells) or pd.api.types.is_numeric_dtype(cells):
         return np.asarray(cells.to_numpy(dtype=float, na_value=np.nan)), 0, False
     text = cells.astype("string").str.strip()

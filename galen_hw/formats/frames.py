@@ -1,15 +1,18 @@
 """Data frames and nested arrays (MATLAB, HDF5, Parquet) as streams."""
 
+import sys
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import pandas as pd
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.formats.contents import Contents, Stream
 from galen_hw.formats.csv_table import numbers
 from galen_hw.spatial import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MOST_CELLS: Final = 64
 """Wider arrays (images, spectra) are no columns."""
@@ -17,8 +20,10 @@ XYZ: Final = ("x", "y", "z")
 WRENCH: Final = ("force.x", "force.y", "force.z", "torque.x", "torque.y", "torque.z")
 
 
-def stream_of_frame(name: str, frame: pd.DataFrame, contents: Contents) -> Stream:
+def stream_of_frame(name: str, frame: "pd.DataFrame", contents: Contents) -> Stream:
     """A table; a clock in its index (timetables) is its time."""
+    import pandas as pd
+
     stream = Stream(name, {})
     if isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex):
         ns = frame.index.as_unit("ns").asi8
@@ -86,7 +91,7 @@ def _walk(place: str, tree: Mapping[str, Any], contents: Contents) -> None:
         here = ".".join(filter(None, (place, str(name))))
         if isinstance(value, Mapping):
             _walk(here, value, contents)
-        elif isinstance(value, pd.DataFrame):
+        elif _is_frame(value):
             contents.streams.append(stream_of_frame(here, value, contents))
         elif (array := _table(value)) is None:
             contents.passed.append(f"{here}: {_described(value)}, not taken")
@@ -98,6 +103,12 @@ def _walk(place: str, tree: Mapping[str, Any], contents: Contents) -> None:
             contents.streams.append(Stream(label, columns))
         else:
             contents.passed += [f"{'.'.join(filter(None, (place, name)))}: one number, not taken" for name in columns]
+
+
+def _is_frame(value: Any) -> bool:
+    """Whether it is a data frame; pandas is not loaded to find that there is none."""
+    pandas = sys.modules.get("pandas")
+    return pandas is not None and isinstance(value, pandas.DataFrame)
 
 
 def _table(value: Any) -> "np.ndarray[Any, Any] | None":

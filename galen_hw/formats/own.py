@@ -29,5 +29,13 @@ def is_own(path: Path) -> bool:
     return False
 
 
+def expanded(path: Path) -> list[Path]:
+    """Return the recordings of a folder of recordings (table folders, MCAP files of the recorder); else the path itself."""
+    if not path.is_dir() or any((path / name).exists() for name in (*TABLES, "metadata.yaml")):
+        return [path]
+    inside = sorted(p for p in path.iterdir() if (p / "recording.json").exists() or (p.suffix == ".mcap" and is_own(p)))
+    return inside or [path]
+
+
 def _has_table(path: Path) -> bool:
     return any((path / name).is_file() for name in TABLES[:2])

@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import Final
 
-from galen_hw.formats.contents import Contents, Head, needed, unreadable
+from galen_hw.extras import need
+from galen_hw.formats.contents import Contents, Head, unreadable
 from galen_hw.formats.frames import stream_of_frame
 
 MAGIC: Final = b"PAR1"
@@ -18,13 +19,12 @@ def read(path: Path) -> Contents:
     """One stream.
 
     Raises:
-        UsageError: it cannot be read, or pyarrow is not installed.
+        UsageError: it cannot be read, or pyarrow or pandas is not installed.
     """
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        raise needed("pyarrow", "a Parquet file")(error) from None
+    need("import", str(path), "pyarrow", "pandas")
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     try:
         table = pq.read_table(path)
     except (OSError, pa.ArrowException) as error:

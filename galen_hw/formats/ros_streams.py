@@ -92,7 +92,8 @@ class Topics:
 
     def finish(self) -> Contents:
         """The streams; what holds no numbers is listed."""
-        for (topic, kind), gatherer in self._gatherers.items():
+        for topic, kind in list(self._gatherers):
+            gatherer = self._gatherers.pop((topic, kind))  # whose memory goes when its columns are made
             columns, logged, stamps = gatherer.columns()
             if (logged[1:] < logged[:-1]).any():
                 order = np.argsort(logged, kind="stable")

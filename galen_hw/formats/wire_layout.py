@@ -38,8 +38,8 @@ CODES: Final = {
 MOST_ELEMENTS: Final = 64
 """Longer arrays (images, clouds, maps) are no columns."""
 MOST_SHAPES: Final = 200
-BATCH: Final = 32768
-"""Messages that are decoded at once: arrays large enough that their memory goes back to the system."""
+BATCH: Final = 8192
+"""Messages that are decoded at once: few enough that what waits is little beside the table, many enough that loops are none."""
 
 
 class ShapeError(ValueError):
@@ -252,6 +252,9 @@ class Gatherer:
                     continue
                 known.append(_Part(shape))
             same = known[turn].shape.fits(table)
+            if same.all():  # as nearly always: nothing is picked out, nothing copied
+                known[turn].add(index, table)
+                return
             known[turn].add(index[same], table[same])
             table, index, turn = table[~same], index[~same], turn + 1
 
@@ -282,7 +285,9 @@ class Gatherer:
             logged, places = logged[there], [np.searchsorted(there, index) for index in places]
         stamps = _stamps(parts, places, len(logged))
         names = dict.fromkeys(n for part in parts for n in part.shape.columns if not n.startswith("header."))
-        return {name: _filled(name, parts, places, len(logged)) for name in names}, logged, stamps
+        columns = {name: _filled(name, parts, places, len(logged)) for name in names}
+        self._parts.clear()
+        return columns, logged, stamps
 
 
 def _filled(name: str, parts: list[_Part], places: list[Bytes], count: int) -> Array:

@@ -1,6 +1,6 @@
 """What is odd about a recording without making it unreadable: one line each, for people."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 
 import numpy as np
@@ -59,21 +59,30 @@ def _clock(recording: Recording) -> Iterator[str]:
     if time is None or len(time) < 3:
         return
     steps = np.concatenate([np.diff(time[part]) for part in recording.segments])
-    rows = np.concatenate([np.arange(part.start, part.stop - 1) + 2 for part in recording.segments])
-    forward = steps[steps > 0]
-    if not len(forward):
+    forward = steps > 0
+    if not forward.any():
         yield "time: does not advance"
         return
-    step = float(np.median(forward))
+    step = float(np.median(steps if forward.all() else steps[forward]))
     for what, found in (
         ("runs backwards", steps < 0),
         ("repeats", steps == 0),
         (f"has gaps of more than {GAP_FACTOR:.0f} times the median step of {step:.6g} s", steps > GAP_FACTOR * step),
     ):
         if found.any():
-            yield f"time: {what} at {int(found.sum())} places, first at row {rows[found][0]}"
+            yield f"time: {what} at {int(found.sum())} places, first at row {_row(int(np.argmax(found)), recording.segments)}"
     if step >= 0.5 and len(time) > 200:
         yield f"time: the median step is {step:.4g} s: is it in ms or a row number?"
+
+
+def _row(step: int, parts: Sequence[slice]) -> int:
+    """The row, counted from 1, that a step of time ends at; steps are those within the parts, one part after the other."""
+    for part in parts:
+        inside = part.stop - part.start - 1
+        if step < inside:
+            break
+        step -= inside
+    return int(part.start) + step + 2
 
 
 def _cells(recording: Recording) -> Iterator[str]:

@@ -111,6 +111,8 @@ class Recording:
     @property
     def segments(self) -> list[slice]:
         """Runs of rows of one segment, in order."""
+        if "segment" not in self.columns:
+            return [slice(0, len(self))] if len(self) else []
         edges = np.flatnonzero(np.diff(self.segment)) + 1
         bounds = [0, *edges.tolist(), len(self)]
         return [slice(a, b) for a, b in pairwise(bounds) if b > a]

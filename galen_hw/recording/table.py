@@ -179,7 +179,7 @@ def _bad_cell(rest: str, names: list[str], file: Path, error: Exception) -> Usag
 
 
 def _read_parquet(file: Path) -> dict[str, Array]:
-    need("import", str(file))
+    need("import", str(file), "pyarrow")
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -287,9 +287,16 @@ def _write_csv(recording: Recording, file: Path) -> None:
 
 
 def _write_parquet(recording: Recording, file: Path) -> None:
-    need("import", str(file))
+    need("import", str(file), "pyarrow")
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    # The buffers as they are: given numpy's arrays, pyarrow would load pandas (40 MB) to see whether they are of its kind.
+    arrays = {}
+    for name, values in _ordered(recording).items():
+        kind, code = (pa.int64(), np.int64) if name == "segment" else (pa.float64(), np.float64)
+        buffer = pa.py_buffer(np.ascontiguousarray(values, dtype=code))
+        arrays[name] = pa.Array.from_buffers(kind, len(values), [None, buffer])
     # Measured numbers hardly come twice, and a dictionary of them would be a second table in memory.
-    pq.write_table(pa.table(_ordered(recording)), file, row_group_size=ROW_GROUP, use_dictionary=False)
+    pq.write_table(pa.table(arrays), file, row_group_size=ROW_GROUP, use_dictionary=False)
+    pa.default_memory_pool().release_unused()

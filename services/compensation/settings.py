@@ -9,12 +9,15 @@ class CompensationSettings(BaseModel):
     """Settings of the compensation; seconds and counts.
 
     Args:
+        enabled: compensate from the start on.
         alignment: "extrapolate" answers at once, with the joints carried on by their velocity; "interpolate" waits for
             the next joint state: exact, but late by up to its period.
         max_extrapolation_s: joint states older than this make the wrench not valid.
-        dynamic: predict inertial forces too, from accelerations over `dynamic_window` joint states.
+        dynamic: predict inertial forces too, from accelerations.
+        dynamic_window: joint states that an acceleration is taken from.
         blend_s: a change of tool, tare or toggle takes this long.
-        tare_samples: averaged by a tare, within `tare_timeout_s`.
+        tare_samples: averaged by a tare.
+        tare_timeout_s: a tare that has not got them by then is refused.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from galen_hw.errors import EXIT_OK, EXIT_REFUSED, UsageError
+from galen_hw.tools.answer import print_stamped
 
 if TYPE_CHECKING:
     from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore
@@ -81,7 +82,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _done(args: argparse.Namespace, data: dict[str, Any], text: str) -> None:
-    print(json.dumps(data) if args.json else text)
+    if args.json:
+        print_stamped(data)
+    else:
+        print(text)
 
 
 def _list(store: "DeflectionStore", *, as_json: bool) -> None:
@@ -90,7 +94,7 @@ def _list(store: "DeflectionStore", *, as_json: bool) -> None:
     if as_json:
         shown = {"name", "model", "robot", "virtual", "tool", "tip", "date", "rmse_m", "reason"}
         rows = [f.model_dump(mode="json", include=shown) | {"id": f.id, "selected": f.name == selected} for f in files]
-        print(json.dumps(rows))
+        print_stamped({"models": rows})
         return
     for file in files:
         mark = "*" if file.name == selected else " "

@@ -1,7 +1,6 @@
 """`galen-hw monitor`: what flows on the bus: rates, ages, losses, validity, the wrench, and how everything is doing."""
 
 import argparse
-import json
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -114,7 +113,9 @@ def _live(view: "View", subscriber: "Subscriber", daemon: _Daemon) -> int:
 def _print_once(view: "View", subscriber: "Subscriber", daemon: _Daemon, *, as_json: bool) -> None:
     daemon.look()
     if as_json:
-        print(json.dumps(view.as_json(subscriber.lost) | {"daemon": not daemon.gone}))
+        from galen_hw.tools.answer import print_stamped
+
+        print_stamped(view.as_json(subscriber.lost) | {"daemon": not daemon.gone})
         return
     from rich.console import Console
 

@@ -6,8 +6,6 @@ In MATLAB: `load run.mat; plot(recording.time, recording.("wrench.force.x"))`. E
 import warnings
 from pathlib import Path
 
-import pandas as pd
-
 from galen_hw.formats.contents import needed
 from galen_hw.recording import Recording
 
@@ -21,6 +19,7 @@ def write(recording: Recording, path: Path) -> list[str]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it sets an option of pandas that is the default by now
+            import pandas as pd
             from matio import save_to_mat
     except ImportError as error:
         raise needed("mat-io", "a MATLAB file")(error) from None
