@@ -2,7 +2,13 @@
 
 import argparse
 from contextlib import ExitStack
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from galen_hw.daemon.fork_server import ForkServer
+    from galen_hw.drivers.virtual.start import Starter
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,6 +24,7 @@ def run(args: argparse.Namespace) -> int:
     """Run until SIGTERM, SIGHUP or Ctrl-C, or until the parent ends."""
     from galen_hw.config.paths import make_runtime, runtime_dir, state_dir
     from galen_hw.daemon import logs
+    from galen_hw.daemon.fork_server import ForkServer
     from galen_hw.daemon.machine import must_fit
     from galen_hw.daemon.supervisor import Supervisor, install_signals
     from galen_hw.daemon.tables import TABLES, read_setup
@@ -26,20 +33,37 @@ def run(args: argparse.Namespace) -> int:
     logs.set_up()
     setup = read_setup(args.config)
     addresses = make_runtime(args.dir or runtime_dir())
+    _load(virtual=args.virtual)
     with ExitStack() as stack:
+        fork_server = stack.enter_context(ForkServer())
         if args.virtual:
-            setup = stack.enter_context(virtual_setup(setup, TABLES, addresses.virtual))
+            setup = stack.enter_context(virtual_setup(setup, TABLES, addresses.virtual, _starter(fork_server)))
         must_fit(setup)
         supervisor = Supervisor(
             setup,
             TABLES,
             addresses,
             state_dir(),
+            fork_server,
             on_ready=lambda text, viewers: _say_ready(text, addresses.bus, viewers),
             parent_pid=args.parent_pid,
         )
         install_signals(supervisor)
         return supervisor.run()
+
+
+def _load(*, virtual: bool) -> None:
+    """Load what the processes run, once for all of them; the settings have loaded the devices and services they name."""
+    import_module("galen_hw.daemon.worker")
+    if virtual:
+        from galen_hw.drivers.table import VIRTUAL_DEVICES
+
+        for module in ("galen_hw.tools.virtual", "galen_hw.drivers.virtual.process", *VIRTUAL_DEVICES.values()):
+            import_module(module.partition(":")[0])
+
+
+def _starter(fork_server: "ForkServer") -> "Starter":
+    return lambda words, fds: fork_server.start("galen_hw.cli", words, fds, session=True)
 
 
 def _say_ready(summary: str, bus: str, viewers: str) -> None:

@@ -9,24 +9,25 @@ from typing import Final
 
 from galen_hw.config.load import Setup, Tables, with_transports
 from galen_hw.daemon.layout import MOTORS, SENSOR, TRACKER
-from galen_hw.drivers.virtual.start import virtual_robot
+from galen_hw.drivers.virtual.start import Starter, virtual_robot
 
 MARKERS: Final = ("tool", "reference")
 WIRE_OF: Final = {SENSOR: "can0", MOTORS: "motors", TRACKER: "tracker"}
 
 
 @contextmanager
-def virtual_setup(setup: Setup, tables: Tables, folder: Path) -> Iterator[Setup]:
+def virtual_setup(setup: Setup, tables: Tables, folder: Path, starter: Starter | None = None) -> Iterator[Setup]:
     """Start the virtual robot in `folder` and yield the set-up with its wires; it ends with the block, or with us.
 
     Devices that the virtual robot does not have are left out. Its tracker is as strict as a real one: marker bodies that
     the settings do not name get the definitions that come with the virtual robot, those that they name keep their own.
+    `starter`: see `start_virtual`.
 
     Raises:
         HardwareError: it does not start; its own line says why.
     """
     sensor = setup.config.devices[SENSOR].driver if SENSOR in setup.config.devices else "ati_netcanoem"
-    with virtual_robot(folder, sensor=sensor) as robot:
+    with virtual_robot(folder, sensor=sensor, starter=starter) as robot:
         _run_like_hardware(robot.pid, setup.config.daemon.realtime_priority)
         wires = {name: dict(robot.addresses[wire]) for name, wire in WIRE_OF.items() if wire in robot.addresses}
         markers = {role: {"rom_file": robot.files[f"{role}.rom"]} for role in MARKERS}

@@ -342,6 +342,8 @@ def _wire_counters(ports: dict[str, Port]) -> dict[str, int]:
 
 def main() -> int:
     """Entry point: orders on standard input, which then stays open as the lifeline."""
+    # python-can reads MF4 logs where asammdf is installed and loads it, pandas and scipy for that: a second, 100 MB.
+    sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]
     logs.set_up()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         # They may reach the whole group; the supervisor alone says who ends when, by ending the lifeline.
