@@ -4,20 +4,51 @@ import argparse
 from contextlib import ExitStack
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
+
+from galen_hw.errors import UsageError
 
 if TYPE_CHECKING:
     from galen_hw.daemon.fork_server import ForkServer
     from galen_hw.drivers.virtual.start import Starter
 
 
+SLOWEST: Final = 0.1
+FASTEST: Final = 100.0
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("--config", metavar="FILE", help="settings (default: /etc/galen-hw/galen.toml)")
     parser.add_argument("--virtual", action="store_true", help="start a virtual robot and use its wires")
+    add_speed(parser)
     parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory for the sockets")
     parser.add_argument("--parent-pid", type=int, metavar="PID", help=argparse.SUPPRESS)
     parser.epilog = "example: galen-hw run --virtual"
+
+
+def add_speed(parser: argparse.ArgumentParser) -> None:
+    """The option of every command that starts a virtual robot of its own."""
+    parser.add_argument(
+        "--speed", type=_speed, default=1.0, metavar="N", help="with --virtual: at most N times as fast as the clock"
+    )
+
+
+def _speed(text: str) -> float:
+    speed = float(text)
+    if not SLOWEST <= speed <= FASTEST:
+        raise argparse.ArgumentTypeError(f"{text} is not between {SLOWEST:g} and {FASTEST:g}")
+    return speed
+
+
+def require_virtual(args: argparse.Namespace) -> None:
+    """Refuse a speed for what is real.
+
+    Raises:
+        UsageError: so it is.
+    """
+    if args.speed != 1.0 and not args.virtual:
+        raise UsageError("real hardware has one speed", where="--speed", todo="add --virtual, or leave it out")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -28,15 +59,18 @@ def run(args: argparse.Namespace) -> int:
     from galen_hw.daemon.machine import must_fit
     from galen_hw.daemon.supervisor import Supervisor, install_signals
     from galen_hw.daemon.tables import TABLES, read_setup
-    from galen_hw.daemon.virtual import virtual_setup
+    from galen_hw.daemon.virtual import simulated_setup, virtual_setup
 
+    require_virtual(args)
     logs.set_up()
     setup = read_setup(args.config)
     addresses = make_runtime(args.dir or runtime_dir())
     _load(virtual=args.virtual)
     with ExitStack() as stack:
         fork_server = stack.enter_context(ForkServer())
-        if args.virtual:
+        if args.speed != 1.0:
+            setup = stack.enter_context(simulated_setup(setup, TABLES, addresses.virtual, args.speed))
+        elif args.virtual:
             setup = stack.enter_context(virtual_setup(setup, TABLES, addresses.virtual, _starter(fork_server)))
         must_fit(setup)
         supervisor = Supervisor(
@@ -58,7 +92,7 @@ def _load(*, virtual: bool) -> None:
     if virtual:
         from galen_hw.drivers.table import VIRTUAL_DEVICES
 
-        for module in ("galen_hw.tools.virtual", "galen_hw.drivers.virtual.process", *VIRTUAL_DEVICES.values()):
+        for module in ("galen_hw.tools.virtual", "galen_hw.daemon.simulated", *VIRTUAL_DEVICES.values()):
             import_module(module.partition(":")[0])
 
 

@@ -35,6 +35,8 @@ from galen_hw.messages import TOPICS
 from galen_hw.version import VERSION
 from galen_hw.waiting import readable
 
+WORKER: Final = "galen_hw.daemon.worker"
+SIMULATED: Final = "galen_hw.daemon.simulated"
 TURN_S: Final = 0.05
 REST_WITHIN_S: Final = 6.0
 SILENT_AFTER_S: Final = 8.0
@@ -145,12 +147,13 @@ class Supervisor:
             wall_minus_monotonic_ns=self._time_base.wall_minus_monotonic_ns,
             processes=tuple(self._processes),
             pulse_fd=self._pulse_fd,
+            speed=self._setup.speed,
         )
         self._board.forget(name)
         reading, writing = os.pipe()
         process.lifeline = os.fdopen(writing, "wb")
         process.child = self._fork_server.start(
-            "galen_hw.daemon.worker", [name], {0: reading, self._pulse_fd: self._pulse_fd}
+            WORKER if self._setup.speed == 1.0 else SIMULATED, [name], {0: reading, self._pulse_fd: self._pulse_fd}
         )
         os.close(reading)
         process.started, process.start_at = time.monotonic(), 0.0
@@ -207,7 +210,8 @@ class Supervisor:
         process.deaths.append(now)
         while process.deaths and process.deaths[0] < now - WITHIN_S:
             process.deaths.popleft()
-        if name not in LOOKERS and (not self._is_ready or len(process.deaths) > DEATHS_ALLOWED):
+        is_world = self._setup.speed != 1.0  # the virtual robot has died with it
+        if name not in LOOKERS and (is_world or not self._is_ready or len(process.deaths) > DEATHS_ALLOWED):
             # What dies before the first sample would only die again; a status of our own means that it has said why.
             if code not in (EXIT_USAGE, EXIT_HARDWARE):
                 log.error("%s: ended with status %d; giving up", name, code)
@@ -288,6 +292,7 @@ class Supervisor:
             "config": str(self._setup.path),
             "robot": self._setup.config.robot.name,
             "virtual": self._setup.virtual,
+            "speed": self._setup.speed,
             "ready": self._is_ready,
             "bus": self._addresses.bus,
             "viewers": self._viewers.address,
