@@ -159,6 +159,7 @@ class VirtualProcess:
     def _excuse(self, late_ns: int) -> None:
         """A busy machine is no silence of the host: a controller's own clock stands while this process cannot run."""
         if late_ns > _STALL_NS:
+            self.commands.stalls += 1
             for device in self.devices.values():
                 if hasattr(device, "stand"):
                     device.stand(late_ns)
