@@ -22,7 +22,7 @@ help:
 	@echo "make fuzz    a million inputs for whatever reads foreign bytes, written to docs/fuzz.md (long)"
 	@echo "make lock    requirements.lock anew: every package with its hashes"
 	@echo "make audit   the packages of the lock against the advisory database"
-	@echo "make soak    an hour of the daemon with faults at random and ten listeners, written to docs/soak.md"
+	@echo "make soak    an hour (MINUTES=60) of the daemon with faults at random and ten listeners, written to docs/soak.md"
 	@echo "make proof   the blind proof of the diagnosis, written to docs/proof.md (long)"
 	@echo "make mistakes  300 recordings with one ordinary mistake each, a section of docs/proof.md (long)"
 
@@ -109,8 +109,9 @@ audit: $(STAMP)
 	@$(PIP) pip-audit
 	PATH="$(abspath $(BIN)):$$PATH" $(BIN)/python .ci/audit
 
+MINUTES ?= 60
 soak: $(STAMP)
-	$(BIN)/python -m galen_hw.tools.soak --write docs/soak.md
+	$(BIN)/python -m galen_hw.tools.soak --minutes $(MINUTES) --write docs/soak.md
 
 proof: $(STAMP)
 	@$(PIP) 'torch>=2.4' mujoco 'pysindy>=2.0'

@@ -61,6 +61,7 @@ class Setup:
         config: as read; path: of the file, for messages.
         devices, services: by name.
         virtual: the devices' wires lead to virtual ones.
+        speed: not 1: all of it in simulated time, at most so many times as fast as the clock.
     """
 
     config: Config
@@ -68,6 +69,7 @@ class Setup:
     devices: dict[str, DeviceSetup] = field(default_factory=dict)
     services: dict[str, ServiceSetup] = field(default_factory=dict)
     virtual: bool = False
+    speed: float = 1.0
 
 
 def read_document(path: Path) -> tuple[dict[str, Any], Places]:
@@ -138,10 +140,11 @@ def with_transports(
     transports: Mapping[str, dict[str, Any]],
     tables: Tables,
     settings: Mapping[str, dict[str, Any]] | None = None,
+    services: Mapping[str, dict[str, Any]] | None = None,
 ) -> Setup:
     """The same set-up on other wires, e.g. the virtual robot's; devices not in `transports` are left out.
 
-    `settings`: by device, what is set beside its own settings.
+    `settings`, `services`: by device and by service, what is set beside its own settings.
     """
     more = settings or {}
     document = setup.config.model_dump(mode="json", exclude_unset=True)
@@ -154,6 +157,8 @@ def with_transports(
         for name, section in document["devices"].items()
         if name in transports
     }
+    for name, values in (services or {}).items():
+        document["services"][name] = document["services"][name] | values
     checked = check_document(document, setup.path, Places(setup.path.name, ""), tables)
     return replace(checked, virtual=True)
 

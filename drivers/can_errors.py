@@ -3,8 +3,6 @@
 import errno
 from typing import Final
 
-import can
-
 from galen_hw.errors import HardwareError
 
 ERROR_COUNTERS: Final = (
@@ -45,7 +43,7 @@ def news_of(kinds: int) -> list[tuple[str, str]]:
 
 def is_full(error: Exception) -> bool:
     """The interface has no room for a frame (nobody acknowledges), which is no reason to open it again."""
-    return isinstance(error, can.CanTimeoutError) or _errno(error) == errno.ENOBUFS or "full" in str(error).lower()
+    return _errno(error) == errno.ENOBUFS or "full" in str(error).lower()
 
 
 def explain(interface: str, channel: str, error: Exception) -> HardwareError:

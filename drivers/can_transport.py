@@ -2,14 +2,12 @@
 
 import logging
 import socket
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, Self, TypeAlias
 
-import can
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from galen_hw.drivers.can_errors import ERROR_COUNTERS, count_error_frame, explain, is_full, news_of
+from galen_hw.drivers.can_errors import ERROR_COUNTERS, explain
 from galen_hw.drivers.device import CanFrame
 from galen_hw.drivers.slcan_wire import BITRATES, SlcanWire
 from galen_hw.drivers.socketcand_wire import SocketcandWire
@@ -19,6 +17,7 @@ from galen_hw.errors import HardwareError
 
 if TYPE_CHECKING:
     from galen_hw.drivers.can_wire import CanWire
+    from galen_hw.drivers.library_bus import LibraryBus
 
 Interface: TypeAlias = Literal["socketcan", "slcan", "virtual", "udp_multicast", "socketcand"]
 COUNTERS: Final = (
@@ -31,8 +30,6 @@ COUNTERS: Final = (
     *ERROR_COUNTERS,
 )
 MOST_NEWS: Final = 8
-MOST_FRAMES: Final = 4096
-"""Frames that one `receive` returns at most."""
 _OWN_OPTIONS: Final[dict[str, dict[str, type]]] = {
     "slcan": {"tty_baudrate": int, "sleep_after_open": float, "rtscts": bool, "listen_only": bool},
     "socketcand": {"host": str, "port": int, "tcp_tune": bool},
@@ -80,11 +77,7 @@ class CanSettings(BaseModel):
 
 
 class CanTransport(Transport[CanFrame]):
-    """An open CAN wire; standard data frames only, all else is counted.
-
-    Each frame is stamped with CLOCK_MONOTONIC right after it was read; python-can's own stamps are of different clocks
-    from interface to interface and are not used.
-    """
+    """An open CAN wire; standard data frames only, all else is counted."""
 
     Settings = CanSettings
 
@@ -92,7 +85,7 @@ class CanTransport(Transport[CanFrame]):
         self.address = f"{settings.interface}:{settings.channel}"
         self._settings = settings
         self.bus_bit_rate = settings.bitrate
-        self._bus: can.BusABC | None = None
+        self._bus: LibraryBus | None = None
         self._text: CanWire | None = None
         self._claim: Claim | None = None
         self._counters = dict.fromkeys(COUNTERS, 0)
@@ -100,10 +93,9 @@ class CanTransport(Transport[CanFrame]):
     def open(self) -> None:
         """See `Transport.open`."""
         self.close()
-        logging.getLogger("can").setLevel(logging.CRITICAL)  # it logs what we say better, once, as HardwareError
         try:
             self._take()
-        except (OSError, ValueError, TypeError, ArithmeticError, can.CanError, NotImplementedError) as error:
+        except (OSError, ValueError, TypeError, ArithmeticError, NotImplementedError) as error:
             self.close()
             raise explain(self._settings.interface, self._settings.channel, error) from error
         except HardwareError:
@@ -124,7 +116,9 @@ class CanTransport(Transport[CanFrame]):
             if interface == "socketcan":
                 self._claim = Claim(f"socketcan:{channel}", self.address, shared=True, alone=self.alone)
                 _check_socketcan(channel)
-            self._bus = can.Bus(channel, interface, ignore_config=True, **options)
+            from galen_hw.drivers.library_bus import LibraryBus
+
+            self._bus = LibraryBus(interface, channel, self._counters, **options)
 
     def send(self, wires: list[CanFrame]) -> None:
         """See `Transport.send`; what a full queue does not take is counted as `unsent`, not waited for."""
@@ -135,21 +129,9 @@ class CanTransport(Transport[CanFrame]):
                 self._text.send_frames(wires)
                 self._counters["sent"] += len(wires)
                 return
-            bus = self._need_bus()
-            for frame in wires:
-                self._send_one(bus, frame)
-        except (OSError, can.CanError, ValueError) as error:
+            self._need_bus().send(wires)
+        except (OSError, ValueError) as error:
             raise self._gone(error) from error
-
-    def _send_one(self, bus: can.BusABC, frame: CanFrame) -> None:
-        message = can.Message(arbitration_id=frame.arbitration_id, data=frame.data, is_extended_id=False)
-        try:
-            bus.send(message, timeout=0.0 if self._settings.interface == "socketcan" else 0.1)
-            self._counters["sent"] += 1
-        except can.CanError as error:
-            if not is_full(error):
-                raise
-            self._counters["unsent"] += 1
 
     def receive(self, timeout_s: float) -> list[tuple[CanFrame, int]]:
         """See `Transport.receive`."""
@@ -158,8 +140,13 @@ class CanTransport(Transport[CanFrame]):
                 frames, t_ns = self._text.read_frames(timeout_s)
                 self._counters["received"] += len(frames)
                 return [(frame, t_ns) for frame in frames]
-            return self._receive_messages(self._need_bus(), timeout_s)
-        except (OSError, can.CanError, ValueError) as error:
+            bus = self._need_bus()
+            try:
+                return bus.receive(timeout_s)
+            finally:
+                if bus.news:
+                    self.news, bus.news = [*self.news, *bus.news][-MOST_NEWS:], []
+        except (OSError, ValueError) as error:
             raise self._gone(error) from error
 
     def tend(self, now_ns: int) -> None:
@@ -176,39 +163,6 @@ class CanTransport(Transport[CanFrame]):
         """See `Transport.wakeup_ns`."""
         return super().wakeup_ns if self._text is None else self._text.wakeup_ns
 
-    def _receive_messages(self, bus: can.BusABC, timeout_s: float) -> list[tuple[CanFrame, int]]:
-        received: list[tuple[CanFrame, int]] = []
-        while len(received) < MOST_FRAMES:
-            message = self._receive_one(bus, 0.0 if received else timeout_s)
-            t_ns = time.monotonic_ns()
-            if message is None:
-                break
-            frame = self._sort(message)
-            if frame is not None:
-                received.append((frame, t_ns))
-        self._counters["received"] += len(received)
-        return received
-
-    def _receive_one(self, bus: can.BusABC, timeout_s: float) -> can.Message | None:
-        try:
-            message = bus.recv(timeout_s)
-        except can.CanOperationError as error:
-            if self._settings.interface != "udp_multicast" or isinstance(error.__cause__, OSError):
-                raise
-            self._counters["malformed"] += 1  # a datagram of somebody else on the group
-            return None
-        return message
-
-    def _sort(self, message: can.Message) -> CanFrame | None:
-        if message.is_error_frame:
-            count_error_frame(message.arbitration_id, bytes(message.data), self._counters)
-            self.news = [*self.news, *news_of(message.arbitration_id)][-MOST_NEWS:]
-            return None
-        if message.is_extended_id or message.is_remote_frame or message.is_fd:
-            self._counters["not_data"] += 1
-            return None
-        return CanFrame(message.arbitration_id, bytes(message.data))
-
     def close(self) -> None:
         """See `Transport.close`."""
         bus, text, claim = self._bus, self._text, self._claim
@@ -217,8 +171,8 @@ class CanTransport(Transport[CanFrame]):
             if text is not None:
                 text.close()
             if bus is not None:
-                bus.shutdown()
-        except (OSError, can.CanError):
+                bus.close()
+        except OSError:
             logging.getLogger(__name__).debug("%s was gone when it was closed", self.address)
         if claim is not None:
             claim.close()
@@ -227,17 +181,14 @@ class CanTransport(Transport[CanFrame]):
         """See `Transport.fileno`; none for `virtual`."""
         if self._text is not None:
             return self._text.fd
-        try:
-            return None if self._bus is None else self._bus.fileno()
-        except NotImplementedError:
-            return None
+        return None if self._bus is None else self._bus.fileno()
 
     @property
     def counters(self) -> dict[str, int]:
         """See `COUNTERS`."""
         return dict(self._counters)
 
-    def _need_bus(self) -> can.BusABC:
+    def _need_bus(self) -> "LibraryBus":
         if self._bus is None:
             raise HardwareError("the wire is not open", where=self.address)
         return self._bus

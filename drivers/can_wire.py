@@ -54,11 +54,16 @@ class CanWire(ABC):
         Raises:
             OSError: the wire is gone.
         """
-        # select, for it alone waits for parts of a millisecond; a port without data reads as empty, hence always
-        if not select.select(self._readers, (), (), timeout_s)[0]:
+        # select, for it alone waits for parts of a millisecond. Who does not wait knows as a rule that something is there:
+        # select then only tells a port without data, which reads as empty, from one whose far end is gone.
+        if timeout_s > 0.0 and not select.select(self._readers, (), (), timeout_s)[0]:
             return [], time.monotonic_ns()
         try:
             chunk = os.read(self.fd, CHUNK)
+            if not chunk:
+                if not select.select(self._readers, (), (), 0.0)[0]:
+                    return [], time.monotonic_ns()
+                chunk = os.read(self.fd, CHUNK)
         except BlockingIOError:
             return [], time.monotonic_ns()
         t_ns = time.monotonic_ns()

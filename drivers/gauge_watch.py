@@ -28,6 +28,7 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
+import numpy.ma
 import numpy.typing as npt
 
 GAUGES: Final = 6

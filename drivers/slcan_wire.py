@@ -15,6 +15,7 @@ import re
 import select
 import time
 from binascii import unhexlify
+from functools import lru_cache
 from typing import Final
 
 import serial
@@ -42,11 +43,21 @@ QUIET_NS: Final = 400_000_000
 """After so long without a frame the channel is opened anew, then every second; shorter than sensors are waited for."""
 AGAIN_NS: Final = 1_000_000_000
 _LONGEST_LINE: Final = 160
-_DATA: Final = re.compile(rb"t([0-7][0-9A-Fa-f]{2})([0-8])([0-9A-Fa-f]*)")
+_HEAD_LENGTH: Final = 5
+_HEAD: Final = re.compile(rb"t([0-7][0-9A-Fa-f]{2})([0-8])")
 _OTHER: Final = re.compile(rb"(?:[rdb][0-7][0-9A-Fa-f]{2}|[TRDB][01][0-9A-Fa-f]{7})[0-9A-Fa-f][0-9A-Fa-f]*")
 _ANSWERS: Final = re.compile(rb"[zZ]?|[VN][0-9A-Za-z]{4}|F[0-9A-Fa-f]{2}")
+_SENT: Final = b"z"
+"""What an adapter answers for each frame that it was given."""
 _STAMPS: Final = (0, 4, 8)
 """Digits of a time stamp."""
+
+
+@lru_cache(maxsize=64)
+def _head(text: bytes) -> tuple[int, int] | None:
+    """How a data frame begins: identifier and digits of data; a bus has few of them, again and again."""
+    found = _HEAD.fullmatch(text)
+    return None if found is None else (int(found[1], 16), 2 * int(found[2]))
 
 
 def parse_line(line: bytes) -> CanFrame | None:
@@ -55,14 +66,14 @@ def parse_line(line: bytes) -> CanFrame | None:
     Raises:
         ValueError: the line is none that an adapter writes.
     """
-    found = _DATA.fullmatch(line)
-    if found is not None:
-        identifier, length, rest = found.groups()
-        digits = 2 * (length[0] - 0x30)
+    head = _head(line[:_HEAD_LENGTH])
+    if head is not None:
+        identifier, digits = head
+        rest = line[_HEAD_LENGTH:]
         if len(rest) - digits not in _STAMPS:
             raise ValueError("length and data do not fit")
-        return CanFrame(int(identifier, 16), unhexlify(rest[:digits]))
-    if _OTHER.fullmatch(line) or _ANSWERS.fullmatch(line):
+        return CanFrame(identifier, unhexlify(rest)[: digits // 2])  # binascii.Error is a ValueError
+    if line == _SENT or _OTHER.fullmatch(line) or _ANSWERS.fullmatch(line):
         return None
     raise ValueError("not a line of an adapter")
 
@@ -146,7 +157,7 @@ class SlcanWire(CanWire):
         except ValueError:
             self.counters["malformed"] += 1
             return None
-        if frame is None and not _ANSWERS.fullmatch(line):
+        if frame is None and line != _SENT and not _ANSWERS.fullmatch(line):
             self.counters["not_data"] += 1
         return frame
 

@@ -348,6 +348,7 @@ def test_layout_gives_every_part_one_process() -> None:
     """Sensor and compensation share the core, motors and calibration the next; strangers have one each."""
 
     class Given:
+        speed = 1.0
         devices = dict.fromkeys(("ft", "motors", "tracker", "scale"))
         services = dict.fromkeys(("compensation", "calibration", "deflection", "recorder"))
 

@@ -17,7 +17,7 @@ from galen_hw.drivers.galil_dmc import GalilDmc
 from galen_hw.drivers.serial_transport import SerialSettings, SerialTransport
 from galen_hw.drivers.transport import Transport
 from galen_hw.drivers.virtual.ati_netcanoem import AtiSettings, VirtualAtiNetcanoem
-from galen_hw.drivers.virtual.bridges import InProcessCan
+from galen_hw.drivers.virtual.library_bus import InProcessCan
 from galen_hw.drivers.virtual.start import virtual_robot
 from galen_hw.drivers.virtual.world import World
 from galen_hw.messages import Fault, Message, WrenchRaw

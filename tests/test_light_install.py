@@ -23,7 +23,8 @@ EXTRA = tuple(module for extra in ("diagnose", "reports", "import") for module i
 DAEMON = (
     "galen_hw.cli, galen_hw.tools.run, galen_hw.daemon.supervisor, galen_hw.daemon.worker, galen_hw.daemon.tables, "
     "galen_hw.services.compensation.service, galen_hw.services.deflection.service, galen_hw.services.calibration.service, "
-    "galen_hw.services.recorder, galen_hw.drivers.ati_netcanoem.device, galen_hw.drivers.galil_dmc.device"
+    "galen_hw.services.recorder, galen_hw.drivers.ati_netcanoem.device, galen_hw.drivers.galil_dmc.device, "
+    "galen_hw.drivers.can_transport, galen_hw.drivers.virtual.process"
 )
 WITHOUT = f"import sys; sys.modules.update(dict.fromkeys({EXTRA!r})); from galen_hw.cli import main; "
 

@@ -12,15 +12,35 @@ def test_memory_is_flat_or_not_by_its_second_half() -> None:
     settled = [(float(t), 1e8 + min(t, 100) * 1e5) for t in range(0, 600, 5)]
     grows = [(float(t), 1e8 + t * 3e6 / 3600) for t in range(0, 600, 5)]
 
-    assert soak.slope(settled) == pytest.approx(0.0, abs=1e3)
-    assert soak.slope(grows) == pytest.approx(3e6, rel=1e-3)
-    assert math.isnan(soak.slope([(0.0, math.nan)] * 9))
+    assert soak.slope(settled)[0] == pytest.approx(0.0, abs=1e3)
+    assert soak.slope(grows)[0] == pytest.approx(3e6, rel=1e-3)
+    assert math.isnan(soak.slope([(0.0, math.nan)] * 9)[0])
     story = soak.Story(memory={"core": settled})
-    assert soak.report(story, 600.0)[1]
+    assert soak.report(story, 3600.0)[1]
     story.memory["health"] = grows
-    text, good = soak.report(story, 600.0)
+    text, good = soak.report(story, 3600.0)
     assert not good
-    assert "+3.00 MB/h" in text
+    assert "+3.00 +- 0.00 MB/h" in text
+
+
+def test_a_short_run_says_that_it_was_short() -> None:
+    """Five minutes are no hour, and tell nothing of an hour's growth."""
+    grows = [(float(t), 1e8 + t * 3e7 / 3600) for t in range(0, 300, 5)]
+    text, good = soak.report(soak.Story(memory={"core": grows}, load=[9.0], stalls=[0.03, 0.4]), 300.0)
+
+    assert good
+    assert text.startswith("5 minutes (not the 60 that are asked for) at 1 kHz")
+    assert "load average 9.0; the machine kept a sleeping program waiting 2 times for 20 ms or more, 0.40 s" in text
+    assert "too short a run to tell a slope" in text
+    assert "(not the" not in soak.report(soak.Story(), 3600.0)[0]
+
+
+def test_what_the_machine_loses_is_told_apart() -> None:
+    """A sample that the driver did not get while no program ran is no promise broken; any other is."""
+    text, good = soak.report(soak.Story(wire=6, stalled=6), 60.0)
+    assert good
+    assert "kept its programs waiting | - | 6 |" in text
+    assert not soak.report(soak.Story(wire=7, stalled=6), 60.0)[1]
 
 
 def test_a_loss_within_a_fault_and_shortly_after_is_the_faults() -> None:

@@ -4,7 +4,7 @@ import can
 import pytest
 
 from galen_hw.drivers.virtual.ati_netcanoem import AtiSettings, VirtualAtiNetcanoem
-from galen_hw.drivers.virtual.bridges import InProcessCan
+from galen_hw.drivers.virtual.library_bus import InProcessCan
 from galen_hw.drivers.virtual.start import virtual_robot
 from galen_hw.drivers.virtual.world import World
 from tests.virtual_client import ask, open_bus

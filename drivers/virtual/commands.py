@@ -39,6 +39,8 @@ class Commands:
     ) -> None:
         self._world, self._devices, self._ports, self._clock = world, devices, ports, clock
         self.stopped = False
+        self.stalls = 0
+        """How often this process was kept from running for so long that a host may have given up an answer."""
         words = (
             "attach_tool push guide contact release drift thermal cable compliance fault estop noise power_cycle "
             "inertial state stop"
@@ -163,6 +165,7 @@ class Commands:
             "tip_pose": world.tip_pose(now).tolist(),
             "temperature": world.temperature,
             "hand_idle": world.hand.idle,
+            "stalls": self.stalls,
             "faults": sorted(world.faults),
             "known_faults": self.known_faults(),
             "counters": {name: self._counters(name) for name in self._ports},

@@ -9,7 +9,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -79,14 +79,15 @@ class VirtualProcess:
 
     Args:
         options: see `Options`.
+        clock: ns.
 
     Raises:
         HardwareError: another virtual robot runs in the folder, or a CAN channel cannot be opened.
         UsageError: bad options.
     """
 
-    def __init__(self, options: Options) -> None:
-        self._options = options
+    def __init__(self, options: Options, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        self._options, self.clock = options, clock
         self.world = World(seed=options.seed)
         self.world.attach(options.tool)
         rows = {"can0": options.sensor, **_SERIAL}
@@ -97,23 +98,25 @@ class VirtualProcess:
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             self._lock(stack)
-            for name in (
-                _SERIAL.keys() & self.devices.keys()
-            ):  # First the motors: the sensor then reads where the joints are now.
-                self._add(stack, name, SerialPort(Pty(self._options.folder / name), self.devices[name]))
-            options = self._options
-            port = open_can_port(options.can, options.channel, options.folder / "can0", self.devices["can0"])
-            self._add(stack, "can0", port)
-            for device in self.devices.values():
-                for name, content in getattr(device, "files", {}).items():
-                    self._put(stack, self._options.folder / name, content)
+            self._open_ports(stack)
             self._control = self._bind(stack)
-            self.commands = Commands(self.world, self.devices, self.ports, time.monotonic_ns)
+            self.commands = Commands(self.world, self.devices, self.ports, self.clock)
             self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
+
+    def _open_ports(self, stack: ExitStack) -> None:
+        """The wires and the files; first those of the motors: the sensor then reads where the joints are now."""
+        options = self._options
+        for name in _SERIAL.keys() & self.devices.keys():
+            self._add(stack, name, SerialPort(Pty(options.folder / name), self.devices[name]))
+        port = open_can_port(options.can, options.channel, options.folder / "can0", self.devices["can0"])
+        self._add(stack, "can0", port)
+        for device in self.devices.values():
+            for name, content in getattr(device, "files", {}).items():
+                self._put(stack, options.folder / name, content)
 
     @property
     def files(self) -> dict[str, str]:
@@ -156,6 +159,7 @@ class VirtualProcess:
     def _excuse(self, late_ns: int) -> None:
         """A busy machine is no silence of the host: a controller's own clock stands while this process cannot run."""
         if late_ns > _STALL_NS:
+            self.commands.stalls += 1
             for device in self.devices.values():
                 if hasattr(device, "stand"):
                     device.stand(late_ns)

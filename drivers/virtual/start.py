@@ -7,14 +7,43 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Protocol, TypeAlias
 
 from galen_hw.drivers.virtual.control import VirtualControl
 from galen_hw.errors import HardwareError
+
+
+class Process(Protocol):
+    """What is asked of a process, as `subprocess.Popen` has it."""
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        ...
+
+    def poll(self) -> int | None:
+        """Its status once it has ended."""
+        ...
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Its status when it has ended; `subprocess.TimeoutExpired` when it has not in time."""
+        ...
+
+    def terminate(self) -> None:
+        """SIGTERM."""
+        ...
+
+    def kill(self) -> None:
+        """SIGKILL."""
+        ...
+
+
+Starter: TypeAlias = Callable[[Sequence[str], Mapping[int, int]], Process]
+"""Starts `galen-hw` with these words, its descriptors 0, 1 and 2 being the given ones of ours, in a session of its own."""
 
 
 @dataclass(slots=True)
@@ -34,7 +63,7 @@ class VirtualRobot:
     files: dict[str, str]
     sensor: str
     control: VirtualControl
-    _process: subprocess.Popen[bytes]
+    _process: Process
     _said: IO[bytes]
 
     @property
@@ -63,9 +92,7 @@ class VirtualRobot:
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
-        for stream in (self._process.stdout, self._said):
-            if stream is not None:
-                stream.close()
+        self._said.close()
 
 
 def start_virtual(
@@ -78,8 +105,11 @@ def start_virtual(
     tool: str | None = None,
     settings: Mapping[str, Mapping[str, Any]] | None = None,
     timeout_s: float = 60.0,
+    starter: Starter | None = None,
 ) -> VirtualRobot:
     """Start the process and wait until it is ready; it ends with this process at the latest. Options: `Options`.
+
+    `starter`: how; as an interpreter of its own if None.
 
     Raises:
         HardwareError: it does not start; its own line says why.
@@ -88,24 +118,28 @@ def start_virtual(
     words += ["--settings", json.dumps(dict(settings or {})), "--parent-pid", str(os.getpid()), "--json"]
     words += ["--tool", tool] if tool else []
     said = tempfile.TemporaryFile(prefix="galen-virtual-")  # noqa: SIM115 - closed by `VirtualRobot.close`
-    process = subprocess.Popen(
-        [sys.executable, "-m", "galen_hw.cli", "virtual", *words],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=said,  # not a pipe: nobody reads it while the robot runs, and a full one would stop the robot
-        start_new_session=True,  # Ctrl-C is for the command; it ends the virtual robot itself, and last.
-    )
-    assert process.stdout is not None
-    line = _first_line(process.stdout, time.monotonic() + timeout_s)
+    reading, writing = os.pipe()
+    # Its errors go not to a pipe: nobody reads it while the robot runs, and a full one would stop the robot.
+    with open(os.devnull, "rb") as nothing:  # noqa: PTH123
+        process = (starter or _execute)(["virtual", *words], {0: nothing.fileno(), 1: writing, 2: said.fileno()})
+    os.close(writing)
+    line = _first_line(reading, time.monotonic() + timeout_s)
+    os.close(reading)
     if not line.startswith(b'{"ready"'):
         process.kill()
-        process.communicate()
+        process.wait()
         said.seek(0)
         lines = said.read().decode("utf-8", "replace").strip().splitlines() or ["no answer"]
         said.close()
         raise HardwareError(lines[-1].removeprefix("galen-hw virtual: "), where="virtual robot")
     ready = json.loads(line)
     return VirtualRobot(Path(folder), ready["addresses"], ready["files"], sensor, VirtualControl(folder), process, said)
+
+
+def _execute(words: Sequence[str], fds: Mapping[int, int]) -> Process:
+    """The `Starter` that needs nobody. Ctrl-C is for the command: it ends the virtual robot itself, and last."""
+    command = [sys.executable, "-m", "galen_hw.cli", *words]
+    return subprocess.Popen(command, stdin=fds[0], stdout=fds[1], stderr=fds[2], start_new_session=True)
 
 
 @contextmanager
@@ -119,14 +153,14 @@ def virtual_robot(folder: Path | str | None = None, **options: Any) -> Iterator[
             robot.close()
 
 
-def _first_line(stream: IO[bytes], deadline: float) -> bytes:
+def _first_line(stream: int, deadline: float) -> bytes:
     """The first line of the process's output; what has come of it when it ends or time is up."""
     line = b""
     while not line.endswith(b"\n"):
         wait = deadline - time.monotonic()
         if wait <= 0.0 or not select.select([stream], (), (), wait)[0]:
             return line
-        chunk = os.read(stream.fileno(), 4096)
+        chunk = os.read(stream, 4096)
         if not chunk:
             return line
         line += chunk

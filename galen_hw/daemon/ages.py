@@ -8,6 +8,7 @@ _FINE_BITS: Final = 3
 _FINE: Final = 1 << _FINE_BITS
 """Steps an octave: a percentile is at most an eighth too high."""
 _CELLS: Final = 64 * _FINE
+_MOST: Final = (1 << 63) - 1
 
 
 class Ages:
@@ -21,7 +22,7 @@ class Ages:
 
     def add(self, age_ns: int) -> None:
         """Count one; what is negative or beyond 2^63 ns counts as the nearest that is not."""
-        age = min(max(age_ns, _FINE), (1 << 63) - 1)
+        age = age_ns if _FINE <= age_ns <= _MOST else _FINE if age_ns < _FINE else _MOST
         octave = age.bit_length() - 1 - _FINE_BITS
         self._cells[(octave << _FINE_BITS) + (age >> octave) - _FINE] += 1
         self._worst = max(self._worst, age)

@@ -19,6 +19,7 @@ from galen_hw.services.service import Service
 
 REPLY_WITHIN_NS: Final = 30 * NS_PER_S
 TICK_NS: Final = NS_PER_S // 20
+_NOTED: Final = frozenset({"joints/state", "compensation/state", "fault"})
 log = logging.getLogger("galen-hw")
 fault_log = logging.getLogger(FAULTS)
 
@@ -162,19 +163,25 @@ class Host:
         if message.valid and too_old(topic, message.t_ns, now):
             message = msgspec.structs.replace(message, valid=False)
             self.old[topic] = self.old.get(topic, 0) + 1
-        if topic in self.ages:
-            self.ages[topic].add(now - message.t_ns)
+        ages = self.ages.get(topic)
+        if ages is not None:
+            ages.add(now - message.t_ns)
         consumers = self._consumers.get(topic)
         if consumers is not None:
             for service in consumers:
                 self.take(service.handle(topic, message, now), service)
         self._link.publish(topic, message)
         self.published[topic] = self.published.get(topic, 0) + 1
+        if topic in _NOTED:
+            self._note(topic, message)
+
+    def _note(self, topic: str, message: Message) -> None:
+        """What the process itself has to know of what it publishes."""
         if topic == "joints/state":
             self.moving = any(message.moving.values())  # type: ignore[attr-defined]
         elif isinstance(message, CompensationState):
             self.tool = message.tool
-        elif topic == "fault" and isinstance(message, Fault):
+        elif isinstance(message, Fault):
             self.faults[message.source] = message
             fault_log.warning("%s: %s%s", message.where or message.source, message.what, _todo(message))
 

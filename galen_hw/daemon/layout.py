@@ -37,7 +37,9 @@ class Share:
 
 
 def lay_out(setup: Setup) -> dict[str, Share]:
-    """Every process with its share; `core` always exists, for it owns the bus."""
+    """Every process with its share; `core` always exists, for it owns the bus, and is the only one in simulated time."""
+    if setup.speed != 1.0:
+        return {CORE: Share(tuple(setup.devices), tuple(setup.services))}
     devices: dict[str, list[str]] = {CORE: []}
     services: dict[str, list[str]] = {}
     for name in setup.devices:

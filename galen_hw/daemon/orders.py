@@ -17,6 +17,7 @@ from galen_hw.services.service import Service, ServiceContext
 if TYPE_CHECKING:
     from galen_hw.clock import TimeBase
     from galen_hw.daemon.keep import Keeper
+    from galen_hw.drivers.device import Device
     from galen_hw.drivers.transport import Transport
 
 log = logging.getLogger("galen-hw")
@@ -32,6 +33,7 @@ class Orders(msgspec.Struct, frozen=True):
         runtime, state_dir: directories; virtual: the wires lead to virtual devices.
         wall_minus_monotonic_ns: one time base for the whole tree.
         processes: of the tree, in the order of the pulse board; pulse_fd: the board's memory.
+        speed: of simulated time, see `simulated`.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Orders(msgspec.Struct, frozen=True):
     wall_minus_monotonic_ns: int
     processes: tuple[str, ...]
     pulse_fd: int
+    speed: float = 1.0
 
     def whole(self) -> Setup:
         """The whole set-up, checked again.
@@ -66,9 +69,15 @@ class Orders(msgspec.Struct, frozen=True):
         return Setup(setup.config, setup.path, devices, services, virtual=self.virtual)
 
 
+def make_device(device: DeviceSetup, time_base: "TimeBase") -> "Device[Any]":
+    """A device without a wire."""
+    made: Device[Any] = device.driver(device.name, device.settings, time_base)
+    return made
+
+
 def build_port(device: DeviceSetup, time_base: "TimeBase", waker: Waker, *, alone: bool = False) -> Port:
     """A device with its wire, both closed yet; `alone`: on a wire that no other process uses, or not at all."""
-    machine = device.driver(device.name, device.settings, time_base)
+    machine = make_device(device, time_base)
 
     def make() -> "Transport[Any]":
         made: Transport[Any] = device.transport(device.transport_settings)

@@ -23,7 +23,12 @@ END_WITHIN_S: Final = 20.0
 
 @contextmanager
 def own_daemon(
-    *, config: str | None = None, virtual: bool = True, runtime: Path | None = None, state: Path | None = None
+    *,
+    config: str | None = None,
+    virtual: bool = True,
+    runtime: Path | None = None,
+    state: Path | None = None,
+    speed: float = 1.0,
 ) -> Iterator[Addresses]:
     """Start `galen-hw run` in a runtime directory of its own, wait until samples flow, end it with the block.
 
@@ -33,6 +38,7 @@ def own_daemon(
         config: settings file; virtual: on a virtual robot.
         runtime: for the sockets; a temporary directory if None.
         state: for tools and calibrations; the user's own if None.
+        speed: of a virtual robot: at most so many times as fast as the clock.
 
     Raises:
         HardwareError: it did not become ready; its own lines on stderr say why.
@@ -47,6 +53,7 @@ def own_daemon(
             str(os.getpid()),
             *(["--virtual"] if virtual else []),
             *(["--config", config] if config else []),
+            *(["--speed", f"{speed:g}"] if speed != 1.0 else []),
         ]
         environ = os.environ | ({"GALEN_HW_STATE": str(state)} if state else {})
         command = [sys.executable, "-m", "galen_hw.cli", *words]

@@ -19,6 +19,7 @@ from galen_hw.clock import TimeBase
 from galen_hw.config.load import Setup, Tables
 from galen_hw.config.paths import Addresses
 from galen_hw.daemon.broker import Broker
+from galen_hw.daemon.fork_server import ForkServer
 from galen_hw.daemon.layout import CORE, LOOKERS, MOTORS, Share, lay_out
 from galen_hw.daemon.links import Beat, DeviceState
 from galen_hw.daemon.lock import lock
@@ -28,11 +29,14 @@ from galen_hw.daemon.port import Waker
 from galen_hw.daemon.pulse import LOOP, PulseBoard
 from galen_hw.daemon.readiness import Readiness, waits_for
 from galen_hw.daemon.viewers import Viewers
+from galen_hw.drivers.virtual.start import Process
 from galen_hw.errors import EXIT_FOUND, EXIT_HARDWARE, EXIT_OK, EXIT_USAGE, HardwareError
 from galen_hw.messages import TOPICS
 from galen_hw.version import VERSION
 from galen_hw.waiting import readable
 
+WORKER: Final = "galen_hw.daemon.worker"
+SIMULATED: Final = "galen_hw.daemon.simulated"
 TURN_S: Final = 0.05
 REST_WITHIN_S: Final = 6.0
 SILENT_AFTER_S: Final = 8.0
@@ -50,7 +54,8 @@ class _Process:
     """One process of the tree and its history."""
 
     share: Share
-    popen: "subprocess.Popen[bytes] | None" = None
+    child: Process | None = None
+    lifeline: IO[bytes] | None = None
     started: float = 0.0
     start_at: float = 0.0
     deaths: "deque[float]" = field(default_factory=deque)
@@ -64,6 +69,7 @@ class Supervisor:
         setup: checked settings; tables: what they may name.
         addresses: of this daemon, in a runtime directory that exists.
         state_dir: where services keep what they have learnt.
+        fork_server: starts the processes.
         on_ready: called once, when samples flow, with a summary and the viewers' address (empty for none).
         parent_pid: end with that process.
 
@@ -77,12 +83,14 @@ class Supervisor:
         tables: Tables,
         addresses: Addresses,
         state_dir: Path,
+        fork_server: ForkServer,
         on_ready: Callable[[str, str], None] = lambda *_: None,
         parent_pid: int | None = None,
     ) -> None:
         self._parent = _watch(parent_pid)
         self._setup, self._tables, self._addresses, self._state_dir = setup, tables, addresses, state_dir
         self._lock = lock(addresses)
+        self._fork_server = fork_server
         self._on_ready = on_ready
         self._time_base = TimeBase.now()
         self._processes = {name: _Process(share) for name, share in lay_out(setup).items()}
@@ -139,14 +147,18 @@ class Supervisor:
             wall_minus_monotonic_ns=self._time_base.wall_minus_monotonic_ns,
             processes=tuple(self._processes),
             pulse_fd=self._pulse_fd,
+            speed=self._setup.speed,
         )
         self._board.forget(name)
-        command = [sys.executable, "-m", "galen_hw.daemon.worker", name]
-        process.popen = subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=(self._pulse_fd,))
+        reading, writing = os.pipe()
+        process.lifeline = os.fdopen(writing, "wb")
+        process.child = self._fork_server.start(
+            WORKER if self._setup.speed == 1.0 else SIMULATED, [name], {0: reading, self._pulse_fd: self._pulse_fd}
+        )
+        os.close(reading)
         process.started, process.start_at = time.monotonic(), 0.0
         self._broker.heard_ns[name] = time.monotonic_ns()
-        assert process.popen.stdin is not None
-        _give(process.popen.stdin, msgspec.json.encode(orders) + b"\n")
+        _give(process.lifeline, msgspec.json.encode(orders) + b"\n")
 
     def _wait(self) -> None:
         fds = [self._waker.fd, *(s.FD for s in self._broker.sockets), *([self._parent] if self._parent else [])]
@@ -162,18 +174,18 @@ class Supervisor:
         now = time.monotonic()
         self._viewers.step(now)
         for name, process in self._processes.items():
-            if process.popen is None:
+            if process.child is None:
                 if now >= process.start_at:
                     self._start(name)
                 continue
             still_s = self._look_at_loop(name, process)
             silent_s = max(still_s, now - self._broker.heard_ns[name] / 1e9)
             limit_s = STILL_AFTER_S if self._moves_the_arm(name) else SILENT_AFTER_S
-            if process.popen.poll() is None and silent_s > limit_s and name in self._broker.beats:
+            if process.child.poll() is None and silent_s > limit_s and name in self._broker.beats:
                 log.error("%s: silent for %.0f s; it is ended and started again", name, silent_s)
-                process.popen.kill()
-                process.popen.wait()
-            if process.popen.poll() is not None and (status := self._bury(name, process, now)):
+                process.child.kill()
+                process.child.wait()
+            if (code := process.child.poll()) is not None and (status := self._bury(name, process, code, now)):
                 return status
         return EXIT_OK
 
@@ -191,16 +203,15 @@ class Supervisor:
                 log.error("%s: has not run for %.1f s", name, still_s)
         return still_s
 
-    def _bury(self, name: str, process: _Process, now: float) -> int:
-        assert process.popen is not None
-        code = process.popen.returncode
-        _end_lifeline(process.popen)
-        process.popen = None
+    def _bury(self, name: str, process: _Process, code: int, now: float) -> int:
+        _end_lifeline(process)
+        process.child = None
         self._broker.lost(name)
         process.deaths.append(now)
         while process.deaths and process.deaths[0] < now - WITHIN_S:
             process.deaths.popleft()
-        if name not in LOOKERS and (not self._is_ready or len(process.deaths) > DEATHS_ALLOWED):
+        is_world = self._setup.speed != 1.0  # the virtual robot has died with it
+        if name not in LOOKERS and (is_world or not self._is_ready or len(process.deaths) > DEATHS_ALLOWED):
             # What dies before the first sample would only die again; a status of our own means that it has said why.
             if code not in (EXIT_USAGE, EXIT_HARDWARE):
                 log.error("%s: ended with status %d; giving up", name, code)
@@ -281,11 +292,12 @@ class Supervisor:
             "config": str(self._setup.path),
             "robot": self._setup.config.robot.name,
             "virtual": self._setup.virtual,
+            "speed": self._setup.speed,
             "ready": self._is_ready,
             "bus": self._addresses.bus,
             "viewers": self._viewers.address,
             "state_dir": str(self._state_dir),
-            "processes": {n: p.popen.pid if p.popen else 0 for n, p in self._processes.items()}
+            "processes": {n: p.child.pid if p.child else 0 for n, p in self._processes.items()}
             | ({"viewers": self._viewers.pid} if self._viewers.address else {}),
             "unreadable_frames": self._broker.unreadable,
             "devices": {n: msgspec.to_builtins(s) for n, s in self._device_states().items()},
@@ -298,16 +310,16 @@ class Supervisor:
         order = sorted(self._processes, key=lambda n: (MOTORS not in self._processes[n].share.devices, n == CORE))
         first = [n for n in order if MOTORS in self._processes[n].share.devices]
         for group in (first, [n for n in order if n not in first]):
-            running = [p for n in group if (p := self._processes[n].popen) is not None]
-            for popen in running:
-                _end_lifeline(popen)
+            running = [(p, p.child) for n in group if (p := self._processes[n]).child is not None]
+            for process, _ in running:
+                _end_lifeline(process)
             until = time.monotonic() + REST_WITHIN_S
-            for popen in running:
+            for child in [c for _, c in running if c is not None]:
                 try:
-                    popen.wait(max(0.1, until - time.monotonic()))
+                    child.wait(max(0.1, until - time.monotonic()))
                 except subprocess.TimeoutExpired:
-                    popen.kill()
-                    popen.wait()
+                    child.kill()
+                    child.wait()
         self._viewers.close()
         self._broker.close()
         self._board.close()
@@ -356,8 +368,9 @@ def _give(pipe: IO[bytes], content: bytes) -> None:
         return  # it died at once; `_bury` will see it
 
 
-def _end_lifeline(popen: "subprocess.Popen[bytes]") -> None:
+def _end_lifeline(process: _Process) -> None:
     """The process notices, brings its devices to rest and ends; so it does when we are gone ourselves."""
-    if popen.stdin is not None:
+    if process.lifeline is not None:
         with contextlib.suppress(BrokenPipeError):
-            popen.stdin.close()
+            process.lifeline.close()
+        process.lifeline = None

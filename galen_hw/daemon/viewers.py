@@ -17,8 +17,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import zmq
-from zmq.auth.thread import ThreadAuthenticator
-from zmq.utils.monitor import parse_monitor_message
 
 from galen_hw.bus import LARGEST_SUBSCRIPTION
 from galen_hw.config.paths import Addresses
@@ -156,6 +154,8 @@ class _Copy:
         self._viewers.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
         limit(self._viewers, LARGEST_HANDSHAKE if keys else LARGEST_SUBSCRIPTION)
         if keys:
+            from zmq.auth.thread import ThreadAuthenticator
+
             guard = ThreadAuthenticator(context)
             guard.start()
             guard.configure_curve(domain="*", location=str(Path(keys) / CLIENTS))
@@ -182,6 +182,9 @@ class _Copy:
             self._pass_on()
 
     def _count_connections(self) -> None:
+        # Here, for the supervisor imports this module too, and with these two come asyncio and a tenth of its start.
+        from zmq.utils.monitor import parse_monitor_message
+
         while self._monitor.poll(0):
             event = parse_monitor_message(self._monitor.recv_multipart())
             fd = int(event["value"])

@@ -6,14 +6,14 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
 import msgspec
 
 from galen_hw.clock import NS_PER_S, TimeBase
-from galen_hw.config.load import Setup
+from galen_hw.config.load import DeviceSetup, Setup
 from galen_hw.config.paths import Addresses
 from galen_hw.config.schema import DaemonSection
 from galen_hw.daemon import logs
@@ -50,10 +50,11 @@ class Worker:
     Args:
         orders: what to run and where.
         lifeline: a descriptor that ends (reads as empty) when the supervisor is gone.
+        now: monotonic nanoseconds.
     """
 
-    def __init__(self, orders: Orders, lifeline: int) -> None:
-        self._orders, self._lifeline = orders, lifeline
+    def __init__(self, orders: Orders, lifeline: int, now: Callable[[], int] = time.monotonic_ns) -> None:
+        self._orders, self._lifeline, self._now = orders, lifeline, now
         whole = orders.whole()
         self._setup = orders.share_of(whole)
         self._time_base = TimeBase(orders.wall_minus_monotonic_ns)
@@ -61,7 +62,7 @@ class Worker:
         self._stopping = False
         self._keeper = Keeper(Path(orders.state_dir) / "services")
         services = build_services(self._setup, whole, self._time_base, Path(orders.state_dir), self._keeper)
-        ports = {n: build_port(d, self._time_base, self._waker) for n, d in self._setup.devices.items()}
+        ports = {n: self._make_port(d, self._time_base, self._waker) for n, d in self._setup.devices.items()}
         self._device_keeper = DeviceKeeper(Path(orders.state_dir) / "devices", virtual=orders.virtual)
         for name, port in ports.items():
             self._device_keeper.give_back(name, port.device)
@@ -80,7 +81,7 @@ class Worker:
             ports,
             services,
             self._link,
-            clock=time.monotonic_ns,
+            clock=now,
             on_done=self._keep,
             forbids=lambda: self._guard.missing if self._guard else "",
         )
@@ -104,7 +105,7 @@ class Worker:
 
     def run(self) -> None:
         """Run until the lifeline ends; on every way out the devices are brought to rest first."""
-        self._link.begun_ns = time.monotonic_ns()
+        self._link.begun_ns = self._now()
         try:
             while not self._stopping:
                 self._turn()
@@ -123,13 +124,13 @@ class Worker:
             outputs = port.step(readable=port.fd in ready)
             if outputs:
                 host.take(outputs)
-        if self._patience_ns and (now := time.monotonic_ns()) >= self._next_inlet_ns:
+        if self._patience_ns and (now := self._now()) >= self._next_inlet_ns:
             self._next_inlet_ns = now + self._patience_ns
             ready.append(self._link.inlet.fd)
         if heard := self._link.messages(ready):
             self._hear_all(heard)
         self._listen(ready)
-        now = time.monotonic_ns()
+        now = self._now()
         self._pulse(now)
         if now >= self._next_due_ns:
             host.tick(now)
@@ -149,12 +150,13 @@ class Worker:
 
     def _pulse(self, now: int) -> None:
         """Give signs of life; where the motors are, look for those of the others, and stop when blind."""
-        self._board.beat(self._orders.name, LOOP, now)
+        alive_ns = time.monotonic_ns()  # the machine's clock, which the supervisor has too
+        self._board.beat(self._orders.name, LOOP, alive_ns)
         published = self.host.published
         wrenches, joints = published.get("wrench/raw", 0), published.get("joints/state", 0)
         if wrenches != self._wrenches:
             self._wrenches = wrenches
-            self._board.beat(self._orders.name, WRENCH, now)
+            self._board.beat(self._orders.name, WRENCH, alive_ns)
         if self._guard is None or joints == self._joints:
             return
         self._joints = joints
@@ -167,8 +169,14 @@ class Worker:
         fds = [*self._own_fds, *[p.fd for p in self._ports if p.fd is not None]]
         if self._link.inlet.pending or self._link.control.pending:
             return readable(fds, 0.0)
-        timeout = (until_ns - time.monotonic_ns()) / NS_PER_S
+        timeout = (until_ns - self._now()) / NS_PER_S
         return readable(fds, max(0.0, timeout))
+
+    def _wait_for_wires(self, seconds: float) -> list[int]:
+        return readable([fd for p in self._ports if (fd := p.fd) is not None], seconds)
+
+    def _make_port(self, device: DeviceSetup, time_base: TimeBase, waker: Waker) -> Port:
+        return build_port(device, time_base, waker)
 
     def _hear_all(self, heard: Sequence[tuple[bytes, bytes]]) -> None:
         """Hand messages on in their order; a process that has fallen behind goes on with the newest of each topic.
@@ -308,7 +316,7 @@ class Worker:
         if name in self.host.services:
             self._keeper.keep(name, self.host.services[name].snapshot())
         if name in self.host.ports:
-            self._device_keeper.keep_device(name, self.host.ports[name].device, self.host.tool, time.monotonic_ns())
+            self._device_keeper.keep_device(name, self.host.ports[name].device, self.host.tool, self._now())
 
     def _finish(self) -> None:
         for name in self.host.ports:
@@ -318,8 +326,7 @@ class Worker:
         self.host.end()
         until = time.monotonic() + REST_WITHIN_S
         while self.host.moving and time.monotonic() < until:
-            fds = [fd for p in self._ports if (fd := p.fd) is not None]
-            ready = readable(fds, 0.02)
+            ready = self._wait_for_wires(0.02)
             for port in self._ports:
                 self.host.take(port.step(readable=port.fd in ready))
         for name, service in self.host.services.items():
@@ -340,8 +347,10 @@ def _wire_counters(ports: dict[str, Port]) -> dict[str, int]:
     return found
 
 
-def main() -> int:
-    """Entry point: orders on standard input, which then stays open as the lifeline."""
+def run_orders(run: Callable[[Orders], None]) -> int:
+    """Take orders from standard input, which then stays open as the lifeline, and carry them out; the status."""
+    # python-can reads MF4 logs where asammdf is installed and loads it, pandas and scipy for that: a second, 100 MB.
+    sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]
     logs.set_up()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         # They may reach the whole group; the supervisor alone says who ends when, by ending the lifeline.
@@ -350,18 +359,23 @@ def main() -> int:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(soft, MOST_DESCRIPTORS), hard))
     orders = msgspec.json.decode(_read_line(sys.stdin.fileno()), type=Orders)
-    below_core = PRIORITY_BELOW_CORE.get(orders.name)
+    # Not in simulated time, which never waits: a loop that runs for ten seconds is ended (see `raise_priority`).
+    below_core = PRIORITY_BELOW_CORE.get(orders.name) if orders.speed == 1.0 else None
     priority = int(orders.document.get("daemon", {}).get("realtime_priority", DaemonSection().realtime_priority))
     if below_core is not None:
         raise_priority(max(0, priority - below_core))
     sharpen_timers()
     try:
-        worker = Worker(orders, sys.stdin.fileno())
-        worker.run()
+        run(orders)
     except GalenError as error:
         print(f"galen-hw {orders.name}: {error}", file=sys.stderr)
         return error.exit_code
     return EXIT_OK
+
+
+def main() -> int:
+    """Entry point: see `run_orders`."""
+    return run_orders(lambda orders: Worker(orders, sys.stdin.fileno()).run())
 
 
 def _read_line(fd: int) -> bytes:

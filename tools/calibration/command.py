@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, EXIT_REFUSED, GalenError, UsageError
+from galen_hw.tools.run import add_speed, require_virtual
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -28,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("--tool", metavar="NAME", help="the tool (galen-hw tool list); with --from its own name")
     parser.add_argument("--virtual", action="store_true", help="start a virtual robot and calibrate on it")
+    add_speed(parser)
     parser.add_argument(
         "--from", dest="recording", metavar="RECORDING", type=Path, help="fit a recording, move nothing"
     )
@@ -69,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _check(args: argparse.Namespace) -> None:
     """What is wrong with the words themselves, before anything is read, started or moved."""
+    require_virtual(args)
     from galen_hw.config.tool_store import check_name
     from galen_hw.extras import need
     from galen_hw.tools.outputs import report_page
@@ -100,7 +103,7 @@ def _daemon(args: argparse.Namespace, stack: ExitStack) -> "Addresses":
     if args.virtual:
         from galen_hw.daemon.session import own_daemon
 
-        return stack.enter_context(own_daemon(config=args.config, virtual=True, runtime=args.dir))
+        return stack.enter_context(own_daemon(config=args.config, runtime=args.dir, speed=args.speed))
     addresses = Addresses(args.dir or client_runtime_dir())
     try:
         addresses.require_daemon()

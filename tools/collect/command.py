@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, UsageError
+from galen_hw.tools.run import add_speed, require_virtual
 from galen_hw.units import number_in
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", metavar="FILE", help="settings for --virtual")
     parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory of the daemon")
     parser.add_argument("--virtual", action="store_true", help="on a virtual robot that gives; a virtual hand pushes")
+    add_speed(parser)
     parser.epilog = "example: galen-hw collect deflection --virtual -o session"
 
 
@@ -77,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         with ExitStack() as stack:
             if args.virtual:
-                addresses = stack.enter_context(own_daemon(config=args.config, runtime=args.dir))
+                addresses = stack.enter_context(own_daemon(config=args.config, runtime=args.dir, speed=args.speed))
             else:
                 addresses = Addresses(args.dir or client_runtime_dir())
                 addresses.require_daemon()
@@ -104,6 +106,7 @@ def run(args: argparse.Namespace) -> int:
                 lambda line: console.print(line, markup=False, soft_wrap=True),
                 lambda now, text: live.update(picture(now, text)),
                 session_context(Path(info["config"])) | {"virtual": bool(info["virtual"])},
+                simulated=info.get("speed", 1.0) != 1.0,
             ).run()
     finally:
         if plan is not None:
@@ -125,6 +128,7 @@ def _option(name: str) -> str:
 
 def _check(args: argparse.Namespace) -> None:
     """Numbers that make a session, and a folder that can hold it."""
+    require_virtual(args)
     from galen_hw.config.paths import require_folder
 
     limits = {

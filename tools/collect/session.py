@@ -10,7 +10,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from galen_hw.bus import CommandClient, Subscriber
-from galen_hw.clock import TimeBase
+from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.config.tool_file import ToolFile
 from galen_hw.documents import load_json
 from galen_hw.errors import HardwareError, UsageError
@@ -28,6 +28,8 @@ STILL_S: Final = 0.5
 LISTEN_S: Final = 1.0
 SHOW_S: Final = 0.1
 LEAST_FRAMES: Final = 20
+SILENT_S: Final = 2.0
+"""Without a message, time that is told by messages stands still, and is not waited for."""
 TRIES: Final = 4
 TRACE: Final = 60
 TAPE: Final = "{}.mcap"
@@ -48,6 +50,7 @@ class CollectSession:
     Args:
         plan: what to do; hand: who pushes; show: takes lines for people and the live state.
         context: of the MCAP files, see `recording.session.Session`.
+        simulated: the robot's time is not this machine's (`--speed`): time is what its messages say.
     """
 
     plan: Plan
@@ -59,6 +62,7 @@ class CollectSession:
     say: Callable[[str], None]
     show: Callable[["CollectSession", str], None] = lambda *_: None
     context: dict[str, Any] = field(default_factory=dict)
+    simulated: bool = False
     watch: MarkerWatch = field(default_factory=MarkerWatch)
     peaks: dict[str, Array] = field(default_factory=dict)
     """Largest force along +x +y +z -x -y -z of each place, N: the coverage."""
@@ -71,6 +75,7 @@ class CollectSession:
     _base: TimeBase = field(default_factory=TimeBase.now)
     _offset: Array = field(default_factory=lambda: np.zeros(3))
     _said: set[str] = field(default_factory=set)
+    _newest_ns: int = 0
 
     def __post_init__(self) -> None:
         self.rows = Rows(self.robot, self.watch)
@@ -113,17 +118,22 @@ class CollectSession:
 
     def _listen(self, seconds: float, text: str = "") -> None:
         """Take messages for so long."""
-        until = time.monotonic() + seconds
-        shown = 0.0
-        while (left := until - time.monotonic()) > 0.0:
+        until = self._now_s() + seconds
+        shown, heard = 0.0, time.monotonic()
+        while (left := until - self._now_s()) > 0.0 and time.monotonic() - heard < max(seconds, SILENT_S):
             received = self.subscriber.receive(min(left, SHOW_S))
             if received is not None:
+                heard, self._newest_ns = time.monotonic(), max(self._newest_ns, received[1].t_ns)
                 self.rows.take(*received)
                 if self._tape is not None:
-                    self._tape.add(*received, time.monotonic_ns() + self._base.wall_minus_monotonic_ns)
+                    self._tape.add(*received, round(self._now_s() * NS_PER_S) + self._base.wall_minus_monotonic_ns)
             if time.monotonic() - shown > SHOW_S:
                 shown = time.monotonic()
                 self._look(text)
+
+    def _now_s(self) -> float:
+        """Time of the robot: monotonic, s."""
+        return self._newest_ns / NS_PER_S if self.simulated and self._newest_ns else time.monotonic()
 
     def _look(self, text: str) -> None:
         """What the tracker's watch has to say, and the live picture."""
@@ -140,16 +150,16 @@ class CollectSession:
         """Go there and wait until still."""
         names = self.robot.joint_names
         self.motors.call("motors", "move_jp", {"position": dict(zip(names, place, strict=True))})
-        until = time.monotonic() + MOVE_WITHIN_S
-        still_since = time.monotonic()
-        while time.monotonic() - still_since < STILL_S:
+        until = self._now_s() + MOVE_WITHIN_S
+        still_since = self._now_s()
+        while self._now_s() - still_since < STILL_S:
             before = self.rows.q
             self._listen(0.1, "moving")
             there = self.rows.q is not None and np.all(np.abs(self.rows.q - place) < 2e-3)
             rests = before is not None and self.rows.q is not None and np.all(np.abs(self.rows.q - before) < 1e-4)
             if self.rows.moving or not (there and rests):
-                still_since = time.monotonic()
-            if time.monotonic() > until:
+                still_since = self._now_s()
+            if self._now_s() > until:
                 raise HardwareError("the arm does not come to rest", where="motors", todo="galen-hw check, then go on")
 
     def _begin(self) -> None:

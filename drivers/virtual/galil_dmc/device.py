@@ -7,7 +7,6 @@ joints of the world: they are set at each call, exactly for its time.
 from collections.abc import Set as AbstractSet
 from typing import ClassVar, Final, Literal, Protocol
 
-import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -102,7 +101,8 @@ class VirtualGalilDmc:
         self.settings, self.world = settings, world
         self._axes = [settings.axes[letter] for letter in sorted(settings.axes)]
         self._joints = [axis.joint for axis in self._axes]
-        self._scales = np.array([axis.counts_per_unit for axis in self._axes])
+        self._places = [GALEN_JOINTS.index(joint) for joint in self._joints]
+        self._scales = [axis.counts_per_unit for axis in self._axes]
         model = Model(
             settings.model, settings.revision, settings.serial_number, settings.limit_polarity == "one_is_clear"
         )
@@ -219,14 +219,14 @@ class VirtualGalilDmc:
         self._tx.put(data, self._now_ns + delay)
 
     def _set_joints(self) -> None:
-        """Tell the world; once is enough while everything rests."""
-        rests = not self.controller.busy
+        """Tell the world; once is enough while everything rests, though a program may run on the controller."""
+        rests = not self.controller.moving
         if rests and self._resting:
             return
         self._resting = rests
         t = self.controller.t
-        states = [axis.physical(t) for axis in self.controller.axes]
-        values = np.zeros((3, len(GALEN_JOINTS)))
-        for joint, state, scale in zip(self._joints, states, self._scales, strict=True):
-            values[:, GALEN_JOINTS.index(joint)] = np.asarray(state) / scale
-        self.world.set_joints(values[0], values[1], values[2], self._now_ns)
+        q, dq, ddq = [[0.0] * len(GALEN_JOINTS) for _ in range(3)]
+        for place, axis, scale in zip(self._places, self.controller.axes, self._scales, strict=True):
+            state = axis.physical(t)
+            q[place], dq[place], ddq[place] = state.p / scale, state.v / scale, state.a / scale
+        self.world.set_joints(q, dq, ddq, self._now_ns)

@@ -52,3 +52,10 @@ def is_definition(data: bytes | bytearray) -> bool:
     if len(data) < SIZE or data[:3] != SIGNATURE:
         return False
     return struct.unpack_from("<H", data, _CHECKSUM)[0] == checksum(data) and _FEWEST <= data[_COUNT] <= _MOST
+
+
+DEFINITIONS: Final = {
+    "tool.rom": make_definition(TOOL_SPHERES_MM, "VIRTUAL-TOOL"),
+    "reference.rom": make_definition(REFERENCE_SPHERES_MM, "VIRTUAL-REFERENCE"),
+}
+"""What comes in the box, by file name."""

@@ -9,11 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.drivers.virtual.faults import parse_fault
-from galen_hw.drivers.virtual.ndi_tracker.definition import (
-    REFERENCE_SPHERES_MM,
-    TOOL_SPHERES_MM,
-    make_definition,
-)
+from galen_hw.drivers.virtual.ndi_tracker.definition import DEFINITIONS
 from galen_hw.drivers.virtual.ndi_tracker.ports import Ports
 from galen_hw.drivers.virtual.ndi_tracker.scene import Scene, SceneSettings, SceneWorld
 from galen_hw.drivers.virtual.ndi_tracker.session import Identity, Session
@@ -76,10 +72,7 @@ class VirtualNdiTracker:
     @property
     def files(self) -> dict[str, bytes]:
         """What comes in the box: the tool definitions of the two marker bodies, by file name."""
-        return {
-            "tool.rom": make_definition(TOOL_SPHERES_MM, "VIRTUAL-TOOL"),
-            "reference.rom": make_definition(REFERENCE_SPHERES_MM, "VIRTUAL-REFERENCE"),
-        }
+        return dict(DEFINITIONS)
 
     @property
     def line(self) -> LineSettings:
