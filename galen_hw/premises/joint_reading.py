@@ -205,9 +205,11 @@ def _of_wrench(some: Observations) -> Array | None:
     return np.array([one.unexplained if one.Q[0, 0] > 0.0 else 1.0])
 
 
-def _of_pose(some: Observations) -> Array:
-    """Of the place, and of the orientation where it is tracked."""
+def _of_pose(some: Observations) -> Array | None:
+    """Of the place, and of the orientation where it is tracked; None where a pose cannot be simulated."""
     scene = scene_of(some)
+    if not np.isfinite(scene.simulated).all():
+        return None
     one = scaled(scene.simulated[:, :3], scene.measured[:, :3])
     left = [one.unexplained if one.Q[0, 0] > 0.0 else 1.0]
     if all(name in some.columns for name in QUATERNION):

@@ -73,13 +73,18 @@ def add_claims(
             "false_alarm_probability": float(np.exp(-min(score, 650.0))),
         }
         finding = Finding(claim.effect, list(claim.channels), list(claim.joints), "", parameters, evidence)
-        finding.says = (
-            f"{remark.what[0].upper()}{remark.what[1:]}: the recorded axes turn as one body against the simulated ones. "
-            f"Solved as a rotation before anything else was fitted; on data it did not learn from it {finding.takes}."
-        )
+        what = f"{remark.what[0].upper()}{remark.what[1:]}: {_solved(claim)}"
+        finding.says = f"{what}; on data it did not learn from it {finding.takes}."
         diagnosis.findings.insert(0, finding)
         diagnosis.terms[:0] = [dict(term) for term in claim.terms]
         diagnosis.verdict = verdict(diagnosis.findings)
+
+
+def _solved(claim: Claim) -> str:
+    """How a claim was solved, in words."""
+    if any(name.startswith(("turn_", "tilt_")) for name in claim.parameters):
+        return "solved exactly as one rotation, before anything else was fitted"
+    return "two fits on either side of that moment against one, before anything else was fitted"
 
 
 def _of_the_whole(findings: list[Finding], judged: Judged, after: Array) -> None:
@@ -92,7 +97,7 @@ def _of_the_whole(findings: list[Finding], judged: Judged, after: Array) -> None
 
 
 def composed(claim: Claim, more: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the parameters of a claim and of what the search found beside it, as one rotation where both are turns."""
+    """Return the parameters of a claim and of what the search found beside it: turns as one rotation, all else as a sum."""
     names = [f"{kind}_{axis}" for kind in ("turn", "tilt") for axis in "xyz" if f"{kind}_{axis}" in claim.parameters]
     first, then = (np.zeros(3), np.zeros(3))
     std = np.zeros(3)
@@ -108,4 +113,8 @@ def composed(claim: Claim, more: Mapping[str, Value]) -> dict[str, Value]:
     for name in names:
         at = "xyz".index(name[-1])
         out[name] = Value(float(whole[at]), float(np.hypot(std[at], claim.parameters[name][1])), "rad")
-    return {**{name: out.pop(name) for name in names}, **out}
+    for name in [name for name in claim.parameters if name not in names]:
+        value, deviation, unit = claim.parameters[name]
+        beside = more.get(name, Value(0.0, 0.0, unit))
+        out[name] = Value(value + beside.value, float(np.hypot(deviation, beside.std)), unit)
+    return {**{name: out.pop(name) for name in claim.parameters}, **out}
