@@ -41,7 +41,7 @@ class ImuUnits:
             if not all(name in seen.columns for name in columns):
                 continue
             scale = _scale(expected, seen.matrix(*columns))
-            unit = next((u for u, f in table.items() if scale and abs(np.log(scale / f)) < 0.05), None)
+            unit = next((u for u, f in table.items() if scale and abs(np.log(scale / f)) < CRITERIA.same_factor), None)
             if unit is None:
                 continue
             seen = with_columns(seen, {name: seen.columns[name] / table[unit] for name in columns})

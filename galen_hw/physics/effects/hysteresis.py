@@ -8,6 +8,7 @@ import numpy as np
 
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import (
+    FARTHEST_SCALE,
     LOADS,
     Columns,
     Effect,
@@ -27,8 +28,6 @@ SLOWER = 1.05
 """Times its shortest constant from which creep is creep."""
 
 
-ALL = 0.8
-"""Share of a load from which what settles of it is all of it."""
 KELVIN = 7
 """Elements by which a spectrum of constants is made up: over three decades two to a decade."""
 
@@ -121,9 +120,8 @@ class Creep(Effect):
         """Settled share of the load, or give of the joint."""
         if self.joint and scene.observations.predict != "position":
             return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
-        # All of a load that is missing at first is behind a filter; more than the load does not come after it.
-        whole = self.form == "less" and not self.channel
-        return (Parameter("share", "1", furthest=ALL if whole else 1.0),)
+        # What is missing at first by more than that is behind a filter: matter that gives so much is no part of a machine.
+        return (Parameter("share", "1", furthest=FARTHEST_SCALE),)
 
     def columns(self, scene: Scene) -> Columns:
         """The load's slow part through its port."""
