@@ -253,18 +253,18 @@ def test_the_tools_life(capsys, poses, tmp_path):
     """Calibrated twice, listed, selected, rolled back, exported, imported elsewhere."""
     for _ in range(2):
         calibrated(capsys, poses, "--tool", "retractor")
-    assert [r["generation"] for r in as_json(capsys, "tool", "history", "retractor")[1]] == [1, 2]
-    assert as_json(capsys, "tool", "select", "retractor")[1] == {"selected": "retractor"}
-    listed = {row["name"]: row for row in as_json(capsys, "tool", "list")[1]}
+    assert [r["generation"] for r in as_json(capsys, "tool", "history", "retractor")[1]["history"]] == [1, 2]
+    assert as_json(capsys, "tool", "select", "retractor")[1]["selected"] == "retractor"
+    listed = {row["name"]: row for row in as_json(capsys, "tool", "list")[1]["tools"]}
     assert listed["retractor"]["selected"]
     assert not listed["pointer"]["calibrated"]
     as_json(capsys, "tool", "rollback", "retractor")
-    assert [r["active"] for r in as_json(capsys, "tool", "history", "retractor")[1]] == [True, False]
+    assert [r["active"] for r in as_json(capsys, "tool", "history", "retractor")[1]["history"]] == [True, False]
 
     file = tmp_path / "retractor.json"
     as_json(capsys, "tool", "export", "retractor", file)
     assert as_json(capsys, "tool", "import", file)[1]["name"] == "retractor"
-    assert [r["active"] for r in as_json(capsys, "tool", "history", "retractor")[1]] == [False, False, True]
+    assert [r["active"] for r in as_json(capsys, "tool", "history", "retractor")[1]["history"]] == [False, False, True]
     for part in (["list"], ["show", "retractor"], ["history", "retractor"]):
         assert main(["tool", *part]) == 0
         assert "retractor/0003-" in capsys.readouterr().out
@@ -276,13 +276,13 @@ def test_the_list_tells_virtual_from_real(capsys, poses):
     (poses / "recording.json").write_text(json.dumps(info | {"virtual": True, "sensor_serial": "FT28417"}))
     _, found = calibrated(capsys, poses, "--tool", "retractor")
     assert (found["tool"]["origin"]["virtual"], found["tool"]["origin"]["sensor_serial"]) == (True, "FT28417")
-    rows = [r for r in as_json(capsys, "tool", "list")[1] if r["name"] == "retractor"]
+    rows = [r for r in as_json(capsys, "tool", "list")[1]["tools"] if r["name"] == "retractor"]
     assert [(r["virtual"], r["calibrated"]) for r in rows] == [(True, True)]
     as_json(capsys, "tool", "select", "retractor")
 
     (poses / "recording.json").write_text(json.dumps(info))
     calibrated(capsys, poses, "--tool", "retractor")
-    rows = [r for r in as_json(capsys, "tool", "list")[1] if r["name"] == "retractor"]
+    rows = [r for r in as_json(capsys, "tool", "list")[1]["tools"] if r["name"] == "retractor"]
     assert [(r["virtual"], r["selected"]) for r in rows] == [(False, False), (True, True)]
     assert main(["tool", "list"]) == 0
     assert capsys.readouterr().out.count("virtual ") == 1
@@ -295,7 +295,7 @@ def test_an_impossible_file_is_not_imported(capsys, tmp_path):
 
     assert main(["tool", "import", str(file)]) == 2
     assert "bad.json: mass: a mass of -1 kg is impossible" in capsys.readouterr().err
-    assert as_json(capsys, "tool", "history", "retractor")[1] == []
+    assert as_json(capsys, "tool", "history", "retractor")[1]["history"] == []
 
 
 REAL = Path(__file__).parents[2] / "shared" / "data" / "ft-kuka-ati-static"

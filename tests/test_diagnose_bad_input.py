@@ -86,7 +86,7 @@ def too_short(c: Columns, i: dict[str, Any]) -> None:
     c.update({k: v[:5] for k, v in c.items()})
 
 
-def backwards(c: Columns, i: dict[str, Any]) -> None:
+def shuffled(c: Columns) -> None:
     order = np.random.default_rng(0).permutation(ROWS)
     c.update({name: values[order] for name, values in c.items()})
 
@@ -120,7 +120,6 @@ REFUSED = {
     missing_channel: "wrench.torque.y has no value",
     empty_channel: "wrench.force.x has no value",
     too_short: "only 5 of 5 rows can be compared",
-    backwards: "of 400 rows; sort the rows, or number the runs",
     standing: "only 1 of 1 rows",
     no_robot: "there is nothing to simulate from",
     robot_not_there: "the robot's file is not there",
@@ -221,7 +220,7 @@ REPAIRED: dict[Callable[[Columns], None], str] = {
     wrong_sign: "force and torque have the opposite sign (reaction instead of action), or the robot hangs upside down; repaired",
     newton_millimetres: "torque is in N mm",
     degrees: "joints are in degrees; repaired",
-    degrees_per_second: "times the position's change (is it in degrees or mm?)",
+    degrees_per_second: "times the position's change (is it in degrees a second?)",
     milliseconds: "it is in ms; repaired",
 }
 WRONG: dict[Callable[[Columns], None], str] = {
@@ -249,6 +248,17 @@ def test_without_repair_the_same_mistake_is_refused(spoil, tmp_path, capsys):
     assert (status, answer["verdict"]) == (1, "unexplained")
     assert [f["effect"] for f in answer["findings"]] == ["unknown"]
     assert REPAIRED[spoil].removesuffix("; repaired") in capsys.readouterr().out
+
+
+def test_rows_out_of_order_are_sorted_by_their_stamps(tmp_path, capsys):
+    """The same recording; without the repair its clock runs backwards, and nothing is compared."""
+    columns = recording()
+    shuffled(columns)
+    status, answer = diagnose(write(tmp_path / "run", columns, INFO))
+    assert (status, answer["verdict"]) == (0, "agrees")
+    assert "rows are not in the order of their stamps" in capsys.readouterr().out
+    assert diagnose(write(tmp_path / "as_it_is", columns, INFO), "--no-repair") == (2, {})
+    assert "sort the rows" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("spoil", WRONG, ids=lambda f: f.__name__)

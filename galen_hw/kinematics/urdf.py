@@ -7,13 +7,13 @@ it reads in another way than its users expect is written for it so that every mo
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from galen_hw.errors import UsageError
+from galen_hw.lazy import cached_property
 from galen_hw.spatial import Array, rotation_about
 
 TURNING: Final = ("revolute", "continuous")

@@ -2,7 +2,7 @@
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 
 from galen_hw.diagnosis.detection.proposal import FEW_ROWS, Sought, moment
 from galen_hw.diagnosis.stats.sampling import Mask
@@ -12,8 +12,8 @@ from galen_hw.spatial import Array
 
 MOST = 12
 """Episodes; more are no touches."""
-OFTEN = 1.0 / 3.0
-"""Share of the rows that nothing touches, at least."""
+COVERED = 0.35
+"""Share of the rows that they may cover."""
 FELT = 3.0
 """Mean square of running means during the episodes, noise alone being one, from which a channel feels them."""
 FEW_POSES = 200
@@ -28,7 +28,7 @@ Episode = tuple[int, int]
 
 
 def contacts(scene: Scene, rest: Array) -> list[Sought]:
-    """Episodes in which the rest (M, C) stays far above its usual level: at most two thirds of the time, rest before and after.
+    """Episodes in which the rest (M, C) stays far above its usual level: at most a third of the time, rest before and after.
 
     Running means over three lengths, all channels together, in units of their own robust spread (so slow noise counts as
     noise). A mean is wider than a knock, or than a touch in a sweep of few poses: these also as narrow as their level says.
@@ -37,17 +37,18 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
     N, C = rest.shape
     if N < FEW_ROWS:
         return []
-    away = _from_usual(rest)
+    away = rest - np.median(rest, axis=0)
+    away = away / np.maximum(1.4826 * np.median(np.abs(away), axis=0), 1e-300)
     out: dict[Contact, Sought] = {}
     for share in SHARES:
         length = max(int(share * N), 5)
         z = uniform_filter1d(away, length, axis=0)
-        spread = _usual(z)[1]
+        spread = 1.4826 * np.median(np.abs(z), axis=0)
         # A channel that hardly ever differs shows no touch by that.
         z = np.where(spread > 0.0, z / np.where(spread > 0.0, spread, 1.0), 0.0)
         loud = np.sum(z**2, axis=1) > chi2.isf(1e-3 * length / N, C)
         wide = [(a, b) for a, b in _loud(loud, length) if a > 0 and b < N]
-        if not wide or sum(b - a for a, b in wide) > (1.0 - OFTEN) * N or len(wide) > MOST:
+        if not wide or sum(b - a for a, b in wide) > COVERED * N or len(wide) > MOST:
             continue
         narrow = []
         if N < FEW_POSES or (share == SHARES[0] and max(b - a for a, b in wide) <= WIDE * length):
@@ -60,24 +61,6 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
                 touch = Contact(names, times)
                 out.setdefault(touch, Sought(touch, N // length))
     return list(out.values())
-
-
-def _usual(x: Array) -> tuple[Array, Array]:
-    """Return level and spread (C,) of x (N, C) where it is most often: the shortest interval that holds a third of the rows.
-
-    A touch may last for more than half of a recording, which the median then is a part of (Rousseeuw and Leroy 1988, the shorth).
-    """
-    x = np.sort(x, axis=0)
-    held = max(int(OFTEN * len(x)), 2)
-    width = x[held - 1 :] - x[: len(x) - held + 1]
-    first = np.argmin(width, axis=0)[None]
-    low, high = np.take_along_axis(x, first, axis=0)[0], np.take_along_axis(x, first + held - 1, axis=0)[0]
-    return 0.5 * (low + high), 0.5 * (high - low) / norm.isf(0.5 - 0.5 * OFTEN)
-
-
-def _from_usual(x: Array) -> Array:
-    level, spread = _usual(x)
-    return np.asarray((x - level) / np.maximum(spread, 1e-300))
 
 
 def _loud(loud: Mask, length: int) -> list[Episode]:

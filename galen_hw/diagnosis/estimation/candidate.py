@@ -3,13 +3,13 @@
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from galen_hw.diagnosis.stats.linear_algebra import pinned_at
 from galen_hw.diagnosis.stats.sampling import Index, Mask
+from galen_hw.lazy import cached_property
 from galen_hw.physics.effects.base import Columns, Effect
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array

@@ -6,7 +6,6 @@ All decisions are then small solves: inner products of columns with each other a
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from galen_hw.diagnosis.estimation.signal_chain import through
 from galen_hw.diagnosis.noise.spectrum import Noise, estimate, quantisation
 from galen_hw.diagnosis.stats.linear_algebra import orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.stats.sampling import Index, Mask, Rows, blocks, set_aside
+from galen_hw.lazy import cached_property
 from galen_hw.physics.effects.base import Columns, Effect, spacing
 from galen_hw.physics.effects.timing import TimeDelay
 from galen_hw.physics.scenes.base import Scene

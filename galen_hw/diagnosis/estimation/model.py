@@ -4,7 +4,6 @@ import itertools
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -17,6 +16,7 @@ from galen_hw.diagnosis.estimation.linearisation import does
 from galen_hw.diagnosis.stats.linear_algebra import solve_sym
 from galen_hw.diagnosis.stats.sampling import Chosen
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
+from galen_hw.lazy import cached_property
 from galen_hw.physics.effects.base import Columns
 from galen_hw.physics.effects.sensor import Saturation
 from galen_hw.spatial import Array

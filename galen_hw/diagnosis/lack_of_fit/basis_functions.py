@@ -3,13 +3,13 @@
 import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Self
 
 import numpy as np
 from scipy.signal import lfilter
 
 from galen_hw.diagnosis.stats.sampling import Mask, Rows
+from galen_hw.lazy import cached_property
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.wrench import WrenchScene
 from galen_hw.spatial import Array
@@ -76,7 +76,7 @@ class Inputs:
             applied forces.
         load: (M, c) simulated channels; rate, second: (M, p) of the positions, by the row; empty without a clock.
         reach: (p,) of the positions.
-        warmth: (M, w) thermometers that move; beside: (M, b) covariates that do.
+        warmth: (M, w) thermometers that move; beside: (M, b) covariates that do, where nothing else moves.
         lags: rows by which the past is taken.
         scales: of position, load, rate, second, warmth and covariates; joints, forces: which columns the positions are; places:
             of warmth; covariates: of `beside`.
@@ -122,7 +122,9 @@ class Inputs:
         raw += [rows.average(np.nan_to_num(given[name]))[:, None] for name in forces]
         places = tuple(n for n in given if n.startswith("temperature.")) if like is None else like.places
         warm = [rows.average(np.nan_to_num(given[name]))[:, None] for name in places]
-        others = covariates(given) if like is None else like.covariates
+        # Beside a motion a covariate may be a consequence, as a clamp's force is.
+        moves = bool(Scale.of(np.concatenate(raw, axis=1)).kept.any())
+        others = (() if moves else covariates(given)) if like is None else like.covariates
         beside = [rows.average(np.asarray(given[name], dtype=float))[:, None] for name in others]
         named = joints, forces, places, others
         still = np.zeros((len(rows), 0))
@@ -269,7 +271,7 @@ def _warm(inputs: Inputs) -> Iterator[tuple[str, Array]]:
 
 
 def _recorded(inputs: Inputs) -> Iterator[tuple[str, Array]]:
-    """Each covariate by itself: the recorder held that it may matter."""
+    """Each covariate by itself."""
     for name, z in zip(itertools.compress(inputs.covariates, inputs.scales[5].kept), inputs.beside.T, strict=True):
         yield name, np.stack([z, np.abs(z), z**2, np.tanh(4.0 * z)], axis=-1)
 

@@ -5,7 +5,6 @@ live services: a function that nobody can explain does not act on a robot.
 """
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -17,6 +16,7 @@ from galen_hw.diagnosis.lack_of_fit.gram import Functions, Sums, by_name
 from galen_hw.diagnosis.lack_of_fit.pursuit import Pursuit
 from galen_hw.diagnosis.lack_of_fit.regression import Blend, Regression
 from galen_hw.diagnosis.stats.sampling import Rows
+from galen_hw.lazy import cached_property
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 

@@ -6,13 +6,13 @@ that a recording of this length can tell from drift it is continued: flat where 
 
 import itertools
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 from scipy.fft import dct, idct, next_fast_len
 
 from galen_hw.diagnosis.noise.low_frequency import LEAST_BANDS, shelves, smoothed, walking, whitest
 from galen_hw.diagnosis.stats.sampling import Mask, Rows
+from galen_hw.lazy import cached_property
 from galen_hw.spatial import Array
 
 SURELY = 2.5

@@ -3,12 +3,12 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from galen_hw.lazy import cached_property
 from galen_hw.spatial import Array
 
 Mask = NDArray[np.bool_]

@@ -10,10 +10,10 @@ of a port is the work of force and weight along its motion, which the other port
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
 
 import numpy as np
 
+from galen_hw.lazy import cached_property
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import once
 from galen_hw.physics.scenes.elastic_arm import FRAMES, GivingScene, Slip

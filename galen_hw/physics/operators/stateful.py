@@ -1,11 +1,11 @@
 """Operators with memory along the rows of a recording, segment by segment, or from one live row to the next."""
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from galen_hw.lazy import cached_property
 from galen_hw.physics.operators.bouc_wen import wear
 from galen_hw.physics.operators.filters import (
     DelayState,

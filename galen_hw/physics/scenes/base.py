@@ -8,12 +8,13 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from functools import cached_property, wraps
+from functools import wraps
 from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from galen_hw.lazy import cached_property
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.operators.stateful import Memory, Operated
 from galen_hw.physics.scenes.initial_state import Beginning

@@ -6,11 +6,11 @@ The effects of joints (compliance, hardening, creep) work on every port: the sce
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from galen_hw.lazy import cached_property
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import once
 from galen_hw.physics.scenes.pose import PoseScene

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -10,6 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import UrdfRobot
+from galen_hw.lazy import cached_property
 from galen_hw.physics.scenes.base import Scene, once
 from galen_hw.physics.signals.differentiation import CUT, has_line, smoothed
 from galen_hw.spatial import Array

@@ -1,10 +1,9 @@
 """The tracked pose of the tool tip, and tracked points whose registration nobody knows."""
 
-from functools import cached_property
-
 import numpy as np
 
 from galen_hw.errors import UsageError
+from galen_hw.lazy import cached_property
 from galen_hw.physics.scenes.base import Scene, once
 from galen_hw.physics.scenes.screws import axis_screws, exponential, joint_screws
 from galen_hw.physics.scenes.sensitivity import Carried, Port

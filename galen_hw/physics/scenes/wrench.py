@@ -1,13 +1,13 @@
 """The wrench of a force/torque sensor: what hangs on it, in the sensor frame."""
 
 from dataclasses import replace
-from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.kinematics import Motion
+from galen_hw.lazy import cached_property
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.operators.stateful import Memory
 from galen_hw.physics.rigid import Body, gravity_in_sensor, inertial_wrench, predicted_wrench, weight_map
