@@ -257,7 +257,7 @@ def test_rows_out_of_order_are_sorted_by_their_stamps(tmp_path, capsys):
     status, answer = diagnose(write(tmp_path / "run", columns, INFO))
     assert (status, answer["verdict"]) == (0, "agrees")
     assert "rows are not in the order of their stamps" in capsys.readouterr().out
-    assert diagnose(write(tmp_path / "as_it_is", columns, INFO), "--no-repair") == (2, {})
+    assert diagnose(write(tmp_path / "as_it_is", columns, INFO), "--no-repair")[0] == 2
     assert "sort the rows" in capsys.readouterr().err
 
 
