@@ -42,6 +42,8 @@ REST_WITHIN_S: Final = 6.0
 SILENT_AFTER_S: Final = 8.0
 STILL_AFTER_S: Final = 3.0
 """As `SILENT_AFTER_S`, for the loops that the arm hangs on."""
+NOTICED_MARGIN_S: Final = 0.15
+"""Beyond the time within which its watchers notice a death: a few of their turns."""
 STALE_S: Final = 0.5
 """A loop that has not turned for so long is said to stand still."""
 DEATHS_ALLOWED: Final = 5
@@ -216,12 +218,25 @@ class Supervisor:
             if code not in (EXIT_USAGE, EXIT_HARDWARE):
                 log.error("%s: ended with status %d; giving up", name, code)
             return code if code > 0 else EXIT_FOUND
-        wait_s = 0.25 * 2 ** (len(process.deaths) - 1)
+        wait_s = max(0.25 * 2 ** (len(process.deaths) - 1), self._noticed_s(name))
         log.error("%s: ended with status %d; started again in %.2g s", name, code, wait_s)
         process.start_at = now + wait_s
         if MOTORS not in process.share.devices and name not in LOOKERS:
             self._broker.command(MOTORS, "stop")
         return EXIT_OK
+
+    def _noticed_s(self, name: str) -> float:
+        """Seconds until the death of a process has surely stopped the arm for good: no motion is to outlive what watched it.
+
+        Forked, a process is back sooner than its silence is noticed: the motors' process would not know that nobody has felt
+        what the arm did, and the controller not that nobody has led it.
+        """
+        motors = self._setup.devices.get(MOTORS)
+        of_controller = 0.0 if motors is None else float(getattr(motors.settings, "watchdog_s", 0.0))
+        limit_s = self._setup.config.daemon.blind_after_s if name == CORE else 0.0
+        if MOTORS in self._processes[name].share.devices:
+            limit_s = max(limit_s, of_controller)
+        return limit_s + NOTICED_MARGIN_S if limit_s else 0.0
 
     def _look_at_readiness(self) -> int:
         """READY once all that is required answers and samples flow; an exit status when that cannot be."""
