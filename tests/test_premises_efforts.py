@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.premises import Action, Examination, examined
+from galen_hw.premises.gravity import tilt_between
 from tests.urdf_parts import joint, link, robot
 
 G = np.array([0.0, 0.0, -9.80665])
@@ -71,6 +72,20 @@ def test_gravity_along_any_direction_is_found(seed: int, angle: float) -> None:
     assert found.observations.belief.gravity == pytest.approx(G, abs=0.1)
     (claim,) = found.claims
     assert claim.effect == "base_tilt"
+    tilt = [claim.parameters[f"tilt_{a}"][0] for a in "xy"]
+    assert Rotation.from_rotvec([*tilt, 0.0]).apply(named) == pytest.approx(G, abs=0.1)
+
+
+@given(st.integers(0, 10_000))
+def test_a_tilt_about_an_axis_of_the_plane_takes_any_direction_to_any_other(seed: int) -> None:
+    """Straight up to straight down, and from one axis of the plane to the other, among them."""
+    rng = np.random.default_rng(seed)
+    axes = np.concatenate([np.eye(3), -np.eye(3), rng.normal(size=(6, 3))])
+    a, b = axes[rng.integers(12)], axes[rng.integers(12)]
+    turn = tilt_between(a, b)
+    assert turn[2] == 0.0
+    moved = Rotation.from_rotvec(turn).apply(a / np.linalg.norm(a))
+    assert moved == pytest.approx(b / np.linalg.norm(b), abs=1e-9)
 
 
 @pytest.mark.parametrize("missing", ["upper", "lower"])

@@ -157,7 +157,7 @@ class RowOrder:
         order = np.argsort(time)
         taken = seen.taken(order)
         before, after = (sum(_roughness(q) for q in moving(one)) for one in (seen, taken))
-        if not after < 0.5 * before:
+        if not after < CRITERIA.half * before:
             return  # a clock that was set: rows follow each other as they stand
         what = f"rows are not in the order of their stamps, which go back {back} times: sorted by them, the motion is smooth"
         yield Remark(self.KEY, what, "", ("time",), Action.REPAIRED, taken)

@@ -25,6 +25,8 @@ class Criteria:
         one_signal: correlation from which two signals are one in another scale.
         most_rows: evenly chosen rows on which a motion's axes are looked at first: it takes a hundredth of a second.
         stretch: rows in one piece of which efforts' units are asked.
+        pieces: contiguous pieces of the rows, each one value: what wanders slowly inside a piece is one piece of luck.
+        standard_errors: over the pieces, or over rows, by which a difference is believed among the hundreds that are looked at.
         fewest_vectors: rows on which a rotation is solved at least; below, too many rotations fit.
     """
 
@@ -42,6 +44,8 @@ class Criteria:
     one_signal: float = 0.95
     most_rows: int = 400
     stretch: int = 800
+    pieces: int = 20
+    standard_errors: float = 5.0
 
 
 CRITERIA: Final = Criteria()

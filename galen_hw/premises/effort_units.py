@@ -6,6 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from galen_hw.kinematics import UrdfRobot
+from galen_hw.physics.channels import joint_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.premises.base import Action, Remark, Stage
@@ -49,7 +50,7 @@ class EffortUnits:
     def _all(self, seen: Observations, scene: Scene, known: list[tuple[str, float]]) -> Iterator[Remark]:
         """Yield what a factor of every joint says: of the efforts, or of the model's masses."""
         names, slopes = tuple(name for name, _ in known), np.array([s for _, s in known])
-        each = ", ".join(f"{name.split('.', 1)[1].rsplit('.', 1)[0]} {s:.3g}" for name, s in known)
+        each = ", ".join(f"{joint_of(name)} {s:.3g}" for name, s in known)
         equal = float(np.max(np.abs(np.log(slopes / np.median(slopes))))) < CRITERIA.same_factor
         table = FORCES if all(scene.units[scene.channels.index(name)] == "N" for name in names) else TORQUES
         units = units_of(float(np.median(slopes)), table) if equal else []
@@ -115,7 +116,7 @@ def _beyond_limits(seen: Observations, scene: Scene) -> Remark | None:
 
 def _limit(seen: Observations, channel: str) -> float:
     """What the URDF says that a joint's motor can do, N m or N; 0 where it says nothing."""
-    robot, name = seen.belief.robot, channel.split(".", 1)[1].rsplit(".", 1)[0]
+    robot, name = seen.belief.robot, joint_of(channel)
     if not isinstance(robot, UrdfRobot) or not robot.model.existJointName(name):
         return 0.0
     limit = float(robot.model.effortLimit[robot.model.joints[robot.model.getJointId(name)].idx_v])
@@ -128,7 +129,7 @@ def _reach(values: Array, scene: Scene, channel: str) -> float:
 
 
 def _speed(scene: object, channel: str) -> Array:
-    joint = channel.split(".", 1)[1].rsplit(".", 1)[0]
+    joint = joint_of(channel)
     return np.asarray(scene.rates[0][:, scene.joint_index(joint)])  # type: ignore[attr-defined]
 
 

@@ -5,26 +5,23 @@ solved exactly beside a constant and friction of any size in every joint.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
 
 from galen_hw.kinematics import UrdfRobot
+from galen_hw.physics.channels import joint_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.joint import EffortScene
-from galen_hw.premises.base import Action, Claim, Remark, Stage
+from galen_hw.premises.base import Action, Remark, Stage
 from galen_hw.premises.channels import compared
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.effort_units import beside_friction
-from galen_hw.premises.rotations import between
+from galen_hw.premises.gravity import angle_between, gravity_remark
 from galen_hw.spatial import Array
 
 FEWEST_ROWS = 50
-PIECES = 20
-"""Of a stretch, each one value of a paired comparison: what is slow inside a piece is one piece of luck."""
-SURE = 3.5
-"""Standard errors, one chance in four thousand."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +46,7 @@ class Efforts:
         if not isinstance(scene, EffortScene) or len(scene) < FEWEST_ROWS or not scene.clock:
             return None
         speeds = scene.rates[0]
-        joints = [name.split(".", 1)[1].rsplit(".", 1)[0] for name in scene.channels]
+        joints = [joint_of(name) for name in scene.channels]
         bases = [np.linalg.qr(beside_friction(speeds[:, scene.joint_index(joint)]))[0] for joint in joints]
         return cls(scene, seen.belief.robot, tuple(bases))
 
@@ -88,28 +85,14 @@ class EffortGravity:
         y = efforts.own((scene.measured - moving)[:, :, None])[:, 0]
         found: Array = np.asarray(np.linalg.lstsq(X, y, rcond=CRITERIA.small_turn)[0], dtype=float)
         length = float(np.linalg.norm(found) / np.linalg.norm(named))
-        turn = between(named, found) if length > 0.0 else np.zeros(3)
-        if abs(length - 1.0) > CRITERIA.gross_left or np.linalg.norm(turn) <= CRITERIA.least_turn:
+        if abs(length - 1.0) > CRITERIA.gross_left or angle_between(named, found) <= CRITERIA.least_turn:
             return
-        gravity: Array = np.asarray(found / length, dtype=float)
+        gravity = found / length
         left, plain = efforts.unexplained(moving + port @ gravity), efforts.unexplained(scene.simulated)
         turned = efforts.unexplained(-scene.simulated)
         if left > min(CRITERIA.gross_left, CRITERIA.gross_gain * plain, CRITERIA.half * turned):
             return
-        yield self._remark(seen, gravity, turn, scene.channels)
-
-    def _remark(self, seen: Observations, gravity: Array, turn: Array, channels: tuple[str, ...]) -> Remark:
-        direction = ", ".join(f"{g:.2f}" for g in gravity)
-        angle = np.degrees(np.linalg.norm(turn))
-        what = f"gravity points along ({direction}) m/s^2 in the base, {angle:.1f} deg from what is named"
-        parameters = {f"tilt_{a}": (float(turn[k]), 0.0, "rad") for k, a in enumerate("xy")}
-        term = {"effect": "base_tilt", "parameters": {"axis": "xy", **{k: v[0] for k, v in parameters.items()}}}
-        claim = Claim("base_tilt", parameters, channels, terms=(term,))
-        robot = seen.belief.robot
-        assert isinstance(robot, UrdfRobot), "asked only of efforts of a URDF"
-        repaired = replace(seen, belief=replace(seen.belief, gravity=gravity, robot=robot.under(gravity)))
-        todo = f'"gravity": [{direction}] in recording.json'
-        return Remark(self.KEY, what, todo, channels, Action.REPAIRED, repaired, claim)
+        yield gravity_remark(self.KEY, seen, gravity, scene.channels)
 
 
 class MissingBody:
@@ -146,7 +129,7 @@ class MissingBody:
         zero = np.zeros_like(scene.q)
         dq, ddq = scene.rates if scene.belief.dynamic else (zero, zero)
         whole = efforts.robot.body_regressor(joint, scene.q, dq, ddq)
-        order = [scene.joint_index(name.split(".", 1)[1].rsplit(".", 1)[0]) for name in scene.channels]
+        order = [scene.joint_index(joint_of(name)) for name in scene.channels]
         X = efforts.own(whole[:, order])
         size = np.linalg.norm(X, axis=0)
         X = X[:, size > 0.0] / size[size > 0.0]
@@ -154,7 +137,7 @@ class MissingBody:
 
 
 def _surely_less(rest: Array, other: Array) -> bool:
-    """Return whether a residual (C, N) is less than another's, piece by piece, by `SURE` standard errors of the difference."""
-    pieces = np.array_split(np.sum(other**2 - rest**2, axis=0), PIECES)
+    """Return whether a residual (C, N) is less than another's, piece by piece, surely by the difference's error."""
+    pieces = np.array_split(np.sum(other**2 - rest**2, axis=0), CRITERIA.pieces)
     gain = np.array([piece.sum() for piece in pieces])
-    return bool(gain.mean() > SURE * gain.std(ddof=1) / np.sqrt(PIECES))
+    return bool(gain.mean() > CRITERIA.standard_errors * gain.std(ddof=1) / np.sqrt(CRITERIA.pieces))

@@ -10,6 +10,7 @@ from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.imu import turn_rates
 from galen_hw.premises.base import Action, Remark, Stage, with_columns
 from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.rotations import scaled
 from galen_hw.spatial import Array
 
 ACCELERATION: Final = tuple(f"imu.acceleration.{axis}" for axis in "xyz")
@@ -54,9 +55,5 @@ def _scale(expected: Array, measured: Array) -> float:
     good = np.isfinite(measured).all(axis=1) & np.isfinite(expected).all(axis=1)
     if good.sum() < 50:
         return 0.0
-    x, y = (v[good] - v[good].mean(axis=0) for v in (expected, measured))
-    size = float(np.sum(x**2)) * float(np.sum(y**2))
-    product = float(np.sum(x * y))
-    if size <= 0.0 or product / np.sqrt(size) < CRITERIA.one_signal:
-        return 0.0
-    return product / float(np.sum(x**2))
+    one = scaled(expected[good], measured[good])
+    return one.scale if one.Q[0, 0] > 0.0 and one.unexplained < 1.0 - CRITERIA.one_signal**2 else 0.0

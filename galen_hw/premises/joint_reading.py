@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
@@ -26,8 +27,6 @@ OWN: Mapping[str, tuple[str, ...]] = {
 }
 """Columns of a joint that one slip turns round, or exchanges, together."""
 Rates = tuple[Array, Array] | None
-SURE = 6.0
-"""Standard errors by which a channel must miss its simulation before it is doubted."""
 DIFFERENTIABLE_S = 0.05
 """Time between rows up to which a motion of an arm can be differentiated: ten rows of its quickest half second."""
 
@@ -181,7 +180,7 @@ def _doubtful(some: Observations, scene: Scene) -> bool:
         size = max(float(np.sum(own**2)), 1e-300)
         slope = float(np.sum(own * rest)) / size
         std = float(np.std(rest - slope * own)) / np.sqrt(size)
-        if abs(slope - 1.0) > max(CRITERIA.half, SURE * std):
+        if abs(slope - 1.0) > max(CRITERIA.half, CRITERIA.standard_errors * std):
             return True
     return False
 
@@ -238,7 +237,7 @@ def _free(scene: Scene, channel: str) -> Array:
     """(N, k) what may be there besides: a constant, and of an effort the two shapes of friction."""
     if scene.observations.predict != "effort" or not scene.clock:
         return np.ones((len(scene), 1))
-    joint = channel.split(".", 1)[1].rsplit(".", 1)[0]
+    joint = joint_of(channel)
     return beside_friction(scene.rates[0][:, scene.joint_index(joint)])
 
 

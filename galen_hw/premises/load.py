@@ -16,8 +16,6 @@ from galen_hw.spatial import Array
 BODY = 4
 """Mass and first moment: what weight alone shows of a body."""
 KINDS = (("zero", slice(0, 6)), ("load", slice(6, 6 + BODY)))
-SURE = 6.0
-"""Standard errors of a change that is believed, of some hundred rows at which it was looked for."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +167,7 @@ def _best_split(y: Array, port: Array) -> _Split | None:
     whole = _cost(A.reshape(-1, 10), b.reshape(-1))
     drifting = _cost(np.concatenate([A, ramp], axis=2).reshape(-1, 16), b.reshape(-1))
     split = _scanned(A, b)
-    sure = np.abs(split.change) > SURE * split.std
+    sure = np.abs(split.change) > CRITERIA.standard_errors * split.std
     if split.cost > CRITERIA.gross_gain * min(whole, drifting) or not (sure[0] if split.kind == "load" else sure.any()):
         return None
     return split

@@ -6,6 +6,7 @@ from typing import ClassVar, Final
 import numpy as np
 
 from galen_hw.kinematics import Robot, UrdfRobot
+from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns
@@ -90,7 +91,7 @@ class PositionUnits:
         units = (LENGTHS if set(scene.units) == {"m"} else ANGLES).items()
         for unit, factor in units:
             if known and all(abs(np.log(s / factor)) < CRITERIA.same_factor for s in known):
-                joints = [name.split(".", 1)[1].rsplit(".", 1)[0] for name in scene.channels]
+                joints = [joint_of(name) for name in scene.channels]
                 columns = {n: v for n, v in _scaled(seen, joints, factor).items() if not n.endswith(".command")}
                 what = f"positions are {known[0]:.4g} times their simulation: they are in {unit}"
                 return Remark(self.KEY, what, "", tuple(columns), Action.REPAIRED, with_columns(seen, columns))

@@ -9,15 +9,11 @@ import numpy as np
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.pose import POSITION
-from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Remark, Stage
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.spatial import Array
 
 FORCE: Final = tuple(f"applied.force.{a}" for a in "xyz")
-BLOCKS: Final = 20
-"""Contiguous pieces of the rows, each one value: what wanders slowly, in tracker or arm, is one piece of luck."""
-SURE: Final = 5.0
-"""Standard errors over the pieces by which the tip must move against a push."""
 
 
 class PushSigns:
@@ -31,13 +27,13 @@ class PushSigns:
     STAGE: ClassVar[Stage] = Stage.FRAMES
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
-        """Yield one remark where the work of the pushes is surely negative; the force is turned round."""
+        """Yield one remark where the work of the pushes is surely negative."""
         names = (*FORCE, *POSITION)
         if seen.predict != "pose" or seen.belief.robot is None or not all(n in seen.columns for n in names):
             return
         joints = [n for j in seen.belief.robot.joint_names if (n := f"joint.{j}.position") in seen.columns]
         some = seen.taken(np.flatnonzero(np.isfinite(seen.matrix(*names, *joints)).all(axis=1)))
-        if len(some) < BLOCKS * CRITERIA.fewest_vectors:
+        if len(some) < CRITERIA.pieces * CRITERIA.fewest_vectors:
             return
         scene = scene_of(replace(some, belief=replace(some.belief, compliance={})))
         force, give = some.matrix(*FORCE), scene.residual[:, :3]
@@ -51,11 +47,11 @@ class PushSigns:
         slope, spread = _given(force, give)
         stands = arm <= float(np.sum(np.var(give, axis=0)))
         alike = float(np.sum(force * give)) / np.sqrt(size)
-        if slope < -SURE * spread and (stands or alike < -CRITERIA.half):
-            repaired = with_columns(seen, {name: -seen.columns[name] for name in FORCE})
+        if slope < -CRITERIA.standard_errors * spread and (stands or alike < -CRITERIA.half):
             told = f"the tip moves against applied.force, by {-1e6 * slope:.3g} +- {1e6 * spread:.2g} um/N"
-            what = f"{told}: its sign is opposite, it is the arm's reaction and not the push"
-            yield Remark(self.KEY, what, "", FORCE, Action.REPAIRED, repaired)
+            what = f"{told}: its sign is opposite, the arm's reaction and not the push"
+            # Not turned round: other sets of the same session, whose pushes say less, would keep the wrong sign.
+            yield Remark(self.KEY, what, "turn applied.force round, in all sets alike", FORCE, Action.REFUSED)
 
 
 def _given(F: Array, d: Array) -> tuple[float, float]:
@@ -63,4 +59,4 @@ def _given(F: Array, d: Array) -> tuple[float, float]:
     work, size = np.sum(F * d, axis=1), np.sum(F**2, axis=1)
     slope = float(work.sum() / size.sum())
     left = work - slope * size
-    return slope, float(np.sqrt(sum(piece.sum() ** 2 for piece in np.array_split(left, BLOCKS))) / size.sum())
+    return slope, float(np.sqrt(sum(piece.sum() ** 2 for piece in np.array_split(left, CRITERIA.pieces))) / size.sum())

@@ -109,18 +109,6 @@ def as_turn(R: Array) -> str:
     return f"{np.degrees(angle):.1f} deg about ({', '.join(f'{a:.2f}' for a in axis)})"
 
 
-def between(a: Array, b: Array) -> Array:
-    """Return (3,) the least rotation vector, rad, that takes the direction of a to that of b."""
-    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-    axis = np.cross(a, b)
-    sine, cosine = float(np.linalg.norm(axis)), float(a @ b)
-    if sine < 1e-9:
-        other = np.eye(3)[int(np.argmin(np.abs(a)))]
-        axis, sine = np.cross(a, other), float(np.linalg.norm(np.cross(a, other)))
-        return np.asarray(axis / sine * np.arccos(np.clip(cosine, -1.0, 1.0)))
-    return np.asarray(axis / sine * np.arctan2(sine, cosine))
-
-
 def turned_alike(expected: Array, R: Array) -> tuple[Array, float]:
     """Return the turn G (3, 3) of R (N, 3, 3) = expected G, and the rms angle (rad) that it leaves."""
     relative = np.swapaxes(expected, 1, 2) @ R

@@ -10,7 +10,8 @@ from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Claim, Remark, Stage
 from galen_hw.premises.criteria import CRITERIA
-from galen_hw.premises.rotations import angle_of, as_axes, as_turn, between, nearest_axes, signed_permutations
+from galen_hw.premises.gravity import angle_between, gravity_remark
+from galen_hw.premises.rotations import angle_of, as_axes, as_turn, nearest_axes, signed_permutations
 from galen_hw.premises.wrench_reading import (
     FORCE,
     ORIENTATION,
@@ -65,7 +66,12 @@ class WrenchFrames:
             found = self._found(comparable(seen))
         if found is None:
             return
-        remark = self._of_gravity(seen, found) if found.kind == "gravity" else self._of_axes(seen, found)
+        gravity = found.kind == "gravity"
+        remark = (
+            gravity_remark(self.KEY, seen, _gravity(found.reading)[0], (*FORCE, *TORQUE))
+            if gravity
+            else self._of_axes(seen, found)
+        )
         if remark is not None:
             yield remark
 
@@ -84,27 +90,6 @@ class WrenchFrames:
         if best is not None and np.array_equal(best.Q, -IDENTITY):
             best = _sign_or_gravity(seen, best)
         return None if best is not None and best.kind == "gravity" and not _possible(seen, best) else best
-
-    def _of_gravity(self, seen: Observations, found: _Found) -> Remark:
-        weight, _ = _gravity(found.reading)
-        size = float(np.linalg.norm(seen.belief.gravity))
-        gravity = size * weight / np.linalg.norm(weight)
-        if np.linalg.norm(between(-seen.belief.gravity, gravity)) < CRITERIA.least_turn:
-            gravity = -seen.belief.gravity  # hung upside down; what is left is small, and an effect's
-        turn = between(seen.belief.gravity, gravity)
-        direction = ", ".join(f"{g:.2f}" for g in gravity)
-        angle = np.degrees(np.linalg.norm(turn))
-        what = f"gravity points along ({direction}) m/s^2 in the base, {angle:.1f} deg from what is named"
-        parameters = {f"tilt_{a}": (float(turn[k]), 0.0, "rad") for k, a in enumerate("xy")}
-        claim = Claim(
-            "base_tilt",
-            parameters,
-            FORCE + TORQUE,
-            terms=({"effect": "base_tilt", "parameters": {"axis": "xy", **{k: v[0] for k, v in parameters.items()}}},),
-        )
-        repaired = replace(seen, belief=replace(seen.belief, gravity=gravity))
-        todo = f'"gravity": [{direction}] in recording.json'
-        return Remark(self.KEY, what, todo, (*FORCE, *TORQUE), Action.REPAIRED, repaired, claim)
 
     def _of_axes(self, seen: Observations, found: _Found) -> Remark | None:
         """What the force's axes say, and what the torque's do beside them."""
@@ -174,9 +159,7 @@ def _possible(seen: Observations, found: _Found) -> bool:
     mass = sum(body.mass for body in seen.belief.hanging)
     size = float(np.linalg.norm(seen.belief.gravity))
     off = abs(float(np.linalg.norm(weight)) / (mass * size) - 1.0) if mass > 0.0 else 0.0
-    return bool(
-        off < CRITERIA.gross_left and np.linalg.norm(between(seen.belief.gravity, weight)) > CRITERIA.least_turn
-    )
+    return bool(off < CRITERIA.gross_left and angle_between(seen.belief.gravity, weight) > CRITERIA.least_turn)
 
 
 def _best(usable: list[Reading], plain: float) -> _Found | None:

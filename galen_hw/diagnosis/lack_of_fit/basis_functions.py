@@ -34,10 +34,9 @@ PLAIN = (
     *WARM,
 )
 """Families of low powers of the inputs at the moment: what they say of one motion holds of another."""
-COMPUTED = tuple(
-    f"covariate.{name}" for name in ("compensated.", "std.", "samples", "pose", "tool", "verify", "joint_age")
-)
-"""Covariates that this program adds itself, by how they begin."""
+COMPUTED = ("compensated.", "std.")
+COUNTED = frozenset({"samples", "pose", "tool", "verify", "joint_age"})
+"""Covariates that this program adds itself: by how they begin, and by their names."""
 MOST_PRODUCTS = 40
 MOST_PAIRS = 25
 PLACES = np.array([-1.5, -0.5, 0.5, 1.5])
@@ -278,7 +277,8 @@ def _recorded(inputs: Inputs) -> Iterator[tuple[str, Array]]:
 
 def covariates(columns: Mapping[str, Array]) -> tuple[str, ...]:
     """Return the covariates that may be a cause: no count, no clock, and none that was computed from the compared group."""
-    names = (n for n in columns if n.startswith("covariate.") and not n.startswith(COMPUTED))
+    given = {n: n.removeprefix("covariate.") for n in columns if n.startswith("covariate.")}
+    names = (n for n, own in given.items() if own not in COUNTED and not own.startswith(COMPUTED))
     return tuple(n for n in names if np.isfinite(columns[n]).all() and not _counts(np.diff(columns[n])))
 
 
