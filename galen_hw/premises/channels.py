@@ -1,4 +1,4 @@
-"""Compared channels against their simulation: dead ones, and joints that read with the other sign or each other's value."""
+"""Compared channels against their simulation: dead ones and joints that read with the other sign or each other's value."""
 
 from collections.abc import Iterator
 from typing import ClassVar, Final
@@ -75,29 +75,23 @@ class DeadChannels:
 
 
 class JointSigns:
-    """Tests efforts and positions of joints: the opposite sign of the simulation, or another joint's value."""
+    """Tests efforts and positions of joints, channel by channel: the opposite sign of the simulation, their constant included."""
 
     KEY: ClassVar[str] = "joint_signs"
     STAGE: ClassVar[Stage] = Stage.FRAMES
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
-        """Yield a remark for each joint, or pair of joints; repaired where nothing else can be meant."""
+        """Yield a remark for each joint that is its simulation turned round; what is less clear is asked later."""
         if seen.predict not in ("effort", "position"):
             return
         scene = compared(seen)
         if scene is None or len(scene) < 50 or not np.isfinite(scene.simulated).all():
             return
-        scales = np.array([[slope(s, y) or 0.0 for s in scene.simulated.T] for y in scene.measured.T])
-        for c, name in enumerate(scene.channels):
-            if scales[c, c] < 0.0 and _turned(scene.measured[:, c], scene.simulated[:, c]):
+        for name, y, x in zip(scene.channels, scene.measured.T, scene.simulated.T, strict=True):
+            if (slope(x, y) or 0.0) < 0.0 and _turned(y, x):
                 seen = with_columns(seen, {name: -seen.columns[name]})
                 what = f"{name} reads with the opposite sign of its simulation"
                 yield Remark(self.KEY, what, "", (name,), Action.REPAIRED, seen)
-            for d in range(c):
-                other = scene.channels[d]
-                if scales[c, d] * scales[d, c] != 0.0 and scales[c, c] == scales[d, d] == 0.0:
-                    what = f"{name} reads like {other} and the other way round: are they swapped?"
-                    yield Remark(self.KEY, what, "give each joint its own column", (name, other), Action.REFUSED)
 
 
 def _turned(y: Array, x: Array) -> bool:

@@ -27,6 +27,7 @@ class Criteria:
         stretch: rows in one piece of which efforts' units are asked.
         pieces: contiguous pieces of the rows, each one value: what wanders slowly inside a piece is one piece of luck.
         standard_errors: over the pieces, or over rows, by which a difference is believed among the hundreds that are looked at.
+        paired_errors: the same over the pieces, of two explanations that are compared once: one chance in four thousand.
         fewest_vectors: rows on which a rotation is solved at least; below, too many rotations fit.
     """
 
@@ -46,6 +47,7 @@ class Criteria:
     stretch: int = 800
     pieces: int = 20
     standard_errors: float = 5.0
+    paired_errors: float = 3.5
 
 
 CRITERIA: Final = Criteria()

@@ -140,4 +140,4 @@ def _surely_less(rest: Array, other: Array) -> bool:
     """Return whether a residual (C, N) is less than another's, piece by piece, surely by the difference's error."""
     pieces = np.array_split(np.sum(other**2 - rest**2, axis=0), CRITERIA.pieces)
     gain = np.array([piece.sum() for piece in pieces])
-    return bool(gain.mean() > CRITERIA.standard_errors * gain.std(ddof=1) / np.sqrt(CRITERIA.pieces))
+    return bool(gain.mean() > CRITERIA.paired_errors * gain.std(ddof=1) / np.sqrt(CRITERIA.pieces))

@@ -100,6 +100,8 @@ class JointReading:
         if not good or plain is None:
             return
         best = good[0]
+        if not _with_constant(some, best):
+            return
         names = " or ".join(", ".join(one.columns) for one in good)
         before, after = (1.0 - _mean(left, plain, found) for left in (plain, found[best]))
         if best.swapped:
@@ -143,6 +145,14 @@ def _tries(some: Observations) -> Iterator[_Try]:
             yield _Try(kind, pair, swapped=True)
         for pair in combinations(joints, 2):
             yield _Try(kind, pair, swapped=False)
+
+
+def _with_constant(some: Observations, best: _Try) -> bool:
+    """Return whether a reading of joints explains the constants of what is compared too: else more is wrong than it says."""
+    if some.predict not in OWN:
+        return True
+    before, after = (float(np.sum((s.measured - s.simulated) ** 2)) for s in map(scene_of, (some, best.read(some))))
+    return after < CRITERIA.half * before
 
 
 def _best(plain: Array, found: Mapping[_Try, Array]) -> list[_Try]:
