@@ -1,4 +1,4 @@
-"""What the docstring of a class says of each of its fields, for the pages of the reference that are written from the code."""
+"""Reads what the docstring of a class says of each of its fields, for the pages that are written from the code."""
 
 import inspect
 import re

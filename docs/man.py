@@ -2,9 +2,8 @@
 
 import os
 import sys
-from pathlib import Path
 
-from docs.reference import STATUS
+from docs.reference import STATUS, write
 from galen_hw.cli import whole_parser
 from galen_hw.version import VERSION
 
@@ -21,13 +20,8 @@ tools and calibrations; another with GALEN_HW_STATE
 
 
 def main() -> int:
-    """Write the page to the path given, or to the standard output."""
-    text = page()
-    if len(sys.argv) > 1:
-        Path(sys.argv[1]).write_text(text, encoding="utf-8")
-    else:
-        print(text, end="")
-    return 0
+    """Write the manual page."""
+    return write(page())
 
 
 def page() -> str:

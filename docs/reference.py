@@ -22,8 +22,12 @@ The same as a manual page: `man galen-hw`, where pip has put it (`share/man/man1
 
 
 def main() -> int:
-    """Write the page to the path given, or to the standard output."""
-    text = reference()
+    """Write the page of the commands."""
+    return write(reference())
+
+
+def write(text: str) -> int:
+    """Write a page to the path that the command line gives, or to the standard output; 0, the status."""
     if len(sys.argv) > 1:
         Path(sys.argv[1]).write_text(text, encoding="utf-8")
     else:

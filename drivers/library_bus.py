@@ -34,7 +34,7 @@ class LibraryBus:
         logging.getLogger("can").setLevel(logging.CRITICAL)  # it logs what we say better, once, as HardwareError
         self._interface, self._counters = interface, counters
         self.news: list[tuple[str, str]] = []
-        """What error frames have said since this was emptied: what, what to do."""
+        """Of error frames since this was emptied: what they say, and what to do."""
         try:
             self._bus = can.Bus(channel, interface, ignore_config=True, **options)
         except can.CanError as error:

@@ -48,14 +48,14 @@ _HEAD: Final = re.compile(rb"t([0-7][0-9A-Fa-f]{2})([0-8])")
 _OTHER: Final = re.compile(rb"(?:[rdb][0-7][0-9A-Fa-f]{2}|[TRDB][01][0-9A-Fa-f]{7})[0-9A-Fa-f][0-9A-Fa-f]*")
 _ANSWERS: Final = re.compile(rb"[zZ]?|[VN][0-9A-Za-z]{4}|F[0-9A-Fa-f]{2}")
 _SENT: Final = b"z"
-"""What an adapter answers for each frame that it was given."""
+"""An adapter's answer to each frame that it was given."""
 _STAMPS: Final = (0, 4, 8)
 """Digits of a time stamp."""
 
 
 @lru_cache(maxsize=64)
 def _head(text: bytes) -> tuple[int, int] | None:
-    """How a data frame begins: identifier and digits of data; a bus has few of them, again and again."""
+    """Return identifier and digits of data of a data frame's head; a bus has few of them, again and again."""
     found = _HEAD.fullmatch(text)
     return None if found is None else (int(found[1], 16), 2 * int(found[2]))
 

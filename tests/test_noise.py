@@ -24,7 +24,7 @@ from galen_hw.diagnosis.noise.low_frequency import shelves, whitest
 from galen_hw.diagnosis.noise.spectrum import Noise, estimate
 from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.diagnosis.validation.other_recording import noisier
-from galen_hw.physics.effects.base import Columns
+from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.events import Contact, Vibration
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.effects.sensor import WALK

@@ -19,7 +19,9 @@ from typing import Self
 
 import numpy as np
 
-from galen_hw.physics.effects.base import Columns, Effect, Parameter
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns
+from galen_hw.physics.effects.parameters import Parameter
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 

@@ -170,9 +170,10 @@ class _Bearing:
 
 
 def _root(excess: Callable[[float], float], near: float, far: float) -> float:
-    """Where `excess` is 0 between two places where its signs differ: false position as of Illinois (Dowell and Jarratt 1971).
+    """Return where `excess` is 0 between two places where its signs differ: Illinois false position (Dowell, Jarratt 1971).
 
-    scipy's solvers need `scipy.optimize`, which would be half of all that the virtual robot loads when it starts.
+    scipy's solvers need `scipy.optimize`, which would be half of all that the virtual robot loads when it starts; loaded with
+    the first load on a bearing, it would hold the robot up in its motion.
     """
     at_near, at_far = excess(near), excess(far)
     while abs(at_far) > _BALANCED and far != near:

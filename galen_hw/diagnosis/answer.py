@@ -15,7 +15,6 @@ from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.diagnosis.validation.verdict import beyond, contradicted, outlying, verdict_of
 from galen_hw.physics.effects.events import Glitches
-from galen_hw.physics.effects.sensor import Drift
 
 
 def answer(
@@ -70,7 +69,7 @@ def answer(
 
 
 def _limit(bench: Bench) -> str:
-    """The smallest effect that would have been seen, in words: a slow one, where noise is slow."""
+    """Return the smallest effect that would have been seen, in words: a slow one, where noise is slow."""
     rows = max(int(bench.train.sum()), 1)
     least = np.sqrt(2.0 * 14.0 / rows * np.maximum(bench.noise.slow, bench.noise.sigma**2))
     worst = ", ".join(f"{n} {v:.2g}" for n, v in zip(bench.scene.channels, least, strict=True))
@@ -78,11 +77,9 @@ def _limit(bench: Bench) -> str:
 
 
 def _wandering(model: Model) -> list[str]:
-    """Which channels wander by more than their quick noise although no drift was found: nobody is to take them for quiet."""
+    """Return which channels wander by more than their quick noise without a drift: nobody is to take them for quiet."""
     bench = model.bench
-    drifting = {
-        name for h in model.effects if isinstance(h.effect, Drift) for name in h.effect.channels or (h.effect.channel,)
-    }
+    drifting = {name for h in model.effects if h.effect is not None for name in h.effect.wandering}
     told = [
         f"{name} {wander:.2g} {unit}"
         for name, unit, wander, quick in zip(bench.scene.channels, bench.scene.units, *bench.noise.wander, strict=True)

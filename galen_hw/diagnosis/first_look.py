@@ -12,13 +12,12 @@ from galen_hw.diagnosis.lack_of_fit import structure_test
 from galen_hw.diagnosis.searching import searched
 from galen_hw.diagnosis.selection.moves.clock_offset import far_off
 from galen_hw.diagnosis.selection.proposals import at_first_sight
-from galen_hw.physics.effects.base import Columns, Effect
-from galen_hw.physics.effects.events import Contact, Glitches
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns
+from galen_hw.physics.effects.events import Glitches
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
-PARTS = 6
-"""Into which a touch is parted so that nothing of it passes for noise."""
 LEAST_SHARE = 12
 """Rows for each direction that may be kept from passing for noise."""
 COARSE = 3000
@@ -43,12 +42,9 @@ class Known:
         """On the rows of a bench: what must not pass for noise, as it arrives."""
         with bench.delivering(self.ends):
             out = [bench.raw(effect.relaxed) for effect, _ in self.effects]
-            # How a touch swells and turns round inside its episode no plain shape follows; it is no noise for that.
-            touches = [effect for effect, _ in self.effects if isinstance(effect, Contact)]
-            out += [bench.raw(effect.parted(PARTS)) for effect in touches]
-            if self.step > bench.spacing:
-                # And where it begins and ends is known to a row of the first look.
-                out += [bench.raw(effect.edges(self.step).parted(2)) for effect in touches]
+            # Moments are known to a row of the first look.
+            step = self.step if self.step > bench.spacing else 0.0
+            out += [bench.raw(more) for effect, _ in self.effects for more in effect.unshaped(step)]
             everywhere = tuple(range(bench.width))
             for effect, theta in self.effects:
                 change = effect.exact(bench.scene, theta)

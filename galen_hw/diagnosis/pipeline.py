@@ -19,7 +19,7 @@ from galen_hw.diagnosis.validation.flexible_effects import left_by, left_of_anot
 from galen_hw.diagnosis.validation.holdout import earned
 from galen_hw.diagnosis.validation.verdict import beyond, strong, trifles, verdict_of
 from galen_hw.diagnosis.work import Work
-from galen_hw.physics.effects.base import Columns
+from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.premises import Examination, examined

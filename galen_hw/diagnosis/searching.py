@@ -19,7 +19,8 @@ from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.diagnosis.validation.flexible_effects import left_by
 from galen_hw.diagnosis.validation.holdout import earned
 from galen_hw.diagnosis.validation.judgement import Judged
-from galen_hw.physics.effects.base import Columns, Effect
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.scenes.base import Scene
 
 Search = tuple[Selection, Model]

@@ -10,7 +10,8 @@ import numpy as np
 from galen_hw.diagnosis.stats.linear_algebra import pinned_at
 from galen_hw.diagnosis.stats.sampling import Index, Mask
 from galen_hw.lazy import cached_property
-from galen_hw.physics.effects.base import Columns, Effect
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 

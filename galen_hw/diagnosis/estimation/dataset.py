@@ -18,7 +18,9 @@ from galen_hw.diagnosis.noise.spectrum import Noise, estimate, quantisation
 from galen_hw.diagnosis.stats.linear_algebra import orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.stats.sampling import Index, Mask, Rows, blocks, set_aside
 from galen_hw.lazy import cached_property
-from galen_hw.physics.effects.base import Columns, Effect, spacing
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns
+from galen_hw.physics.effects.parameters import spacing
 from galen_hw.physics.effects.timing import TimeDelay
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import fading

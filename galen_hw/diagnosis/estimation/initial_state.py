@@ -5,7 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from galen_hw.physics.effects.base import Columns, Effect
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.hysteresis import Creep
 from galen_hw.physics.effects.sensor import Drift
 from galen_hw.physics.effects.timing import Timing

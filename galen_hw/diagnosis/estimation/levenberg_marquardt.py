@@ -10,7 +10,7 @@ from galen_hw.diagnosis.estimation.least_squares import rests
 from galen_hw.diagnosis.estimation.linearisation import does, tangent
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.stats.linear_algebra import solve_sym
-from galen_hw.physics.effects.base import Columns
+from galen_hw.physics.effects.columns import Columns
 from galen_hw.spatial import Array
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.estimation.signal_chain import arrived
-from galen_hw.physics.effects.base import Columns, Effect
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.timing import TimeDelay
 from galen_hw.spatial import Array
 

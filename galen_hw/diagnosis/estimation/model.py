@@ -17,7 +17,7 @@ from galen_hw.diagnosis.stats.linear_algebra import solve_sym
 from galen_hw.diagnosis.stats.sampling import Chosen
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.lazy import cached_property
-from galen_hw.physics.effects.base import Columns
+from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.sensor import Saturation
 from galen_hw.spatial import Array
 

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from galen_hw.physics.effects.base import Columns, Downstream, Effect
+from galen_hw.physics.effects.base import Downstream, Effect
+from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.interactions import Placed, compound, meet
 from galen_hw.physics.effects.sensor import Saturation
 from galen_hw.physics.scenes.base import Scene

@@ -13,7 +13,7 @@ from galen_hw.diagnosis.estimation.dataset import Bench, rich_basis
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs, broad, local
 from galen_hw.diagnosis.stats.linear_algebra import orthonormal, scaled
 from galen_hw.diagnosis.stats.sampling import Index, folds
-from galen_hw.physics.effects.base import Columns
+from galen_hw.physics.effects.columns import Columns
 from galen_hw.spatial import Array
 
 Z_NEEDED = 4.5

@@ -6,8 +6,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effects.base import Columns, Effect, Parameter, Searched, duration, log_grid, spacing, through
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns, through
 from galen_hw.physics.effects.hysteresis import let_through
+from galen_hw.physics.effects.parameters import Parameter, Searched, duration, log_grid, spacing
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.signals.differentiation import row_noise
 from galen_hw.spatial import Array

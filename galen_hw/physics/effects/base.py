@@ -1,59 +1,16 @@
 """What an effect is: a named piece of physics, its linear parameters, and the few nonlinear ones that are searched."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, replace
 from typing import Any, ClassVar, Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from galen_hw.physics.effects.columns import Columns
+from galen_hw.physics.effects.parameters import Parameter, Searched
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
-
-FARTHEST_SCALE = 0.5
-"""Relative error of a scale, or leak into a channel of the same unit, beyond which no sensor or encoder is in service: a unit or
-an axis is mixed up instead, or other physics is missing."""
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """A linear parameter: its null value is 0, where the effect vanishes exactly.
-
-    Args:
-        name: as it stands in findings and files.
-        unit: SI, as text.
-        low, high: physical bounds.
-        expected: what it must be if the physics is what it is called (the share of a plain play is 1).
-        furthest: size beyond which no machine is so wrong, whatever the data say: noise of the joints is made large by it.
-    """
-
-    name: str
-    unit: str
-    low: float = -np.inf
-    high: float = np.inf
-    expected: float | None = None
-    furthest: float = np.inf
-
-    def plausible(self, value: float, std: float) -> bool:
-        """Within the bounds and, where one value is expected, near it: two fifths or three standard deviations."""
-        return self.low - 3.0 * std <= value <= self.high + 3.0 * std and self.near(value, std)
-
-    def near(self, value: float, std: float) -> bool:
-        """Near the one value that is expected, if any: two fifths or three standard deviations; and no size beyond belief."""
-        if abs(value) > self.furthest:
-            return False
-        return self.expected is None or abs(value - self.expected) <= max(0.4, min(3.0 * std, 0.9))
-
-
-@dataclass(frozen=True, slots=True)
-class Searched:
-    """A nonlinear parameter (a field of the effect) with its unit and bounds; searched on a logarithmic scale."""
-
-    low: float
-    high: float
-    unit: str
-
 
 DOUBT: Final = 2.2
 """`Effect.doubt` where the proposals stand on a grid of octaves or so."""
@@ -61,36 +18,6 @@ DOUBT: Final = 2.2
 
 LOADS: Final = ("wrench", "effort")
 """Groups whose channels are loads."""
-
-
-SAMPLED: Final = 97
-"""So many rows are looked at before a column is searched for a value: nearly all columns are full."""
-
-
-@dataclass(frozen=True, slots=True)
-class Columns:
-    """Regressors (N, len(channels), k) that live in some channels only."""
-
-    channels: tuple[int, ...]
-    values: Array
-
-    @property
-    def count(self) -> int:
-        """Number of linear parameters."""
-        return int(self.values.shape[2])
-
-    def live(self) -> NDArray[np.bool_]:
-        """(len(channels), k) where a column is not zero throughout: parameters of their own in each channel leave most empty."""
-        out = np.asarray(self.values[:: max(1, len(self.values) // SAMPLED)].any(axis=0))
-        for i, k in np.argwhere(~out):
-            out[i, k] = self.values[:, i, k].any()
-        return out
-
-    def full(self, width: int) -> Array:
-        """(N, width, k) with zeros in the other channels."""
-        out = np.zeros((self.values.shape[0], width, self.count))
-        out[:, list(self.channels)] = self.values
-        return out
 
 
 class Effect(ABC):
@@ -290,6 +217,20 @@ class Effect(ABC):
         return ""
 
     @property
+    def wandering(self) -> tuple[str, ...]:
+        """Channels whose slow movement it is."""
+        return ()
+
+    def unshaped(self, step: float) -> tuple["Effect", ...]:
+        """What it may do besides, in no shape of its own, that must not pass for noise.
+
+        Args:
+            step: s, to which its moments are known; 0: to the row.
+        """
+        del step
+        return ()
+
+    @property
     def relaxed(self) -> Self:
         """The same with more parameters than its physics has, so that it is linear in them."""
         return self
@@ -388,60 +329,3 @@ class Downstream(Effect):
     @abstractmethod
     def delivered(self, scene: Scene, columns: Columns, theta: Array) -> Columns:
         """What another effect does (`columns`), as it arrives behind this one with its parameters theta."""
-
-
-def in_channel(channel: int, columns: Iterable[Array]) -> Columns:
-    """Columns (N,) of one channel."""
-    return Columns((channel,), _abreast(columns)[:, None, :])
-
-
-def _abreast(columns: Iterable[Array]) -> Array:
-    """(N, n) columns (N,) side by side; a single one is not copied, for nobody writes to it."""
-    each = list(columns)
-    return each[0][:, None] if len(each) == 1 and each[0].flags.c_contiguous else np.stack(each, axis=-1)
-
-
-def in_each(places: tuple[int, ...], shapes: Array) -> Columns:
-    """Columns (N, c, c n): the same shapes (N, n) in c channels, each with coefficients of its own, channel by channel."""
-    count = shapes.shape[1]
-    # Column by column in memory: most stay empty, and are never touched.
-    values = np.zeros((len(places), count * len(places), len(shapes)))
-    for i in range(len(places)):
-        values[i, i * count : (i + 1) * count] = shapes.T
-    return Columns(places, values.transpose(2, 0, 1))
-
-
-def in_all(columns: Iterable[Array], width: int) -> Columns:
-    """Columns (N, C) of all channels; those in which all are zero are left out, where any is not."""
-    values = np.stack(list(columns), axis=-1)
-    live = np.flatnonzero(values.any(axis=(0, 2)))
-    if 0 < len(live) < width:
-        return Columns(tuple(live.tolist()), values[:, live])
-    return Columns(tuple(range(width)), values)
-
-
-def through(scene: Scene, joint: str, signals: Iterable[Array]) -> Columns:
-    """Columns of what errors (N,) of a joint's position do, in the channels in which they show; there must be a port."""
-    return Columns(scene.reached(joint), scene.reaching(joint)[:, :, None] * _abreast(signals)[:, None, :])
-
-
-def unit_of(scene: Scene, channel: str) -> str:
-    """Unit of a channel by name."""
-    return scene.units[scene.channels.index(channel)]
-
-
-def log_grid(low: float, high: float, count: int) -> tuple[float, ...]:
-    """Points of equal ratio; empty where the range is."""
-    return tuple(np.geomspace(low, high, count).tolist()) if high > low > 0.0 else ()
-
-
-def spacing(scene: Scene) -> float:
-    """Median step of the clock, s."""
-    steps = np.diff(scene.time)
-    steps = steps[steps > 0]
-    return float(np.median(steps)) if len(steps) else 1.0
-
-
-def duration(scene: Scene) -> float:
-    """From first to last row, s."""
-    return float(scene.time[-1] - scene.time[0]) if len(scene) else 0.0

@@ -7,7 +7,9 @@ from typing import Final, Self
 import numpy as np
 
 from galen_hw.physics.channels import joint_of
-from galen_hw.physics.effects.base import Columns, Effect, Parameter, in_all, in_channel
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns, in_all, in_channel
+from galen_hw.physics.effects.parameters import Parameter
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.joint import EffortScene
 from galen_hw.spatial import Array, skew

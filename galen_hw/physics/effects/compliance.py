@@ -7,7 +7,9 @@ from typing import ClassVar, Self
 import numpy as np
 
 from galen_hw.physics.channels import joint_of
-from galen_hw.physics.effects.base import Columns, Effect, Parameter, Searched, in_all, log_grid, through
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns, in_all, through
+from galen_hw.physics.effects.parameters import Parameter, Searched, log_grid
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.joint import PositionScene
 from galen_hw.physics.scenes.pose import ArmScene

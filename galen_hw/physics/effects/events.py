@@ -8,7 +8,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effects.base import Columns, Effect, Parameter, Searched, in_each, unit_of
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns, in_each
+from galen_hw.physics.effects.parameters import Parameter, Searched, unit_of
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.sensitivity import Carried
 from galen_hw.spatial import Array
@@ -89,6 +91,10 @@ class Step(_Shaped):
         return average(scene.seen(after.astype(float)))
 
 
+PARTS = 6
+"""Of an episode, in each of which a touch may be otherwise and is no noise for that."""
+
+
 @dataclass(frozen=True)
 class Contact(_Shaped):
     """An outside force during episodes (start, end) in s: in each, a level and a bow in every channel named.
@@ -124,10 +130,11 @@ class Contact(_Shaped):
         edges = [np.linspace(start, end, count + 1).tolist() for start, end in self.episodes]
         return replace(self, episodes=tuple(part for edge in edges for part in itertools.pairwise(edge)))
 
-    def edges(self, width: float) -> Self:
-        """What may happen within so many seconds of where they begin and end."""
-        around = tuple((t - width, t + width) for episode in self.episodes for t in episode)
-        return replace(self, episodes=around, waves=1)
+    def unshaped(self, step: float) -> tuple[Effect, ...]:
+        """How it swells and turns round inside an episode, and what happens about where that begins and ends."""
+        around = tuple((t - step, t + step) for episode in self.episodes for t in episode)
+        edges = (replace(self, episodes=around, waves=1).parted(2),) if step > 0.0 else ()
+        return (self.parted(PARTS), *edges)
 
     def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
         """Box and half sines of every episode."""

@@ -9,7 +9,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from galen_hw.physics.channels import joint_of
-from galen_hw.physics.effects.base import Columns, Effect, Parameter, Searched, in_channel, log_grid, spacing
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns, in_channel
+from galen_hw.physics.effects.parameters import Parameter, Searched, log_grid, spacing
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 

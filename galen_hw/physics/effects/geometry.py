@@ -7,7 +7,9 @@ from typing import Self
 import numpy as np
 
 from galen_hw.physics.channels import joint_unit
-from galen_hw.physics.effects.base import FARTHEST_SCALE, Columns, Effect, Parameter, in_all
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns, in_all
+from galen_hw.physics.effects.parameters import FARTHEST_SCALE, Parameter
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.pose import ArmScene
 from galen_hw.physics.scenes.screws import axis_moves, joint_screws

@@ -7,19 +7,9 @@ from typing import ClassVar, Self
 import numpy as np
 
 from galen_hw.physics.channels import joint_of
-from galen_hw.physics.effects.base import (
-    FARTHEST_SCALE,
-    LOADS,
-    Columns,
-    Effect,
-    Parameter,
-    Searched,
-    duration,
-    in_all,
-    in_channel,
-    log_grid,
-    through,
-)
+from galen_hw.physics.effects.base import LOADS, Effect
+from galen_hw.physics.effects.columns import Columns, in_all, in_channel, through
+from galen_hw.physics.effects.parameters import FARTHEST_SCALE, Parameter, Searched, duration, log_grid
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import Lagging
 from galen_hw.spatial import Array

@@ -6,7 +6,9 @@ from typing import Self
 
 import numpy as np
 
-from galen_hw.physics.effects.base import Columns, Effect, Parameter, in_all
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns, in_all
+from galen_hw.physics.effects.parameters import Parameter
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array, rotation_exp
 

@@ -7,20 +7,9 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from galen_hw.physics.effects.base import (
-    FARTHEST_SCALE,
-    LOADS,
-    Columns,
-    Downstream,
-    Effect,
-    Parameter,
-    Searched,
-    duration,
-    in_channel,
-    in_each,
-    log_grid,
-    unit_of,
-)
+from galen_hw.physics.effects.base import LOADS, Downstream, Effect
+from galen_hw.physics.effects.columns import Columns, in_channel, in_each
+from galen_hw.physics.effects.parameters import FARTHEST_SCALE, Parameter, Searched, duration, log_grid, unit_of
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
@@ -110,6 +99,11 @@ class Drift(Effect):
             for constant in log_grid(length / 30.0, length / 1.5, 5):
                 yield cls(name, "warm_up", constant, start, length)
             yield cls(name, "wander", None, start, length)
+
+    @property
+    def wandering(self) -> tuple[str, ...]:
+        """Of all that it is in."""
+        return self.channels or (self.channel,)
 
     @property
     def freedom(self) -> int | None:

@@ -8,7 +8,9 @@ from typing import ClassVar, Self
 import numpy as np
 
 from galen_hw.physics.channels import joint_of
-from galen_hw.physics.effects.base import Columns, Downstream, Parameter, Searched, log_grid, spacing
+from galen_hw.physics.effects.base import Downstream
+from galen_hw.physics.effects.columns import Columns
+from galen_hw.physics.effects.parameters import Parameter, Searched, log_grid, spacing
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import Beginning, Lagging
 from galen_hw.spatial import Array

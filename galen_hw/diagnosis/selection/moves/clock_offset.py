@@ -15,7 +15,8 @@ from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.kinds import in_each_joint
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
-from galen_hw.physics.effects.base import Columns, Effect
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.timing import TimeDelay
 from galen_hw.spatial import Array
 

@@ -10,7 +10,9 @@ from scipy.optimize import minimize, minimize_scalar
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
-from galen_hw.physics.effects.base import Columns, Effect, log_grid, spacing
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns
+from galen_hw.physics.effects.parameters import log_grid, spacing
 from galen_hw.physics.effects.timing import BETWEEN, Lag, TimeDelay, first_order, second_order
 from galen_hw.spatial import Array
 
