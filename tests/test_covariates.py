@@ -12,7 +12,7 @@ from galen_hw.recording.recording import Recording, RecordingInfo
 ROWS = 600
 
 
-def pulled_servo(give: float) -> Recording:
+def pulled_servo(give: float, pull_name: str = "covariate.pull") -> Recording:
     """A servo that is commanded to stand, at 20 Hz, and gives by so many rad while it is pulled to one side or the other."""
     rng = np.random.default_rng(5)
     time, pull = 0.05 * np.arange(ROWS), np.repeat(rng.normal(size=ROWS // 10), 10)
@@ -22,7 +22,7 @@ def pulled_servo(give: float) -> Recording:
     columns = {
         "time": time,
         "joint.servo.position": measured,
-        "covariate.pull": pull,
+        pull_name: pull,
         "covariate.count": np.arange(ROWS) / 7.0,
     }
     return Recording(columns, info, simulation=Recording(simulated))
@@ -33,6 +33,14 @@ def test_what_follows_a_covariate_is_not_taken_for_noise() -> None:
     (unknown,) = diagnose(scene_of(observations_of(pulled_servo(0.01)))).diagnosis.findings
     assert unknown.effect == "unknown"
     assert "covariate.pull" in unknown.says
+
+
+def test_a_servo_that_stands_gives_by_what_its_load_register_says() -> None:
+    """The stiffness of its loop, in units of the register."""
+    (found,) = diagnose(scene_of(observations_of(pulled_servo(0.01, "covariate.present_load")))).diagnosis.findings
+    assert (found.effect, found.joints) == ("compliance", ["servo"])
+    size = found.parameters["compliance"]
+    assert abs(size.value - 0.01) < 4.0 * size.std < 1e-3
 
 
 def test_a_covariate_without_effect_says_nothing() -> None:

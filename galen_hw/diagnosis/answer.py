@@ -45,9 +45,12 @@ def answer(
         told = ", ".join(key.replace("_", " ") for key in sorted(judged.at_home))
         notes.append(f"the recording held out hardly rouses {told}: told by blocks left out of the first")
     if bench.scene.heard is not None:
-        notes.append(
-            f"above {bench.scene.heard:.3g} Hz the noise of the joint positions, differentiated, drowns all: it was filtered out"
+        why = (
+            "the recording was filtered"
+            if bench.scene.cut
+            else "the noise of the joint positions, differentiated, drowns all"
         )
+        notes.append(f"compared below {bench.scene.heard:.3g} Hz: above it {why}")
     return Diagnosis(
         recording=name,
         holdout="",

@@ -117,7 +117,7 @@ def _belief(recording: Recording) -> Belief:
         zeroed_joints=zeroed_joints(recording, robot),
         gravity=np.array(info.gravity),
         bias_free=info.model.bias == "free",
-        dynamic=info.model.dynamics == "rigid",
+        dynamic=info.model.dynamics == "rigid" and (robot is not None or "dynamics" in info.model.model_fields_set),
         compliance={} if info.model.compliance is None else dict(info.model.compliance.joint),
         distal=() if info.predict in IN_JOINTS else _distal(recording, robot),
         ranges=dict(info.ranges),

@@ -83,7 +83,8 @@ class Bench:
         """Averages the residual and marks the rows set aside."""
         n = len(self.scene)
         # A scene that low-passes what it compares says how many neighbouring rows hold nothing new.
-        self.rows = Rows(tuple(self.scene.segments), max(1, self.scene.grain, -(-n // self.most)))
+        stride = max(1, self.scene.grain, -(-n // self.most))
+        self.rows = Rows(tuple(self.scene.segments), stride, self.scene.cut)
         count = 40 if len(self.rows) >= 400 else max(min(len(self.rows) // 4, 14), 4)
         self.block = blocks(self.rows.runs, count)
         self.aside = set_aside(self.block, self.held, self.seed) if self.held > 0 else np.zeros(len(self.rows), bool)

@@ -23,7 +23,7 @@ HEAD: Final[dict[str, tuple[str, ...]]] = {
     "vibration": ("frequency",),
     "payload": ("mass", "moment_."),
     "base_tilt": ("tilt_.",),
-    "inertial": ("share",),
+    "inertial": ("share", "lever_."),
     "joint_offset": ("offset",),
     "joint_scale": ("scale_error",),
     "link_geometry": (".*_tilt.*", ".*_shift.*", "rod_length.*", "radius.*"),

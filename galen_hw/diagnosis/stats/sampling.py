@@ -2,13 +2,14 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.lazy import cached_property
+from galen_hw.physics.signals.differentiation import CUT, low_passed
 from galen_hw.spatial import Array
 
 Mask = NDArray[np.bool_]
@@ -24,10 +25,16 @@ class Rows:
     Args:
         segments: runs of continuous rows.
         stride: rows in a group; 1 keeps all.
+        cut: cycles a row above which signals are filtered off before, forth and back; 0 filters nothing.
     """
 
     segments: tuple[slice, ...]
     stride: int = 1
+    cut: float = 0.0
+
+    def of(self, segments: Sequence[slice]) -> "Rows":
+        """The same groups of another recording."""
+        return replace(self, segments=tuple(segments))
 
     @cached_property
     def starts(self) -> Index:
@@ -46,6 +53,7 @@ class Rows:
 
     def average(self, x: Array) -> Array:
         """(M, ...) means of (N, ...) over the groups."""
+        x = self._filtered(x)
         if self.stride == 1:
             return x
         out = np.empty((len(self), *x.shape[1:]))
@@ -64,11 +72,26 @@ class Rows:
 
         As `operators.delay` on an even clock, averaged: of the way between two neighbours their means need no row by itself.
         """
-        flat = x.reshape(len(x), -1)
+        flat = self._filtered(x).reshape(len(x), -1)
         parts = [
             _late(flat[part], late, self.stride, bowed=bowed) for part, late in zip(self.segments, steps, strict=True)
         ]
         return (parts[0] if len(parts) == 1 else np.concatenate(parts)).reshape(len(self), *x.shape[1:])
+
+    def _filtered(self, x: Array) -> Array:
+        """Signals (N, ...) without what is quicker than `cut`; a gap (NaN) is bridged, and stays one."""
+        if not self.cut:
+            return x
+        out = np.array(x, dtype=float)
+        for part in self.segments:
+            flat = out[part].reshape(part.stop - part.start, -1)
+            gaps, at = ~np.isfinite(flat), np.arange(len(flat))
+            for j in np.flatnonzero(gaps.any(axis=0) & ~gaps.all(axis=0)):
+                good = ~gaps[:, j]
+                flat[:, j] = np.interp(at, at[good], flat[good, j])
+            passed = low_passed(np.nan_to_num(flat), 1.0, self.cut / CUT)
+            out[part] = np.where(gaps, np.nan, passed).reshape(out[part].shape)
+        return out
 
     def spread(self, x: Mask) -> Mask:
         """(M,) mask of the groups that hold any marked row (N,)."""

@@ -10,7 +10,6 @@ from galen_hw.diagnosis.estimation.cross_validation import white_left_out
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder
 from galen_hw.diagnosis.stats.paired_test import Gain, paired, sure
-from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, predict, touched
 from galen_hw.diagnosis.validation.other_recording import apply, noisier, undisturbed
 from galen_hw.diagnosis.validation.support import LEAST_SUPPORT, Guard, poor, support
@@ -55,7 +54,7 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
         before = np.mean(apply(baseline, holdout, good)[good] ** 2, axis=0)
         floor = floor * noisier(model, rest[good])
         judged = Judged(ELSEWHERE, before, np.mean(rest[good] ** 2, axis=0), {}, floor, episodes=episodes, good=good)
-        noise = replace(bench.noise, rows=Rows(tuple(holdout.segments), bench.rows.stride), kept={})
+        noise = replace(bench.noise, rows=bench.rows.of(holdout.segments), kept={})
         guard = Guard(
             floor,
             lambda part: apply(part, holdout, good)[good],
@@ -108,7 +107,7 @@ def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remaind
         rest = model.rest()[rows]
         fuller = rest - remainder.own(bench.width)[rows]
     else:
-        said = remainder.predict(holdout, Rows(tuple(holdout.segments), bench.rows.stride), bench.width)
+        said = remainder.predict(holdout, bench.rows.of(holdout.segments), bench.width)
         if said is None:
             return judged
         good = np.ones(len(said), dtype=bool) if judged.good is None else judged.good

@@ -102,7 +102,7 @@ def undisturbed(model: Model, scene: Scene) -> tuple[Mask, tuple[tuple[float, fl
     Only what was found in the recording itself is looked for: isolated samples, and outside forces. These are sought again
     once the constants no longer give way to them.
     """
-    rows = Rows(tuple(scene.segments), model.bench.rows.stride)
+    rows = model.bench.rows.of(scene.segments)
     whole = ~rows.spread(scene.ends | scene.unanswered)
     if model.bench.spoilt.any():
         spoilt = outliers.spikes(scene.raw_residual, tuple(scene.segments))
@@ -131,7 +131,7 @@ def apply(model: Model, scene: Scene, good: Mask | None = None, besides: Array |
         good: (M,) rows to fit these on, None: all; besides: (M, C) something else that is taken off.
     """
     bench = model.bench
-    rows = Rows(tuple(scene.segments), bench.rows.stride)
+    rows = bench.rows.of(scene.segments)
     seen = np.ones(len(rows), dtype=bool) if good is None else good
     refit = [h for h in model.parts if h.effect is None]
     lasting = [

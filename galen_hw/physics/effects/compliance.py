@@ -15,6 +15,9 @@ from galen_hw.physics.scenes.joint import PositionScene
 from galen_hw.physics.scenes.pose import ArmScene
 from galen_hw.spatial import Array
 
+LOADS = ("load", "torque", "force", "effort", "current", "duty", "pwm")
+"""Words in the name of a covariate that is what a motor gives: the registers of servos, in units of their own."""
+
 
 @dataclass(frozen=True)
 class Compliance(Effect):
@@ -25,7 +28,7 @@ class Compliance(Effect):
     "all" it bears, what hangs on the arm included (of a joint also that "weight" alone); in positions without a model of the
     weights, the sag of what hangs on the joint under its own weight, a sin + b cos of the angle against the vertical of the
     link beyond it, the sum of the joints from `first` on that turn about parallel axes; `links` more of the chain each with
-    their own ("weight").
+    their own ("weight"). A servo that is told to stand and is pulled, by c times what its load register says ("loop").
 
     Visible when the load changes otherwise than with motion. Confused with time_delay where load follows speed, with
     joint_offset for a constant load, with creep, hardening and payload.
@@ -59,6 +62,17 @@ class Compliance(Effect):
                     yield cls(form, "", "applied")
         if isinstance(scene, PositionScene) and scene.belief.robot is None:
             yield from cls._sagging(scene)
+            yield from cls._pulled(scene)
+
+    @classmethod
+    def _pulled(cls, scene: Scene) -> Iterator[Self]:
+        """Of one joint that nobody moves: beside a motion a load is its consequence."""
+        if scene.moved or len(scene.channels) != 1 or np.ptp(scene.simulated[:, 0]) > 0.0:
+            return
+        for name, values in scene.observations.columns.items():
+            word = name.removeprefix("covariate.")
+            if word != name and any(load in word for load in LOADS) and np.ptp(values) > 0.0:
+                yield cls("loop", joint_of(scene.channels[0]), name)
 
     @classmethod
     def _sagging(cls, scene: Scene) -> Iterator[Self]:
@@ -74,6 +88,8 @@ class Compliance(Effect):
         """Give per load."""
         if self.form == "weight":
             return tuple(Parameter(f"{f}_{link}", "rad") for link in self._links(scene) for f in ("sin", "cos"))
+        if self.form == "loop":
+            return (Parameter("compliance", "rad a unit"),)
         if self.form != "joint":
             return tuple(Parameter(f"compliance_{letter}", "m/N") for letter in "xyz")
         return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
@@ -87,6 +103,8 @@ class Compliance(Effect):
         width = len(scene.channels)
         if self.form == "weight":
             return self._sag(scene)
+        if self.form == "loop":
+            return Columns((0,), np.asarray(scene.observations.columns[self.source], dtype=float)[:, None, None])
         if self.form == "joint":
             load = _load(scene, self.joint, self.source)
             assert load is not None, "proposed only where there is a load"

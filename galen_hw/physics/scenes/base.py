@@ -197,6 +197,11 @@ class Scene(Operated):
         """How many neighbouring rows hold one independent value: more than one where `measured` is filtered."""
         return 1
 
+    @property
+    def cut(self) -> float:
+        """Cycles a row above which the recording was filtered before it was stored; 0: nowhere."""
+        return 0.0
+
     def seen(self, x: Array) -> Array:
         """(N, k) sharp signals as `measured` shows them: through the same filter, where it is filtered."""
         return x

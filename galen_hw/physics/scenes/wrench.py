@@ -15,6 +15,7 @@ from galen_hw.physics.scenes.base import Scene, once
 from galen_hw.physics.scenes.imu import imu_ends, imu_motion, turn_rates
 from galen_hw.physics.scenes.screws import axis_moves, axis_screws, exponential, joint_screws
 from galen_hw.physics.scenes.sensitivity import Port
+from galen_hw.physics.signals.recorded_band import recorded_band
 from galen_hw.spatial import Array, rotation_exp, rotation_from_quaternion, skew, transform
 
 WRENCH = tuple(f"wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz")
@@ -47,6 +48,27 @@ class WrenchScene(Scene):
         T = T.copy()
         T[:, :3, :3] = T[:, :3, :3] @ turn
         return T
+
+    @cached_property
+    def heard(self) -> float | None:
+        """Frequency (Hz) up to which somebody's filter let the wrench through, by the longest segment."""
+        if not self.clock or self.memory is not None or self.whole is not None:
+            return None
+        longest = max(self.segments, key=lambda part: part.stop - part.start)
+        step = float(np.median(np.diff(self.time[longest]))) if longest.stop - longest.start > 1 else 0.0
+        if not step > 0.0:
+            return None
+        return recorded_band(self.observations.matrix(*self.channels)[longest], step, self.units)
+
+    @property
+    def cut(self) -> float:
+        """The same in cycles a row."""
+        return 0.0 if self.heard is None else self.heard * float(np.median(np.diff(self.time)))
+
+    @property
+    def grain(self) -> int:
+        """Four rows a cycle of the cut-off."""
+        return max(1, int(1.0 / (4.0 * self.cut))) if self.cut else 1
 
     @once
     def sensor_in(self, joint: str) -> Array:
@@ -100,7 +122,7 @@ class WrenchScene(Scene):
         return one
 
     def _otherwise(self, **values: Any) -> Self:
-        return super()._otherwise(**{"sensed": self.sensed} | values)
+        return super()._otherwise(**{"sensed": self.sensed, "heard": self.heard} | values)
 
     def _simulate(self) -> Array:
         b = self.belief

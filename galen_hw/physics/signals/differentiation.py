@@ -77,11 +77,13 @@ def _filtered(x: Array, dt: float, band: float | None) -> Array:
 
 
 def low_passed(x: Array, dt: float, band: float) -> Array:
-    """Signal (N,) without what lies above `CUT` times the band (Hz): a Butterworth filter forth and back, no phase."""
+    """Signals (N, ...) without what lies above `CUT` times the band (Hz): a Butterworth filter forth and back, no phase."""
     cut = 2.0 * CUT * band * dt
     if cut >= 0.8 or len(x) < 30:
         return x
-    return np.asarray(sosfiltfilt(butter(3, max(cut, 1e-4), output="sos"), x, padlen=min(len(x) - 1, int(6.0 / cut))))
+    return np.asarray(
+        sosfiltfilt(butter(3, max(cut, 1e-4), output="sos"), x, axis=0, padlen=min(len(x) - 1, int(6.0 / cut)))
+    )
 
 
 def smoothed(time: Array, x: Array, segments: list[slice], band: float, *, bridge: bool = False) -> Array:
