@@ -28,7 +28,7 @@ HEAD: Final[dict[str, tuple[str, ...]]] = {
     "joint_scale": ("scale_error",),
     "link_geometry": (".*_tilt.*", ".*_shift.*", "rod_length.*", "radius.*"),
     "sensor_mounting": ("turn_.", "shift_."),
-    "friction": ("coulomb", "coulomb_forward", "coulomb_backward", "viscous", "stiction"),
+    "friction": ("coulomb", "coulomb_forward", "coulomb_backward", "viscous.*", "stiction"),
     "compliance": ("compliance.*",),
     "torque_ripple": ("wave_number",),
     "cable_drag": ("stiffness", "dry_friction", "eye_friction"),

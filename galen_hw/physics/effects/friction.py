@@ -37,14 +37,15 @@ MOST_TOGETHER = 1.5e7
 class Friction(Effect):
     """Friction in a joint: r = Fc s + Fv v with s = tanh(v / v0), and its kin.
 
-    "asymmetric": own Fc and Fv by direction (with their offset); "stribeck": + Fs s exp(-(v / vs)^2) (Armstrong-Helouvry 1994);
-    "load": + c |load| s. In efforts it adds to the motor's work; a servo without integral action stands off by friction over
-    stiffness (positions, negative). "servo": the same with its sticking at reversals, T dq/dt = z(c - q), z a dead zone of
-    +- `coulomb` (friction over stiffness), T the servo's `response` and c its command s, beside the lag of such a servo without
-    friction; T not below `shortest` (half a sample: what follows quicker and sticks has a play). Of a `simulated` servo, whose T
-    the simulation and its command tell, c is what makes it move as simulated (s + T ds/dt). "creeping_servo": friction that is
-    viscous at creeping speed, so that it gives way with a time constant `settling` while it sticks; either with "_viscous":
-    what more damping holds it back, - b ds/dt behind the response.
+    "asymmetric": own Fc and Fv by direction; "unequal": own Fv alone, where a free constant has what differs of Fc;
+    "stribeck": + Fs s exp(-(v / vs)^2) (Armstrong-Helouvry 1994); "load": + c |load| s. In efforts it adds to the motor's
+    work; a servo without integral action stands off by friction over stiffness (positions, negative). "servo": the same with
+    its sticking at reversals, T dq/dt = z(c - q), z a dead zone of +- `coulomb` (friction over stiffness), T the servo's
+    `response` and c its command s, beside the lag of such a servo without friction; T not below `shortest` (half a sample:
+    what follows quicker and sticks has a play). Of a `simulated` servo, whose T the simulation and its command tell, c is
+    what makes it move as simulated (s + T ds/dt). "creeping_servo": friction that is viscous at creeping speed, so that it
+    gives way with a time constant `settling` while it sticks; either with "_viscous": what more damping holds it back, - b
+    ds/dt behind the response.
     Visible at reversals and at several speeds. Confused with hysteresis and backlash (small widths; a quick servo that sticks
     has the play of its command), time_delay and viscous lag, payload where speed follows gravity.
     """
@@ -81,7 +82,9 @@ class Friction(Effect):
             if joint not in compared or speed <= 0.0:
                 continue
             yield cls(joint, "viscous", 0.05 * speed)
-            forms = ("coulomb", "coulomb_viscous", *(("asymmetric", "load") if _is_effort(scene) else ()))
+            # Beside a free constant the two Coulomb parts of a joint that hardly rests are one, and differ by that constant.
+            unequal = "unequal" if scene.belief.bias_free else "asymmetric"
+            forms = ("coulomb", "coulomb_viscous", *((unequal, "load") if _is_effort(scene) else ()))
             for sharp in (0.01, 0.05, 0.2):
                 yield from (cls(joint, form, sharp * speed) for form in forms)
             if _is_effort(scene):
@@ -131,6 +134,8 @@ class Friction(Effect):
                 Parameter("coulomb_backward", unit, low, high),
                 Parameter("viscous_backward", v.unit),
             )
+        if self.form == "unequal":
+            return c, Parameter("viscous_forward", v.unit), Parameter("viscous_backward", v.unit)
         if self.freedom is not None:
             return (Parameter("share", "1", 0.0, expected=1.0), Parameter("viscous", "s", 0.0))[: 1 + self.freedom]
         extra = {"stribeck": Parameter("stiction", unit, low, high), "load": Parameter("load_share", "1", low, high)}
@@ -160,6 +165,7 @@ class Friction(Effect):
             "viscous": lambda: [v],
             "coulomb_viscous": lambda: [s, v],
             "asymmetric": lambda: [s * forward, v * forward, s * (1.0 - forward), v * (1.0 - forward)],
+            "unequal": lambda: [s, v * forward, v * (1.0 - forward)],
             "stribeck": lambda: [s, v, s * np.exp(-((v / (self.stribeck or 1.0)) ** 2))],
             "load": lambda: [s, v, s * np.abs(np.asarray(scene.load(self.joint), dtype=float))],
         }
