@@ -62,3 +62,35 @@ def test_a_covariate_without_effect_says_nothing() -> None:
 def test_what_counts_as_a_covariate(name: str, values: np.ndarray, asked: bool) -> None:
     """Counts and clocks are time by another name; what was computed from the compared group explains it trivially."""
     assert covariates({name: values}) == ((name,) if asked else ())
+
+
+def standing_servo(pushed: bool) -> Recording:
+    """A servo that is commanded to stand, at 20 Hz, with coloured noise; pushed to and fro in bursts, or left alone."""
+    rng = np.random.default_rng(7)
+    time = 0.05 * np.arange(ROWS)
+    noise = np.convolve(rng.normal(size=ROWS + 19), np.ones(20) / 20**0.5, mode="valid")
+    bursts = np.isin(np.arange(ROWS) // 60, [2, 3, 6, 8])
+    measured = 1.0 + 1e-3 * noise * np.where(bursts & pushed, 8.0, 1.0)
+    simulated = {"time": time, "joint.servo.position": np.full(ROWS, 1.0)}
+    columns = {"time": time, "joint.servo.position": measured}
+    return Recording(columns, RecordingInfo(robot=None, predict="position"), simulation=Recording(simulated))
+
+
+def test_what_comes_and_goes_while_nothing_is_commanded_is_no_noise() -> None:
+    """Noise of one kind has one size, however slow it is; nothing that was simulated can tell of a push."""
+    found = diagnose(scene_of(observations_of(standing_servo(pushed=True)))).diagnosis
+    assert found.verdict != "agrees"
+    assert diagnose(scene_of(observations_of(standing_servo(pushed=False)))).diagnosis.verdict == "agrees"
+
+
+def test_a_link_that_hangs_on_one_servo_sags_by_its_angle() -> None:
+    """No model of weights is needed: sine and cosine of the joint, not a drift that happens to go with it."""
+    rng = np.random.default_rng(2)
+    time = 0.02 * np.arange(1500)
+    command = 0.8 * np.sin(0.35 * time) + 0.3 * np.sin(1.1 * time)
+    measured = command - 0.02 * np.sin(command) + 5e-4 * rng.normal(size=len(time))
+    columns = {"time": time, "joint.servo.position": measured, "joint.servo.command": command}
+    simulation = Recording({"time": time, "joint.servo.position": command})
+    info = RecordingInfo(robot=None, predict="position")
+    found = diagnose(scene_of(observations_of(Recording(columns, info, simulation=simulation)))).diagnosis
+    assert [f.effect for f in found.findings] == ["compliance"]

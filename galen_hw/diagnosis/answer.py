@@ -13,7 +13,7 @@ from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.validation.judgement import Judged
-from galen_hw.diagnosis.validation.verdict import beyond, contradicted, outlying, verdict_of
+from galen_hw.diagnosis.validation.verdict import beyond, contradicted, outlying, unsteady, verdict_of
 from galen_hw.physics.effects.events import Glitches
 
 
@@ -32,7 +32,7 @@ def answer(
     for finding in findings:
         finding.confounded_with = confusions(model, selection, finding)
     rest = left or beyond(judged, model, untouched=True) or contradicted(judged, model)
-    rest = rest if rest or findings else outlying(model)
+    rest = rest if rest or findings else outlying(model) or unsteady(model)
     if premise.wrong or rest:
         findings.append(unknown_finding(bench, judged, rest, premise))
     verdict = verdict_of(findings, rest, premise)
@@ -55,6 +55,7 @@ def answer(
         recording=name,
         holdout="",
         predict=bench.scene.observations.predict,
+        clock=bench.scene.clock,
         verdict=verdict,
         channels=channels_of(bench, judged),
         where=where_of(model) if findings else [],

@@ -53,7 +53,7 @@ class Diagnosis:
     """Everything that is known in the end.
 
     Besides what is specified: `notes` (one line each), `premises` (what was noted, repaired or refused before anything was
-    fitted), `terms` (the saved model) and the channels' `units`.
+    fitted), `terms` (the saved model), the channels' `units`, and whether there is a `clock`: else times are rows.
     """
 
     recording: str
@@ -70,6 +70,7 @@ class Diagnosis:
     premises: list[dict[str, Any]] = field(default_factory=list)
     terms: list[dict[str, Any]] = field(default_factory=list)
     units: dict[str, str] = field(default_factory=dict)
+    clock: bool = True
 
     def to_json(self) -> dict[str, Any]:
         """As specified; numbers that are not finite become null, which JSON has a word for."""

@@ -69,7 +69,8 @@ class DeadChannels:
                 what = (
                     f"{name} stands still at {value:.4g} while its simulation moves by {moves[c]:.3g} {scene.units[c]}"
                 )
-                yield Remark(self.KEY, what, "the channel is dead: leave its column out", (name,), Action.REFUSED)
+                why = "the drive was off, or the channel is dead" if name.endswith(".effort") else "the channel is dead"
+                yield Remark(self.KEY, what, f"{why}: leave its column out", (name,), Action.REFUSED)
             else:
                 yield Remark(self.KEY, f"{name} is constant: the channel may be dead", "", (name,))
 

@@ -21,7 +21,7 @@ from galen_hw.diagnosis.result import Finding, Value
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.significance import CHANCE
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged
-from galen_hw.diagnosis.validation.verdict import FEW_SAMPLES, NOTHING_ELSEWHERE
+from galen_hw.diagnosis.validation.verdict import COMES_AND_GOES, FEW_SAMPLES, NOTHING_ELSEWHERE
 from galen_hw.physics.effects.events import Glitches, Vibration
 from galen_hw.physics.effects.sensor import Saturation
 from galen_hw.physics.scenes.base import Scene
@@ -217,6 +217,11 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
             says = (
                 f"Few samples hold {100 * share:.0f} % of the mean square of {where}, which is {z:.0f} times a usual sample's: "
                 "knocks, or a fault of the sensor, too short or too many to be told."
+            )
+        elif best.kind == COMES_AND_GOES:
+            says = (
+                f"The error in {where} comes and goes, {z**0.5:.2g} times as large at one time as at another, while nothing is "
+                "commanded: a push, play or a cable from outside, or a sensor whose noise changes."
             )
         elif best.kind == NOTHING_ELSEWHERE:
             says = (

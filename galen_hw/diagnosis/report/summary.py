@@ -80,12 +80,14 @@ def _where(d: Diagnosis) -> str:
     out += "".join(f"; {w['says']}" for w in d.where[:1])
     if d.when and any(f.effect in ("contact", "step", "glitches") for f in d.findings):
         more = f" and {len(d.when) - FEW} more" if len(d.when) > FEW else ""
-        out += f"; at {', '.join(moment(a, b) for a, b in d.when[:FEW])}{more}"
+        out += f"; at {', '.join(moment(a, b, d.clock) for a, b in d.when[:FEW])}{more}"
     return out
 
 
-def moment(start: float, end: float) -> str:
-    """A time or a stretch of time."""
+def moment(start: float, end: float, clock: bool = True) -> str:
+    """A time or a stretch of time, s; of a recording without a clock a row or rows."""
+    if not clock:
+        return f"row {start:.0f}" if round(end) <= round(start) else f"rows {start:.0f} to {end:.0f}"
     return f"{start:.2f} s" if end <= start else f"{start:.1f} to {end:.1f} s"
 
 

@@ -10,6 +10,7 @@ from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.result import Finding, Verdict
+from galen_hw.diagnosis.stats.significance import CHANCE
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, touched
 from galen_hw.physics.effects.events import Vibration
 from galen_hw.physics.effects.registry import effect_class
@@ -18,6 +19,7 @@ from galen_hw.spatial import Array
 NOTHING_RECORDED = "nothing that was recorded"
 NOTHING_ELSEWHERE = "nothing that holds elsewhere"
 FEW_SAMPLES = "few samples"
+COMES_AND_GOES = "comes and goes"
 """Words for structure that no function caught."""
 
 BEYOND = 1.5
@@ -143,6 +145,41 @@ def outlying(model: Model) -> list[Left]:
             ratio = float(np.mean(square) / usual[c] ** 2)
             out.append(Left(c, FEW_SAMPLES, ratio, share, float(np.sqrt(np.mean(square))), none))
     return sorted(out, key=lambda one: -one.z)
+
+
+PIECES, OUTER = 20, 4
+"""Of a recording, and of these so many at either end of the order by size."""
+DRAWN = 999
+"""Recordings of the noise alone that are drawn."""
+
+
+def unsteady(model: Model) -> list[Left]:
+    """Channels of a machine that is told to stand whose error comes and goes as no steady noise does.
+
+    Nothing that is simulated moves, so no function of it can tell; but noise of one kind has one size. z is the ratio of mean
+    squares, about each piece's mean, of the loudest fifth of the pieces over the quietest; as large as it is in hardly any
+    recording drawn from the noise's own spectrum. Share: of the mean square, what is above the quietest.
+    """
+    bench = model.bench
+    if bench.scene.moved or np.any(np.ptp(bench.scene.simulated, axis=0) > 0.0) or len(bench.rows) < 8 * PIECES:
+        return []
+    rng, out, none = np.random.default_rng(bench.seed), [], np.zeros((len(bench.rows), 0))
+    rest, good = model.rest(), ~bench.dropped
+    for c in range(bench.width):
+        least = bench.steps[c] ** 2 / 12.0 + 1e-6 * bench.noise.sigma[c] ** 2
+        drawn = bench.noise.colour(rng.standard_normal((len(rest), DRAWN)), c)
+        found = _loudest(np.column_stack([rest[:, c], drawn])[good], float(least))
+        above = float(np.mean(found[1:] >= found[0]))
+        if above < CHANCE / bench.width:
+            size = float(np.var(rest[good, c]))
+            out.append(Left(c, COMES_AND_GOES, float(found[0]), 1.0 - 1.0 / float(found[0]), size**0.5, none))
+    return sorted(out, key=lambda one: -one.z)
+
+
+def _loudest(x: Array, least: float) -> Array:
+    """(k,) ratio of the mean squares of the loudest of `PIECES` pieces of x (n, k) over the quietest, each of `least` more."""
+    square = np.sort([np.var(piece, axis=0) + least for piece in np.array_split(x, PIECES)], axis=0)
+    return np.asarray(square[-OUTER:].mean(axis=0) / square[:OUTER].mean(axis=0))
 
 
 LEAST_LEFT = 0.005

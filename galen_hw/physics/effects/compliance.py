@@ -79,7 +79,7 @@ class Compliance(Effect):
         names = [joint_of(name) for name in scene.channels]
         for i, joint in enumerate(names):
             for first in names[max(0, i - 2) : i + 1]:
-                if not _bears(scene, joint) and len(names) >= 3:
+                if not _bears(scene, joint) and len(names) != 2:
                     yield from (
                         cls("weight", joint, "all", first, links) for links in (1, 2) if i + links <= len(names)
                     )
