@@ -30,7 +30,7 @@ def write_page(path: Path, answer: Diagnosis, traces: Traces) -> None:
         "short": channel_words,
         "parameter": _parameter,
         "size": headline,
-        "moment": lambda w: moment(*w, answer.clock),
+        "moment": lambda w: moment(w[0], w[1], answer.clock),
         "chance": lambda p: f"{p:.0e}" if p > 1e-300 else "< 1e-300",
         "number": lambda x: f"{x:.3g}",
     }
