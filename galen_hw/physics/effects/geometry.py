@@ -189,7 +189,8 @@ class SensorMounting(Effect):
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
         """A turn, of a wrench's sensor with its tool or alone, and a shift."""
-        if scene.screw_port([np.zeros((len(scene), 6))]) is None:
+        unknown = isinstance(scene, ArmScene) and scene.belief.robot is None  # somebody else's simulation
+        if unknown or scene.screw_port([np.zeros((len(scene), 6))]) is None:
             return
         yield cls("turn")
         if scene.observations.predict == "wrench":

@@ -184,12 +184,22 @@ class TargetsScene(ArmScene):
 
     @cached_property
     def registration(self) -> tuple[Array, Array, Array]:
-        """R (3, 3), t (3,) base to tracker and points (K, 3) in the sensor frame, least squares by turns and screws."""
+        """R (3, 3), t (3,) base to tracker and points (K, 3) in the sensor frame, least squares by turns and screws.
+
+        Raises:
+            UsageError: no row shows all targets.
+        """
         if self.whole is not None:
             return self.whole.registration
         T = exponential(self.bent) @ self.T_sensor
         y = self.measured.reshape(len(self), -1, 3)
         good = np.isfinite(y).all(axis=(1, 2))
+        if not good.any():
+            raise UsageError(
+                f"no row shows all {y.shape[1]} targets",
+                where="recording: target.N.position",
+                todo="compare one at a time: leave the columns of the others out",
+            )
         return register(T[good], y[good])
 
     @cached_property
