@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip install --quiet --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help install docs demo test inject-test loop-test lint lowest wheel-test bench soak fuzz lock audit proof mistakes clean
+.PHONY: help install docs demo test inject-test loop-test lint lowest wheel-test bench soak fuzz lock audit proof mistakes ablation clean
 
 help:
 	@echo "make demo    calibrate a tool on the virtual robot and compensate live, with figures in demo-output/"
@@ -24,6 +24,7 @@ help:
 	@echo "make audit   the packages of the lock against the advisory database"
 	@echo "make soak    an hour (MINUTES=60) of the daemon with faults at random and ten listeners, written to docs/soak.md"
 	@echo "make proof   the blind proof of the diagnosis, written to docs/proof.md (long)"
+	@echo "make ablation  each rule of the diagnosis switched off in turn, written to docs/ablation.md (hours)"
 	@echo "make mistakes  300 recordings with one ordinary mistake each, a section of docs/proof.md (long)"
 
 $(BASE): pyproject.toml
@@ -116,6 +117,9 @@ soak: $(STAMP)
 proof: $(STAMP)
 	@$(PIP) 'torch>=2.4' mujoco 'pysindy>=2.0'
 	$(BIN)/python -m galen_hw.tools.blind_proof --write docs/proof.md
+
+ablation: $(STAMP)
+	$(BIN)/python -m galen_hw.tools.blind_proof.ablation --write docs/ablation.md
 
 mistakes: $(STAMP)
 	@$(PIP) mujoco

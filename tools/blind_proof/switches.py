@@ -1,0 +1,114 @@
+"""Rules and moves of the diagnosis that can be switched off, one at a time: python -m ...switches NAME ARGUMENTS.
+
+A switch replaces one function, wherever it was imported to, by what it says when it has nothing to say. The rest of the command
+line is `galen-hw diagnose`'s own.
+"""
+
+import importlib
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+SELECTION, MOVES = "galen_hw.diagnosis.selection", "galen_hw.diagnosis.selection.moves"
+
+
+def _no(*_: Any, **__: Any) -> bool:
+    return False
+
+
+def _yes(*_: Any, **__: Any) -> bool:
+    return True
+
+
+def _nothing(*_: Any, **__: Any) -> list[Any]:
+    return []
+
+
+def _none(*_: Any, **__: Any) -> None:
+    return None
+
+
+def _as_it_was(model: Any, *_: Any, **__: Any) -> Any:
+    return model
+
+
+@dataclass(frozen=True)
+class Switch:
+    """One rule or move.
+
+    Args:
+        target: "module:function"; off: what stands in its place; what: in words, for the table.
+    """
+
+    target: str
+    off: Callable[..., Any]
+    what: str
+
+
+SWITCHES: Final[dict[str, Switch]] = {
+    "clipping": Switch(f"{MOVES}.clipping:clipped", _no, "a limit in the place of a contact"),
+    "split": Switch(f"{MOVES}.split:split", _no, "one effect in the place of its parts"),
+    "tendon": Switch(f"{MOVES}.cable:tightened", _no, "a spring as the tendon that it may be"),
+    "creep_friction": Switch(f"{MOVES}.creep_friction:behind_friction", _no, "a creep behind friction"),
+    "exchange": Switch(f"{MOVES}.exchange:regrouped", _no, "two effects for others that stand for both"),
+    "one_clock": Switch(f"{MOVES}.timing:one_clock", _no, "one clock for all joints"),
+    "reclock": Switch(f"{MOVES}.timing:reclocked", _no, "clocks of all effects at once"),
+    "pairs": Switch(f"{MOVES}.pairs:hidden", _no, "two effects that are significant together alone"),
+    "drop": Switch(f"{MOVES}.drop:dropped", _no, "effects that others have made needless"),
+    "swap": Switch(f"{MOVES}.swap:swapped", _no, "each effect for its look-alikes"),
+    "refine": Switch(f"{MOVES}.refine:refined", _no, "finer forms of what was found"),
+    "simplest": Switch(
+        f"{SELECTION}.acceptance:completes", _no, "the effect that takes nearly all of a loud recording"
+    ),
+    "plausible": Switch(f"{SELECTION}.acceptance:plausible", _yes, "parameters that a machine can have"),
+    "small": Switch(f"{SELECTION}.acceptance:shows_in_noise", _no, "small effects in whitened units"),
+    "faint": Switch("galen_hw.diagnosis.detection.outliers:faint", _none, "faint outliers, and all asked again"),
+    "trees": Switch("galen_hw.diagnosis.lack_of_fit.trees:hidden", _nothing, "structure that trees find"),
+    "trifles": Switch(
+        "galen_hw.diagnosis.validation.verdict:trifles", _nothing, "names smaller than another law's error"
+    ),
+    "outstanding": Switch(
+        "galen_hw.diagnosis.validation.contact_or_place:outstanding", _as_it_was, "contacts that recur"
+    ),
+    "unsteady": Switch("galen_hw.diagnosis.validation.verdict:unsteady", _nothing, "a standing machine, not steady"),
+    "band": Switch("galen_hw.physics.signals.recorded_band:recorded_band", _none, "the cut-off of a recorded wrench"),
+}
+
+
+def switch_off(name: str) -> None:
+    """Replace a rule in every module that has it, and in the table of moves.
+
+    Raises:
+        KeyError: there is no such switch, or what it names is nowhere.
+    """
+    one = SWITCHES[name]
+    module, function = one.target.split(":")
+    importlib.import_module("galen_hw.diagnosis.pipeline")
+    importlib.import_module("galen_hw.physics.scenes.wrench")
+    rule = getattr(importlib.import_module(module), function, None)
+    if rule is None:
+        raise KeyError(f"{one.target} is not there")
+    for loaded in [m for key, m in list(sys.modules.items()) if key.startswith("galen_hw") and m is not None]:
+        for key in [k for k, v in vars(loaded).items() if v is rule]:
+            setattr(loaded, key, one.off)
+    table = importlib.import_module(MOVES)
+    kept = tuple(replace(m, make=one.off) if m.make is rule else m for m in table.MOVES)
+    for loaded in (table, importlib.import_module(f"{SELECTION}.search")):
+        vars(loaded)["MOVES"] = kept
+
+
+def main(argv: list[str]) -> int:
+    """Diagnose without one rule."""
+    if argv[0]:
+        switch_off(argv[0])
+    from galen_hw.cli import main as command
+
+    status = command(["diagnose", *argv[1:]])
+    print(f"cpu_s {time.process_time():.2f}", file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
