@@ -60,6 +60,16 @@ def test_what_the_learnt_sets_never_show_stays_out_of_the_others() -> None:
     assert np.isfinite(blocks.gain(without, with_it)).all()
 
 
+def test_an_arm_in_which_nothing_gives_has_no_terms_and_predicts_nothing(robot: GivingRobot) -> None:
+    """Of noise alone nothing is kept; that is an answer, and no stack of no columns."""
+    rng = np.random.default_rng(4)
+    sets = [dataclasses.replace(s, give=NOISE_M * rng.normal(size=s.give.shape)) for s in robot.sets(3, each=1)]
+    stiff = ElasticArm().fit(sets)
+    assert stiff.terms == ()
+    assert np.all(stiff.predict(sets[0]) == 0.0)
+    assert np.all(stiff.variance(sets[0]) > 0.0)
+
+
 def test_a_soft_arm_bends_as_in_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the true springs and friction of an arm that gives by some millimetres, loads and motions of the bent arm are MuJoCo's
     to 4 um, at configurations far from zero."""

@@ -359,8 +359,18 @@ def test_raw_rows_of_poses_become_poses():
     many = Rotation.from_quat(np.concatenate([np.repeat(turn.as_quat()[:12], 200, axis=0), turn.as_quat()[12:]]))
     found = examined(seen(reading(many, rng, G)))
     assert keys(found) == ["pose_rows"]
+    assert found.remarks[0].action is Action.REPAIRED
     assert len(found.observations) == 13
     assert found.observations.columns["covariate.samples"].tolist() == [200.0] * 12 + [1.0]
+
+
+def test_raw_rows_of_every_pose_are_how_such_recordings_are_and_no_mistake():
+    """They are poses for all that, whether repairs are wanted or not."""
+    turn = Rotation.random(12, random_state=5)
+    many = seen(reading(Rotation.from_quat(np.repeat(turn.as_quat(), 50, axis=0)), np.random.default_rng(3), G))
+    for found in (examined(many), examined(many, repair=False)):
+        assert [(r.premise, r.action) for r in found.remarks] == [("pose_rows", Action.NOTE)]
+        assert len(found.observations) == 12
 
 
 def test_raw_rows_with_the_stamp_of_their_pose_become_poses():

@@ -59,7 +59,7 @@ class Remark:
         todo: what the reader can do; empty where nothing is to be done.
         columns: that it concerns.
         action: what follows.
-        repaired: the recording without the mistake, for `Action.REPAIRED`.
+        repaired: the recording without the mistake, for `Action.REPAIRED`; of a note, as it is to be read.
         claim: physics that the repair is.
     """
 
@@ -142,8 +142,10 @@ def examine(seen: Observations, premises: Sequence[Premise], *, repair: bool = T
             break
         for found in premise.examine(seen):
             remark = found if repair else _unrepaired(found)
-            if remark.action is Action.REPAIRED:
-                assert remark.repaired is not None, "a repair comes with what was repaired"
+            assert remark.action is not Action.REPAIRED or remark.repaired is not None, (
+                "a repair comes with its recording"
+            )
+            if remark.repaired is not None:
                 seen = remark.repaired
             elif remark.action is Action.REFUSED:
                 refused = premise.STAGE

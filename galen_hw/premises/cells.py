@@ -204,7 +204,9 @@ class PoseRows:
         columns["covariate.samples"] = counts.astype(float)
         mixed = f", {int((counts == 1).sum())} of them of a single row" if np.any(counts == 1) else ""
         what = f"{len(seen)} rows of {len(bounds)} poses{mixed}: averaged pose by pose"
-        yield Remark(self.KEY, what, "", (), Action.REPAIRED, replace(seen, columns=columns))
+        # Rows of one pose are one pose; averages among them are another matter, since each counts as many.
+        action = Action.REPAIRED if mixed else Action.NOTE
+        yield Remark(self.KEY, what, "", (), action, replace(seen, columns=columns))
 
 
 def pose_bounds(seen: Observations) -> list[int]:

@@ -76,7 +76,9 @@ class ElasticArm(DeflectionModel):
         return tuple(dict.fromkeys(t.kind for t in self.terms if t.kind != "compliance"))
 
     def columns(self, data: DeflectionSet) -> Array:
-        """(N, d, k) give per unit of each parameter."""
+        """(N, d, k) give per unit of each parameter; k is 0 of an arm in which nothing gives."""
+        if not self.terms:
+            return np.zeros((*data.give.shape, 0))
         known = dict(zip(self.terms, self.values.tolist(), strict=True))
         ((bare, settled),) = scenes([data], self.weight, known, self.slips)
         return np.stack([t.column(bare, settled) for t in self.terms], axis=2)
