@@ -10,6 +10,7 @@ import argparse
 import json
 import os
 import signal
+import subprocess
 import sys
 import tempfile
 import threading
@@ -20,7 +21,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from galen_hw.cli import main as galen_hw
 from galen_hw.errors import EXIT_FOUND, EXIT_OK
 from galen_hw.recording import RecordingInfo, write_table
 from galen_hw.recording.recording import SENSOR_ORIENTATION, WRENCH, Recording
@@ -71,7 +71,8 @@ def asked(
         beside = threading.Thread(target=meanwhile or (lambda _: None), args=(cluster,))
         beside.start()
         begun = time.perf_counter()
-        status = galen_hw(["diagnose", str(folder), "--dask", cluster.scheduler_address, "-o", f"{out}/answers.json"])
+        words = ["diagnose", str(folder), "--dask", cluster.scheduler_address, "-o", f"{out}/answers.json"]
+        status = subprocess.run([sys.executable, "-m", "galen_hw.cli", *words], check=False).returncode
         took = time.perf_counter() - begun
         beside.join()
         if status not in (EXIT_OK, EXIT_FOUND):
