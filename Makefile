@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip install --quiet --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help install docs demo test inject-test loop-test lint lowest wheel-test bench soak fuzz lock audit proof mistakes ablation clean
+.PHONY: help install docs demo test inject-test loop-test lint lowest wheel-test bench cluster robots soak fuzz lock audit proof mistakes ablation clean
 
 help:
 	@echo "make demo    calibrate a tool on the virtual robot and compensate live, with figures in demo-output/"
@@ -19,6 +19,8 @@ help:
 	@echo "make lint    style, types, layers"
 	@echo "make lowest  what pyproject.toml promises of old versions: its lowest set in a venv of its own, and a part of the tests"
 	@echo "make bench   the benchmarks, written to docs/benchmarks.md (about 15 minutes)"
+	@echo "make cluster  200 recordings on a Dask cluster of which a process is killed, a line of docs/benchmarks.md"
+	@echo "make robots  every arm against pinocchio, MuJoCo and Drake, which it installs (250 MB)"
 	@echo "make fuzz    a million inputs for whatever reads foreign bytes, written to docs/fuzz.md (long)"
 	@echo "make lock    requirements.lock anew: every package with its hashes"
 	@echo "make audit   the packages of the lock against the advisory database"
@@ -93,6 +95,13 @@ wheel-test: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m galen_hw.tools.bench --write docs/benchmarks.md
+
+cluster: $(STAMP)
+	$(BIN)/python -m galen_hw.tools.bench_cluster --write docs/benchmarks.md
+
+robots: $(STAMP)
+	@$(PIP) drake
+	$(BIN)/python -m pytest -q tests/test_robot_models.py tests/test_xacro.py
 
 fuzz: $(STAMP)
 	@$(PIP) 'atheris>=3.0' 2>/dev/null || echo "make: atheris cannot be installed here; inputs are mutations of our own"

@@ -11,6 +11,8 @@ EXTRAS: Final[dict[str, tuple[str, ...]]] = {
     "import": ("pyarrow", "pandas", "rosbags", "h5py", "matio", "asammdf"),
     "dask": ("distributed", "dask"),
     "torch": ("torch",),
+    "xacro": ("xacrodoc",),
+    "remote": ("fsspec",),
     "completion": ("shtab",),
 }
 """Name of the extra: modules that nothing else needs."""

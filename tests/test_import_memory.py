@@ -1,4 +1,4 @@
-"""Memory of an import: a bag of a million messages is never held twice."""
+"""Cost of an import: a bag of a million messages is never held twice, and is read in the time that rosbags takes."""
 
 import sqlite3
 import struct
@@ -28,6 +28,23 @@ def held(what):  # not ru_maxrss: a child begins with its parent's
 before = held("VmRSS")
 assert main(["import", bag, "-o", out, "--format", "parquet"]) == 0
 print(held("VmHWM") - before)
+"""
+SPENT = """
+import sys, time
+from pathlib import Path
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+import galen_hw.formats, galen_hw.premises, galen_hw.recording.table, galen_hw.tools.import_table, pyarrow.parquet
+from galen_hw.cli import main
+bag, out = sys.argv[1:]
+begun = time.process_time()
+assert main(["import", bag, "-o", out, "--format", "parquet"]) == 0
+ours = time.process_time() - begun
+store = get_typestore(Stores.ROS2_HUMBLE)
+begun = time.process_time()
+with Reader(Path(bag)) as reader:
+    read = sum(store.deserialize_cdr(raw, one.msgtype).wrench.force.x != 9.0 for one, _, raw in reader.messages())
+print(read, ours, time.process_time() - begun)
 """
 
 
@@ -71,3 +88,17 @@ def test_a_million_messages_take_less_than_twice_their_table(tmp_path: Path) -> 
     used = float(done.stdout.splitlines()[-1])
     assert used < 2.0 * TABLE_MB, f"{used:.0f} MB for a table of {TABLE_MB:.0f} MB"
     print(f"{used:.0f} MB for a table of {TABLE_MB:.0f} MB")
+
+
+@pytest.mark.slow
+def test_an_import_takes_at_most_half_as_long_again_as_rosbags_alone(tmp_path: Path) -> None:
+    """Processor time in one process, after the libraries are loaded: rosbags reads and deserialises, we write a table too."""
+    rows = 200_000
+    bag(tmp_path / "bag", rows)
+    words = [str(tmp_path / name) for name in ("bag", "out")]
+    done = subprocess.run([sys.executable, "-c", SPENT, *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    read, ours, theirs = map(float, done.stdout.splitlines()[-1].split())
+    assert read == rows
+    assert ours <= 1.5 * theirs, f"{ours:.2f} s beside {theirs:.2f} s"
+    print(f"{ours:.2f} s beside {theirs:.2f} s")

@@ -1,8 +1,9 @@
 """Robots as their makers publish them: every URDF of example-robot-data and rtb-data loads and agrees with other readers.
 
 Gravity torques and the Jacobian of the farthest link, at drawn positions, to 1e-9: with pinocchio's own reader, and for arms
-with MuJoCo's. The packages are files alone; no network is asked. What cannot be had so: robot_descriptions fetches each robot
-with git when it is imported, mujoco-menagerie has MJCF alone, and rtb-data's other robots are xacro.
+with MuJoCo's and, where it is installed (250 MB: pip install drake), with Drake's. The packages are files alone; no network
+is asked. What cannot be had so: robot_descriptions fetches each robot with git when it is imported, mujoco-menagerie has MJCF
+alone. rtb-data's xacro files: tests/test_xacro.py.
 """
 
 import importlib.util
@@ -17,6 +18,7 @@ from numpy.testing import assert_allclose
 
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import UrdfRobot
+from galen_hw.kinematics.urdf import MOVING
 from galen_hw.units import STANDARD_GRAVITY
 
 FOLDERS = [Path(p) / "cmeel.prefix/share/example-robot-data/robots" for p in site.getsitepackages()]
@@ -92,16 +94,22 @@ def pinocchios(path, robot, q):
     return share.T @ pin.computeGeneralizedGravity(model, data, whole), jacobian @ share
 
 
-def mujocos(path, robot, q):
-    """The same by MuJoCo, of the file without shapes, whose meshes are not needed for it."""
-    import mujoco
-
+def bare(path):
+    """The file's tree without shapes, whose meshes are not needed, and without what other programs read."""
     tree = ET.parse(path).getroot()
     for link in tree.findall("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)
     for other in [*tree.findall("transmission"), *tree.findall("gazebo"), *tree.findall("mujoco")]:
         tree.remove(other)
+    return tree
+
+
+def mujocos(path, robot, q):
+    """The same by MuJoCo."""
+    import mujoco
+
+    tree = bare(path)
     rules = ET.SubElement(ET.SubElement(tree, "mujoco"), "compiler")
     rules.attrib |= {"fusestatic": "false", "boundmass": "0", "boundinertia": "0", "balanceinertia": "false"}
     model = mujoco.MjModel.from_xml_string(ET.tostring(tree, encoding="unicode"))
@@ -119,6 +127,45 @@ def mujocos(path, robot, q):
     return share.T @ data.qfrc_bias, jacobian @ share
 
 
+def drakes(path, robot, q):
+    """The same by Drake, which takes mimicking joints for free ones too."""
+    from pydrake.multibody.parsing import Parser
+    from pydrake.multibody.plant import MultibodyPlant
+    from pydrake.multibody.tree import JacobianWrtVariable
+
+    plant, tree = MultibodyPlant(0.0), bare(path)
+    for joint in tree.findall("joint"):
+        # It does not read a <mimic> of a fixed joint, and others are free for it all the same.
+        for mimic in joint.findall("mimic"):
+            joint.remove(mimic)
+    Parser(plant).AddModelsFromString(ET.tostring(tree, encoding="unicode"), "urdf")
+    plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -STANDARD_GRAVITY])
+    if robot.urdf.root != "world":  # such a link is Drake's own world
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(robot.urdf.root))
+    plant.Finalize()
+    context, share = plant.CreateDefaultContext(), np.zeros((plant.num_velocities(), len(q)))
+    for name, joint in robot.urdf.joints.items():
+        if joint.kind not in MOVING:
+            continue
+        moved, (source, factor, offset) = plant.GetJointByName(name), followed(robot, name)
+        place = robot.joint_names.index(source)
+        plant.SetPositions(
+            context, _set(plant.GetPositions(context), moved.position_start(), factor * q[place] + offset)
+        )
+        share[moved.velocity_start(), place] = factor
+    frame, world = plant.GetFrameByName(robot.sensor_link), plant.world_frame()
+    turning, moving = np.split(
+        plant.CalcJacobianSpatialVelocity(context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world), 2
+    )
+    return share.T @ -plant.CalcGravityGeneralizedForces(context), np.vstack([moving, turning]) @ share
+
+
+def _set(values, place, value):
+    values = values.copy()
+    values[place] = value
+    return values
+
+
 @pytest.mark.parametrize("path", [p for p in MODELS if p.stem not in REFUSED], ids=named)
 def test_every_model_agrees_with_pinocchio(path):
     """Humanoids, hands and legs as well as arms."""
@@ -134,6 +181,17 @@ def test_arms_agree_with_mujoco(path):
     """A reader and a dynamics of its own: gravity and Jacobian, grippers that mimic included."""
     robot, q = loaded(path)
     torque, jacobian = mujocos(path, robot, q)
+    assert_allclose(robot.inverse_dynamics(q[None], 0.0 * q[None], 0.0 * q[None])[0], torque, atol=TOLERANCE)
+    assert_allclose(robot.sensor_jacobian(q)[0], jacobian, atol=TOLERANCE)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("pydrake") is None, reason="Drake is not installed: pip install drake")
+@pytest.mark.filterwarnings("default")  # its own
+@pytest.mark.parametrize("path", [p for p in MODELS if p.stem in ARMS], ids=named)
+def test_arms_agree_with_drake(path):
+    """A third reader."""
+    robot, q = loaded(path)
+    torque, jacobian = drakes(path, robot, q)
     assert_allclose(robot.inverse_dynamics(q[None], 0.0 * q[None], 0.0 * q[None])[0], torque, atol=TOLERANCE)
     assert_allclose(robot.sensor_jacobian(q)[0], jacobian, atol=TOLERANCE)
 

@@ -227,5 +227,5 @@ def test_a_xacro_file_is_refused_with_what_makes_a_urdf_of_it(tmp_path: Path) ->
     head = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="x">'
     text = head + '<xacro:property name="w" value="1"/><link name="a"/></robot>'
     (tmp_path / "arm.urdf.xacro").write_text(text)
-    with pytest.raises(UsageError, match="a xacro file, which is no URDF yet; make one of it: pip install xacrodoc"):
+    with pytest.raises(UsageError, match="a xacro file, which is no URDF yet; for a recording name it with --robot"):
         UrdfRobot(tmp_path / "arm.urdf.xacro")

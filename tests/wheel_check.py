@@ -23,6 +23,7 @@ MUST_HOLD = (
     "galen_hw/config/galen.urdf",
     "galen_hw/config/galen.toml",
     "galen_hw/config/galen-hw.service",
+    "galen_hw/config/report_base.html.j2",
     "galen_hw/config/tools/retractor.json",
     "galen_hw/tools/calibration/command.py",
     "galen_hw/tools/calibration/report.html.j2",

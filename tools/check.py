@@ -5,7 +5,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from galen_hw.errors import GalenError
+from galen_hw.errors import GalenError, UsageError
+from galen_hw.tools.robot_given import add_robot
 
 if TYPE_CHECKING:
     from rich.tree import Tree
@@ -26,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="RECORDING",
         help="check these recordings instead, or all of a folder: cells, clocks, units, frames, load",
     )
+    add_robot(parser)
     parser.add_argument("--config", metavar="FILE", help="settings (default: /etc/galen-hw/galen.toml)")
     parser.add_argument("--virtual", action="store_true", help="check against a virtual robot's wires")
     parser.add_argument("--dir", metavar="RUNTIME", type=Path, help="runtime directory of a daemon")
@@ -41,7 +43,11 @@ def run(args: argparse.Namespace) -> int:
     if args.recordings:
         from galen_hw.tools.check_recording import check_recordings
 
-        return check_recordings([Path(r) for r in args.recordings], as_json=args.json)
+        return check_recordings(args)
+    if args.robot or args.xacro_arg:
+        raise UsageError(
+            "of which recording?", where="--robot", todo="the daemon's robot is in the settings: [robot] urdf"
+        )
     from galen_hw.config.load import examine, read_document
     from galen_hw.config.paths import Addresses, client_runtime_dir, config_path, state_dir
     from galen_hw.daemon.checks import (

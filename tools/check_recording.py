@@ -1,43 +1,45 @@
 """`galen-hw check RECORDING`: what the premises say of a recording, before anything is fitted to it."""
 
+import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from galen_hw.errors import GalenError, UsageError
-from galen_hw.formats.own import expanded
+from galen_hw.formats.remote import Place, at_hand, place, recordings_in
 from galen_hw.tools.answer import print_stamped
+from galen_hw.tools.robot_given import robot_given
 
 if TYPE_CHECKING:
+    from galen_hw.kinematics.xacro import RobotFile
     from galen_hw.premises import Observations, Remark
     from galen_hw.recording import Recording
 
 
-def check_recordings(paths: list[Path], *, as_json: bool) -> int:
+def check_recordings(args: argparse.Namespace) -> int:
     """Ask all premises of each recording, or of each in a folder of them; print what they say.
 
     Returns:
         0 if nothing forbids a fit, 1 if a premise refuses a recording, 2 if one cannot be read.
     """
-    answers, status = [], 0
-    for path in [inside for given in paths for inside in expanded(given)]:
+    answers, status, robot = [], 0, robot_given(args)
+    for path in [inside for given in args.recordings for inside in recordings_in(place(given))]:
         try:
-            answer = _asked(path)
+            answer = _asked(path, robot)
         except GalenError as error:
             print(f"galen-hw check: {error}", file=sys.stderr)
             status = 2
             continue
         answers.append(answer)
         status = max(status, int(any(p["action"] == "refused" for p in answer["premises"])))
-        if not as_json:
+        if not args.json:
             print("\n".join(_lines(answer)))
-    if as_json:
+    if args.json:
         print_stamped({"recordings": answers})
     return status
 
 
-def _asked(path: Path) -> dict[str, Any]:
+def _asked(where: Place, robot: "RobotFile | None") -> dict[str, Any]:
     """What is said of one recording.
 
     Raises:
@@ -47,13 +49,14 @@ def _asked(path: Path) -> dict[str, Any]:
     from galen_hw.premises import examined
     from galen_hw.recording.observations import named_in, observations_of
 
-    recording = read(path)
-    with named_in(recording):
-        seen = observations_of(recording)
-        found = examined(seen)
-    remarks = _with_model(found.remarks, _of_model(recording, seen))
+    with at_hand([where]) as (path,):
+        recording = read(path, robot=robot)
+        with named_in(recording):
+            seen = observations_of(recording)
+            found = examined(seen)
+        remarks = _with_model(found.remarks, _of_model(recording, seen))
     return {
-        "recording": str(path),
+        "recording": str(where),
         "predict": seen.predict,
         "rows": len(seen),
         "premises": [r.to_json() for r in remarks],

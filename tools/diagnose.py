@@ -7,6 +7,7 @@ from pathlib import Path
 from galen_hw.errors import EXIT_FOUND, EXIT_OK
 from galen_hw.extras import need
 from galen_hw.tools.answer import stamped
+from galen_hw.tools.robot_given import add_robot
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,9 +16,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "recordings",
         nargs="+",
         metavar="RECORDING",
-        help="MCAP file, table folder, a file of another program (docs/import.md), or a folder of them",
+        help="MCAP file, table folder, a file of another program (docs/import.md), a folder of them, or a URL (s3://...)",
     )
     parser.add_argument("--simulation", help="a table that someone else simulated")
+    add_robot(parser)
     parser.add_argument(
         "--holdout",
         action="append",
@@ -64,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from galen_hw.config.tool_store import write_atomic
-    from galen_hw.formats.own import expanded
+    from galen_hw.formats.remote import place, recordings_in
     from galen_hw.tools.diagnose_many import answers_to
     from galen_hw.tools.diagnose_screen import show
 
@@ -72,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         args.output = args.output or Path(args.json)
     printed = args.json == "-"
     _check_outputs(args)
-    paths = [p for given in args.recordings for p in expanded(Path(given))]
+    paths = [p for given in args.recordings for p in recordings_in(place(given))]
     answers = answers_to(paths, args)
     show(Console(stderr=printed), answers)
     if printed or args.output:

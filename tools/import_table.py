@@ -5,9 +5,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from galen_hw.errors import EXIT_OK, UsageError
+from galen_hw.tools.robot_given import add_robot, robot_given, with_keys
 
 if TYPE_CHECKING:
     from galen_hw.formats import Imported
+    from galen_hw.formats.mapping import Map
     from galen_hw.recording import Recording
 
 LARGE: Final = 100_000
@@ -17,14 +19,17 @@ LARGE: Final = 100_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument(
-        "files", metavar="FILE", type=Path, nargs="+", help="recordings: docs/import.md lists the formats"
+        "files",
+        metavar="FILE",
+        nargs="+",
+        help="recordings, or URLs of them: docs/import.md lists the formats",
     )
     parser.add_argument("-o", "--output", metavar="OUT", type=Path, help="folder to be made, or a file NAME.mcap")
     parser.add_argument("--map", metavar="MAP.toml", type=Path, help="which column is which, as --write-map wrote it")
     parser.add_argument(
         "--write-map", metavar="MAP.toml", type=Path, help="write the map that would be used, to be edited"
     )
-    parser.add_argument("--robot", metavar="URDF", type=Path, help="of the robot, where the file names none")
+    add_robot(parser)
     parser.add_argument("--sensor-link", metavar="LINK", help="of the robot, that bears the sensor")
     parser.add_argument(
         "--predict", choices=("wrench", "pose", "effort", "position", "targets"), help="what is to be compared"
@@ -37,29 +42,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, show what was taken for what, write."""
+    from galen_hw.formats.remote import at_hand, place
+
+    args.files = [place(word) for word in args.files]
+    second = args.files[1] if len(args.files) == 2 else None
+    if args.output is None and isinstance(second, Path) and not second.exists():
+        todo = f"galen-hw import {args.files[0]} -o {second}"
+        raise UsageError("there is no such recording", where=str(second), todo=todo)
+    if args.output is None and args.write_map is None:
+        raise UsageError("where to?", where="-o", todo=f"e.g. galen-hw import {args.files[0]} -o FOLDER")
+    for file in args.files:
+        if isinstance(file, Path) and not file.exists():
+            raise UsageError("there is no such recording", where=str(file), todo="give a file or a folder")
+    with at_hand(args.files) as args.files:
+        return _import(args)
+
+
+def _import(args: argparse.Namespace) -> int:
     from galen_hw.formats import import_files
     from galen_hw.formats.own import is_own
     from galen_hw.recording import read_recording
 
-    if args.output is None and len(args.files) == 2 and not args.files[1].exists():
-        todo = f"galen-hw import {args.files[0]} -o {args.files[1]}"
-        raise UsageError("there is no such recording", where=str(args.files[1]), todo=todo)
-    if args.output is None and args.write_map is None:
-        raise UsageError("where to?", where="-o", todo=f"e.g. galen-hw import {args.files[0]} -o FOLDER")
-    for file in args.files:
-        if not file.exists():
-            raise UsageError("there is no such recording", where=str(file), todo="give a file or a folder")
+    robot = robot_given(args)
     if len(args.files) == 1 and is_own(args.files[0]) and args.write_map is None:
-        return _write(read_recording(args.files[0]), args)
-    imported = import_files(args.files, args.map, _keys(args))
+        return _write(with_keys(read_recording(args.files[0]), args, robot), args)
+    imported = import_files(args.files, args.map, _keys(args), robot)
     _show(imported)
     if args.write_map is not None:
-        from galen_hw.formats.mapping import write_map
-
-        if args.write_map.exists() and not args.overwrite:
-            raise UsageError("is there already", where=str(args.write_map), todo="give another name, or --overwrite")
-        write_map(imported.used, args.write_map)
-        print(f"{args.write_map}: edit it, then --map {args.write_map}")
+        _write_map(imported.used, args)
     if args.output is None:
         return EXIT_OK
     if imported.used.doubtful:
@@ -69,12 +79,21 @@ def run(args: argparse.Namespace) -> int:
     return _write(imported.recording, args)
 
 
+def _write_map(used: "Map", args: argparse.Namespace) -> None:
+    from galen_hw.formats.mapping import write_map
+
+    if args.write_map.exists() and not args.overwrite:
+        raise UsageError("is there already", where=str(args.write_map), todo="give another name, or --overwrite")
+    if args.robot is not None:
+        # A xacro is expanded only where it is named, each time.
+        plain = used.info.get("robot") == args.robot.name
+        used.info["robot"] = str(args.robot.resolve()) if plain else None
+    write_map(used, args.write_map)
+    print(f"{args.write_map}: edit it, then --map {args.write_map}")
+
+
 def _keys(args: argparse.Namespace) -> dict[str, Any]:
-    given = {
-        "robot": args.robot and str(args.robot.resolve()),
-        "sensor_link": args.sensor_link,
-        "predict": args.predict,
-    }
+    given = {"sensor_link": args.sensor_link, "predict": args.predict}
     return {key: value for key, value in given.items() if value is not None}
 
 

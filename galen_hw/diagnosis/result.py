@@ -45,7 +45,7 @@ class Finding:
     def takes(self) -> str:
         """What it does on data that it did not learn from, in words."""
         gain = self.evidence["heldout_gain"]
-        return f"takes {100 * gain:.{0 if gain >= 0.01 else 1}f} % of the excess"
+        return f"takes {100 * gain:.{0 if gain >= 0.01 else 1}f} % of the unexplained error"
 
 
 @dataclass

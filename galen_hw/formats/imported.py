@@ -15,6 +15,7 @@ from galen_hw.formats.mapping import Entry, Map, check_map, guess, read_map
 from galen_hw.formats.own import is_own
 from galen_hw.formats.robots import attach_robot, name_sensor, renamed_joints
 from galen_hw.formats.table import read_contents
+from galen_hw.kinematics.xacro import RobotFile
 from galen_hw.recording import Recording, read_recording
 from galen_hw.recording.checks import check
 from galen_hw.recording.info import info_of, parse_info
@@ -43,18 +44,31 @@ class Imported:
     formats: tuple[str, ...]
 
 
-def read(path: Path | str, *, simulation: Path | str | None = None, compensated: bool = False) -> Recording:
+def read(
+    path: Path | str,
+    *,
+    simulation: Path | str | None = None,
+    compensated: bool = False,
+    robot: RobotFile | None = None,
+) -> Recording:
     """A recording of any format, galen-hw's own or another's, as commands take it.
 
     A map beside the file (run.bag and run.bag.map.toml) is used; a recording.json beside it says what it belongs to.
+
+    Args:
+        path: file or folder.
+        simulation: a recording that someone else simulated.
+        compensated: also give the compensated wrench, where the recording has it.
+        robot: in place of the one that the recording names.
 
     Raises:
         UsageError: not there, of no known format, or not certain what its columns are: which, and what to do.
     """
     path = Path(path)
     if not path.exists() or is_own(path):
-        return read_recording(path, simulation=simulation, compensated=compensated)
-    imported = import_files([path])
+        recording = read_recording(path, simulation=simulation, compensated=compensated)
+        return recording if robot is None else recording.with_robot(robot.name, robot.text)
+    imported = import_files([path], robot=robot)
     if imported.used.doubtful:
         family, places = next(iter(imported.used.doubtful.items()))
         todo = f"galen-hw import {path} --write-map MAP.toml, choose there, then --map MAP.toml -o FOLDER"
@@ -69,13 +83,19 @@ def read(path: Path | str, *, simulation: Path | str | None = None, compensated:
     return recording
 
 
-def import_files(paths: Sequence[Path], map_file: Path | None = None, info: dict[str, Any] | None = None) -> Imported:
+def import_files(
+    paths: Sequence[Path],
+    map_file: Path | None = None,
+    info: dict[str, Any] | None = None,
+    robot: RobotFile | None = None,
+) -> Imported:
     """Read files, and join them on one clock.
 
     Args:
         paths: files or folders of any known format; streams of several are told apart by their file's name.
         map_file: a map that a person edited; None for one beside the first file, or the guess.
         info: keys of recording.json that come before all others.
+        robot: in place of the one that the files name.
 
     Raises:
         UsageError: a file, a map or a join that cannot be; one line.
@@ -107,6 +127,8 @@ def import_files(paths: Sequence[Path], map_file: Path | None = None, info: dict
         raise _nothing(paths, contents)
     what.info = _beside(paths[0]) | what.info | (info or {})
     texts = {name: text for one in contents for name, text in one.texts.items()}
+    if robot is not None:
+        what.info["robot"], texts[robot.name] = robot.name, robot.text
     notes = [line for one in contents for line in (*one.how, *one.notes)]
     notes += attach_robot(what, texts, paths[0], [e.target for e in what.entries])
     urdf = texts.get(str(what.info.get("robot")))

@@ -158,7 +158,9 @@ def _described(root: ET.Element, where: str) -> Urdf:
         raise UsageError(f"not a readable URDF (its root is <{root.tag}>)", where=where, todo="name a URDF")
     if any("xacro" in one.tag for one in root.iter() if isinstance(one.tag, str)):
         # It is not expanded here: a xacro file runs Python expressions and reads other files.
-        todo = "make one of it: pip install xacrodoc, then xacrodoc FILE.xacro -o robot.urdf"
+        todo = (
+            "for a recording name it with --robot FILE.xacro; else make a URDF of it: xacrodoc FILE.xacro -o robot.urdf"
+        )
         raise UsageError("a xacro file, which is no URDF yet", where=where, todo=todo)
     name = root.get("name") or "robot"
     where = f"{where}: {name}" if where == "URDF" else where

@@ -1,6 +1,6 @@
 """One recording in memory: named columns of numbers and what they belong to."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -77,6 +77,11 @@ class Recording:
         if name is None or name == "galen":
             return None
         return self.attachments.get(name, self.path / name)
+
+    def with_robot(self, name: str, text: str) -> "Recording":
+        """Return the same with another robot: the name of its URDF, and its text."""
+        info = self.info.model_copy(update={"robot": name})
+        return replace(self, info=info, attachments=self.attachments | {name: text})
 
     @property
     def about(self) -> str:

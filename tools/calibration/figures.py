@@ -4,7 +4,6 @@ import base64
 import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -294,12 +293,10 @@ def _png(figure: "Figure") -> bytes:
 
 def render(result: Result, pictures: dict[str, bytes], tool: ToolFile, check: LiveCheck | None, state: str) -> str:
     """The page; pictures are inside, so that it can be sent as one file."""
-    import jinja2
+    from galen_hw.config.report_page import page_template
 
-    text = (resources.files("galen_hw.tools.calibration") / "report.html.j2").read_text(encoding="utf-8")
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     images = {name: base64.b64encode(data).decode() for name, data in pictures.items()}
-    return environment.from_string(text).render(
+    return page_template("galen_hw.tools.calibration", "report.html.j2").render(
         result=result,
         tool=tool,
         check=check,

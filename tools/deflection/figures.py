@@ -3,7 +3,6 @@
 import base64
 import io
 from collections.abc import Iterator
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -45,20 +44,15 @@ def write_report(out: Comparison, page: Path) -> Path:
 
 
 def _render(out: Comparison, pictures: list[dict[str, str]]) -> str:
-    from jinja2 import Environment
+    from galen_hw.config.report_page import page_template
 
-    text = (resources.files("galen_hw.tools.deflection") / "report.html.j2").read_text(encoding="utf-8")
     elastic = out.models.get("elastic arm")
     arm = elastic if isinstance(elastic, ElasticArm) else None
-    return (
-        Environment(autoescape=True)
-        .from_string(text)
-        .render(
-            out=out,
-            pictures=pictures,
-            arm=arm,
-            units=[] if arm is None else units(arm, out.learn[0].observations.belief.robot),
-        )
+    return page_template("galen_hw.tools.deflection", "report.html.j2").render(
+        out=out,
+        pictures=pictures,
+        arm=arm,
+        units=[] if arm is None else units(arm, out.learn[0].observations.belief.robot),
     )
 
 

@@ -235,7 +235,7 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
             )
     gain = judged.unnamed_gain()
     if gain > 0.0:
-        says += f" Generic functions of the inputs, without a name, take {100 * gain:.3g} % of the held-out excess"
+        says += f" Generic functions of the inputs, without a name, take {100 * gain:.3g} % of the held-out unexplained error"
         says += "; they are not saved."
     parameters = {"share_left": Value(float(share), 0.0, "1")}
     for c in np.flatnonzero(judged.reached != judged.after):

@@ -76,7 +76,7 @@ def where_of(model: Model) -> list[dict[str, Any]]:
     for variable, share, channel in organised(bench, known, rest)[:2]:
         if share > FUNCTION and variable.name not in named:
             low, high = float(variable.values.min()), float(variable.values.max())
-            says = f"{100 * share:.0f} % of the excess of {channel} is one function of {variable.name}"
+            says = f"{100 * share:.0f} % of the unexplained error of {channel} is one function of {variable.name}"
             out.append({"variable": variable.name, "range": [low, high], "excess_share": share, "says": says})
     return out
 
@@ -191,7 +191,7 @@ def _overlap(a: Mask, b: Mask) -> float:
 def _region_entry(one: Region) -> dict[str, Any]:
     variable, low, high = one.parts[0]
     place = " while ".join(v.span(a, b) for v, a, b in one.parts)
-    says = f"{100 * one.share:.0f} % of the excess in {100 * one.rows:.0f} % of the rows: {place}"
+    says = f"{100 * one.share:.0f} % of the unexplained error in {100 * one.rows:.0f} % of the rows: {place}"
     return {"variable": variable.name, "range": [low, high], "excess_share": one.share, "says": says}
 
 

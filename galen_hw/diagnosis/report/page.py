@@ -1,12 +1,10 @@
 """The report as one self-contained HTML page."""
 
 import base64
-from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from jinja2 import Environment, StrictUndefined
-
+from galen_hw.config.report_page import page_template
 from galen_hw.diagnosis.findings.quantities import headline, quantity, text
 from galen_hw.diagnosis.report import plots
 from galen_hw.diagnosis.report.plot_data import Curve, Traces
@@ -14,8 +12,13 @@ from galen_hw.diagnosis.report.summary import VERDICTS, channel_words, lines, mo
 from galen_hw.diagnosis.result import Diagnosis, Value
 from galen_hw.version import VERSION
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 FEW = 6
 """Parameters that are shown at once; of more the table folds."""
+CERTAIN = 1e-6
+"""Chances are told down to this: what is said of noise holds no further."""
 
 
 def write_page(path: Path, answer: Diagnosis, traces: Traces) -> None:
@@ -24,17 +27,16 @@ def write_page(path: Path, answer: Diagnosis, traces: Traces) -> None:
     Args:
         path: of the HTML file; answer: of the diagnosis; traces: what is drawn.
     """
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {
+    filters: dict[str, Callable[..., str]] = {
         "plain": lambda key: key.replace("_", " "),
         "short": channel_words,
         "parameter": _parameter,
         "size": headline,
         "moment": lambda w: moment(w[0], w[1], answer.clock),
-        "chance": lambda p: f"{p:.0e}" if p > 1e-300 else "< 1e-300",
+        "chance": lambda p: f"{p:.0e}" if p >= CERTAIN else f"< {CERTAIN:.0e}",
         "number": lambda x: f"{x:.3g}",
     }
-    template = environment.from_string(files("galen_hw.diagnosis.report").joinpath("page.html.j2").read_text("utf-8"))
+    template = page_template("galen_hw.diagnosis.report", "page.html.j2", filters)
     whole = path.with_name(path.name + ".part")
     page = template.render(
         answer=answer,

@@ -172,7 +172,14 @@ def _along(ax: Any, traces: Traces, one: Along) -> None:
     (fx, unit_x), c = _scale(one.x, one.unit), one.channel
     fy, unit = _scale(traces.before[:, c], traces.units[c])
     if one.region is not None:
-        ax.axvspan(fx * one.region[0], fx * one.region[1], color=HELD, lw=0, label="where the excess sits", zorder=-1)
+        ax.axvspan(
+            fx * one.region[0],
+            fx * one.region[1],
+            color=HELD,
+            lw=0,
+            label="where the unexplained error sits",
+            zorder=-1,
+        )
     middle = float(np.median(traces.after[:, c]))
     for values, colour, label in ((traces.before[:, c], BEFORE, "before"), (traces.after[:, c], AFTER, "after")):
         x, mean, low, high = _binned(fx * one.x, fy * (values - middle))

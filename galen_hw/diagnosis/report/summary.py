@@ -74,7 +74,9 @@ def _what(d: Diagnosis) -> str:
 
 def _where(d: Diagnosis) -> str:
     loud = [c for c in d.channels if c["excess_share"] >= 0.05][:FEW]
-    parts = [f"{100 * c['excess_share']:.0f} % of the excess in {channel_words(c['channel'])}" for c in loud[:1]]
+    parts = [
+        f"{100 * c['excess_share']:.0f} % of the unexplained error in {channel_words(c['channel'])}" for c in loud[:1]
+    ]
     parts += [f"{100 * c['excess_share']:.0f} % in {channel_words(c['channel'])}" for c in loud[1:]]
     out = ", ".join(parts) or "too small to share out among the channels"
     out += "".join(f"; {w['says']}" for w in d.where[:1])

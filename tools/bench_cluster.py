@@ -1,0 +1,143 @@
+"""A folder of many recordings on a Dask cluster of processes, one of which is killed: the same answers, and how much sooner.
+
+    python -m galen_hw.tools.bench_cluster [--recordings 200] [--workers 2] [--write docs/benchmarks.md]
+
+All is asked thrice by `galen-hw diagnose FOLDER --dask`: of one worker, of several, and of several of which one is killed
+(SIGKILL) at work, a third of the way through. The recordings' formulas are written here anew.
+"""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from galen_hw.errors import EXIT_FOUND, EXIT_OK
+from galen_hw.recording import RecordingInfo, write_table
+from galen_hw.recording.recording import SENSOR_ORIENTATION, WRENCH, Recording
+from galen_hw.spatial import Array, rotation_about
+from galen_hw.tools.bench import Row
+
+ROWS: Final = 100
+STEP_S: Final = 0.12
+NOISE: Final = np.array([0.05] * 3 + [0.0025] * 3)
+COM_M: Final = np.array([0.01, 0.0, 0.06])
+
+
+def recording(seed: int) -> Recording:
+    """A sensor that is turned about: with a tool that nobody told of, with a drift, or with neither; by turns."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(ROWS) * STEP_S
+    a, b = 0.9 * np.sin(0.7 * t + rng.uniform(0, 6)), 0.8 * np.sin(1.1 * t + rng.uniform(0, 6))
+    R = rotation_about(0, a) @ rotation_about(1, b)
+    mass = rng.uniform(0.2, 0.6) if seed % 3 == 0 else 0.0
+    force = mass * np.einsum("nji,j->ni", R, [0.0, 0.0, -9.80665])
+    wrench = np.hstack([force, np.cross(COM_M, force)]) + NOISE * rng.normal(size=(ROWS, 6))
+    if seed % 3 == 1:
+        wrench[:, 2] += rng.uniform(0.5, 1.0) * t / t[-1]
+    half = np.stack([np.sin(a / 2), np.cos(a / 2), np.sin(b / 2), np.cos(b / 2)])
+    turn = np.stack([half[0] * half[3], half[1] * half[2], half[0] * half[2], half[1] * half[3]], axis=-1)
+    columns: dict[str, Array] = dict(zip(("time", *WRENCH, *SENSOR_ORIENTATION), np.c_[t, wrench, turn].T, strict=True))
+    info = RecordingInfo.model_validate({"robot": None, "predict": "wrench", "model": {"bias": "free"}})
+    return Recording(columns, info)
+
+
+def asked(
+    folder: Path, workers: int, meanwhile: Callable[[Any], None] | None = None
+) -> tuple[float, list[dict[str, Any]]]:
+    """Seconds of a diagnosis of a folder on a cluster of so many processes, and its answers without their dates.
+
+    Args:
+        folder: of recordings.
+        workers: processes of one thread.
+        meanwhile: done beside it, with the cluster.
+    """
+    from distributed import LocalCluster
+
+    made: Any = LocalCluster  # its signature carries no types
+    with (
+        tempfile.TemporaryDirectory() as out,
+        made(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+    ):
+        beside = threading.Thread(target=meanwhile or (lambda _: None), args=(cluster,))
+        beside.start()
+        begun = time.perf_counter()
+        words = ["diagnose", str(folder), "--dask", cluster.scheduler_address, "-o", f"{out}/answers.json"]
+        status = subprocess.run([sys.executable, "-m", "galen_hw.cli", *words], check=False).returncode
+        took = time.perf_counter() - begun
+        beside.join()
+        if status not in (EXIT_OK, EXIT_FOUND):
+            raise RuntimeError(f"galen-hw diagnose ended with {status}")
+        answers = json.loads(Path(out, "answers.json").read_text())
+    return took, [{key: value for key, value in answer.items() if key != "date"} for answer in answers]
+
+
+def killed_after(seconds: float, killed: list[int]) -> Callable[[Any], None]:
+    """What kills a worker that is at work, so many seconds from now; its process is noted."""
+    from distributed import Client
+
+    connect: Any = Client
+
+    def kill(cluster: Any) -> None:
+        time.sleep(seconds)
+        with connect(cluster.scheduler_address) as client:
+            until = time.monotonic() + 60.0
+            while not killed and time.monotonic() < until:
+                pids = client.run(os.getpid)
+                for address in [a for a, tasks in client.call_stack().items() if tasks and a in pids][:1]:
+                    os.kill(pids[address], signal.SIGKILL)
+                    killed.append(pids[address])
+
+    return kill
+
+
+def row(count: int, workers: int) -> Row:
+    """The figure: all answers those of one worker, each recording answered, and the time over that of one worker."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for seed in range(count):
+            write_table(recording(seed), folder / f"run{seed:04d}")
+        alone, truth = asked(folder, 1)
+        several, same = asked(folder, workers)
+        killed: list[int] = []
+        wounded, after = asked(folder, workers, killed_after(several / 3, killed))
+    others = {
+        one["recording"] for found in (same, after) for one, true in zip(found, truth, strict=True) if one != true
+    }
+    whole = len(truth) == len(after) == count and not others and len(killed) == 1
+    text = (
+        f"{len(after)} answers, {len(others)} other than with one process, {len(killed)} killed; {alone:.0f} s with one "
+        f"process, {several:.0f} s with {workers} ({alone / several:.2f} x), {wounded:.0f} s with the killed one "
+        f"({alone / wounded:.2f} x)"
+    )
+    what = f"{count} recordings on a Dask cluster, a process of it killed at work"
+    return Row(what, "nothing lost, same answers", text, whole, "bench_cluster")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure, and put the line into the page of the benchmarks; exit status 1 if an answer was lost or differs."""
+    parser = argparse.ArgumentParser(prog="bench_cluster", description=__doc__)
+    parser.add_argument("--recordings", type=int, default=200)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--write", type=Path, help="page whose line of this is replaced")
+    args = parser.parse_args(argv)
+    found = row(args.recordings, args.workers)
+    print(found.line)
+    if args.write:
+        lines = args.write.read_text(encoding="utf-8").splitlines()
+        kept = [line for line in lines if "| bench_cluster |" not in line]
+        args.write.write_text("\n".join([*kept, found.line, ""]), encoding="utf-8")
+    return 0 if found.good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
