@@ -25,8 +25,7 @@ class Ages:
         age = age_ns if _FINE <= age_ns <= _MOST else _FINE if age_ns < _FINE else _MOST
         octave = age.bit_length() - 1 - _FINE_BITS
         self._cells[(octave << _FINE_BITS) + (age >> octave) - _FINE] += 1
-        if age > self._worst:
-            self._worst = age
+        self._worst = max(self._worst, age)
 
     def take(self) -> tuple[float, float, float] | None:
         """Median, 99th percentile and worst since the last call, s; None where nothing was counted."""
