@@ -148,7 +148,9 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
         """What the gauge of this index is called, for people."""
 
     def _judge_gauges(self, t_ns: int) -> None:
-        """After each verdict on the gauges: tell, and vouch for nothing until none has been broken for a while."""
+        """Judge the gauges: tell what is broken, and vouch for nothing until none has been for a while."""
+        if not self._gauges.judge():
+            return
         broken = self._gauges.broken
         if not broken:
             if self._broken and t_ns >= self._broken_until_ns:

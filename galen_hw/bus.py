@@ -92,7 +92,8 @@ class Publisher(_Socket):
 
     def publish(self, topic: str, message: Message) -> None:
         """Send one message to whoever listens."""
-        self.publish_bytes(TOPIC_BYTES[topic], encode(message))
+        self._send(TOPIC_BYTES[topic], _FIRST)
+        self._send(encode(message), _LAST)
 
     def publish_bytes(self, topic: bytes, payload: bytes) -> None:
         """Send one message that is encoded already."""

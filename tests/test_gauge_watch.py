@@ -183,3 +183,24 @@ def test_noise_is_measured_beside_a_load():
     counts = 5000.0 * np.sin(np.pi * t) + 4.0 * rng.standard_normal((1000, 6))
     counts[500:505] += 3000.0
     np.testing.assert_allclose(noise_of(np.rint(counts)), 4.0, rtol=0.15)
+
+
+def test_no_sample_waits_for_the_gauges_to_be_judged():
+    """Judging takes as long as a sample's whole way: it comes with the next request, after the sample has left."""
+    run = zeroed("ati")
+    device = run.device
+    judged_in_feed, feed, judge = [], device.feed, device._judge_gauges
+    inside = False
+
+    def watched_feed(wire, t_ns):
+        nonlocal inside
+        inside = True
+        found = feed(wire, t_ns)
+        inside = False
+        return found
+
+    device.feed = watched_feed
+    device._judge_gauges = lambda now_ns: (judged_in_feed.append(inside), judge(now_ns))
+    run.seconds(1.0)
+    assert len(judged_in_feed) >= 19
+    assert not any(judged_in_feed)

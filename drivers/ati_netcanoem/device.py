@@ -59,6 +59,8 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
             if now_ns >= self._sampler.due_ns:
                 wires = self._sampler.poll(now_ns)
                 self._watch(now_ns)
+            if self._gauges.is_due:  # here, and not where the last sample was taken: that one must not wait for it
+                self._judge_gauges(now_ns)
         elif self._phase is not Phase.OFF:
             wires = self._converse(now_ns)
         if now_ns >= self._bias.deadline_ns:
@@ -172,8 +174,7 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
         saturated = max(gauges) >= SATURATED_COUNTS or min(gauges) <= -SATURATED_COUNTS
         critical = self._status.critical if status == self._status.word else self._new_status(status, t_ns)
         counts = tuple(gauges)
-        if self._gauges.take(counts):
-            self._judge_gauges(t_ns)
+        self._gauges.take(counts)
         if saturated or self._bias.active or self._restart_id is not None:
             self._beside_sample(counts, t_ns, saturated=saturated)
         self._counters["samples"] += 1

@@ -14,7 +14,18 @@ from galen_hw.daemon.ages import Ages
 from galen_hw.daemon.logs import FAULTS
 from galen_hw.daemon.port import Port
 from galen_hw.errors import CommandRejectedError, GalenError
-from galen_hw.messages import STREAMS, CommandError, CompensationState, Fault, Message, Reply, Request, too_old
+from galen_hw.messages import (
+    MAX_AGE_NS,
+    STREAMS,
+    TOPICS,
+    CommandError,
+    CompensationState,
+    Fault,
+    Message,
+    Reply,
+    Request,
+    too_old,
+)
 from galen_hw.services.service import Service
 
 REPLY_WITHIN_NS: Final = 30 * NS_PER_S
@@ -50,6 +61,23 @@ class _Pending:
     device: str = ""
 
 
+class _Route:
+    """What becomes of the messages of one topic that are made here: looked up once a message, not once a question.
+
+    Args:
+        topic: its name.
+        consumers: the services here that take it.
+    """
+
+    __slots__ = ("ages", "consumers", "is_noted", "limit_ns")
+
+    def __init__(self, topic: str, consumers: tuple[Service, ...]) -> None:
+        self.consumers = consumers
+        self.limit_ns = MAX_AGE_NS[topic]
+        self.ages = Ages() if topic in STREAMS else None
+        self.is_noted = topic in _NOTED
+
+
 class Host:
     """The devices and services of one process.
 
@@ -78,17 +106,15 @@ class Host:
         self.published: dict[str, int] = {}
         self.old: dict[str, int] = {}
         """Messages beyond their topic's age limit, by topic: published as not valid, or not handed on."""
-        self.ages = {topic: Ages() for topic in STREAMS}
-        """Of the messages that describe the present, when they are published here."""
         self.faults: dict[str, Fault] = {}
         self.moving = False
         self.tool = ""
         """In hand, as `compensation/state` says."""
         self._name, self._link, self._clock, self._on_done = name, link, clock, on_done
         self._forbids = forbids
-        self._consumers: dict[str, tuple[Service, ...]] = {}
-        for topic in {t for s in services.values() for t in s.consumes}:
-            self._consumers[topic] = tuple(s for s in services.values() if topic in s.consumes)
+        self._routes = {t: _Route(t, tuple(s for s in services.values() if t in s.consumes)) for t in TOPICS}
+        self.ages = {topic: route.ages for topic, route in self._routes.items() if route.ages is not None}
+        """Of the messages that describe the present, when they are published here."""
         self._pending: dict[str, _Pending] = {}
         self._ids = itertools.count(1)
         self._next_tick_ns = 0
@@ -101,12 +127,12 @@ class Host:
     @property
     def consumed(self) -> frozenset[str]:
         """Topics that a service here takes."""
-        return frozenset(self._consumers)
+        return frozenset(topic for topic, route in self._routes.items() if route.consumers)
 
     def take(self, outputs: Iterable[Any], service: Service | None = None) -> None:
         """Carry the outputs of a device or (if given) of a service to where they belong."""
         for output in outputs:
-            if isinstance(output, tuple):
+            if type(output) is tuple:
                 self._emit(output[0], output[1])
             elif isinstance(output, Reply):
                 self._deliver(output)
@@ -119,10 +145,11 @@ class Host:
             return True
         now = self._clock()
         old = topic in STREAMS and too_old(topic, message.t_ns, now)
-        consumers = [s for s in self._consumers.get(topic, ()) if not old or s.takes_old]
+        everyone = self._routes[topic].consumers
+        consumers = [s for s in everyone if not old or s.takes_old]
         for service in consumers:
             self.take(service.handle(topic, message, now), service)
-        if len(consumers) == len(self._consumers.get(topic, ())):
+        if len(consumers) == len(everyone):
             return True
         self.old[topic] = self.old.get(topic, 0) + 1
         return False
@@ -159,20 +186,19 @@ class Host:
 
     def _emit(self, topic: str, message: Message) -> None:
         # Services first: the compensated wrench leaves before the raw one has cost its send.
+        route = self._routes[topic]
         now = self._clock()
-        if message.valid and too_old(topic, message.t_ns, now):
+        age_ns = now - message.t_ns
+        if age_ns > route.limit_ns and message.valid:
             message = msgspec.structs.replace(message, valid=False)
             self.old[topic] = self.old.get(topic, 0) + 1
-        ages = self.ages.get(topic)
-        if ages is not None:
-            ages.add(now - message.t_ns)
-        consumers = self._consumers.get(topic)
-        if consumers is not None:
-            for service in consumers:
-                self.take(service.handle(topic, message, now), service)
+        if route.ages is not None:
+            route.ages.add(age_ns)
+        for service in route.consumers:
+            self.take(service.handle(topic, message, now), service)
         self._link.publish(topic, message)
         self.published[topic] = self.published.get(topic, 0) + 1
-        if topic in _NOTED:
+        if route.is_noted:
             self._note(topic, message)
 
     def _note(self, topic: str, message: Message) -> None:

@@ -131,8 +131,10 @@ class _Link:
         """When the process' loop began: what a stream says of the time before is dropped, and counted as backlog."""
         self._robot, self._virtual = origin.robot, origin.virtual
 
-    def _signed(self, message: Message) -> Message:
-        return replace(message, robot=self._robot, virtual=self._virtual)
+    @property
+    def is_pending(self) -> bool:
+        """Something may have arrived of which no descriptor tells; see `Inlet`."""
+        return self.inlet.pending or self.control.pending
 
     def request(self, request: Request) -> None:
         """Send a request to whoever owns its target."""
@@ -169,13 +171,15 @@ class CoreLink(_Link):
 
     def publish(self, topic: str, message: Message) -> None:
         """Put a message on the bus."""
-        self._publisher.publish(topic, self._signed(message))
+        self._publisher.publish(topic, replace(message, robot=self._robot, virtual=self._virtual))
 
     def messages(self, ready: Sequence[int]) -> list[tuple[bytes, bytes]]:
         """What the other processes have published since; passed on to the bus already."""
-        found = []
-        now = time.monotonic_ns()
-        for frames in self.inlet.take(ready):
+        taken = self.inlet.take(ready)
+        if not taken:
+            return []
+        found, now = [], time.monotonic_ns()
+        for frames in taken:
             if len(frames) == 2 and frames[0] in KNOWN:
                 topic, payload = frames[0], not_older(frames[0], frames[1], now, self.begun_ns)
                 if payload is None:
@@ -216,7 +220,8 @@ class EdgeLink(_Link):
     def publish(self, topic: str, message: Message) -> None:
         """Push a message to the bus; dropped and counted when `core` does not take it."""
         try:
-            self._outward.send_multipart([topic.encode(), encode(self._signed(message))], zmq.NOBLOCK)
+            signed = replace(message, robot=self._robot, virtual=self._virtual)
+            self._outward.send_multipart([TOPIC_BYTES[topic], encode(signed)], zmq.NOBLOCK)
         except zmq.Again:
             self.dropped += 1
 

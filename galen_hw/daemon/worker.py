@@ -119,17 +119,17 @@ class Worker:
         for port in self._ports:
             due_ns = min(due_ns, port.wakeup_ns)
         ready = self._wait(due_ns)
-        host = self.host
+        host, wires = self.host, 0
         for port in self._ports:
-            outputs = port.step(readable=port.fd in ready)
-            if outputs:
+            is_readable = port.fd in ready
+            wires += is_readable
+            if outputs := port.step(readable=is_readable):
                 host.take(outputs)
         if self._patience_ns and (now := self._now()) >= self._next_inlet_ns:
             self._next_inlet_ns = now + self._patience_ns
             ready.append(self._link.inlet.fd)
-        if heard := self._link.messages(ready):
-            self._hear_all(heard)
-        self._listen(ready)
+        if len(ready) > wires or self._link.is_pending:
+            self._attend(ready)
         now = self._now()
         self._pulse(now)
         if now >= self._next_due_ns:
@@ -137,6 +137,12 @@ class Worker:
             self._report(now)
             self._garbage.collect(now)
             self._next_due_ns = min(host.wakeup_ns, self._next_beat_ns)
+
+    def _attend(self, ready: list[int]) -> None:
+        """Look at what is no wire: messages and requests of other processes, the lifeline. Most turns have none of it."""
+        if heard := self._link.messages(ready):
+            self._hear_all(heard)
+        self._listen(ready)
         if self._lifeline in ready or self._waker.fd in ready:
             self._look_at_lifeline(ready)
 
@@ -167,7 +173,7 @@ class Worker:
 
     def _wait(self, until_ns: int) -> list[int]:
         fds = [*self._own_fds, *[p.fd for p in self._ports if p.fd is not None]]
-        if self._link.inlet.pending or self._link.control.pending:
+        if self._link.is_pending:
             return readable(fds, 0.0)
         timeout = (until_ns - self._now()) / NS_PER_S
         return readable(fds, max(0.0, timeout))

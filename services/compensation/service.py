@@ -5,10 +5,10 @@ beside them. See `docs/compensation.md`.
 """
 
 from collections import deque
-from functools import partial
 from math import isfinite, nan
 from typing import Any, ClassVar, Final
 
+from msgspec.structs import replace
 from pydantic import BaseModel
 
 from galen_hw.clock import NS_PER_S
@@ -143,6 +143,8 @@ class CompensationService(Service):
         self, raw: WrenchRaw, joints: tuple[tuple[float, ...], int, bool] | None, predicted: Six
     ) -> bool:
         """The first usable sample after a zeroing that reads as the tool does; `predicted` holds it only with joints."""
+        if not self._correction.awaited:
+            return False
         usable = raw.valid and not raw.saturated and joints is not None and joints[2]
         return usable and self._correction.look_for_tool(raw, predicted)
 
@@ -159,7 +161,7 @@ class CompensationService(Service):
     def _flags(self, raw: WrenchRaw, *, usable: bool, fresh: bool) -> dict[str, bool]:
         """Return whether the wrench is vouched for: not with the sensor's own offset in it, with a tool or without one."""
         unzeroed = self._correction.unzeroed(raw)
-        self._offset = self._correction.holds_offset(raw)
+        self._offset = unzeroed and self._correction.holds_offset(raw)
         unseen = self._correction.unseen
         valid = usable and not unseen and not self._offset
         self._counters["unzeroed"] += unzeroed
@@ -174,13 +176,13 @@ class CompensationService(Service):
         fx, fy, fz, tx, ty, tz = wrench
         px, py, pz = point
         model = self._correction.model if self._correction.enabled else None
-        make = partial(
-            WrenchCompensated,
+        sample = WrenchCompensated(
             timestamp=raw.timestamp,
             t_ns=raw.t_ns,
             seq=self._seq,
             source=self.name,
             force=Vector3(fx, fy, fz),
+            torque=Vector3(tx, ty, tz),
             tool="" if model is None else model.name,
             calibration="" if model is None else model.calibration,
             enabled=model is not None,
@@ -191,7 +193,7 @@ class CompensationService(Service):
         )
         self._seq += 1
         moved = Vector3(tx - (py * fz - pz * fy), ty - (pz * fx - px * fz), tz - (px * fy - py * fx))
-        return [("wrench/compensated", make(torque=Vector3(tx, ty, tz))), ("wrench/contact", make(torque=moved))]
+        return [("wrench/compensated", sample), ("wrench/contact", replace(sample, torque=moved))]
 
     def request(self, request: Request, now_ns: int) -> list[Output]:
         """Carry out a command; see the class.
