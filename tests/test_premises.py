@@ -266,6 +266,7 @@ def test_another_tool_than_the_named_one_is_no_unit(mass):
         (1.0, 1000.0, "N mm"),
         (1000.0, 1000.0, "mN"),
         (1.0, 100.0, "N cm"),
+        (1 / 9.80665, 1000 / 9.80665, "torque is in kgf mm, force in kgf"),
     ],
 )
 def test_units_of_a_named_tools_wrench_are_named(force, torque, says):

@@ -53,6 +53,15 @@ def units_of(scale: float, table: dict[str, float]) -> list[str]:
     ]
 
 
+def _of_one_system(forces: list[str], torques: list[str]) -> tuple[list[str], list[str]]:
+    """The units of a force (none: N) and a torque that are one unit and that times a length, where there are such."""
+    pairs = [(f, t) for f in forces or ["N"] for t in torques if t.startswith(f"{f} ")]
+    if not pairs:
+        return forces, torques
+    force, torque = pairs[0]
+    return [force] if forces else [], [torque]
+
+
 class ToolSize:
     """Tests the tool's own numbers: no tool is metres long."""
 
@@ -167,6 +176,7 @@ class WrenchUnits:
             yield Remark(self.KEY, hint, "give N and N m, or name the tool that hangs there", columns, Action.REFUSED)
 
     def _in_units(self, seen: Observations, text: str, forces: list[str], torques: list[str]) -> Remark:
+        forces, torques = _of_one_system(forces, torques)
         columns = {name: seen.columns[name] / TORQUES[torques[0]] for name in TORQUE}
         columns |= {name: seen.columns[name] / FORCES[forces[0]] for name in FORCE if forces}
         what = f"{text}: torque is in {' or '.join(torques)}" + (f", force in {' or '.join(forces)}" if forces else "")
