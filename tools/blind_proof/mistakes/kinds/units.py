@@ -35,7 +35,7 @@ WRENCHES = (
     Unit("gram-force", 1e3 / G, 1e3 / G, r"gf|gram|9\.8"),
 )
 UNIT = (
-    r"\bunits?\b|\bin (?:N ?mm|N ?cm|kgf|lbf|mm|deg|counts|mA|per ?mille|degrees)\b|power of ten"
+    r"\bunits?\b|\bin (?:[kmcd]?N(?: ?m| ?mm| ?cm)?|kgf|lbf|mm|deg|counts|mA|per ?mille|degrees)\b|power of ten"
     r"|times (?:as|too) (?:large|small|big|great|high)"
 )
 
