@@ -55,10 +55,13 @@ async def _heard(port: int, wanted: set[str]) -> dict[str, tuple[dict[str, Any],
             frame = await asyncio.wait_for(socket.recv(), 20.0)
             if isinstance(frame, str):
                 told = json.loads(frame)
-                for channel in told.get("channels", []) if told.get("op") == "advertise" else ():
-                    advertised[channel["id"]] = channel
-                    request = {"op": "subscribe", "subscriptions": [{"id": channel["id"], "channelId": channel["id"]}]}
-                    await socket.send(json.dumps(request))
+                if told.get("op") == "advertise":
+                    advertised |= {channel["id"]: channel for channel in told["channels"]}
+                # A channel that is opened while a client connects can be advertised before it may be subscribed to; the
+                # server (SDK 0.30) then says so in a status, and it is asked for again.
+                asked = [i for i, channel in advertised.items() if channel["topic"] not in heard]
+                subscriptions = [{"id": i, "channelId": i} for i in asked]
+                await socket.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
             elif frame[0] == 1:
                 number, _ = struct.unpack_from("<IQ", frame, 1)
                 heard.setdefault(advertised[number]["topic"], (advertised[number], frame[13:]))
