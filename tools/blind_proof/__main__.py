@@ -89,7 +89,7 @@ def _judged(seed: int, count: int, folder: Path, workers: int, minutes: float) -
         made = pool.map(build, planned, [folder / c.name for c in planned])
         cases = list(track(made, total=len(planned), description="generating"))
     sealed = seal.seal(cases, folder)
-    plans = [{"name": c.name, "second_run": _second_run(c)} for c in cases]
+    plans = [{"name": c.name, "second_run": judge.second_run(c)} for c in cases]
     verdicts = judge.verdicts(folder, plans, folder / "verdicts", workers, minutes)
     return cases, _scored(seal.unseal(sealed, folder, verdicts), folder)
 
@@ -112,13 +112,8 @@ def _scored(truth: list[dict[str, Any]], folder: Path) -> list[score.Scored]:
         if not path.exists():
             continue
         verdict = json.loads(path.read_text())
-        out.append(score.score(case | {"second_run": _second_run(Case.from_dict(case))}, verdict))
+        out.append(score.score(case | {"second_run": judge.second_run(Case.from_dict(case))}, verdict))
     return out
-
-
-def _second_run(case: Case) -> bool:
-    """Persistent effects are judged on a second run; those of a moment or of the clock on blocks of the first."""
-    return case.share != "premise" and not ({e.key for e in case.effects} & judge.ONE_RUN)
 
 
 def _rivals(

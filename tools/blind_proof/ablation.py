@@ -10,7 +10,6 @@ import argparse
 import json
 import os
 import re
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -26,7 +25,6 @@ from galen_hw.tools.blind_proof.generator.plan import plan
 from galen_hw.tools.blind_proof.score import Scored, score
 from galen_hw.tools.blind_proof.switches import SWITCHES
 
-PATIENCE_S = 600.0
 REAL = (
     "emps",
     "kr300-dual-encoder",
@@ -56,7 +54,7 @@ class Task(NamedTuple):
 
 
 class Row(NamedTuple):
-    """What one switch is worth: cases right by seed, real recordings right, effects named too many or wrongly, seconds."""
+    """Says what one switch is worth: cases right by seed, real recordings right, effects named too many or wrongly, seconds."""
 
     switch: str
     right: list[int]
@@ -106,8 +104,8 @@ def _tasks(switch: str, folder: Path, cases: dict[str, list[Any]]) -> Iterator[T
     for key, of in cases.items():
         for case in of:
             place = folder / key / case.name
-            second = case.share != "premise" and not ({e.key for e in case.effects} & judge.ONE_RUN)
-            yield Task(switch, f"{key}/{case.name}", place / "train", place / "test" if second else None)
+            test = place / "test" if judge.second_run(case) else None
+            yield Task(switch, f"{key}/{case.name}", place / "train", test)
     data = real.data_folder()
     for name in REAL if data is not None else ():
         place = data / name  # type: ignore[operator]
@@ -122,28 +120,9 @@ def _asked(task: Task, folder: Path) -> dict[str, Any]:
         return dict(json.loads(kept.read_text()))
     kept.parent.mkdir(parents=True, exist_ok=True)
     told = kept.with_suffix(".told")
-    command = [
-        sys.executable,
-        "-m",
-        "galen_hw.tools.blind_proof.switches",
-        task.switch,
-        str(task.train),
-        "-o",
-        str(told),
-    ]
-    command += ["--holdout", str(task.test)] if task.test is not None else []
-    env = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S, env=env)
-        exit_code, said = done.returncode, (done.stdout + "\n" + done.stderr)[-6000:]
-    except subprocess.TimeoutExpired:
-        exit_code, said = 124, f"no answer after {PATIENCE_S:g} s"
-    answer = {
-        "exit": exit_code,
-        "said": said,
-        "seconds": _cpu(said),
-        "json": json.loads(told.read_text()) if told.exists() else None,
-    }
+    command = ["galen_hw.tools.blind_proof.switches", task.switch, str(task.train), "-o", str(told)]
+    answer = judge.asked([*command, "--holdout", str(task.test)] if task.test is not None else command, told)
+    answer["seconds"] = _cpu(answer["said"])
     part = kept.with_suffix(".part")
     part.write_text(json.dumps(answer))
     part.replace(kept)
@@ -153,7 +132,7 @@ def _asked(task: Task, folder: Path) -> dict[str, Any]:
 def _cpu(said: str) -> float:
     """Seconds of CPU that the process says it took."""
     found = re.findall(r"^cpu_s ([0-9.]+)$", said, re.MULTILINE)
-    return float(found[-1]) if found else PATIENCE_S
+    return float(found[-1]) if found else judge.PATIENCE_S
 
 
 def _row(switch: str, truth: dict[str, list[dict[str, Any]]], told: dict[tuple[str, str], dict[str, Any]]) -> Row:

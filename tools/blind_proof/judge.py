@@ -12,6 +12,8 @@ from typing import Any
 
 from rich.progress import Progress
 
+from galen_hw.tools.blind_proof.generator.case import Case
+
 ONE_RUN = {"step", "contact", "glitches", "drift", "temperature", "vibration"}
 """Effects of a moment or of the clock: a second run does not repeat them; the tool sets blocks of the first aside."""
 PATIENCE_S = 600.0
@@ -47,18 +49,27 @@ def verdicts(
 def _ask(case: Path, *, second_run: bool) -> dict[str, Any]:
     """What `galen-hw diagnose` says about one case."""
     answer = case / "answer.json"
-    command = [sys.executable, "-m", "galen_hw.cli", "diagnose", str(case / "train"), "-o", str(answer)]
-    if second_run:
-        command += ["--holdout", str(case / "test")]
+    command = ["galen_hw.cli", "diagnose", str(case / "train"), "-o", str(answer)]
+    return asked([*command, "--holdout", str(case / "test")] if second_run else command, answer)
+
+
+def asked(command: list[str], answer: Path) -> dict[str, Any]:
+    """What a module with its arguments says, and writes to `answer`: {"exit", "said", "seconds", "json"}."""
     # Of a run before that was cut off.
     answer.unlink(missing_ok=True)
     start = time.monotonic()
     env = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    whole = [sys.executable, "-m", *command]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S, env=env)
+        done = subprocess.run(whole, capture_output=True, text=True, check=False, timeout=PATIENCE_S, env=env)
     except subprocess.TimeoutExpired:
         said = f"no answer after {PATIENCE_S:g} s"
         return {"exit": 124, "said": said, "seconds": PATIENCE_S, "json": None}
     verdict = json.loads(answer.read_text()) if answer.exists() else None
     said = (done.stdout + "\n" + done.stderr)[-6000:]
     return {"exit": done.returncode, "said": said, "seconds": time.monotonic() - start, "json": verdict}
+
+
+def second_run(case: Case) -> bool:
+    """Persistent effects are judged on a second run; those of a moment or of the clock on blocks of the first."""
+    return case.share != "premise" and not ({e.key for e in case.effects} & ONE_RUN)

@@ -37,7 +37,7 @@ def _as_it_was(model: Any, *_: Any, **__: Any) -> Any:
 
 @dataclass(frozen=True)
 class Switch:
-    """One rule or move.
+    """Names one rule or move.
 
     Args:
         target: "module:function"; off: what stands in its place; what: in words, for the table.
@@ -60,7 +60,7 @@ SWITCHES: Final[dict[str, Switch]] = {
     "drop": Switch(f"{MOVES}.drop:dropped", _no, "effects that others have made needless"),
     "swap": Switch(f"{MOVES}.swap:swapped", _no, "each effect for its look-alikes"),
     "refine": Switch(f"{MOVES}.refine:refined", _no, "finer forms of what was found"),
-    "simplest": Switch(
+    "completes": Switch(
         f"{SELECTION}.acceptance:completes", _no, "the effect that takes nearly all of a loud recording"
     ),
     "plausible": Switch(f"{SELECTION}.acceptance:plausible", _yes, "parameters that a machine can have"),

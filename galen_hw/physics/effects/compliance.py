@@ -1,5 +1,6 @@
 """Give under load: compliance, and stiffness that changes with load."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -70,8 +71,8 @@ class Compliance(Effect):
         if scene.moved or len(scene.channels) != 1 or np.ptp(scene.simulated[:, 0]) > 0.0:
             return
         for name, values in scene.observations.columns.items():
-            word = name.removeprefix("covariate.")
-            if word != name and any(load in word for load in LOADS) and np.ptp(values) > 0.0:
+            words = re.split(r"[._]", name.lower())
+            if words[0] == "covariate" and not set(LOADS).isdisjoint(words) and np.ptp(values) > 0.0:
                 yield cls("loop", joint_of(scene.channels[0]), name)
 
     @classmethod
@@ -79,7 +80,7 @@ class Compliance(Effect):
         names = [joint_of(name) for name in scene.channels]
         for i, joint in enumerate(names):
             for first in names[max(0, i - 2) : i + 1]:
-                if not _bears(scene, joint) and len(names) != 2:
+                if not _bears(scene, joint):
                     yield from (
                         cls("weight", joint, "all", first, links) for links in (1, 2) if i + links <= len(names)
                     )
@@ -89,7 +90,7 @@ class Compliance(Effect):
         if self.form == "weight":
             return tuple(Parameter(f"{f}_{link}", "rad") for link in self._links(scene) for f in ("sin", "cos"))
         if self.form == "loop":
-            return (Parameter("compliance", "rad a unit"),)
+            return (Parameter("compliance", f"{scene.units[0]} a unit"),)
         if self.form != "joint":
             return tuple(Parameter(f"compliance_{letter}", "m/N") for letter in "xyz")
         return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)

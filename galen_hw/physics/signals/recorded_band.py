@@ -27,7 +27,7 @@ def recorded_band(x: Array, dt: float, units: Sequence[str]) -> float | None:
     """Frequency (Hz) up to which the channels x (N, C), a row each dt s, were let through; None: they hold noise of all bands.
 
     Channels of one unit count together, and the widest of the bands is that of all. None too where it is most of what the
-    rows can show.
+    rows can show, and where nothing moves.
     """
     x = x[np.isfinite(x).all(axis=1)]
     middle = max(len(x) - MOST_ROWS, 0) // 2
@@ -35,14 +35,14 @@ def recorded_band(x: Array, dt: float, units: Sequence[str]) -> float | None:
     if len(x) < 4 * SHORTEST:
         return None
     frequency, each = np.fft.rfftfreq(len(x), dt), _density(x, dt)
-    density = np.stack([each[:, [u == unit for u in units]].sum(axis=1) for unit in dict.fromkeys(units)], axis=-1)
+    alike = np.array([[u == unit for unit in dict.fromkeys(units)] for u in units], dtype=float)
+    density, spread = each @ alike, np.var(x, axis=0) @ alike
     noise = np.median(density[frequency > 0.25 / dt], axis=0) / np.log(2.0) * 0.5 / dt
-    spread = np.array([np.sum(np.var(x[:, [u == unit for u in units]], axis=0)) for unit in dict.fromkeys(units)])
     if np.any(noise > QUIETEST**2 * spread):
         return None
     moved = np.cumsum(density * frequency[:, None] ** 2, axis=0)
     band = float(frequency[np.argmax(moved >= LET_THROUGH * moved[-1], axis=0)].max())
-    return band if band < 0.25 / dt else None
+    return band if 0.0 < band < 0.25 / dt else None
 
 
 def _density(x: Array, dt: float) -> Array:
