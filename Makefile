@@ -5,7 +5,9 @@ BIN := $(VENV)/bin
 BASE := $(VENV)/.installed
 STAMP := $(VENV)/.installed-dev
 # Warnings of pip are about its own build tools; what fails is still said.
-PIP := $(BIN)/python -m pip install --quiet --quiet
+# A release of any of 200 packages must not decide whether a change lands: NEWEST=1 takes what is newest instead.
+CONSTRAINTS := $(if $(NEWEST),,--constraint constraints.txt)
+PIP := $(BIN)/python -m pip install --quiet --quiet $(CONSTRAINTS)
 
 .DEFAULT_GOAL := help
 .PHONY: help install docs demo test inject-test loop-test lint lowest wheel-test bench cluster robots soak fuzz lock audit proof mistakes ablation clean
@@ -22,21 +24,21 @@ help:
 	@echo "make cluster  200 recordings on a Dask cluster of which a process is killed, a line of docs/benchmarks.md"
 	@echo "make robots  every arm against pinocchio, MuJoCo and Drake, which it installs (250 MB)"
 	@echo "make fuzz    a million inputs for whatever reads foreign bytes, written to docs/fuzz.md (long)"
-	@echo "make lock    requirements.lock anew: every package with its hashes"
+	@echo "make lock    requirements.lock (with hashes) and constraints.txt (all extras) anew, from what is newest"
 	@echo "make audit   the packages of the lock against the advisory database"
 	@echo "make soak    an hour (MINUTES=60) of the daemon with faults at random and ten listeners, written to docs/soak.md"
 	@echo "make proof   the blind proof of the diagnosis, written to docs/proof.md (long)"
 	@echo "make ablation  each rule of the diagnosis switched off in turn, written to docs/ablation.md (hours)"
 	@echo "make mistakes  300 recordings with one ordinary mistake each, a section of docs/proof.md (long)"
 
-$(BASE): pyproject.toml
+$(BASE): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "make: $(PYTHON) is older than 3.11; set PYTHON=/path/to/python3.11" >&2; exit 2; }
 	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
 	  { echo "make: $(PYTHON) cannot make a virtual environment; install the package python3-venv" >&2; exit 2; }
 	@echo "setting up $(VENV), once: a minute or two"
 	@$(PYTHON) -m venv $(VENV)
-	@$(PIP) --upgrade pip
+	@$(BIN)/python -m pip install --quiet --quiet --upgrade pip
 	@$(PIP) --editable '.[all]'
 	@touch $@
 
@@ -110,10 +112,13 @@ fuzz: $(STAMP)
 
 # Universal: one file for every machine; no address of an index in it.
 LOCK_HEAD := \# Every package that `pip install galen-hw` brings, with its hashes; made with `make lock`. Install: pip install --require-hashes -r requirements.lock
+CONSTRAINTS_HEAD := \# The version of every package, extras too, with which the tests passed; made with `make lock`, taken by `make install`.
 lock: $(STAMP)
 	@$(PIP) uv
 	@echo '$(LOCK_HEAD)' > requirements.lock
 	$(BIN)/uv pip compile pyproject.toml --quiet --python-version 3.11 --universal --generate-hashes --no-header >> requirements.lock
+	@echo '$(CONSTRAINTS_HEAD)' > constraints.txt
+	$(BIN)/uv pip compile pyproject.toml --quiet --python-version 3.11 --universal --all-extras --no-header --no-annotate >> constraints.txt
 
 audit: $(STAMP)
 	@$(PIP) pip-audit

@@ -49,12 +49,11 @@ class Reader(Generic[_T]):
             raise UnreadableError(f"{len(frame)} bytes are more than {largest}")
         try:
             return self._decoder.decode(frame)
-        except UnicodeDecodeError:
-            why = "text that is not UTF-8"
         except RecursionError:
             why = "nested too deep"
         except (ValueError, TypeError, ArithmeticError, MemoryError) as error:  # msgspec.DecodeError is a ValueError
-            why = str(error)
+            # UnicodeDecodeError before msgspec 0.23, which has a DecodeError of its own words for it.
+            why = "text that is not UTF-8" if "utf-8" in str(error).lower() else str(error)
         raise UnreadableError(why)
 
 
