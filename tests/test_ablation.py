@@ -22,7 +22,7 @@ print(sum(m.make is one.off for m in moves), len(moves), sum(r is one.off for r 
 """
 
 
-@pytest.mark.parametrize("name", ["drop", "plausible", "trifles", "band"])
+@pytest.mark.parametrize("name", ["drop", "plausible", "no worse", "band"])
 def test_a_switch_takes_its_rule_out_of_every_module_and_of_the_table_of_moves(name: str) -> None:
     done = subprocess.run([sys.executable, "-c", ASKED, name], capture_output=True, text=True, check=True)
     of_moves, moves, places = (int(x) for x in done.stdout.split())
@@ -31,12 +31,21 @@ def test_a_switch_takes_its_rule_out_of_every_module_and_of_the_table_of_moves(n
     assert places >= (0 if name == "band" else 2)
 
 
+def test_a_switch_takes_a_method_out_of_its_class() -> None:
+    asked = "from galen_hw.tools.blind_proof.switches import switch_off; switch_off('budget'); " + (
+        "from galen_hw.diagnosis.stats.criteria import CRITERIA; print(CRITERIA.standard_errors(100))"
+    )
+    done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
+    assert float(done.stdout) == 1.0
+
+
 def test_every_switch_names_a_function() -> None:
     import importlib
+    from functools import reduce
 
     for one in SWITCHES.values():
         module, function = one.target.split(":")
-        assert callable(getattr(importlib.import_module(module), function))
+        assert callable(reduce(getattr, function.split("."), importlib.import_module(module)))
 
 
 def test_the_table_has_a_row_a_switch_and_its_cpu_over_all() -> None:

@@ -39,7 +39,7 @@ def test_a_share_that_nobody_cares_for_is_not_told() -> None:
     """Surely there, half a hundredth of the excess: the level is an argument."""
     small = gain(0.3, other=4.0)
     assert 0.0001 < small.share < 0.01
-    assert small.fall > 2.0 * small.error
+    assert small.fall > Criteria().standard_errors() * small.error
     assert not small.credible()
     assert small.credible(Criteria(least_share=0.0001))
     assert small.credible(rough=0.0), "beside a law that is exact it is no part of that law"

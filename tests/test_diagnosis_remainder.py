@@ -24,11 +24,11 @@ from galen_hw.diagnosis.lack_of_fit.regression import Blend
 from galen_hw.diagnosis.lack_of_fit.residual_model import RIDGES, Ridge, learn
 from galen_hw.diagnosis.lack_of_fit.trees import beside
 from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.stats.paired_test import paired
 from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.diagnosis.validation.contact_or_place import foretold
 from galen_hw.diagnosis.validation.flexible_effects import _finished
 from galen_hw.diagnosis.validation.holdout import judge_remainder
-from galen_hw.diagnosis.validation.support import support
 from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.events import Contact
 from galen_hw.physics.effects.registry import scene_of
@@ -268,11 +268,12 @@ def test_a_line_between_the_lines_of_the_spectrum_is_found_to_its_error(frequenc
 
 def test_support_allows_for_what_is_known_of_the_noise() -> None:
     """An effect that takes all that is there, but little beside the error of the noise's level, is not refused for that."""
+    effect_only = np.array([1.01**2 - 1.0])
     rng = np.random.default_rng(2)
     noise = 1.01 * rng.normal(size=(50000, 1))
     effect = 0.1 * np.sin(np.arange(50000) / 30.0)[:, None]
-    assert support(noise + effect, noise) == pytest.approx(1.0, abs=0.2)
-    assert support(3.0 * noise + effect, 3.0 * noise) < 0.05
+    assert paired(noise + effect, noise, effect_only).credible()
+    assert not paired(3.0 * noise + effect, 3.0 * noise, np.array([8.0])).credible()
 
 
 @pytest.mark.inject

@@ -16,10 +16,10 @@ from diagnosis_cases import WRENCH, Beam, Bench, Servo
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.identifiability import rivals
 from galen_hw.diagnosis.pipeline import diagnose
-from galen_hw.diagnosis.selection.acceptance import WORTH, shows_in_noise, worth
+from galen_hw.diagnosis.selection.acceptance import improvement, pays
 from galen_hw.diagnosis.selection.comparison import ahead, in_place
 from galen_hw.diagnosis.selection.proposals import sought
-from galen_hw.diagnosis.stats.paired_test import sure
+from galen_hw.diagnosis.stats.paired_test import paired
 from galen_hw.diagnosis.validation.holdout import judge
 from galen_hw.diagnosis.work import Work
 from galen_hw.kinematics import GalenRobot, UrdfRobot
@@ -219,9 +219,10 @@ def test_an_effect_that_acts_seldom_is_as_sure_as_its_noise_allows() -> None:
     noise = rng.normal(size=(4000, 2))
     seldom = np.zeros_like(noise)
     seldom[:200] = 1.0
-    assert sure(noise, noise + seldom) > 10.0
+    found = paired(noise + seldom, noise, np.zeros(2))
+    assert found.fall > 10.0 * found.error
     fitted = 0.2 * rng.normal(size=(4000, 2))
-    assert sure(noise - fitted, noise) < 2.0
+    assert not paired(noise, noise - fitted, np.zeros(2)).credible()
 
 
 def test_stiffness_that_grows_with_load_and_friction_beside_a_spring() -> None:
@@ -349,8 +350,8 @@ def test_a_small_effect_is_not_lost_in_large_slow_noise(size: float, there: bool
     selection = work.selection
     scorer, selection.chosen = selection.scorer, []
     place = next(i for i, h in enumerate(scorer.library) if h.effect == JointOffset("roll"))
-    assert worth(work.bench, scorer, selection, place)[0] < 0.5 * WORTH
-    assert shows_in_noise(work.bench, scorer, selection, place) is there
+    assert not improvement(selection, [place])[0].credible()
+    assert pays(selection, [place], place)[0] is there
 
 
 PLANAR = """<robot name="planar"><link name="base"/><link name="upper"/><link name="fore"/>

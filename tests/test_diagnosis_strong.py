@@ -15,7 +15,7 @@ from diagnosis_cases import Array, Bench, Servo, cable_drag, lagged
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.pipeline import diagnose
-from galen_hw.diagnosis.validation.support import Guard
+from galen_hw.diagnosis.validation.support import HoldoutTest
 from galen_hw.diagnosis.validation.verdict import FORM, strong, tolerated, trifles
 from galen_hw.physics.effects.events import Contact, Vibration
 from galen_hw.physics.effects.registry import scene_of
@@ -130,7 +130,5 @@ def test_nothing_supports_what_makes_raw_errors_larger() -> None:
     white = {id(model): quiet, id(other): quiet + 0.5 * np.roll(quiet, 1, axis=0)}
     for raw, supported in ((quiet, True), (quiet + slow, False)):
         rests = {id(model): raw, id(other): quiet + 0.5 * np.roll(quiet, 1, axis=0)}
-        guard = Guard(np.ones(6), lambda m, r=rests: r[id(m)], lambda m: white[id(m)], model)
-        support, certain = guard.of(other, [0])
-        assert (support > 0.0) == supported
-        assert certain > 5.0
+        test = HoldoutTest(np.ones(6), lambda m, r=rests: r[id(m)], lambda m: white[id(m)], model, other)
+        assert any(one.credible() for one in test.gains(other)) == supported

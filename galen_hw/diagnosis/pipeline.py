@@ -17,7 +17,7 @@ from galen_hw.diagnosis.selection.proposals import library
 from galen_hw.diagnosis.validation.contact_or_place import outstanding
 from galen_hw.diagnosis.validation.flexible_effects import left_by, left_of_another, might_yield, predict_unnamed
 from galen_hw.diagnosis.validation.holdout import earned
-from galen_hw.diagnosis.validation.verdict import beyond, strong, trifles, verdict_of
+from galen_hw.diagnosis.validation.verdict import beyond, strong, verdict_of
 from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.registry import scene_of
@@ -90,9 +90,9 @@ def diagnose(
     if model is not chosen:
         left = left_by([model], generic)[0]
     left = strong(left, judged, bench)
-    small, plain = trifles(model), outstanding(model, judged, left or beyond(judged, model))
-    if small or plain is not model:
-        model, judged = earned(plain.without(small), holdout, judged)
+    plain = outstanding(model, judged, left or beyond(judged, model))
+    if plain is not model:
+        model, judged = earned(plain, holdout, judged)
         left = strong(left_by([model], generic)[0], judged, bench)
     glitch = [] if premise.wrong else outliers.confirmed(glitch, model)
     if (left or might_yield(model)) and not premise.wrong:

@@ -31,6 +31,22 @@ def _none(*_: Any, **__: Any) -> None:
     return None
 
 
+def _pays(*_: Any, **__: Any) -> tuple[bool, float]:
+    return True, 1.0
+
+
+def _first(_bench: Any, _scorer: Any, _chosen: Any, _scores: Any, able: list[int]) -> int:
+    return able[0]
+
+
+def _one(*_: Any, **__: Any) -> float:
+    return 1.0
+
+
+def _zero(*_: Any, **__: Any) -> float:
+    return 0.0
+
+
 def _as_it_was(model: Any, *_: Any, **__: Any) -> Any:
     return model
 
@@ -40,7 +56,7 @@ class Switch:
     """Names one rule or move.
 
     Args:
-        target: "module:function"; off: what stands in its place; what: in words, for the table.
+        target: "module:function" or "module:Class.method"; off: what stands in its place; what: in words, for the table.
     """
 
     target: str
@@ -60,16 +76,14 @@ SWITCHES: Final[dict[str, Switch]] = {
     "drop": Switch(f"{MOVES}.drop:dropped", _no, "effects that others have made needless"),
     "swap": Switch(f"{MOVES}.swap:swapped", _no, "each effect for its look-alikes"),
     "refine": Switch(f"{MOVES}.refine:refined", _no, "finer forms of what was found"),
-    "completes": Switch(
-        f"{SELECTION}.acceptance:completes", _no, "the effect that takes nearly all of a loud recording"
-    ),
+    "paired test": Switch(f"{SELECTION}.acceptance:pays", _pays, "held-out errors before an effect joins"),
+    "simpler": Switch(f"{SELECTION}.simplicity:plainest", _first, "the simpler within one standard error"),
+    "no worse": Switch(f"{SELECTION}.acceptance:no_worse", _yes, "held-out errors before an exchange"),
+    "budget": Switch("galen_hw.diagnosis.stats.criteria:Criteria.standard_errors", _one, "one budget of false alarms"),
+    "discrepancy": Switch("galen_hw.diagnosis.validation.verdict:tolerated", _zero, "what rough laws may miss"),
     "plausible": Switch(f"{SELECTION}.acceptance:plausible", _yes, "parameters that a machine can have"),
-    "small": Switch(f"{SELECTION}.acceptance:shows_in_noise", _no, "small effects in whitened units"),
     "faint": Switch("galen_hw.diagnosis.detection.outliers:faint", _none, "faint outliers, and all asked again"),
     "trees": Switch("galen_hw.diagnosis.lack_of_fit.trees:hidden", _nothing, "structure that trees find"),
-    "trifles": Switch(
-        "galen_hw.diagnosis.validation.verdict:trifles", _nothing, "names smaller than another law's error"
-    ),
     "outstanding": Switch(
         "galen_hw.diagnosis.validation.contact_or_place:outstanding", _as_it_was, "contacts that recur"
     ),
@@ -88,9 +102,16 @@ def switch_off(name: str) -> None:
     module, function = one.target.split(":")
     importlib.import_module("galen_hw.diagnosis.pipeline")
     importlib.import_module("galen_hw.physics.scenes.wrench")
-    rule = getattr(importlib.import_module(module), function, None)
+    owner: Any = importlib.import_module(module)
+    *classes, function = function.split(".")
+    for name_of in classes:
+        owner = getattr(owner, name_of, None)
+    rule = getattr(owner, function, None)
     if rule is None:
         raise KeyError(f"{one.target} is not there")
+    if classes:
+        setattr(owner, function, one.off)
+        return
     for loaded in [m for key, m in list(sys.modules.items()) if key.startswith("galen_hw") and m is not None]:
         for key in [k for k, v in vars(loaded).items() if v is rule]:
             setattr(loaded, key, one.off)

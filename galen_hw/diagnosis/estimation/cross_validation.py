@@ -15,20 +15,15 @@ LEAST_PIECE = 8
 """Rows of one where noise has a memory."""
 
 
-def crossed(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False) -> Array:
-    """(C,) mean squared error of a model on training blocks left out in turn, see `left_out`."""
-    return np.asarray(np.mean(errors(bench, scorer, chosen, fine=fine) ** 2, axis=0))
-
-
 def errors(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False, whitened: bool = False) -> Array:
     """(n, C) errors of a model on the training rows, raw or whitened, each predicted from blocks that it is not in."""
     model = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
     return _errors(bench, model, scorer.white, fine=fine, whitened=whitened)
 
 
-def left_out(bench: Bench, model: list[Hypothesis], white: Array, *, fine: bool = False) -> Array:
-    """(C,) mean squared error, raw, on training blocks left out in turn; `fine`: on short pieces left out in turn."""
-    return np.asarray(np.mean(_errors(bench, model, white, fine=fine) ** 2, axis=0))
+def of_parts(bench: Bench, model: list[Hypothesis], white: Array) -> Array:
+    """(n, C) raw errors on the training rows, each block predicted from the others."""
+    return _errors(bench, model, white, fine=False)
 
 
 def white_left_out(bench: Bench, model: list[Hypothesis], white: Array) -> Array:

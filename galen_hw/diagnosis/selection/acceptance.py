@@ -5,114 +5,78 @@ import numpy as np
 from galen_hw.diagnosis.estimation.candidate import with_parameters
 from galen_hw.diagnosis.estimation.cross_validation import errors
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import PROVED, rests
+from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
-from galen_hw.diagnosis.stats.paired_test import sure
-from galen_hw.diagnosis.stats.sampling import Mask
-from galen_hw.physics.effects.base import Effect
+from galen_hw.diagnosis.stats.paired_test import Gain, paired
 from galen_hw.spatial import Array
 
-WORTH = 0.25
-"""An effect must take at least this share of the excess that is left in some channel, on data it did not learn from."""
-MATTERS = 0.03
-"""Where the best model still misses much (real machines), an effect must take this share of the whole excess as well."""
-LOUD = 400.0
-"""Mean square over noise from which a recording is so loud that a hundredth of it is no matter."""
-NEARLY_ALL = 0.95
-"""Share of the excess that is left from which it does not matter how small a part of the whole that is."""
-STAIRS = 0.9
-"""Share of the excess that is left of which several jumps are worth their place together."""
-MOSTLY = 0.8
-"""The same where noise alone is left besides: the rest of that share is the error of a small effect."""
-ALONE = 1.05
-"""Whitened mean square below which it is."""
-OUTSTANDING = 9.0
-"""Mean square of what is left during a contact over that at all other times from which it is judged by its own moments."""
 UNDONE = 0.1
 """Share of either of two effects that their sum must reach: what they do is not to cancel."""
-LEAST_SIZE = 0.1
-"""Rms over the noise, in the channels where it acts, from which what raw errors do not show may be believed."""
-BESIDE = 5.0
-"""And any of several: what joins a model was chosen among all that its rest resembles."""
 
 
-def asked(bench: Bench, out: Selection, effect: Effect | None, misfit: float) -> tuple[float, float]:
-    """The shares that an effect must take, of the excess that is left and of the excess at the start, see `worth`.
+def improvement(out: Selection, trial: list[int], *, fine: bool = False, whitened: bool = False) -> tuple[Gain, float]:
+    """Compare a trial with the chosen model on training blocks, each predicted from the others.
 
-    What belongs to moments fits nearly anything and pays more; a staircase, which follows any slope, pays nearly all. Of the
-    whole nothing is asked where noise is all that is left and the excess was small.
+    Returns:
+        What falls of the excess that there was before anything was chosen, and the share of it that the trial leaves.
     """
-    episodic = effect is not None and effect.EPISODIC
-    stairs = effect is not None and bool(effect.single)
-    loud = float(np.max(out.start / bench.noise.sigma**2)) > LOUD
-    beyond = min(1.0, misfit - 1.0)
-    return STAIRS if stairs else WORTH * (1.0 + beyond * episodic), MATTERS * max(beyond, 0.3 * loud)
-
-
-def completes(bench: Bench, scorer: Scorer, chosen: list[int], paid: float) -> bool:
-    """Whether the last of the chosen takes so much of the excess that is left that hardly any physics is missing beside it.
-
-    What belongs to moments fits nearly anything: of it noise alone must be left, which a misfit by many names never is.
-    """
-    effect, misfit = scorer.library[chosen[-1]].effect, scorer.misfit(chosen)
-    if effect is None or (effect.EPISODIC and misfit >= PROVED):
-        return False
-    if paid >= NEARLY_ALL:
-        return True
-    if paid < MOSTLY or misfit >= ALONE:
-        return False
-    # Physics that is missing passes for slow noise where it is left long enough: raw errors do not hide it.
-    after = np.mean(errors(bench, scorer, chosen) ** 2, axis=0)
-    return bool(np.all(after < PROVED * bench.noise.sigma**2))
-
-
-def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, float]:
-    """What the hypothesis takes on blocks it did not learn from: share of the excess left, and of that at the start.
-
-    The best channel counts. Five folds of contiguous blocks inside the training rows, errors in raw units, excess over the
-    noise of the rich fit.
-    """
-    effect = scorer.library[i].effect
-    # A contact of three seconds lies in one block: only pieces shorter than it can say whether it is there.
-    fine = effect is not None and not effect.lasting()
-    before = errors(bench, scorer, out.chosen, fine=fine) ** 2
-    after = errors(bench, scorer, [*out.chosen, i], fine=fine) ** 2
-    floor = bench.noise.sigma**2
+    bench, scorer = out.bench, out.scorer
+    sigma = np.ones(bench.width) if whitened else bench.noise.sigma
+    without, rest = (
+        errors(bench, scorer, model, fine=fine, whitened=whitened) / sigma for model in (out.chosen, trial)
+    )
     if not len(out.begun):
         out.begun = errors(bench, scorer, out.chosen) ** 2
-    weight, begun = where_it_acts(scorer, out.chosen, i, bench), out.begun
-    if effect is not None and effect.OCCASIONAL:
-        during = np.asarray(scorer.library[i].raw.values[bench.train].any(axis=(1, 2)))
-        if _stands_out(before, during, weight):
-            before, after, begun = before[during], after[during], begun[during]
-    before, after, start = (np.mean(square, axis=0) for square in (before, after, begun))
-    left = taken(before, after, floor)
-    whole = (before - after) / np.maximum(start - floor, 0.02 * floor)
-    return float(weight @ left), float(weight @ whole)
+    begun = np.mean(errors(bench, scorer, [], whitened=True) ** 2, axis=0) if whitened else out.start
+    gain = paired(without, rest, begun / sigma**2 - 1.0)
+    square = np.mean(rest**2, axis=0)
+    left = float(np.sum(square[square > PROVED] - 1.0))
+    return gain, min(left / gain.excess, 1.0) if gain.excess > 0.0 else 0.0
 
 
-def taken(before: Array, after: Array, floor: Array) -> Array:
-    """(C,) shares of what mean squared errors have above the noise that falls away; of a fiftieth of the noise at least."""
-    return np.asarray((before - after) / np.maximum(before - floor, 0.02 * floor))
+def pays(out: Selection, trial: list[int], i: int | None = None) -> tuple[bool, float]:
+    """Return whether a trial lowers the error on blocks left out as a finding has to, and by which share of the excess.
+
+    Raw errors are asked first. Where the trial leaves noise alone these are mostly slow noise, in which a small effect is lost
+    that whitened ones show; what belongs to moments fits nearly any noise, and of it raw errors must speak.
+
+    Args:
+        i: the effect that is asked for, None: several.
+    """
+    effect = None if i is None else out.scorer.library[i].effect
+    lasting = effect is None or effect.lasting()
+    moments = len(effect.single) or 1 if effect is not None and effect.EPISODIC else 0
+    gain, left = improvement(out, trial, fine=not lasting)
+    if gain.credible(rough=_rough(out, trial, gain) + left, unexplained=left, moments=moments):
+        return True, gain.share
+    if not (lasting and gain.tolerable and out.bench.scene.clock) or out.scorer.misfit(trial) >= PROVED:
+        return False, gain.share
+    white, left = improvement(out, trial, whitened=True)
+    rough = _rough(out, trial, white, whitened=True) + left
+    return white.credible(rough=rough, unexplained=left), gain.share
 
 
-def _stands_out(square: Array, during: Mask, weight: Array) -> bool:
-    """Return whether squared errors (n, C) are far larger during some rows than at all others, in the channels that count."""
-    if not during.any() or during.all():
-        return False
-    ratio = np.mean(square[during], axis=0) / np.maximum(np.mean(square[~during], axis=0), 1e-300)
-    return bool(weight @ ratio >= OUTSTANDING)
+def _rough(out: Selection, trial: list[int], gain: Gain, *, whitened: bool = False) -> float:
+    """Share of the excess that the rough laws of a trial speak of: they may miss a part of that themselves."""
+    bench, scorer = out.bench, out.scorer
+    energy = 0.0
+    for h, theta in with_parameters(scorer.parts(trial), scorer.solve(trial)[0]):
+        if h.effect is not None and (h.effect.ROUGH or h.effect.THROUGHOUT):
+            columns, size = (h.white, np.ones(bench.width)) if whitened else (h.raw, bench.noise.sigma)
+            does = columns.values @ theta / size[list(columns.channels)]
+            energy += float(np.sum(np.var(does, axis=0)))
+    return min(energy / max(gain.excess, 1e-300), 1.0)
 
 
-def where_it_acts(scorer: Scorer, chosen: list[int], i: int, bench: Bench) -> Array:
-    """(C,) shares of the energy, in units of the noise, that the hypothesis predicts in each channel."""
-    h = scorer.library[i]
-    theta = scorer.solve([*chosen, i])[0][-h.count :]
-    energy = np.zeros(bench.width)
-    size = np.mean((h.raw.values @ theta) ** 2, axis=0)
-    energy[list(h.raw.channels)] = size / bench.noise.sigma[list(h.raw.channels)] ** 2
-    return np.asarray(energy / max(float(energy.sum()), 1e-300))
+def left_out(out: Selection, model: list[int]) -> Array:
+    """(n, C) errors of a model on training blocks, each predicted from the others, in units of the noise."""
+    return errors(out.bench, out.scorer, model) / out.bench.noise.sigma
+
+
+def no_worse(before: Array, after: Array) -> bool:
+    """Return whether errors (n, C) on blocks left out stay within one standard error of those before."""
+    return paired(before, after, np.zeros(1)).tolerable
 
 
 def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
@@ -145,23 +109,3 @@ def _undone(bench: Bench, scorer: Scorer, chosen: list[int], theta: Array) -> bo
     return any(
         float(np.linalg.norm(last + other)) < UNDONE * min(size, float(np.linalg.norm(other))) for other in changes[:-1]
     )
-
-
-def shows_in_noise(bench: Bench, scorer: Scorer, out: Selection, i: int) -> bool:
-    """Whether blocks left out surely want a hypothesis beside a model, in whitened units where noise alone is left with it.
-
-    Raw errors are mostly slow noise there, in which a small effect is lost that whitened ones show. What belongs to moments
-    fits nearly any noise, and a thousandth of a loud recording is no matter: of these raw errors must speak. What is smaller
-    still may be the joints' own noise, which a dead band as narrow makes quieter.
-    """
-    effect = scorer.library[i].effect
-    if effect is None or not effect.lasting() or not bench.scene.clock:
-        return False
-    if scorer.misfit([*out.chosen, i]) >= PROVED or float(np.max(out.start / bench.noise.sigma**2)) > LOUD:
-        return False
-    seen = (rests(bench, scorer, out.chosen)[0] - rests(bench, scorer, [*out.chosen, i])[0])[bench.train]
-    size = np.mean(seen**2, axis=0) / bench.noise.sigma**2
-    if float(size @ size) < LEAST_SIZE**2 * float(size.sum()):
-        return False
-    rest, without = (errors(bench, scorer, model, whitened=True) for model in ([*out.chosen, i], out.chosen))
-    return sure(rest, without) >= BESIDE

@@ -13,14 +13,9 @@ from galen_hw.diagnosis.estimation.least_squares import fit, rests
 from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
 from galen_hw.diagnosis.estimation.linearisation import tangent, unbent
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
+from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.physics.effects.base import DOUBT, Effect
 from galen_hw.spatial import Array
-
-NEARLY = 0.1
-"""Share of a chosen effect's gain within which a rival may be better at its optimum than by its slope or on its grid."""
-SLOPED = 0.25
-"""The same of one that is not linear: its slope at zero is not yet what it does."""
-MOST_NEAR = 3
 
 
 def in_place(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> dict[int, Score]:
@@ -83,14 +78,12 @@ def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:
     for j in sorted(scores, key=lambda j: -scores[j].rank - scores[j].beyond):
         effect = scorer.library[j].effect
         short = scores[i].rank - scores[j].rank - scores[j].beyond
-        if effect is None or short > SLOPED * scores[i].gain:
+        if effect is None or short > LIMITS.near * scores[i].gain:
             break
         if loosens(effect, scorer.library[i].effect):
             continue
-        if short > NEARLY * scores[i].gain and not _is_bent(scorer.bench, scorer.library[j]):
-            continue
         leaders.setdefault(told(effect), j)
-    rivals = [j for j in leaders.values() if j != i][:MOST_NEAR]
+    rivals = [j for j in leaders.values() if j != i][: LIMITS.rivals]
     return [i, *rivals]
 
 
@@ -167,10 +160,6 @@ def _best_rest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> Array
         return rests(bench, scorer, others)[1][bench.train]
 
 
-SETTLED = 1.0
-"""Gain of a pass below which they are where they belong: a standard error's worth."""
-
-
 def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int, passes: int = 1) -> int:
     """The same effect with its searched values at the optimum: a new place in the library, or the old one.
 
@@ -186,7 +175,7 @@ def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int, passes: in
             effect = _along(bench, beside, effect, name, value)
         if left:
             before, best = best, beside.gain(bench.add(effect))
-            if best < before + SETTLED:
+            if best < before + LIMITS.tie:
                 break
     scorer.append([bench.add(effect, hypothesis.looked)])
     last = len(scorer.library) - 1

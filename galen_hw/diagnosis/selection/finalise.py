@@ -6,22 +6,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
-from galen_hw.diagnosis.estimation.cross_validation import left_out
+from galen_hw.diagnosis.estimation.cross_validation import of_parts
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.model import Model, together
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.stats.criteria import CRITERIA
+from galen_hw.diagnosis.stats.paired_test import paired
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.geometry import JointOffset
 from galen_hw.physics.effects.sensor import Bias
 
 if TYPE_CHECKING:
     from galen_hw.physics.effects.base import Effect
-
-
-BETTER = 0.98
-"""Error on blocks left out, over that of the weighed fit, below which the plain one is taken."""
 
 
 def settle_model(bench: Bench, scorer: Scorer, selection: Selection) -> Model:
@@ -40,7 +38,7 @@ def settle_model(bench: Bench, scorer: Scorer, selection: Selection) -> Model:
         if h not in as_effects:
             continue
         c = h.raw.channels[0]
-        matters = float(model.final[s][0] ** 2) > 0.02 * bench.noise.sigma[c] ** 2 * max(misfit, 1.0)
+        matters = float(model.final[s][0] ** 2) > CRITERIA.least_share * bench.noise.sigma[c] ** 2 * max(misfit, 1.0)
         if z[s][0] > np.sqrt(2.0 * selection.needed * misfit) and matters:
             keep.append(h)
     return together(Model(bench, allowed, [*keep, *chosen], scorer.white))
@@ -56,10 +54,9 @@ def weighed(model: Model) -> Model:
     if not model.effects or float(np.mean(model.rest(white=True)[bench.train] ** 2)) < PROVED:
         return model
     parts, y = model.flat()
-    ours, plain = left_out(bench, model.parts, model.white), left_out(bench, parts, y)
-    if float(np.mean(plain / ours)) >= BETTER:
-        return model
-    return replace(model, plain=True)
+    ours, plain = (of_parts(bench, *one) / bench.noise.sigma for one in ((model.parts, model.white), (parts, y)))
+    gain = paired(ours, plain, np.zeros(1))
+    return replace(model, plain=True) if gain.fall > gain.error else model
 
 
 def offsets(bench: Bench) -> list[Hypothesis]:

@@ -6,6 +6,7 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import retime, settle_together
 from galen_hw.diagnosis.estimation.linearisation import rebase
 from galen_hw.diagnosis.estimation.normal_equations import Scorer, threshold
+from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves import MOVES, Move
 from galen_hw.diagnosis.selection.moves.clipping import levelled
 from galen_hw.diagnosis.selection.moves.drop import alone, dropped
@@ -13,9 +14,6 @@ from galen_hw.diagnosis.selection.moves.step_times import timed
 from galen_hw.diagnosis.selection.proposals import known, sought
 from galen_hw.diagnosis.selection.search_state import Selection, Turn
 from galen_hw.diagnosis.stats.significance import CHANCE
-
-MOST = 16
-"""Turns of a search."""
 
 
 def select(bench: Bench, scorer: Scorer, moves: Sequence[Move] | None = None) -> Selection:
@@ -28,7 +26,7 @@ def select(bench: Bench, scorer: Scorer, moves: Sequence[Move] | None = None) ->
     """
     every, out = MOVES if moves is None else moves, Selection(scorer)
     finding, tidying = ([one.make for one in every if one.tidies is tidies] for tidies in (False, True))
-    for _ in range(MOST):
+    for _ in range(LIMITS.turns):
         _look(out)
         if not any(make(out) for make in finding):
             break

@@ -1,28 +1,37 @@
-"""What a finding must show on held-out data to be told: one rule, whose levels stand here and nowhere else."""
+"""The levels that decide what is believed: all of them, and nowhere else."""
 
 from dataclasses import dataclass
 from typing import Final
 
+from scipy.special import ndtri
+
 
 @dataclass(frozen=True)
 class Criteria:
-    """Levels of the rule that every finding has to meet, see `paired.Gain.credible`.
+    """Levels of the rules that a search and a finding have to meet.
 
     Args:
-        standard_errors: by how many standard errors of the paired difference between blocks the error must fall; two leave 2.3 %
-            of chance on one side (Vehtari, Gelman and Gabry, Statistics and Computing 27, 2017: elpd_diff beside se_diff).
+        chance: probability that noise passes for an effect: one budget a recording, shared among all that is asked of it.
+        log_odds: twice the log of the odds, beyond the prices of the parameters, from which the other of two models is taken
+            (Kass and Raftery, JASA 90, 1995: 6 to 10 is strong evidence).
         least_share: of the held-out excess over the noise that must fall away, as mean square, beside laws that are rough
             (friction, play, creep, drift) or where physics is missing: at 0.02 an effect is a seventh of what is missed.
         exact_share: the same beside laws that are exact (a body, a delay, a scale): three thousandths of their size, which is
             how well machines and their clocks are known (Kennedy and O'Hagan 2001: a law's own error is part of the noise).
         beside_unexplained: of what the whole model leaves of the excess: physics that is missing has a part along any regressor,
-            and a name that takes less than a tenth of it may be that part (the discrepancy's variance of Kennedy and O'Hagan).
+            and what takes less than a quarter of it may be that part, as may a difference between two models (the discrepancy's
+            variance of Kennedy and O'Hagan). What belongs to moments fits nearly anything, and has to take all of it.
     """
 
-    standard_errors: float = 2.0
+    chance: float = 0.002
+    log_odds: float = 6.0
     least_share: float = 0.02
     exact_share: float = 1e-5
-    beside_unexplained: float = 0.1
+    beside_unexplained: float = 0.25
+
+    def standard_errors(self, questions: int = 1) -> float:
+        """Return by how many standard errors an answer must stand out where so many are asked for (Bonferroni, one side)."""
+        return float(-ndtri(self.chance / max(questions, 1)))
 
 
 CRITERIA: Final = Criteria()

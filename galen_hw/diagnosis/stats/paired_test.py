@@ -18,7 +18,7 @@ class Gain:
 
     Args:
         fall: mean over the rows of the squared error without it less that with it; error: its standard error.
-        excess: the same of the baseline's squared error above the noise, not below 0.
+        excess: the same of the baseline's squared error above the noise, not below 0 or what falls.
     """
 
     fall: float
@@ -30,17 +30,38 @@ class Gain:
         """Share of the excess, from -1 to 1."""
         return float(np.clip(self.fall / self.excess, -1.0, 1.0)) if self.excess > 0.0 else 0.0
 
-    def credible(self, criteria: Criteria = CRITERIA, *, rough: float = 1.0, unexplained: float = 0.0) -> bool:
+    @property
+    def tolerable(self) -> bool:
+        """Return whether the error does not rise by more than a standard error (Breiman et al. 1984: their rule)."""
+        return self.fall >= -self.error
+
+    def credible(
+        self,
+        criteria: Criteria = CRITERIA,
+        *,
+        rough: float = 1.0,
+        unexplained: float = 0.0,
+        questions: int = 1,
+        moments: int = 0,
+    ) -> bool:
         """Return whether it is there beyond luck, and larger than what the laws beside it may miss themselves.
 
         Args:
             criteria: the levels.
             rough: share of the excess, 0 to 1, that no exact law explains.
             unexplained: share of the excess, 0 to 1, that the whole model leaves.
+            questions: how many effects are asked about at once.
+            moments: how many it belongs to, each of which has to take as much as all leave; 0: it lasts.
         """
-        least = criteria.exact_share + (criteria.least_share - criteria.exact_share) * rough
-        least = max(least, criteria.beside_unexplained * unexplained)
-        return bool(self.fall > criteria.standard_errors * self.error and self.share >= least)
+        least = criteria.exact_share + (criteria.least_share - criteria.exact_share) * min(rough, 1.0)
+        least = max(least, (moments or criteria.beside_unexplained) * unexplained)
+        return bool(self.fall > criteria.standard_errors(questions) * self.error and self.share >= least)
+
+    def contrary(self, criteria: Criteria = CRITERIA, *, questions: int = 1) -> bool:
+        """Return whether the error rises with it beyond luck, and by more than a law that is right may miss."""
+        return bool(
+            self.fall < -criteria.standard_errors(questions) * self.error and self.share <= -criteria.least_share
+        )
 
 
 def paired(without: Array, rest: Array, excess: Array, *, parameters: int = 0) -> Gain:
@@ -62,21 +83,5 @@ def paired(without: Array, rest: Array, excess: Array, *, parameters: int = 0) -
     )
     spread = float(np.std(falls, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
     error = min(float(np.sqrt(np.sum(lucky**2))), spread)
-    return Gain(float(falls.sum() - 2.0 * parameters) / n, error / n, float(np.sum(np.maximum(excess, 0.0))))
-
-
-def sure(rest: Array, without: Array) -> float:
-    """By how many standard errors held-out rows want an effect, in units of the noise: its match with what is there without it.
-
-    With d the effect as learnt and r the rest, what is there without it is w = r + d, and d is wanted as far as the sum of w d
-    is above what luck makes of it. A sum over neighbouring rows is one value (slow noise is one piece of luck). Luck is in r d
-    alone: that an effect acts in few pieces, as a delay does where all but a few moves are rests, makes it no less sure. Where
-    physics is missing r d is large, but a match in nearly every piece is no luck either: the larger of the two counts.
-    """
-    effect = without - rest
-    luck = np.sum(rest * effect, axis=1)
-    match = np.sum(effect**2, axis=1) + luck
-    count = min(PIECES, len(match))
-    each, lucky = (np.array([piece.sum() for piece in np.array_split(x, count)]) for x in (match, luck))
-    spread = float(np.std(each, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
-    return float(each.sum()) / max(min(float(np.sqrt(np.sum(lucky**2))), spread), 1e-300)
+    fall = float(falls.sum() - 2.0 * parameters) / n
+    return Gain(fall, error / n, max(float(np.sum(np.maximum(excess, 0.0))), fall))

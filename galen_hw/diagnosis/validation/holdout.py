@@ -1,5 +1,6 @@
 """The model on data that it did not learn from."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -9,10 +10,10 @@ from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.cross_validation import white_left_out
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder
-from galen_hw.diagnosis.stats.paired_test import Gain, paired, sure
+from galen_hw.diagnosis.stats.paired_test import Gain, paired
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, predict, touched
 from galen_hw.diagnosis.validation.other_recording import apply, noisier, undisturbed
-from galen_hw.diagnosis.validation.support import LEAST_SUPPORT, Guard, poor, support
+from galen_hw.diagnosis.validation.support import HoldoutTest
 from galen_hw.physics.effects.cable import CableDrag
 from galen_hw.physics.effects.registry import effect_class
 from galen_hw.physics.scenes.base import Scene
@@ -44,7 +45,9 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
         free = rows & ~touched(model)
         if 0 < free.sum() < rows.sum():
             judged.untouched = np.asarray(np.mean(model.rest()[free] ** 2, axis=0))
-        guard = Guard(floor, lambda part: part.rest()[rows], lambda part: part.rest(white=True)[rows], model)
+        test = HoldoutTest(
+            floor, lambda part: part.rest()[rows], lambda part: part.rest(white=True)[rows], model, baseline
+        )
     else:
         if first is None or first.good is None:
             good, episodes = undisturbed(model, holdout)
@@ -55,26 +58,46 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
         floor = floor * noisier(model, rest[good])
         judged = Judged(ELSEWHERE, before, np.mean(rest[good] ** 2, axis=0), {}, floor, episodes=episodes, good=good)
         noise = replace(bench.noise, rows=bench.rows.of(holdout.segments), kept={})
-        guard = Guard(
+        test = HoldoutTest(
             floor,
             lambda part: apply(part, holdout, good)[good],
             lambda part: noise.bridged(apply(part, holdout, good), good)[good],
             model,
+            baseline,
         )
     for key, part in smaller.items():
-        judged.without[key] = np.mean(guard.raw(part) ** 2, axis=0)
-        judged.gains[key] = (
-            guard.gain(part, before) if effect_class(key).lasting() else _at_moments(model, part, baseline)
-        )
-        judged.support[key], judged.sure[key] = guard.of(part, _channels(model, key))
-        # In another recording what belongs to moments is not there: then these rows speak of the others' sizes alone.
-        if holdout is None and judged.sure[key] < 0.0 and guard.could_tell(part):
-            judged.refused.add(key)
-        if holdout is not None and effect_class(key).lasting() and not guard.could_tell(part):
-            judged.support[key], judged.sure[key], judged.gains[key] = _at_home(model, part, key)
-            judged.at_home.add(key)
-    judged.places = _places(model, guard)
+        judged.without[key] = np.mean(test.raw(part) ** 2, axis=0)
+        _ask(judged, key, test, (model, part, baseline), len(smaller), elsewhere=holdout is not None)
+    judged.places = _places(model, test, len(smaller))
     return judged
+
+
+def _ask(
+    judged: Judged, key: str, test: HoldoutTest, models: tuple[Model, Model, Model], questions: int, *, elsewhere: bool
+) -> None:
+    """Ask of one kind of effect what falls with it.
+
+    What belongs to moments shows nowhere else: its own rows alone say that it is there, and those set aside only that it is not.
+
+    Args:
+        models: with all effects, without the one asked for, and without any; elsewhere: another recording judges.
+    """
+    model, part, baseline = models
+    told = test.could_tell(part, questions)
+    judged.gains[key] = test.gain(part)
+    judged.tests[key] = test.gains(part)
+    if not effect_class(key).lasting():
+        judged.gains[key] = _at_moments(model, part, baseline)
+        judged.tests[key] = [judged.gains[key]]
+        # In another recording these rows speak of the others' sizes alone.
+        if not elsewhere and told and all(one.fall < 0.0 for one in test.gains(part)):
+            judged.refused.add(key)
+    elif elsewhere and not told:
+        judged.gains[key] = _at_home(model, part)
+        judged.tests[key] = [judged.gains[key]]
+        judged.at_home.add(key)
+    elif test.belied(part, _channels(model, key), questions):
+        judged.refused.add(key)
 
 
 def _at_moments(model: Model, part: Model, baseline: Model) -> Gain:
@@ -85,16 +108,14 @@ def _at_moments(model: Model, part: Model, baseline: Model) -> Gain:
     return paired(without, rest, np.mean(before**2, axis=0) - 1.0, parameters=learnt)
 
 
-def _at_home(model: Model, part: Model, key: str) -> tuple[float, float, Gain]:
-    """Support and `sure` of what a smaller model has left out, and what falls with it, on blocks left out of its own data.
+def _at_home(model: Model, part: Model) -> Gain:
+    """What falls with what a smaller model has left out, on blocks left out of its own data.
 
     A temperature that stays where it is, or a joint that rests, says nothing for an effect and nothing against it.
     """
     each = (model, part, model.without(model.effects))
     rest, without, before = (white_left_out(model.bench, one.parts, one.white) for one in each)
-    own = _channels(model, key)
-    gain = paired(without, rest, np.mean(before**2, axis=0) - 1.0)
-    return support(without[:, own], rest[:, own]), sure(rest, without), gain
+    return paired(without, rest, np.mean(before**2, axis=0) - 1.0)
 
 
 def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remainder: Remainder | None) -> Judged:
@@ -116,7 +137,8 @@ def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remaind
     for c in remainder.parts:
         better = float(np.mean(fuller[:, c] ** 2))
         with_it, without = (x[:, [c]] / np.sqrt(judged.floor[c]) for x in (fuller, rest))
-        if better < judged.after[c] and not poor(support(without, with_it), sure(with_it, without), alone=True):
+        gain = paired(without, with_it, judged.before[[c]] / judged.floor[[c]] - 1.0)
+        if gain.credible(questions=len(remainder.parts)):
             unnamed[c] = better
     return replace(judged, unnamed=unnamed) if np.any(unnamed != judged.after) else judged
 
@@ -125,24 +147,23 @@ def _channels(model: Model, key: str) -> list[int]:
     return sorted({c for h in model.effects if h.effect is not None and key == h.effect.KEY for c in h.raw.channels})
 
 
-def _places(model: Model, guard: Guard) -> dict[int, tuple[float, float]]:
-    """Support and `sure` of each lasting effect whose kind stands in several places, where these rows could tell."""
+def _places(model: Model, test: HoldoutTest, questions: int) -> dict[int, list[Gain]]:
+    """Gains of each lasting effect whose kind stands in several places, in its own channels, where these rows could tell."""
     keys = [h.effect.KEY for h in model.effects if h.effect is not None]
-    out: dict[int, tuple[float, float]] = {}
+    out: dict[int, list[Gain]] = {}
     for k, h in enumerate(model.effects):
         if h.effect is None or not h.effect.lasting() or keys.count(h.effect.KEY) < 2:
             continue
         part = model.without([h])
-        if guard.could_tell(part):
-            out[k] = guard.of(part, list(h.raw.channels))
+        if test.could_tell(part, questions):
+            out[k] = test.gains(part, h.raw.channels)
     return out
 
 
 def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) -> tuple[Model, Judged]:
     """The model without what held-out data do not support, the least supported first.
 
-    What belongs to moments shows nowhere else, and need not be wanted there; it only must not make worse what it touches.
-    What drifts or hums is there all through its own recording, and takes its share of what is set aside of that. Where a
+    What belongs to moments shows nowhere else, and need not be wanted there; it only must not make worse what it touches. Where a
     kind stands in several places (friction in five joints), each place has to earn its own. What fits with parameters that
     are not known at all has the shape of its name and no more. One at a time, and what is left fitted again: of two that do the
     same one stays, and of two that need each other both do.
@@ -152,22 +173,17 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
     """
     while True:
         judged = judge(model, holdout, judged)
-        lasting = [k for k in judged.without if effect_class(k).lasting()]
-        # A hum is fitted on these rows too: how surely they want it says nothing, but what it takes of them does.
-        fitted = [k for k in judged.without if effect_class(k).THROUGHOUT and holdout is None]
-        sole = len(judged.without) == 1
+        asked = len(judged.tests)
         weak = [
-            (judged.support[key], judged.sure[key], key)
-            for key in judged.without
-            if key in judged.refused
-            or (key in lasting and poor(judged.support[key], judged.sure[key], alone=sole))
-            or (key in fitted and judged.support[key] < LEAST_SUPPORT)
-            or (
-                key in judged.gains
-                and not judged.gains[key].credible(rough=judged.rough, unexplained=judged.unexplained)
-            )
+            (judged.gains[key].share, key)
+            for key, tests in judged.tests.items()
+            if key in judged.refused or not _supported(judged, tests, asked)
         ]
-        places = [(support, k) for k, (support, sure) in judged.places.items() if poor(support, sure, alone=False)]
+        places = [
+            (max(one.share for one in tests), k)
+            for k, tests in judged.places.items()
+            if not _supported(judged, tests, asked)
+        ]
         vague = _vague(model)
         if vague:
             out = vague
@@ -179,6 +195,11 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
         else:
             return model, judged
         model = model.without(out)
+
+
+def _supported(judged: Judged, tests: Sequence[Gain], questions: int) -> bool:
+    """Return whether one of the tests is credible beside all else that the model has and leaves."""
+    return any(one.credible(rough=judged.rough, unexplained=judged.unexplained, questions=questions) for one in tests)
 
 
 def _vague(model: Model) -> list[Hypothesis]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import predicted
+from galen_hw.diagnosis.estimation.least_squares import PROVED, predicted
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.stats.paired_test import Gain
@@ -25,18 +25,15 @@ class Judged:
         name: of what was held out.
         before: of the baseline; after: with all effects; without: per effect's key, with that one left out.
         floor: of the noise.
-        support: per effect's key, the share of the held-out excess that would be left without it, in the channels where it
-            acts, that it takes.
-        sure: per effect's key, by how many standard errors it lowers the error on held-out rows, see `paired_test.sure`.
-        refused: keys of which held-out rows, that it would show in, hold the contrary.
         untouched: `after` on the rows of no contact that the model believes in, None: there is none or no such row; how a touch
             swells and lets go is no law of the arm, and fitted no better than its few shapes allow.
         gains: per effect's key, what falls of the held-out excess with it. Of what belongs to moments, which are no other data's,
             on all rows of its own recording, less what its parameters take of noise.
-        at_home: keys of effects that another recording hardly rouses: support, sure and gains are told by blocks left out of
-            their own.
-        unnamed: with what generic functions predict besides, without a name, where that earns its place; None: it does not.
+        tests: per effect's key, the gains of which one has to be credible; raw, and whitened where noise alone is left.
+        refused: keys of which held-out rows, that they would show in, hold the contrary.
         places: where a key stands more than once, per number in the model's effects: the same of that one alone.
+        at_home: keys of effects that another recording hardly rouses: their gains are told by blocks left out of their own.
+        unnamed: with what generic functions predict besides, without a name, where that earns its place; None: it does not.
         episodes: times (s) of contacts in another recording; good: (M,) its rows that are judged on, all others left out of
             these errors; None: not another recording.
     """
@@ -46,11 +43,10 @@ class Judged:
     after: Array
     without: dict[str, Array]
     floor: Array
-    support: dict[str, float] = field(default_factory=dict)
-    sure: dict[str, float] = field(default_factory=dict)
-    refused: set[str] = field(default_factory=set)
-    places: dict[int, tuple[float, float]] = field(default_factory=dict)
     gains: dict[str, Gain] = field(default_factory=dict)
+    tests: dict[str, list[Gain]] = field(default_factory=dict)
+    refused: set[str] = field(default_factory=set)
+    places: dict[int, list[Gain]] = field(default_factory=dict)
     at_home: set[str] = field(default_factory=set)
     episodes: tuple[tuple[float, float], ...] = ()
     good: Mask | None = None
@@ -81,8 +77,9 @@ class Judged:
 
     @property
     def unexplained(self) -> float:
-        """Share of the excess that is left with all effects."""
-        return max(self.share(np.maximum(self.after - self.floor, 0.0)), 0.0)
+        """Share of the excess that is left with all effects, in channels that hold more than noise."""
+        more = self.after > PROVED * self.floor
+        return max(self.share(np.where(more, self.after - self.floor, 0.0)), 0.0)
 
     def unnamed_gain(self) -> float:
         """The same of what is predicted without a name."""

@@ -1,7 +1,6 @@
 """Structure in what a model leaves of another recording: physics that names stood in for on one motion shows on the next."""
 
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -11,9 +10,11 @@ from galen_hw.diagnosis.detection.stuck_samples import repeated
 from galen_hw.diagnosis.estimation import signal_chain
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit import structure_test
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.sampling import Mask, Rows
 from galen_hw.diagnosis.validation.judgement import Judged, touched
 from galen_hw.physics.effects.base import Effect
@@ -22,11 +23,6 @@ from galen_hw.physics.effects.sensor import Drift
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import fading
 from galen_hw.spatial import Array
-
-MISSED: Final = 1.1
-"""Mean square of another recording over the noise's from which a channel is asked."""
-LEAST: Final = 0.05
-"""Share of what was there at first that must be left: a law of the right form, learnt on one motion, may err by less."""
 
 
 def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure_test.Left]:
@@ -41,7 +37,7 @@ def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure
     """
     effects = [(h, h.effect) for h in model.effects if h.effect is not None]
     ratio, excess = judged.after / judged.floor, judged.before - judged.floor
-    if ratio.max() <= MISSED or any(_anew(effect) for _, effect in effects):
+    if ratio.max() <= PROVED or any(_anew(effect) for _, effect in effects):
         return []
     here = _bench(model, scene, judged)
     if here is None:
@@ -59,7 +55,7 @@ def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure
     return [
         replace(one, elsewhere=True)
         for one in left
-        if ratio[one.channel] > MISSED and one.size**2 > LEAST * excess[one.channel]
+        if ratio[one.channel] > PROVED and one.size**2 > CRITERIA.least_share * excess[one.channel]
     ]
 
 

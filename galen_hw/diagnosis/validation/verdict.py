@@ -5,15 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.result import Finding, Verdict
-from galen_hw.diagnosis.stats.significance import CHANCE
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, touched
-from galen_hw.physics.effects.events import Vibration
 from galen_hw.physics.effects.registry import effect_class
 from galen_hw.spatial import Array
 
@@ -23,22 +22,11 @@ FEW_SAMPLES = "few samples"
 COMES_AND_GOES = "comes and goes"
 """Words for structure that no function caught."""
 
-BEYOND = 1.5
-"""Held-out mean square over the noise's above which something is left, whether or not any function tried has caught it."""
-SURE = 6.0
-"""And standard errors of that mean square, slow noise having few independent values."""
-
-
-FORM = 0.01
-"""Share of its own mean square that a law of matter may miss of what happens (a tenth of its size), and is right for all that."""
-EXACT = 1e-5
-"""The same of any effect (three thousandths of its size): better than that neither a machine nor its clock is known."""
-
 
 def tolerated(model: Model) -> Array:
     """(C,) mean squares that the laws of a model, rough as they are, may miss of what they are the laws of."""
     rough = [_swings(x) for key, x in _does(model).items() if effect_class(key).ROUGH]
-    return np.asarray(FORM * np.sum([np.zeros(model.bench.width), *rough], axis=0))
+    return np.asarray(CRITERIA.least_share * np.sum([np.zeros(model.bench.width), *rough], axis=0))
 
 
 def _does(model: Model) -> dict[str, Array]:
@@ -56,35 +44,6 @@ def _swings(x: Array) -> Array:
     return np.asarray(np.var(x, axis=0))
 
 
-def _at_hums(model: Model, x: Array) -> Array:
-    """(M, C) the part of x (M, C) that swings as the hums of a model do, in whatever phase."""
-    hums = [h.raw.values[:, 0] for h in model.effects if isinstance(h.effect, Vibration)]
-    X = np.concatenate(hums, axis=1)
-    return np.asarray(X @ np.linalg.lstsq(X, x, rcond=1e-9)[0])
-
-
-def trifles(model: Model) -> list[Hypothesis]:
-    """Effects that do less, in every channel, than another's law may miss there: part of that one.
-
-    Of rough laws, what another rough law may; of any, what no law is known better than. A hum is compared with what the others
-    do at its frequency: what a law misses swings as the law does.
-    """
-    does, kinds, free = _does(model), set(), model.bench.scene.belief.bias_free
-    for key, x in does.items():
-        # What belongs to moments is as large as it is then: a touch in a hundredth of the rows is no trifle.
-        when = x.any(axis=1) if effect_class(key).EPISODIC else np.ones(len(x), dtype=bool)
-        own = _swings(x) if free and when.all() else np.sum(x[when] ** 2, axis=0) / max(int(when.sum()), 1)
-        hums = effect_class(key) is Vibration
-        missing = np.zeros(model.bench.width)
-        for other, its in does.items():
-            rough = effect_class(key).ROUGH and effect_class(other).ROUGH
-            known = (FORM if rough else EXACT) * _swings(_at_hums(model, its) if hums else its)
-            missing = np.maximum(missing, 0.0 if other == key else known)
-        if np.all(own <= missing):
-            kinds.add(key)
-    return [h for h in model.effects if h.effect is not None and h.effect.KEY in kinds]
-
-
 def beyond(judged: Judged, model: Model, *, untouched: bool = False) -> list[Left]:
     """Channels in which the model does not hold on data that it did not learn from; z is the ratio of mean squares here.
 
@@ -96,7 +55,9 @@ def beyond(judged: Judged, model: Model, *, untouched: bool = False) -> list[Lef
     ratio = after / judged.floor / bench.noise.slower
     believed = np.maximum(after - tolerated(model), judged.floor) / judged.floor / bench.noise.slower
     rows = int(bench.judged.sum() or bench.train.sum())
-    enough = 1.0 + np.maximum(BEYOND - 1.0, SURE * np.sqrt(2.0 / bench.noise.independent(rows)))
+    # Slow noise has few independent values.
+    luck = CRITERIA.standard_errors(bench.width) * np.sqrt(2.0 / bench.noise.independent(rows))
+    enough = np.maximum(PROVED, 1.0 + luck)
     none = np.zeros((len(bench.rows), 0))
     return [
         Left(
@@ -159,7 +120,7 @@ def unsteady(model: Model) -> list[Left]:
 
     Nothing that is simulated moves, so no function of it can tell; but noise of one kind has one size. z is the ratio of mean
     squares, about each piece's mean, of the loudest fifth of the pieces over the quietest; in none of so many recordings
-    drawn from the noise's own spectrum that all channels together call noise unsteady with a probability of `CHANCE` is it as
+    drawn from the noise's own spectrum that all channels together call noise unsteady by `Criteria.chance` is it as
     large (Besag and Clifford 1991: drawing ends with the first that is). Share: of the mean square, what is above the quietest.
     """
     bench = model.bench
@@ -172,7 +133,7 @@ def unsteady(model: Model) -> list[Left]:
         found = float(_loudest(rest[good, c, None], float(least))[0])
         draws = (
             bench.noise.colour(rng.standard_normal((len(rest), AT_ONCE)), c)[good]
-            for _ in range(math.ceil(bench.width / CHANCE / AT_ONCE))
+            for _ in range(math.ceil(bench.width / CRITERIA.chance / AT_ONCE))
         )
         if all(np.max(_loudest(drawn, float(least))) < found for drawn in draws):
             size = float(np.std(rest[good, c]))
@@ -186,21 +147,14 @@ def _loudest(x: Array, least: float) -> Array:
     return np.asarray(square[-OUTER:].mean(axis=0) / square[:OUTER].mean(axis=0))
 
 
-LEAST_LEFT = 0.005
-"""Share of what is left, whitened, that structure must make up: a fourteenth of the noise's size is no matter."""
-LARGE = 0.1
-"""Mean square over the noise's from which it does matter, however little of it the weights of slow noise show."""
-
-
 def strong(left: list[Left], judged: Judged, bench: Bench) -> list[Left]:
-    """Leftovers that are worth saying: above chance, and not a trifle beside what was found or the noise."""
+    """Return the leftovers that matter: no trifle beside what there was at first, nor beside the noise or the rounding."""
     out = []
     for one in left:
-        size = one.size**2
-        before = float(judged.before[one.channel] - bench.noise.sigma[one.channel] ** 2)
+        noise = float(bench.noise.sigma[one.channel] ** 2)
+        before = max(float(judged.before[one.channel]) - noise, noise)
         rounding = _followed(float(bench.steps[one.channel]), float(bench.noise.sigma[one.channel]))
-        matters = one.share >= LEAST_LEFT or size > LARGE * bench.noise.sigma[one.channel] ** 2
-        if matters and size > max(0.03 * bench.noise.sigma[one.channel] ** 2, rounding) and size > 0.03 * before:
+        if one.size**2 > max(CRITERIA.least_share * before, rounding):
             out.append(one)
     return out
 

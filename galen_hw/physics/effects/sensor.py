@@ -46,6 +46,8 @@ class Bias(Effect):
         return in_channel(scene.channels.index(self.channel), [np.ones(len(scene))])
 
 
+QUICKEST = 5.0
+"""Time constant (s) of the quickest drift: what warms in a sensor takes tens of seconds, and nothing else drifts quicker."""
 HALF_COSINES = 5
 """Of a wander, over the length of the recording."""
 WALK = 14
@@ -87,18 +89,20 @@ class Drift(Effect):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Straight, warm-up and wander in every channel; over the row number where there is no clock.
+        """Straight, warm-up and wander in every channel, none quicker than sensors are; over the row number without a clock.
 
         None over recordings laid end to end: the clock between them is made up.
         """
         start, length = float(scene.time[0]), duration(scene)
         if length <= 0.0 or len(scene) < 12 or scene.observations.apart:
             return
-        for name in scene.channels:
+        quickest = QUICKEST if scene.clock else 0.0
+        for name in scene.channels if length >= quickest else ():
             yield cls(name, "linear", None, start, length)
-            for constant in log_grid(length / 30.0, length / 1.5, 5):
+            for constant in log_grid(max(length / 30.0, quickest), length / 1.5, 5):
                 yield cls(name, "warm_up", constant, start, length)
-            yield cls(name, "wander", None, start, length)
+            if length >= HALF_COSINES * quickest:
+                yield cls(name, "wander", None, start, length)
 
     @property
     def wandering(self) -> tuple[str, ...]:

@@ -1,13 +1,15 @@
 """One more effect: the best that chance does not explain and that pays on blocks left out."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import missed
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
-from galen_hw.diagnosis.selection.acceptance import WORTH, asked, completes, plausible, shows_in_noise, worth
+from galen_hw.diagnosis.selection.acceptance import pays, plausible
 from galen_hw.diagnosis.selection.comparison import bent, polished
 from galen_hw.diagnosis.selection.kinds import kind_first
+from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves.cable import tightened
 from galen_hw.diagnosis.selection.moves.clock_offset import clock_offset
 from galen_hw.diagnosis.selection.moves.contact_profile import finest
@@ -15,9 +17,6 @@ from galen_hw.diagnosis.selection.moves.step_times import parted
 from galen_hw.diagnosis.selection.moves.timing import own_clocks
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import plainest
-
-TRIES = 8
-"""Hypotheses that may fail the guard before a turn of the search gives up."""
 
 
 def added(out: Selection) -> bool:
@@ -49,41 +48,44 @@ def _best(out: Selection) -> int | None:
     if not fit:
         return None
     able += sharpened(bench, scorer, out.chosen, scores, fit)
-    misfit = scorer.misfit([*out.chosen, able[0]])
-    misses = missed(bench, scorer, [*out.chosen, able[0]])
-    able.insert(0, plainest(bench, scorer, out.chosen, scores, able, misses))
+    able.insert(0, plainest(bench, scorer, out.chosen, scores, able))
     able[:0] = kind_first(scorer, scores, able)
     tries = 0
     for i in dict.fromkeys(able):
         if i in failed:
             continue
-        if tries == TRIES:
+        if tries == LIMITS.tries:
             break
         tries += 1
-        better, (paid, whole) = i, worth(bench, scorer, out, i)
-        if paid >= 0.5 * WORTH:
-            better = polished(bench, scorer, out.chosen, i)
-            paid, whole = worth(bench, scorer, out, better) if better != i else (paid, whole)
-        share, of_all = asked(bench, out, scorer.library[i].effect, misfit)
-        if paid < share and (finer := finest(bench, scorer, out.chosen, i)) != i:
-            better, (paid, whole) = finer, worth(bench, scorer, out, finer)
-        # Whoever takes nearly all that is left completes the model, however loud the recording was.
-        if (
-            paid >= share and (whole >= of_all or completes(bench, scorer, [*out.chosen, better], paid))
-        ) or shows_in_noise(bench, scorer, out, better):
-            if plausible(bench, scorer, out.chosen, better):
+        share = 0.0
+        for better in _ways(out, i):
+            paid, share = pays(out, [*out.chosen, better], better)
+            if paid and plausible(bench, scorer, out.chosen, better):
                 return better
-            # At the optimum it is not what it is called; beside it, where other physics is still missing, it may be.
-            near = _plausible_kin(bench, scorer, out.chosen, scores, i)
-            if near is not None:
-                paid, whole = worth(bench, scorer, out, near)
-                if paid >= share and whole >= of_all:
+            if paid:
+                # At the optimum it is not what it is called; beside it, where other physics is still missing, it may be.
+                near = _plausible_kin(bench, scorer, out.chosen, scores, i)
+                if near is not None and pays(out, [*out.chosen, near], near)[0]:
                     return near
+            elif share <= 0.0:
+                break
         failed.update(kin(scorer, i))
-        effect = scorer.library[better].effect
+        effect = scorer.library[i].effect
         if effect is not None:
-            out.refused.append((effect, paid))
+            out.refused.append((effect, share))
     return None
+
+
+def _ways(out: Selection, i: int) -> Iterator[int]:
+    """The hypothesis, what it searches at the optimum; as proposed first, where that says whether it is worth the time; finer."""
+    effect = out.scorer.library[i].effect
+    if effect is not None and effect.searched():
+        paid, share = pays(out, [*out.chosen, i], i)
+        if not paid and share <= 0.0:
+            return
+    yield polished(out.bench, out.scorer, out.chosen, i)
+    if (finer := finest(out.bench, out.scorer, out.chosen, i)) != i:
+        yield finer
 
 
 def _plausible_kin(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], i: int) -> int | None:
@@ -104,10 +106,10 @@ def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int,
     leaders: dict[str, int] = {}
     for i in able:
         effect = scorer.library[i].effect
-        if effect is not None and scores[i].rank > 0.75 * scores[able[0]].rank:
+        if effect is not None and scores[i].rank > (1.0 - LIMITS.near) * scores[able[0]].rank:
             leaders.setdefault(effect.KEY, i)
     fresh = []
-    for i in list(leaders.values())[:4]:
+    for i in list(leaders.values())[: LIMITS.leaders]:
         effect = scorer.library[i].effect
         if effect is not None and effect.bends(bench.scene, np.zeros(scorer.library[i].count)):
             scores[i] = bent(bench, scorer, chosen, i, scores[i])

@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
-from galen_hw.diagnosis.estimation.cross_validation import crossed
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside, descended
 from galen_hw.diagnosis.estimation.linearisation import as_if, rebase
 from galen_hw.diagnosis.estimation.nonlinear import settle
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.selection.acceptance import left_out, no_worse
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
-from galen_hw.diagnosis.selection.simplicity import ALIKE
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.cable import TENDON, CableDrag
 from galen_hw.spatial import Array
@@ -49,7 +48,7 @@ def tightened(out: Selection, just: int | None = None) -> bool:
 def _instead(out: Selection, i: int, most: int) -> bool:
     """Return whether a better tendon, with so many others at most, took the place of the chosen cable i."""
     bench, scorer = out.bench, out.scorer
-    before, errors = scorer.solve(out.chosen)[2], crossed(bench, scorer, out.chosen)
+    before, errors = scorer.solve(out.chosen)[2], left_out(out, out.chosen)
     others = [j for j in out.chosen if j != i]
     starts = _starts(bench, scorer, others, i)
     if not starts:
@@ -57,7 +56,7 @@ def _instead(out: Selection, i: int, most: int) -> bool:
     trial = _with_tendon(bench, scorer, out, others, starts, most)
     more = sum(_numbers(scorer, j) for j in trial) - sum(_numbers(scorer, j) for j in out.chosen)
     price = more * float(np.log(bench.noise.effective)) + (LOG_ODDS if more == 0 else 0.0)
-    if scorer.solve(trial)[2] + price < before and _as_good(errors, crossed(bench, scorer, trial)):
+    if scorer.solve(trial)[2] + price < before and no_worse(errors, left_out(out, trial)):
         out.chosen = trial
         return True
     rebase(scorer, out.chosen)
@@ -112,11 +111,6 @@ def _is_plain(scorer: Scorer, j: int) -> bool:
     """Return whether it lasts and nothing of it is searched: a spring that is linear knows neither the clock nor the past."""
     h = scorer.library[j]
     return h.effect is not None and not h.effect.EPISODIC and not h.effect.searched() and h.looked == 1
-
-
-def _as_good(before: Array, after: Array) -> bool:
-    """Return whether errors (C,) on blocks left out do not rise."""
-    return float(np.mean(after / before)) <= 1.0 + ALIKE
 
 
 def _numbers(scorer: Scorer, i: int) -> int:

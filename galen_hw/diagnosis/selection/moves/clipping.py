@@ -9,18 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.cross_validation import crossed
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import retime, settle_together
 from galen_hw.diagnosis.estimation.linearisation import as_if, rebase
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.selection.acceptance import left_out, no_worse
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
-from galen_hw.diagnosis.selection.simplicity import ALIKE
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.events import Contact
 from galen_hw.physics.effects.sensor import Saturation
-
-SURE = 3.0
-"""Standard errors of their mean by which readings that clip must lie off the limit."""
 
 
 def clipped(out: Selection) -> bool:
@@ -33,9 +30,9 @@ def clipped(out: Selection) -> bool:
         with as_if(scorer, kept):
             trial = _with_limits(scorer, out, kept, piles)
             cost = scorer.solve(trial)[2] + _price(bench, scorer, trial)
-            after = crossed(bench, scorer, trial)
+            after = left_out(out, trial)
         better = cost < scorer.solve(out.chosen)[2] + _price(bench, scorer, out.chosen)
-        if better and float(np.mean(after / crossed(bench, scorer, out.chosen))) <= 1.0 + ALIKE:
+        if better and no_worse(left_out(out, out.chosen), after):
             out.chosen = trial
             return True
     return False
@@ -57,7 +54,7 @@ def levelled(out: Selection) -> None:
         beyond = bench.train & (bench.rows.average(effect.clipped(bench.stream).astype(float)) > 0.5)
         level = replace(effect, limit=float(measured[beyond, c].mean())) if beyond.any() else effect
         off = abs(level.limit - effect.limit) * np.sqrt(beyond.sum()) / bench.noise.sigma[c]
-        if off < SURE or any(h.effect == level for h in scorer.library):
+        if off < CRITERIA.standard_errors() or any(h.effect == level for h in scorer.library):
             continue
         before, cost = list(out.chosen), scorer.solve(out.chosen)[2]
         scorer.append([bench.add(level, scorer.library[i].looked)])

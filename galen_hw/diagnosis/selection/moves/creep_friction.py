@@ -6,11 +6,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis, told
-from galen_hw.diagnosis.estimation.cross_validation import crossed
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.acceptance import plausible
+from galen_hw.diagnosis.selection.acceptance import left_out, no_worse, plausible
 from galen_hw.diagnosis.selection.search_state import Selection
-from galen_hw.diagnosis.selection.simplicity import ALIKE
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.compliance import Compliance
 from galen_hw.physics.effects.hysteresis import Creep, Hysteresis
@@ -85,11 +83,11 @@ def _taken(out: Selection, pair: tuple[int, int], apart: tuple[Creep, Hysteresis
     before = scorer.solve(out.chosen)[2] + rows * _owed(scorer, out.chosen)
     if found.fun + LOG_ODDS >= before:
         return False
-    errors = crossed(bench, scorer, out.chosen)
+    errors = left_out(out, out.chosen)
     scorer.append(made(found.x))
     trial = ways(len(scorer.library) - 1)[int(way)]
     real = all(plausible(bench, scorer, [k for k in trial if k != own], own) for own in trial[-2:])
-    if real and float(np.mean(crossed(bench, scorer, trial) / errors)) <= 1.0 + ALIKE:
+    if real and no_worse(errors, left_out(out, trial)):
         out.chosen = trial
         return True
     return False

@@ -15,7 +15,7 @@ def dropped(out: Selection) -> bool:
         each = {i: alone(scorer, out.chosen, i) for i in out.chosen}
         worst = min(out.chosen, key=lambda i: -np.inf if each[i] is None else each[i].rank)  # type: ignore[union-attr]
         score = each[worst]
-        if score is not None and score.rank > 0.0 and score.surprise > 0.7 * out.needed:
+        if score is not None and score.rank > 0.0:
             break
         out.chosen.remove(worst)
         rebase(scorer, out.chosen)

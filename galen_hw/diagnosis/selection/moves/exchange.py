@@ -6,25 +6,13 @@ from itertools import combinations
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import place_of, told
-from galen_hw.diagnosis.estimation.cross_validation import crossed
 from galen_hw.diagnosis.estimation.interactions import settle_together
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
-from galen_hw.diagnosis.selection.acceptance import plausible
+from galen_hw.diagnosis.selection.acceptance import left_out, no_worse, plausible
+from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
-from galen_hw.diagnosis.selection.simplicity import ALIKE, slack
+from galen_hw.diagnosis.selection.simplicity import undecided
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
-
-FIRSTS = 4
-"""Kinds that are tried as the first of the others."""
-LEAST_PART = 0.1
-"""Share of the gain of the two that the first of the others must have by itself."""
-NEARLY = 0.01
-"""Share of what the two take within which others are tried: by their slopes alone, they do not yet do what they do."""
-FAIRLY = 0.1
-"""The same of one effect counted from another zero, which meets all others otherwise: to settle it beside them takes long."""
-CHEAPER = 1.0
-"""In rank, from which one is: rounding is none."""
-TRIALS = 2
 
 
 def regrouped(out: Selection) -> bool:
@@ -86,7 +74,7 @@ def _counted_otherwise(out: Selection) -> bool:
             scores = scorer.scores(others, [i, j, instead])[0]
             price = {k: score.gain - score.rank for k, score in scores.items()}
             whole = scorer.solve(others)[2] - scorer.solve(out.chosen)[2]
-            if len(price) < 3 or scores[instead].gain < (1.0 - FAIRLY) * whole:
+            if len(price) < 3 or scores[instead].gain < (1.0 - LIMITS.near) * whole:
                 continue
             if _taken(out, (i, j), [instead], price):
                 return True
@@ -102,17 +90,17 @@ def _best(
     found: dict[frozenset[object], list[int]] = {_kinds(scorer, pair): []}
     for rank, chain in ranked:
         plainer = _needed(pair, chain, price) < LOG_ODDS
-        if rank > whole - own - plainer * NEARLY * whole:
+        if rank > whole - own - plainer * LIMITS.near * whole:
             found.setdefault(_kinds(scorer, chain), chain)
-    return [chain for chain in found.values() if chain][:TRIALS]
+    return [chain for chain in found.values() if chain][: LIMITS.rivals]
 
 
 def _needed(pair: Sequence[int], chain: Sequence[int], price: dict[int, float]) -> float:
     """By how much a chain must be better than the pair, prices paid: one body need not be, beside its half and a shift."""
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
-    if len(chain) < len(pair) and saved > -CHEAPER:
+    if len(chain) < len(pair) and saved > -LIMITS.tie:
         return -LOG_ODDS
-    return 0.0 if len(chain) <= len(pair) and saved > CHEAPER else LOG_ODDS
+    return 0.0 if len(chain) <= len(pair) and saved > LIMITS.tie else LOG_ODDS
 
 
 def _kinds(scorer: Scorer, which: Sequence[int]) -> frozenset[object]:
@@ -127,11 +115,11 @@ def _firsts(
     best: dict[object, int] = {}
     for i in elsewhere(scorer, others, sorted(scores, key=lambda i: -scores[i].rank)):
         effect = scorer.library[i].effect
-        if effect is None or not effect.RIGID or scores[i].gain < LEAST_PART * whole:
+        if effect is None or not effect.RIGID or scores[i].gain < LIMITS.part * whole:
             continue
         if scorer.library[i].theta is None and i not in pair:
             best.setdefault(place_of(effect), i)
-    return list(best.values())[:FIRSTS]
+    return list(best.values())[: LIMITS.leaders]
 
 
 def _chain(
@@ -157,15 +145,15 @@ def _rigid(scorer: Scorer, i: int) -> bool:
 def _taken(out: Selection, pair: tuple[int, ...], chain: list[int], price: dict[int, float]) -> bool:
     """Return whether the others, at their optimum, were better and were taken."""
     bench, scorer = out.bench, out.scorer
-    before, errors, misfit = scorer.solve(out.chosen)[2], crossed(bench, scorer, out.chosen), scorer.misfit(out.chosen)
+    before, errors = scorer.solve(out.chosen)[2], left_out(out, out.chosen)
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
     with out.attempt() as attempt:
         out.chosen = trial = [*(i for i in out.chosen if i not in pair), *chain]
         settle_together(bench, scorer, trial)
         new, fall = trial[len(trial) - len(chain) :], before - scorer.solve(trial)[2]
-        margin = _needed(pair, chain, price) + slack(misfit) * abs(fall)
+        margin = _needed(pair, chain, price) + undecided(bench, scorer, trial)
         rests = not bench.state.restless
         real = rests and all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in new)
         better = real and fall + saved > margin
-        attempt.kept = better and float(np.mean(crossed(bench, scorer, trial) / errors)) <= 1.0 + ALIKE
+        attempt.kept = better and no_worse(errors, left_out(out, trial))
     return attempt.kept

@@ -1,17 +1,10 @@
 """Two effects that hide each other: neither is worth its place alone, both are together."""
 
-from typing import Final
-
-import numpy as np
-
-from galen_hw.diagnosis.estimation.cross_validation import crossed
 from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.acceptance import WORTH, plausible, taken, where_it_acts
+from galen_hw.diagnosis.selection.acceptance import pays, plausible
+from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
-
-LEADERS: Final = 3
-"""Kinds of effects that are asked for a partner."""
 
 
 def hidden(out: Selection) -> bool:
@@ -26,15 +19,12 @@ def hidden(out: Selection) -> bool:
     leaders: dict[str, int] = {}
     for i in out.turn.able:
         leaders.setdefault(scorer.library[i].effect.KEY, i)  # type: ignore[union-attr]
-    before = crossed(bench, scorer, out.chosen)
-    for i in list(leaders.values())[:LEADERS]:
+    for i in list(leaders.values())[: LIMITS.leaders]:
         j = _partner(scorer, out, i)
         if j is None:
             continue
         both = [*out.chosen, i, j]
-        acts = np.mean([where_it_acts(scorer, [*out.chosen, a], b, bench) for a, b in ((j, i), (i, j))], axis=0)
-        paid = float(acts @ taken(before, crossed(bench, scorer, both), bench.noise.sigma**2))
-        if paid >= 2.0 * WORTH and all(plausible(bench, scorer, [k for k in both if k != one], one) for one in (i, j)):
+        if pays(out, both)[0] and all(plausible(bench, scorer, [k for k in both if k != one], one) for one in (i, j)):
             out.chosen.append(i)
             return True
     return False

@@ -1,28 +1,14 @@
 """A chosen effect in a richer form of its kind, where that pays."""
 
-import numpy as np
-
-from galen_hw.diagnosis.estimation.cross_validation import crossed
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.acceptance import plausible, taken
+from galen_hw.diagnosis.selection.acceptance import pays, plausible
 from galen_hw.diagnosis.selection.comparison import polished
+from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves.contact_profile import followed
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Effect
-
-RICHER = 0.1
-"""Share of the excess that is left in some channel, on blocks left out, that a richer form must take."""
-RICHER_FORMS = 4
-"""Forms that are asked so, the best first."""
-PASSES = 4
-"""Over the values that a richer form searches: they make up for one another, and the optimum lies on a ridge."""
-
-
-BOUND_STEPS = 3
-BOUND_MARGIN = 0.1
-"""In rank: less would only place the same body a hair elsewhere."""
 
 
 def refined(out: Selection) -> bool:
@@ -34,7 +20,7 @@ def enriched(out: Selection) -> bool:
     """A richer form of a chosen effect (friction with a viscous part, by direction) takes its place where it pays.
 
     Nested forms of one kind in one joint are judged by increment alone: likelihood beyond the price of the added
-    parameters, and a tenth of the excess that is left in some channel on blocks left out.
+    parameters, and what a finding has to show on blocks left out.
     """
     bench, scorer = out.bench, out.scorer
     changed = False
@@ -51,11 +37,9 @@ def enriched(out: Selection) -> bool:
         for j in sorted(kin, key=lambda j: -scores[j].rank):
             if scores[j].rank > scores[i].rank + LOG_ODDS:
                 best.setdefault(scorer.library[j].effect.family, j)  # type: ignore[union-attr]
-        for j in list(best.values())[:RICHER_FORMS]:
+        for j in list(best.values())[: LIMITS.forms]:
             trial = [*out.chosen[:place], j, *out.chosen[place + 1 :]]
-            before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, trial)
-            richer = float(np.max(taken(before, after, bench.noise.sigma**2)))
-            if richer >= RICHER and plausible(bench, scorer, trial[:place] + trial[place + 1 :], j):
+            if pays(out, trial, j)[0] and plausible(bench, scorer, trial[:place] + trial[place + 1 :], j):
                 out.chosen, changed = trial, True
                 break
     return changed
@@ -70,7 +54,7 @@ def _grown(bench: Bench, scorer: Scorer, others: list[int], forms: list[Effect])
     scorer.append([bench.add(one) for one in forms])
     scores = scorer.scores(others, list(range(first, len(scorer.library))))[0]
     if scores:
-        polished(bench, scorer, others, max(scores, key=lambda j: scores[j].rank), PASSES)
+        polished(bench, scorer, others, max(scores, key=lambda j: scores[j].rank), LIMITS.forms)
 
 
 def _nests(effect: Effect) -> bool:
@@ -91,7 +75,7 @@ def _bound(out: Selection) -> bool:
     changed = False
     for place, i in enumerate(list(out.chosen)):
         others, j = [k for k in out.chosen if k != i], i
-        for _ in range(BOUND_STEPS):
+        for _ in range(LIMITS.chain):
             effect = scorer.library[j].effect
             theta, at, _ = scorer.solve([*others, j])
             own = scorer.places[j]
@@ -103,6 +87,6 @@ def _bound(out: Selection) -> bool:
         if j == i:
             continue
         scores, _ = scorer.scores(others, [i, j])
-        if j in scores and (i not in scores or scores[j].rank > scores[i].rank + BOUND_MARGIN):
+        if j in scores and (i not in scores or scores[j].rank > scores[i].rank + LIMITS.tie):
             out.chosen[place], changed = j, True
     return changed

@@ -1,22 +1,14 @@
 """Two or three plain effects in the place of a flexible one that took what none of them could take alone."""
 
-import numpy as np
-
-from galen_hw.diagnosis.estimation.cross_validation import crossed
 from galen_hw.diagnosis.estimation.linearisation import as_if, unbent
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
-from galen_hw.diagnosis.selection.acceptance import plausible
+from galen_hw.diagnosis.selection.acceptance import left_out, no_worse, plausible
 from galen_hw.diagnosis.selection.comparison import in_place
+from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
-from galen_hw.diagnosis.selection.simplicity import slack
+from galen_hw.diagnosis.selection.simplicity import undecided
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Effect
-
-PAIRED = 5
-"""Kinds that are tried as the first of a few."""
-LONGEST_CHAIN = 3
-LEAST_PART = 0.2
-"""Share of the gain of what they replace that the first of a few must have by itself."""
 
 
 def split(out: Selection) -> bool:
@@ -34,18 +26,17 @@ def split(out: Selection) -> bool:
         if i not in ranks:
             continue
         with unbent(scorer, i):
-            firsts = _firsts(scorer, others, ranks, LEAST_PART * ranks[i].gain, effect)
+            firsts = _firsts(scorer, others, ranks, LIMITS.part * ranks[i].gain, effect)
             plain = {j: score for j, score in ranks.items() if j != i}
             chains = [_chain(scorer, others, a, plain, out.needed) for a in firsts]
         total, chain = max(chains, default=(0.0, []), key=lambda x: x[0])
-        misfit = scorer.misfit(out.chosen)
-        if len(chain) < 2 or total < ranks[i].rank + LOG_ODDS + slack(misfit) * ranks[i].gain:
+        if len(chain) < 2 or total < ranks[i].rank + LOG_ODDS + undecided(bench, scorer, out.chosen):
             continue
         real = all(plausible(bench, scorer, [*others, *(x for x in chain if x != one)], one) for one in chain)
-        before = crossed(bench, scorer, out.chosen)
+        before = left_out(out, out.chosen)
         with as_if(scorer, [*others, *chain]):
-            after = crossed(bench, scorer, [*others, *chain])
-        if real and float(np.mean(after / before)) < 1.0:
+            after = left_out(out, [*others, *chain])
+        if real and no_worse(before, after):
             out.chosen = [*others, *chain]
             return True
     return False
@@ -56,7 +47,7 @@ def _chain(
 ) -> tuple[float, list[int]]:
     """Up to three hypotheses out of the able ones that follow each other beside the others, and their ranks together."""
     chain, total = [first], able[first].rank
-    while len(chain) < LONGEST_CHAIN:
+    while len(chain) < LIMITS.chain:
         model = [*others, *chain]
         scores = scorer.scores(model)[0]
         follow = elsewhere(scorer, model, [j for j in scores if j in able])
@@ -83,4 +74,4 @@ def _firsts(scorer: Scorer, others: list[int], ranks: dict[int, Score], least: f
         effect = scorer.library[j].effect
         if effect is not None and effect.KEY != own.KEY and ranks[j].gain >= least:
             out.setdefault(effect.family, j)
-    return list(out.values())[:PAIRED]
+    return list(out.values())[: LIMITS.leaders]

@@ -1,15 +1,11 @@
 """Jumps, each by itself and at the moment that the present model gives them: what was found beside a poorer one may be off."""
 
-from typing import Final
-
 from galen_hw.diagnosis.detection import steps
 from galen_hw.diagnosis.estimation.interactions import load
 from galen_hw.diagnosis.estimation.least_squares import rests
+from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.physics.effects.events import Step
-
-BETTER: Final = 1.0
-"""Fall of the whitened sum of squares for which a jump moves: less is no other moment."""
 
 
 def timed(out: Selection) -> bool:
@@ -31,7 +27,7 @@ def timed(out: Selection) -> bool:
             continue
         scorer.append([bench.add(best.effect, best.looked)])
         j = len(scorer.library) - 1
-        if scorer.solve([*others, j])[2] < misfit - BETTER:
+        if scorer.solve([*others, j])[2] < misfit - LIMITS.tie:
             out.chosen[place], moved = j, True
     return moved
 

@@ -1,19 +1,16 @@
 """Each chosen effect against every rival in its place."""
 
-import numpy as np
-
-from galen_hw.diagnosis.estimation.cross_validation import crossed
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import cost_without
-from galen_hw.diagnosis.estimation.least_squares import missed
 from galen_hw.diagnosis.estimation.linearisation import as_if, rebase, unbent
-from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.acceptance import plausible
-from galen_hw.diagnosis.selection.comparison import in_place, loosens
-from galen_hw.diagnosis.selection.moves.add import TRIES, kin
+from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
+from galen_hw.diagnosis.selection.acceptance import left_out, no_worse, plausible
+from galen_hw.diagnosis.selection.comparison import ahead, in_place, loosens
+from galen_hw.diagnosis.selection.limits import LIMITS
+from galen_hw.diagnosis.selection.moves.add import kin
 from galen_hw.diagnosis.selection.moves.step_times import parted
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
-from galen_hw.diagnosis.selection.simplicity import ALIKE, favour, handicap, slack
+from galen_hw.diagnosis.selection.simplicity import plainest, undecided
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 
 
@@ -40,27 +37,45 @@ def _swap(out: Selection) -> bool:
         rivals = {j: s for j, s in rivals.items() if j == i or not _left_behind(scorer, i, j)}
         if i not in rivals:
             continue
-        # A plainer one need not be better, only as good: what came first in an earlier turn must not decide.
-        with unbent(scorer, i):
-            able = {j: s.rank + handicap(bench, scorer, others, i, j, rivals) for j, s in rivals.items() if j != i}
-        better = sorted((j for j in able if able[j] > rivals[i].rank), key=lambda j: -able[j])
-        best = next((j for j in better[:TRIES] if plausible(bench, scorer, others, j)), i)
-        margin = LOG_ODDS + slack(missed(bench, scorer, [*others, best])) * rivals[i].gain
-        if best in kin(scorer, i) or (best != i and favour(scorer, i, best) > 0):
-            margin = 1.0  # the same thing at a better value, or a plainer one that does as well
-        if best == i or able[best] <= rivals[i].rank + margin:
+        best = _best(out, others, i, rivals)
+        if best == i:
             continue
         trial = [best if j == i else j for j in out.chosen]
-        if able[best] - _flattered(bench, scorer, trial, i, best) <= rivals[i].rank + margin:
+        flattered = _flattered(bench, scorer, trial, i, best)
+        if flattered > 0.0 and rivals[best].rank - flattered <= rivals[i].rank + LOG_ODDS:
             continue
-        before = crossed(bench, scorer, out.chosen)
+        before = left_out(out, out.chosen)
         with as_if(scorer, trial):
-            after = crossed(bench, scorer, trial)
-        if float(np.mean(after / before)) <= 1.0 + ALIKE:
+            after = left_out(out, trial)
+        if no_worse(before, after):
             out.chosen = trial
             parted(out)
             rebase(scorer, out.chosen)
     return out.chosen != start
+
+
+def _best(out: Selection, others: list[int], i: int, rivals: dict[int, Score]) -> int:
+    """The rival that is better in the place of the chosen i, beyond luck, and of what does as well the plainest; else i.
+
+    A plainer one need not be better, only as good: what came first in an earlier turn must not decide.
+    """
+    bench, scorer = out.bench, out.scorer
+    own, ranked = set(kin(scorer, i)), sorted(rivals, key=lambda j: -rivals[j].rank)
+    best = i
+    with unbent(scorer, i):
+        for j in ranked[: LIMITS.tries]:
+            lead = rivals[j].rank - rivals[i].rank
+            if j == i or lead <= LIMITS.tie:
+                break
+            better = j in own or (
+                lead > LOG_ODDS + undecided(bench, scorer, [*others, j]) and ahead(bench, scorer, others, j, i) >= 1.0
+            )
+            if better and plausible(bench, scorer, others, j):
+                best = j
+                break
+        able = [best, *(j for j in ranked if j != best)]
+        plain = plainest(bench, scorer, others, rivals, able)
+    return plain if plain == best or plausible(bench, scorer, others, plain) else best
 
 
 def _flattered(bench: Bench, scorer: Scorer, trial: list[int], i: int, best: int) -> float:

@@ -11,17 +11,17 @@ from dataclasses import replace
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
-from galen_hw.diagnosis.estimation.cross_validation import crossed, errors
+from galen_hw.diagnosis.estimation.cross_validation import errors
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import settle_together
 from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
 from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.estimation.nonlinear import settle
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.acceptance import taken
+from galen_hw.diagnosis.selection.acceptance import left_out, no_worse
 from galen_hw.diagnosis.selection.moves.timing_search import Clocks, ClockSearch, numbers
 from galen_hw.diagnosis.selection.search_state import Selection
-from galen_hw.diagnosis.selection.simplicity import ALIKE
+from galen_hw.diagnosis.stats.paired_test import paired
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.friction import Friction
@@ -30,6 +30,8 @@ from galen_hw.spatial import Array
 
 RICHER = 0.05
 """Share of the excess that is left in some channel, on blocks left out, that the clocks must take."""
+NOTHING = 0.02
+"""Of the noise: a smaller excess is none."""
 COMPLETE = 0.9
 """The same that each joint's own clocks must take before anything else is known."""
 OFTEN = 2
@@ -123,8 +125,7 @@ def one_clock(out: Selection) -> bool:
     saved = (len(late) - 1) * float(np.log(bench.noise.effective))
     if scorer.solve(best)[2] - scorer.solve(out.chosen)[2] >= saved:
         return False
-    before, after = crossed(bench, scorer, out.chosen), crossed(bench, scorer, best)
-    if float(np.mean(after / before)) > 1.0 + ALIKE:
+    if not no_worse(left_out(out, out.chosen), left_out(out, best)):
         return False
     out.chosen = best
     return True
@@ -150,7 +151,7 @@ def _exchanged(
 
     `nearly`: only if these take nearly all that is above the noise wherever they are better, in so many channels at least.
     """
-    before, missed, old = scorer.solve(out.chosen)[2], crossed(bench, scorer, out.chosen), _ends(scorer, out.chosen)
+    before, missed, old = scorer.solve(out.chosen)[2], left_out(out, out.chosen), _ends(scorer, out.chosen)
     gone = [one for i in old if (one := scorer.library[i].effect) is not None]
     price = (numbers([one for one, _ in clocks]) - numbers(gone)) * float(np.log(bench.noise.effective))
     # What lies between two rows is no number more.
@@ -159,7 +160,7 @@ def _exchanged(
     with out.attempt() as attempt:
         out.chosen = trial = _through(bench, scorer, [i for i in out.chosen if i not in old], clocks, instead)
         better = before - scorer.solve(trial)[2] - price > LOG_ODDS
-        attempt.kept = better and _pays(bench, missed, crossed(bench, scorer, trial), nearly=nearly, plainer=plainer)
+        attempt.kept = better and _pays(out, missed, left_out(out, trial), nearly=nearly, plainer=plainer)
     if attempt.kept:
         _as_told(scorer, clocks)
     return attempt.kept
@@ -200,15 +201,15 @@ def _in_place_of(bench: Bench, h: Hypothesis, instead: dict[Effect, Effect]) -> 
     return h if h.effect is None or h.effect not in instead else bench.add(instead[h.effect], h.looked)
 
 
-def _pays(bench: Bench, before: Array, after: Array, *, nearly: int, plainer: bool) -> bool:
-    """Return whether errors (C,) on blocks left out fall, by enough of the excess in some channel; of fewer clocks, do not rise.
+def _pays(out: Selection, before: Array, after: Array, *, nearly: int, plainer: bool) -> bool:
+    """Return whether errors (n, C) on blocks left out fall as a finding's have to; of fewer clocks, do not rise.
 
     `nearly`: by nearly all of the excess wherever they fall, in so many channels at least.
     """
-    share, ratio = taken(before, after, bench.noise.sigma**2), float(np.mean(after / before))
+    gain = paired(before, after, out.start / out.bench.noise.sigma**2 - 1.0)
     if nearly:
-        fallen = share[share >= RICHER]
-        return len(fallen) >= nearly and bool(np.min(fallen) >= COMPLETE) and ratio < 1.0
-    if plainer:
-        return ratio <= 1.0 + ALIKE
-    return float(np.max(share)) >= RICHER and ratio < 1.0
+        old, new = (np.mean(x**2, axis=0) - 1.0 for x in (before, after))
+        fallen = (old - new) / np.maximum(old, NOTHING)
+        fallen = fallen[fallen >= RICHER]
+        return len(fallen) >= nearly and bool(np.min(fallen) >= COMPLETE) and gain.fall > 0.0
+    return gain.tolerable if plainer else gain.credible()
