@@ -32,9 +32,12 @@ def test_a_switch_takes_its_rule_out_of_every_module_and_of_the_table_of_moves(n
 
 
 def test_a_switch_takes_a_method_out_of_its_class() -> None:
-    asked = "from galen_hw.tools.blind_proof.switches import switch_off; switch_off('budget'); " + (
-        "from galen_hw.diagnosis.stats.criteria import CRITERIA; print(CRITERIA.standard_errors(100))"
-    )
+    asked = """
+from galen_hw.tools.blind_proof.switches import switch_off
+from galen_hw.diagnosis.stats.criteria import CRITERIA
+switch_off("budget")
+print(CRITERIA.standard_errors(100))
+"""
     done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
     assert float(done.stdout) == 1.0
 
