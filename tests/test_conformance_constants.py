@@ -13,9 +13,9 @@ import pytest
 
 import galen_hw
 
-CONSTANTS = {"diagnosis": 107, "physics": 102}
+CONSTANTS = {"diagnosis": 107, "physics": 31}
 """Capitals at module level that are bound to numbers."""
-SETTINGS = {"diagnosis": 0, "physics": 0}
+SETTINGS = {"diagnosis": 162, "physics": 105}
 """Fields of classes and arguments whose default is a number."""
 
 
@@ -38,8 +38,9 @@ def numeric(value: ast.expr | None) -> bool:
 def constants(tree: ast.Module) -> Iterator[str]:
     for node in tree.body:
         match node:
-            case ast.Assign(targets=[ast.Name(id=name)], value=value) | ast.AnnAssign(
-                target=ast.Name(id=name), value=value
+            case (
+                ast.Assign(targets=[ast.Name(id=name)], value=value)
+                | ast.AnnAssign(target=ast.Name(id=name), value=value)
             ):
                 if name.isupper() and numeric(value):
                     yield name
@@ -50,7 +51,10 @@ def settings(tree: ast.Module) -> Iterator[str]:
         match node:
             case ast.arguments(posonlyargs=first, args=args, defaults=defaults, kwonlyargs=named, kw_defaults=given):
                 both = [*first, *args]
-                pairs = [*zip(both[len(both) - len(defaults) :], defaults, strict=True), *zip(named, given, strict=True)]
+                pairs = [
+                    *zip(both[len(both) - len(defaults) :], defaults, strict=True),
+                    *zip(named, given, strict=True),
+                ]
                 yield from (one.arg for one, value in pairs if numeric(value))
             case ast.ClassDef(body=body):
                 for one in body:

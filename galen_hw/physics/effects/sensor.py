@@ -46,8 +46,6 @@ class Bias(Effect):
         return in_channel(scene.channels.index(self.channel), [np.ones(len(scene))])
 
 
-HALF_COSINES = 5
-"""Of a wander, over the length of the recording."""
 WALK = 14
 """Of one that wanders as a walk does: down to what can be told from noise."""
 WALKING = 6
@@ -62,7 +60,8 @@ costs 5 to 8 of it.
 class Drift(Effect):
     """The offset moves slowly: straight, r = a t / D; warm-up, r = a (1 - exp(-t / T)); wander, some half cosines over D.
 
-    A wander has a few `waves`, a walk all that are slower than noise, of which each quicker one is the smaller.
+    A wander has a few `waves` (half cosines over D, five as proposed), a walk all that are slower than noise, of which each
+    quicker one is the smaller.
     A warm-up with a `second` constant is the sum of two: what is near the heat is warm before what is far from it.
 
     D is the length of the recording. Beyond it (a tool's file in the live services) a straight drift is carried on for as
@@ -83,7 +82,7 @@ class Drift(Effect):
     length: float = 1.0
     channels: tuple[str, ...] = ()
     second: float | None = None
-    waves: int = HALF_COSINES
+    waves: int = 5
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:

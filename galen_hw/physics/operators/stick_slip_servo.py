@@ -12,10 +12,6 @@ from galen_hw.spatial import Array
 
 MANY_SERVOS = 48
 """From which they are walked side by side: a row of arrays costs as much as about so many single numbers."""
-CHUNK = 256
-"""Rows in which the end of a phase is sought at first."""
-BRIEF = 64
-"""Rows of a phase below which it costs less to walk row by row, as what comes next probably does too."""
 STRETCH, LONGEST_STRETCH = 128, 8192
 """Rows that are walked then, at first and at most."""
 
@@ -104,8 +100,13 @@ class _Servo:
             at.append(q)
         return at
 
-    def followed(self, q: float, share: float, little: float, command: Array) -> Array:
-        """The same (N,) where all rows have the same shares: it slips to one side, or sticks, over many rows at once."""
+    def followed(self, q: float, share: float, little: float, command: Array, *, brief: int = 64) -> Array:
+        """The same (N,) where all rows have the same shares: it slips to one side, or sticks, over many rows at once.
+
+        Args:
+            brief: rows of a phase below which it costs less to walk row by row, as what comes next probably
+                does too.
+        """
         count, begun, stretch = len(command), 0, STRETCH
         if count < LONG or not share < 1.0:
             return np.array(self.walked(q, repeat(share), repeat(little), command.tolist()))
@@ -119,7 +120,7 @@ class _Servo:
             out[begun:end] = how.place[begun + 1 : end + 1] - side * self.band
             fading = how.fading[1 : end - begun + 1]
             out[begun : begun + len(fading)] += apart * fading
-            if end - begun >= BRIEF:
+            if end - begun >= brief:
                 stretch = STRETCH
             else:
                 start, end = end, min(end + stretch, count)
@@ -128,9 +129,13 @@ class _Servo:
             begun, q = end, float(out[end - 1])
         return out
 
-    def _end(self, how: "_Following", begun: int, side: float, apart: float) -> int:
-        """First row behind `begun` at which it no longer slips to this side, or no longer sticks (0)."""
-        row, size = begun + 1, CHUNK
+    def _end(self, how: "_Following", begun: int, side: float, apart: float, *, chunk: int = 256) -> int:
+        """First row behind `begun` at which it no longer slips to this side, or no longer sticks (0).
+
+        Args:
+            chunk: rows in which the end is sought at first.
+        """
+        row, size = begun + 1, chunk
         while row < len(how.ahead):
             error = how.ahead[row : row + size] + side * self.band
             fading = how.fading[row - begun : row - begun + len(error)]
