@@ -13,9 +13,9 @@ import pytest
 
 import galen_hw
 
-CONSTANTS = {"diagnosis": 107, "physics": 31}
+CONSTANTS = {"diagnosis": 110, "physics": 32}
 """Capitals at module level that are bound to numbers."""
-SETTINGS = {"diagnosis": 162, "physics": 105}
+SETTINGS = {"diagnosis": 174, "physics": 113}
 """Fields of classes and arguments whose default is a number."""
 
 
@@ -37,13 +37,16 @@ def numeric(value: ast.expr | None) -> bool:
 
 def constants(tree: ast.Module) -> Iterator[str]:
     for node in tree.body:
-        match node:
-            case (
-                ast.Assign(targets=[ast.Name(id=name)], value=value)
-                | ast.AnnAssign(target=ast.Name(id=name), value=value)
-            ):
-                if name.isupper() and numeric(value):
-                    yield name
+        if isinstance(node, ast.Assign) and len(node.targets) == 1:
+            target, value = node.targets[0], node.value
+        elif isinstance(node, ast.AnnAssign):
+            target, value = node.target, node.value
+        else:
+            continue
+        several = isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple)
+        for one, number in zip(target.elts, value.elts, strict=True) if several else [(target, value)]:
+            if isinstance(one, ast.Name) and one.id.isupper() and numeric(number):
+                yield one.id
 
 
 def settings(tree: ast.Module) -> Iterator[str]:
@@ -81,13 +84,14 @@ D = 2.0 * np.log(10.0)
 NAME = "text"
 FLAG = True
 E = OTHER / 10.0
+F, G = 1, 2.0
 def f(x, y=3, *, z=0.5, flag=False, word="a"): pass
 class Some:
     w: float = 0.1
     v: int = field(default=4, kw_only=True)
     u: bool = True
 """
-    assert list(constants(ast.parse(source))) == ["A", "B", "C", "D"]
+    assert list(constants(ast.parse(source))) == ["A", "B", "C", "D", "F", "G"]
     assert sorted(settings(ast.parse(source))) == ["v", "w", "y", "z"]
 
 

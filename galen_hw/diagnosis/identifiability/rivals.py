@@ -29,8 +29,8 @@ from galen_hw.spatial import Array
 
 CLOSE = 7.0
 """Twice a log likelihood below which two effects count as equal: odds of about thirty to one."""
-ALREADY, NEAR = 0.5, 40.0
-"""Degrees: nearer ones need no sharpening, farther ones will not be alike."""
+NEAR = 40.0
+"""Degrees: a rival further away will not be alike."""
 
 
 @dataclass(frozen=True)
@@ -179,9 +179,13 @@ def _agreed(scorer: Scorer, own: Own, rival: Rival) -> float:
         return ahead(scorer.bench, scorer, others, own.i, len(scorer.library) - 1)
 
 
-def _coarse(rival: Rival) -> bool:
-    """Return whether a searched value between the points of its grid could make a near rival nearer."""
-    return len(rival.effect.searched()) == 1 and ALREADY < rival.angle < NEAR
+def _coarse(rival: Rival, *, already: float = 0.5) -> bool:
+    """Return whether a searched value between the points of its grid could make a near rival nearer.
+
+    Args:
+        already: degrees; a nearer rival needs no sharpening.
+    """
+    return len(rival.effect.searched()) == 1 and already < rival.angle < NEAR
 
 
 def _pinned(scorer: Scorer, effect: Effect) -> bool:

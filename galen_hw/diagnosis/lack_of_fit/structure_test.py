@@ -21,8 +21,6 @@ FALSE_ALARM: Final = CHANCE / 10.0
 """Probability that noise is called structure, over all families and channels: of the budget a tenth."""
 T_NEEDED: Final = 3.0
 """Standard errors by which generic functions, or trees, must win on blocks that they were not fitted on."""
-T_SHUFFLED, Z_SHUFFLED, SHUFFLES, FEW_SHUFFLES = 1.2, 8.0, 60, 10
-"""And fewer where shuffled blocks show that no order of the same blocks is predicted nearly so well, by standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +134,7 @@ def _found(
     part: float = 0.1,
     least_z: float = 4.5,
     own_part: float = 1e-6,
+    least_t: float = 1.2,
 ) -> tuple[float, float, Array] | None:
     """Whether columns (n, k) explain a rest (n,) more than chance does: z, gain on blocks left out, weights (k,) of the columns.
 
@@ -146,6 +145,8 @@ def _found(
             others.
         least_z: standard deviations above what chance explains, below which nothing else is asked.
         own_part: of a function's square, that the model must not be able to do.
+        least_t: standard errors that are enough where shuffled blocks show that no order of the same blocks is
+            predicted nearly so well.
     """
     B = base.T @ Xw
     squares, V = np.diag(squared), np.zeros((Xw.shape[1], 0))
@@ -166,7 +167,7 @@ def _found(
     U, ridge = (Xw - base @ B) @ V, part + k / T
     each = _crossed(U, y[:, None], block, ridge=ridge)[:, 0]
     sure = sureness(each)
-    if sure < T_NEEDED and not (sure >= T_SHUFFLED and _beyond_shuffled(U, y, block, ridge=ridge)):
+    if sure < T_NEEDED and not (sure >= least_t and _beyond_shuffled(U, y, block, ridge=ridge)):
         return None
     return z, float(each.sum()), V @ projected
 
@@ -193,17 +194,24 @@ def sureness(each: Array) -> float:
     return float(np.mean(each)) / max(spread, 1e-300)
 
 
-def _beyond_shuffled(U: Array, y: Array, block: Index, *, ridge: float) -> bool:
+def _beyond_shuffled(
+    U: Array, y: Array, block: Index, *, ridge: float, beyond: float = 8.0, orders_asked: int = 60, first: int = 10
+) -> bool:
     """Return whether functions predict blocks left out far better than they predict the same blocks in another order.
 
     What acts in a few corners of the motion lies in a few blocks: their gains differ so much that a mean over its error says
     little. That the rest is large at just the moments that the motion foretells is no luck.
+
+    Args:
+        beyond: standard deviations between orders.
+        orders_asked: orders of the blocks.
+        first: orders that are asked first, by half as many deviations.
     """
     rng = np.random.default_rng(len(y))
     pieces = [np.flatnonzero(block == b) for b in np.unique(block)]
-    shuffled = [np.concatenate([pieces[i] for i in rng.permutation(len(pieces))]) for _ in range(SHUFFLES)]
+    shuffled = [np.concatenate([pieces[i] for i in rng.permutation(len(pieces))]) for _ in range(orders_asked)]
     # Most are far from it, and a few orders show that.
-    for count, needed in ((FEW_SHUFFLES, 0.5 * Z_SHUFFLED), (SHUFFLES, Z_SHUFFLED)):
+    for count, needed in ((first, 0.5 * beyond), (orders_asked, beyond)):
         orders = np.stack([y, *(y[order] for order in shuffled[:count])], axis=-1)
         gains = _crossed(U, orders, block, ridge=ridge).sum(axis=0)
         if gains[0] <= np.mean(gains[1:]) + needed * np.std(gains[1:]):

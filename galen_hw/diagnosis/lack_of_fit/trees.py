@@ -21,8 +21,6 @@ from galen_hw.spatial import Array
 
 TOGETHER: Final = "all inputs together, as no function that was tried does"
 """What trees follow, in words."""
-NUMBER, LEAF = 30, 10
-"""Of the trees, and of the rows that one of their leaves holds at least."""
 
 
 def new() -> HistGradientBoostingRegressor:
@@ -108,9 +106,14 @@ def _foretold(X: Array, y: Array, fold: Index, good: Index) -> Array:
     return out
 
 
-def _many() -> ExtraTreesRegressor:
-    """Extremely randomised trees (Geurts, Ernst and Wehenkel 2006): all channels at once, and quick."""
-    return ExtraTreesRegressor(NUMBER, min_samples_leaf=LEAF, random_state=0)
+def _many(*, number: int = 30, leaf: int = 10) -> ExtraTreesRegressor:
+    """Extremely randomised trees (Geurts, Ernst and Wehenkel 2006): all channels at once, and quick.
+
+    Args:
+        number: trees.
+        leaf: rows that one of their leaves holds at least.
+    """
+    return ExtraTreesRegressor(number, min_samples_leaf=leaf, random_state=0)
 
 
 def _left(rest: Array) -> float:

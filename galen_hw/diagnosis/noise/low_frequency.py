@@ -17,9 +17,6 @@ from galen_hw.spatial import Array
 if TYPE_CHECKING:
     from galen_hw.diagnosis.stats.sampling import Index, Mask
 
-CORNERS, SLOPES, GENTLE = 24, 15, 7
-"""Of the slopes, a quarter to two, so many are none steeper than flicker noise."""
-
 
 def shelves(
     centres: Array,
@@ -30,6 +27,8 @@ def shelves(
     certain: float = 9.0,
     contrary: float = -2.0,
     hidden: float = 1.5,
+    steps: int = 15,
+    gentle_steps: int = 7,
 ) -> Array:
     """(C,) level below the corner of each channel's noise, a standard error up; nan where it is not flat there for certain.
 
@@ -42,19 +41,21 @@ def shelves(
             flicker noise reaches 6.
         contrary: the same ratio below which a channel speaks against what the others say.
         hidden: the same ratio from which flicker noise is there beside the corner: in doubt nothing is flat.
+        steps: slopes that are tried, a quarter to two.
+        gentle_steps: of these, none steeper than flicker noise.
     """
     if len(centres) < RESOLUTION.fewest:
         return np.full(levels.shape[1], np.nan)
-    corners = np.geomspace(1.5 * centres[0], centres[-1], CORNERS)
+    corners = np.geomspace(1.5 * centres[0], centres[-1], RESOLUTION.corners)
     bends = 1.0 / (1.0 + (centres / corners[:, None]) ** 2)
-    slopes = (centres / centres[0]) ** -np.linspace(0.25, 2.0, SLOPES)[:, None]
+    slopes = (centres / centres[0]) ** -np.linspace(0.25, 2.0, steps)[:, None]
     white, flicker = np.ones_like(centres), centres[0] / centres
     weights = _independent(lines)
     corner, fitted, which = _likeliest(levels, weights, [np.stack([white, bend], axis=-1) for bend in bends])
     costs, models = _fitted(levels, weights, [np.stack([white, slope], axis=-1) for slope in slopes])
     both, _, _ = _likeliest(levels, weights, [np.stack([white, bend, flicker], axis=-1) for bend in bends])
     # The steepest of the slopes is a walk's.
-    rising, gentle, walk, walked = costs.min(axis=0), costs[:GENTLE].min(axis=0), costs[-1], models[-1]
+    rising, gentle, walk, walked = costs.min(axis=0), costs[:gentle_steps].min(axis=0), costs[-1], models[-1]
     sure, noise = rising - corner, _like_noise(corner, centres)
     steep = (_like_noise(walk, centres)) & (gentle - walk >= certain)
     flat = noise & (np.sum(sure[noise]) >= certain) & (sure > contrary) & (corner - both < hidden)
@@ -81,7 +82,7 @@ def walking(
     # A single line is chi square of one, and so counts half.
     weights = np.concatenate([np.full(len(modes), 0.5), _independent(lines)])
     white, flicker = np.ones_like(f), f[0] / f
-    bends = [1.0 / (1.0 + (f / corner) ** 2) for corner in np.geomspace(slowest, centres[-1], CORNERS)]
+    bends = [1.0 / (1.0 + (f / corner) ** 2) for corner in np.geomspace(slowest, centres[-1], RESOLUTION.corners)]
     forgets, _, _ = _likeliest(level, weights, [np.stack([white, bend, flicker], axis=-1) for bend in bends])
     walk, walked, _ = _likeliest(level, weights, [np.stack([white, flicker**2], axis=-1)])
     like = _like_noise(_deviance(levels, walked[len(modes) :], weights[len(modes) :]), centres)

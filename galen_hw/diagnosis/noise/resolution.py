@@ -14,6 +14,7 @@ class Resolution:
         forgets: times that noise forgets within a recording, at least; what has a longer memory drifts.
         slow: cycles a row of a slow regressor: a motion of some seconds at 100 Hz.
         wanders: cycles in a recording up to which noise is said to wander.
+        corners: of noise with a memory that are tried, in equal ratios.
     """
 
     shortest: int = 96
@@ -21,6 +22,7 @@ class Resolution:
     forgets: float = 30.0
     slow: float = 0.003
     wanders: int = 50
+    corners: int = 24
 
 
 RESOLUTION: Final = Resolution()

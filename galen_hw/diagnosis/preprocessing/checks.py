@@ -17,8 +17,6 @@ from galen_hw.physics.scenes.pose import QUATERNION
 from galen_hw.physics.signals.differentiation import at_rest, denoised
 from galen_hw.spatial import Array
 
-GAP_STEPS, GAP_S = 5.0, 0.5
-"""A step this many times the median, and at least so long, is a gap: what happened in it nobody knows."""
 ORIENTATION: Final = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
 
 
@@ -137,8 +135,13 @@ def longest_rising(t: Array) -> Index:
     return np.array(out[::-1], dtype=np.intp)
 
 
-def _parted(scene: Scene, notes: list[str]) -> Scene:
-    """Rows on either side of a gap are no longer continuous with each other."""
+def _parted(scene: Scene, notes: list[str], *, times: float = 5.0, least: float = 0.5) -> Scene:
+    """Rows on either side of a gap are no longer continuous with each other.
+
+    Args:
+        times: the median step; what is longer is a gap: what happened in it nobody knows.
+        least: seconds of a gap.
+    """
     if not scene.clock or len(scene) < 3:
         return scene
     steps = np.diff(scene.time)
@@ -148,7 +151,7 @@ def _parted(scene: Scene, notes: list[str]) -> Scene:
     inside = steps[~edges[1:]]
     if not len(inside):
         return scene
-    gap = (steps > max(GAP_STEPS * float(np.median(inside)), GAP_S)) & ~edges[1:]
+    gap = (steps > max(times * float(np.median(inside)), least)) & ~edges[1:]
     if not gap.any():
         return scene
     longest = float(steps[gap].max())

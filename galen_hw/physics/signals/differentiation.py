@@ -115,15 +115,15 @@ def smoothed(time: Array, x: Array, segments: list[slice], band: float, *, bridg
     return out
 
 
-LINE, ALONE_BY = 60.0, 4.0
-"""Power of a line over the median of the spectrum that noise never has, exp(-40) in one place; and over the next line."""
-
-
-def has_line(x: Array, dt: float, above: float, *, foot: int = 5) -> bool:
+def has_line(
+    x: Array, dt: float, above: float, *, foot: int = 5, over_median: float = 60.0, over_next: float = 4.0
+) -> bool:
     """Return whether a signal (N,) holds one narrow line, and no row of lines, above a frequency (Hz).
 
     Args:
         foot: lines on either side that a line's window spreads it over, and that its phase's wander does.
+        over_median: power of a line over the median of the spectrum that noise never has, exp(-40) in one place.
+        over_next: power of a line over the next one.
     """
     n = len(x)
     first = max(int(np.ceil(above * n * dt)), 1)
@@ -132,19 +132,22 @@ def has_line(x: Array, dt: float, above: float, *, foot: int = 5) -> bool:
     power = np.abs(np.fft.rfft((x - np.mean(x)) * np.hanning(n)))[first:] ** 2
     peak = int(np.argmax(power))
     others = np.delete(power, np.s_[max(peak - foot, 0) : peak + foot + 1])
-    return bool(power[peak] > max(LINE * float(np.median(others)), ALONE_BY * float(np.max(others))) > 0.0)
+    return bool(power[peak] > max(over_median * float(np.median(others)), over_next * float(np.max(others))) > 0.0)
 
 
-ALONE, AROUND = 3, 101
-"""So many samples in a row may be isolated, more are an event; and of so many around nine of ten say what is usual."""
+ALONE = 3
+"""Samples in a row that may be isolated; more are an event."""
 
 
-def isolated(x: Array) -> NDArray[np.bool_]:
+def isolated(x: Array, *, width: int = 101) -> NDArray[np.bool_]:
     """(N,) samples, at most three in a row, that stand out to one side of what lies before and after them.
 
     How far a sample stands out is the smaller of its distances to the third one before and after, where both have one sign;
     zero on slopes, steps and ramps. It must be six times what nine samples of ten around it stay below, and twice what the
     signal itself changes there from the sixth sample to the third (a cusp is no spike).
+
+    Args:
+        width: samples around, of which nine of ten say what is usual.
     """
     n = len(x)
     none = np.zeros(n, dtype=bool)
@@ -157,7 +160,7 @@ def isolated(x: Array) -> NDArray[np.bool_]:
     if not out.any():
         return none
     # At an end its own value counts as all that lies beyond, unless that would be most of what there is.
-    around = percentile_filter(out, 90, size=AROUND, mode="nearest" if n >= AROUND else "reflect")
+    around = percentile_filter(out, 90, size=width, mode="nearest" if n >= width else "reflect")
     usual = np.maximum(around, max(float(np.quantile(out, 0.9)), float(out[out > 0.0].min())))
     needed = np.maximum(6.0 * usual, 2.0 * np.maximum(np.abs(third - sixth), np.abs(next_third - next_sixth)))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], out > needed, [False]]).astype(int)))
