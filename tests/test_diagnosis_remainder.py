@@ -19,7 +19,7 @@ from galen_hw.diagnosis.findings.from_model import dependence
 from galen_hw.diagnosis.lack_of_fit import structure_test
 from galen_hw.diagnosis.lack_of_fit.basis_functions import PLAIN, WARM, Inputs, dictionaries, factors
 from galen_hw.diagnosis.lack_of_fit.gram import Functions, by_name
-from galen_hw.diagnosis.lack_of_fit.pursuit import MOST_FUNCTIONS, Pursuit
+from galen_hw.diagnosis.lack_of_fit.pursuit import Pursuit
 from galen_hw.diagnosis.lack_of_fit.regression import Blend
 from galen_hw.diagnosis.lack_of_fit.residual_model import RIDGES, Ridge, learn
 from galen_hw.diagnosis.lack_of_fit.trees import beside
@@ -438,7 +438,7 @@ def test_low_powers_alone_stand_where_no_function_does_much_better() -> None:
     assert set(learnt.parts) == {3, 4, 5}
     for families in learnt.parts.values():
         assert set(families) <= set(PLAIN)
-        assert sum(np.count_nonzero(theta) for theta in families.values()) <= MOST_FUNCTIONS
+        assert sum(np.count_nonzero(theta) for theta in families.values()) <= Pursuit.most
 
 
 def test_what_predicts_a_row_was_not_fitted_on_it() -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from joblib import Parallel, delayed
 
 from galen_hw.diagnosis.detection import outliers
+from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.initial_state import left_open
 from galen_hw.diagnosis.estimation.signal_chain import Timing, arrived
@@ -17,11 +18,6 @@ from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.events import Glitches
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
-
-LEAST_SHARE = 12
-"""Rows for each direction that may be kept from passing for noise."""
-COARSE = 3000
-"""Rows of the first look: motion is slow beside a force sensor's samples."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +34,12 @@ class Known:
     ends: Timing
     stream: Scene
 
-    def columns(self, bench: Bench, generic: list[structure_test.Family]) -> list[Columns]:
-        """On the rows of a bench: what must not pass for noise, as it arrives."""
+    def columns(self, bench: Bench, generic: list[structure_test.Family], *, least: int = 12) -> list[Columns]:
+        """On the rows of a bench: what must not pass for noise, as it arrives.
+
+        Args:
+            least: rows for each direction that may be kept from passing for noise.
+        """
         with bench.delivering(self.ends):
             out = [bench.raw(effect.relaxed) for effect, _ in self.effects]
             # Moments are known to a row of the first look.
@@ -54,14 +54,14 @@ class Known:
         for channel, kind in self.left.items():
             alike = [one.basis for one in generic if one.kind == kind]
             # In few rows all directions of what looked best would leave too little of the noise, and find themselves again.
-            most = max(len(bench.rows) // LEAST_SHARE // len(alike), 2)
+            most = max(len(bench.rows) // least // len(alike), 2)
             out += [Columns((channel,), basis[:, None, :most]) for basis in alike]
         return out
 
 
 def benches(scene: Scene, held: float, seed: int) -> tuple[Bench, Bench, list[Glitches]]:
     """The data of the search, those of the first look, and the isolated samples that both leave out."""
-    bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, COARSE)
+    bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, BUDGET.coarse)
     glitch = outliers.marked(bench)
     coarse.leave_out(bench.spoilt)
     return bench, coarse, glitch

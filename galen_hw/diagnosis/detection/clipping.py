@@ -7,21 +7,18 @@ from galen_hw.physics.effects.sensor import Saturation
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
-FEW_CLIPPED = 5
-"""Rows beyond a limit that are too few to show that it is one."""
 
-
-FEWEST = 1e-3
-"""And the share of all rows."""
-
-
-def saturations(scene: Scene, rest: Array, simulated: Array) -> list[Sought]:
+def saturations(scene: Scene, rest: Array, simulated: Array, *, few: int = 5, fewest: float = 1e-3) -> list[Sought]:
     """For each end of each channel the limit at which clipping of what is simulated (M, C) takes most out of the rest (M, C).
 
     Rows that no fit sees do not belong here: what is filled in there says that nothing was clipped.
 
     Clipping takes all that goes beyond the limit L, so that only L is free: the gain of h = max(w - L, 0) with the factor -1,
     -2 sum r h - sum h^2, for every L at once from running sums over the rows in order of w.
+
+    Args:
+        few: rows beyond a limit that are too few to show that it is one.
+        fewest: the same as a share of all rows; the larger of the two holds.
     """
     out = []
     for c, name in enumerate(scene.channels):
@@ -32,7 +29,7 @@ def saturations(scene: Scene, rest: Array, simulated: Array) -> list[Sought]:
             k = np.arange(1, len(w))
             limit, s, q = w[1:], np.cumsum(w)[:-1], np.cumsum(w * w)[:-1]
             gain = -2.0 * (np.cumsum(r * w)[:-1] - limit * np.cumsum(r)[:-1]) - (q - 2.0 * limit * s + k * limit**2)
-            gain[: max(int(FEWEST * len(w)), FEW_CLIPPED)] = 0.0
+            gain[: max(int(fewest * len(w)), few)] = 0.0
             gain[len(w) // 2 :] = 0.0
             if len(gain) and gain.max() > 0.0:
                 out.append(Sought(Saturation(name, float(sign * limit[int(np.argmax(gain))]), sign > 0.0), len(w) // 4))

@@ -10,29 +10,32 @@ from galen_hw.physics.effects.events import Contact
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
-MOST = 12
-"""Episodes; more are no touches."""
-COVERED = 0.35
-"""Share of the rows that they may cover."""
-FELT = 3.0
-"""Mean square of running means during the episodes, noise alone being one, from which a channel feels them."""
-FEW_POSES = 200
-"""Rows below which a running mean of five is wider than many a touch."""
-SHARES = (0.004, 0.01, 0.02)
-"""Of the rows that running means are wide."""
-
-WIDE = 4
-"""Times the width of a mean that an episode may be for a knock: a mean opens what it is as wide as to three times that."""
-
 Episode = tuple[int, int]
 
 
-def contacts(scene: Scene, rest: Array) -> list[Sought]:
+def contacts(
+    scene: Scene,
+    rest: Array,
+    *,
+    shares: tuple[float, ...] = (0.004, 0.01, 0.02),
+    most: int = 12,
+    covered: float = 0.35,
+    poses: int = 200,
+    knock: int = 4,
+) -> list[Sought]:
     """Episodes in which the rest (M, C) stays far above its usual level: at most a third of the time, rest before and after.
 
     Running means over three lengths, all channels together, in units of their own robust spread (so slow noise counts as
     noise). A mean is wider than a knock, or than a touch in a sweep of few poses: these also as narrow as their level says.
     An episode that begins with the recording or ends with it is a step. Without a clock the row is the time.
+
+    Args:
+        shares: of the rows that running means are wide, the narrowest first.
+        most: episodes; more are no touches.
+        covered: share of the rows that the episodes may cover.
+        poses: rows below which a running mean of five is wider than many a touch.
+        knock: times the width of a mean that an episode may be for a knock: a mean opens what it is as wide as to
+            three times that.
     """
     N, C = rest.shape
     # What is tracked pose by pose shows a push by the arm's give alone, and nobody leans on one pose after another.
@@ -41,7 +44,7 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
     away = rest - np.median(rest, axis=0)
     away = away / np.maximum(1.4826 * np.median(np.abs(away), axis=0), 1e-300)
     out: dict[Contact, Sought] = {}
-    for share in SHARES:
+    for share in shares:
         length = max(int(share * N), 5)
         z = uniform_filter1d(away, length, axis=0)
         spread = 1.4826 * np.median(np.abs(z), axis=0)
@@ -49,13 +52,13 @@ def contacts(scene: Scene, rest: Array) -> list[Sought]:
         z = np.where(spread > 0.0, z / np.where(spread > 0.0, spread, 1.0), 0.0)
         loud = np.sum(z**2, axis=1) > chi2.isf(1e-3 * length / N, C)
         wide = [(a, b) for a, b in _loud(loud, length) if a > 0 and b < N]
-        if not wide or sum(b - a for a, b in wide) > COVERED * N or len(wide) > MOST:
+        if not wide or sum(b - a for a, b in wide) > covered * N or len(wide) > most:
             continue
         narrow = []
-        if N < FEW_POSES or (share == SHARES[0] and max(b - a for a, b in wide) <= WIDE * length):
+        if poses > N or (share == shares[0] and max(b - a for a, b in wide) <= knock * length):
             own = [_level(away, *one) for one in wide]
             # What a mean is as wide as, it shows by itself.
-            narrow = [own] if N < FEW_POSES or max(b - a for a, b in own) <= length else []
+            narrow = [own] if poses > N or max(b - a for a, b in own) <= length else []
         for own in (wide, *narrow):
             for names in _felt(scene, own, away, z):
                 times = tuple((moment(scene, a, N), moment(scene, b - 1, N)) for a, b in own)
@@ -84,12 +87,17 @@ def _level(away: Array, start: int, end: int) -> Episode:
     return start + int(first[best]), start + int(last[best])
 
 
-def _felt(scene: Scene, episodes: list[Episode], away: Array, z: Array) -> list[tuple[str, ...]]:
-    """Channels whose sample shows the episodes, and those of which only the mean `z` (N, C) of many does."""
+def _felt(scene: Scene, episodes: list[Episode], away: Array, z: Array, *, least: float = 3.0) -> list[tuple[str, ...]]:
+    """Channels whose sample shows the episodes, and those of which only the mean `z` (N, C) of many does.
+
+    Args:
+        least: mean square of running means during the episodes, noise alone being one, from which a channel feels
+            them.
+    """
     inside = np.zeros(len(away), dtype=bool)
     for a, b in episodes:
         inside[a:b] = True
     share = np.sum(away[inside] ** 2, axis=0) / np.maximum(np.sum(away**2, axis=0), 1e-300)
-    ways = (share > 1.2 * inside.mean() + 0.02, np.mean(z[inside] ** 2, axis=0) > FELT)
+    ways = (share > 1.2 * inside.mean() + 0.02, np.mean(z[inside] ** 2, axis=0) > least)
     channels = [tuple(n for n, there in zip(scene.channels, way, strict=True) if there) for way in ways]
     return [names for names in channels if names]

@@ -18,19 +18,8 @@ FEWEST: Final = 2
 FAR: Final = 6.0
 """Standard deviations by which a glitch must stand off what the model says, not only off its neighbours."""
 NEAR: Final = 3.5
-SAMPLES: Final = 2.0
-"""By which a model may be early or late at a bend of the motion: what that explains is not spoilt."""
-TAIL: Final = 1.0
-"""Noise with heavy tails: so many times as many samples between so many standard deviations and `FAR` as beyond it.
-
-Student's t of three degrees of freedom has four times as many, of two still twice; outliers of a uniform size hardly any.
-"""
-
-
 MOST_SPOILT = 0.03
 """Share of a channel's samples: more isolated ones are another kind of noise."""
-HANDFUL = 4
-"""Isolated samples of one channel that may always be told."""
 
 
 def marked(bench: Bench, faint: Mask | None = None) -> list[Glitches]:
@@ -83,12 +72,15 @@ def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
     return out
 
 
-def faint(model: Model) -> Mask | None:
+def faint(model: Model, *, samples: float = 2.0) -> Mask | None:
     """(N, C) isolated samples that stand off what the model says, but too little off their neighbours; None where there are none.
 
     What noise does to the neighbours, and steps of a coarse converter, hide what is six to nine standard deviations large. At the
     ends of a segment nobody knows what is late, and where the motion bends or friction turns no model knows the moment to a
     sample: what is off there is not spoilt for that.
+
+    Args:
+        samples: by which a model may be early or late at a bend of the motion: what that explains is not spoilt.
     """
     bench, rest = model.bench, off(model)
     z = deviations(bench, rest)
@@ -101,27 +93,34 @@ def faint(model: Model) -> Mask | None:
             if b - a <= ALONE and any(part.start <= first and last <= part.stop for part in bench.scene.segments):
                 quick = np.max(np.abs(np.diff(said[first:last, c])))
                 beside = np.max(z[[*range(first, a), *range(b, last)], c])
-                out[a:b, c] = beside < NEAR and SAMPLES * quick < np.min(np.abs(rest[a:b, c]))
+                out[a:b, c] = beside < NEAR and samples * quick < np.min(np.abs(rest[a:b, c]))
     out &= ~_heavy_tailed(z, out.sum(axis=0)) & (out.sum(axis=0) <= MOST_SPOILT * len(out))
     out &= ~(bench.spoilt | bench.scene.ends | bench.scene.unanswered)[:, None]
     return out if out.any(axis=1).sum() >= FEWEST else None
 
 
 def _heavy_tailed(z: Array, far: Array) -> Mask:
-    """(C,) whether so many far samples (C,) are but the end of a tail, in deviations (N, C), that thins out towards them."""
+    """(C,) whether so many far samples (C,) are but the end of a tail, in deviations (N, C), that thins out towards them.
+
+    Of noise with heavy tails more samples lie between `NEAR` and `FAR` than beyond: with Student's t of three degrees of freedom
+    four times as many, of two still twice; outliers of a uniform size have hardly any there.
+    """
     between = np.sum((z > NEAR) & (z <= FAR), axis=0)
     usual = 2.0 * len(z) * float(norm.sf(NEAR))
-    return np.asarray(between - 2.0 * usual > TAIL * far)
+    return np.asarray(between - 2.0 * usual > far)
 
 
-def spikes(residual: Array, segments: tuple[slice, ...]) -> Mask:
+def spikes(residual: Array, segments: tuple[slice, ...], *, handful: int = 4) -> Mask:
     """(N, C) isolated samples, see `differentiation.isolated`; a channel with more than 3 % of them has another kind of noise.
 
     Of a sweep of few poses a handful is more than that.
+
+    Args:
+        handful: isolated samples of one channel that may always be told.
     """
     out = np.zeros(residual.shape, dtype=bool)
     for part in segments:
         for c in range(residual.shape[1]):
             out[part, c] = isolated(residual[part, c])
-    out[:, out.sum(axis=0) > max(MOST_SPOILT * len(out), HANDFUL)] = False
+    out[:, out.sum(axis=0) > max(MOST_SPOILT * len(out), handful)] = False
     return out

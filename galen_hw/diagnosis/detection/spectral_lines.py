@@ -11,24 +11,28 @@ from galen_hw.physics.effects.friction import TorqueRipple
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
-WANDERS = (0, 5, 15)
-"""Half cosines over the recording that the phase of a hum may follow."""
-WIDEST = 45
-"""And where the line stands out beyond the reach of these."""
-STANDS_OUT = 3.0
-"""Mean of its power there over that of what lies further away."""
-NARROW = 0.1
-"""Share of its frequency that a line may reach to either side: what is broader is no narrow band (a quality of five)."""
-
 
 def lines(
-    scene: Scene, rest: Array, runs: tuple[slice, ...], known: Sequence[Vibration] = (), *, narrow: float = NARROW
+    scene: Scene,
+    rest: Array,
+    runs: tuple[slice, ...],
+    known: Sequence[Vibration] = (),
+    *,
+    narrow: float = 0.1,
+    wanders: tuple[int, ...] = (0, 5, 15, 45),
+    stands_out: float = 3.0,
 ) -> list[Sought]:
     """The strongest line of the spectrum over its neighbourhood, over all channels and in each.
 
-    `narrow`: share of its frequency that it may reach to either side.
-
     What is left within the breadth of a known line is its own: two lines so near would be each other's wander.
+
+    Args:
+        narrow: share of its frequency that a line may reach to either side: what is broader is no narrow band (a quality
+            of five).
+        wanders: half cosines over the recording that the phase of a hum may follow; the last where the line stands out
+            beyond the reach of the others.
+        stands_out: times the power further away that the one within reach of the widest form must have for this
+            form to be proposed.
     """
     long = max(runs, key=lambda r: r.stop - r.start)
     n = long.stop - long.start
@@ -56,11 +60,11 @@ def lines(
         *((ratio[:, c], (scene.channels[c],)) for c in range(ratio.shape[1])),
     ]:
         f = _peak(score) / (pad * dt)
-        hums = [Vibration(tuple(names), float(f), wander) for wander in (*WANDERS, WIDEST)]
+        hums = [Vibration(tuple(names), float(f), wander) for wander in wanders]
         reach, widest, away = hums[-2].breadth(scene), hums[-1].breadth(scene), np.abs(frequency - f)
         skirt, around = (away >= reach) & (away < widest), (away >= widest) & (away < 3.0 * widest)
         mine = power[:, [scene.channels.index(name) for name in names]]
-        if not around.any() or np.all(mine[skirt].mean(axis=0) < STANDS_OUT * mine[around].mean(axis=0)):
+        if not around.any() or np.all(mine[skirt].mean(axis=0) < stands_out * mine[around].mean(axis=0)):
             hums.pop()
         out += [Sought(hum, n // 2) for hum in hums if hum.breadth(scene) <= narrow * hum.frequency]
     return out

@@ -9,22 +9,10 @@ from scipy.fft import dct, fft, idct
 
 from galen_hw.diagnosis.detection.proposal import FEW_ROWS, SHARED, Sought, moment, slow_spread
 from galen_hw.diagnosis.noise.spectrum import Noise
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.events import Step
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
-
-MOST_JUMPS = 6
-"""Of one staircase: more stairs are a slope, or a walk."""
-WORTH_A_JUMP = 25.0
-"""Fall of the whitened sum of squares in a channel for which another jump is sought beside those that are there."""
-HARDLY = 0.2
-"""Share of the excess that two jumps must take for others to be sought beside them: what never rests is no staircase."""
-SAME = 0.01
-"""Share of the larger jump's square by which two levels may differ and be one."""
-SURE = 4.0
-"""And variances of the difference."""
-MOMENTS = 400
-"""Moments at which something carried may have slipped."""
 
 
 def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]:
@@ -52,7 +40,7 @@ def places_of(rows: int) -> int:
 
 
 def staircases(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
-    """Up to `MOST_JUMPS` jumps of each channel, and at moments that channels share, that together take most out of a rest (M, C).
+    """Up to six jumps of each channel, and at moments that channels share, that together take most out of a rest (M, C).
 
     Each is where it takes most beside those before it, and is placed once more beside all others. What comes back to where it
     was is no staircase: somebody touched the arm.
@@ -74,22 +62,32 @@ def staircases(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
     return out
 
 
-def _stairs(rest: Array, noise: Noise, own: list[int]) -> list[int]:
-    """First rows of up to `MOST_JUMPS` treads of a staircase in the rest (M, c) of channels `own`, most telling first."""
+def _stairs(
+    rest: Array, noise: Noise, own: list[int], *, worth: float = 25.0, hardly: float = 0.2, most: int = 6
+) -> list[int]:
+    """First rows of up to `most` treads of a staircase in the rest (M, c) of channels `own`, most telling first.
+
+    Args:
+        worth: fall of the whitened sum of squares, a channel, for which another jump is sought beside those that
+            are there.
+        hardly: share of the excess that two jumps must take for others to be sought beside them: what never rests
+            is no staircase.
+        most: stairs; of more it is a slope, or a walk.
+    """
     rows: list[int] = []
     whole = rest.var(axis=0)
     excess = whole - slow_spread(rest) ** 2
-    while len(rows) < MOST_JUMPS:
+    while len(rows) < most:
         gain = _gains(_treads(rest, rows), noise, own).sum(axis=1)
         row = int(np.argmax(gain)) + 1
-        if gain[row - 1] < WORTH_A_JUMP * len(own) or row in rows:
+        if gain[row - 1] < worth * len(own) or row in rows:
             break
         rows.append(row)
         for k in range(len(rows)):
             others = rows[:k] + rows[k + 1 :]
             again = int(np.argmax(_gains(_treads(rest, others), noise, own).sum(axis=1))) + 1
             rows[k] = rows[k] if again in others else again
-        if len(rows) > 1 and np.all(whole - _treads(rest, rows).var(axis=0) < HARDLY * excess):
+        if len(rows) > 1 and np.all(whole - _treads(rest, rows).var(axis=0) < hardly * excess):
             break
     return rows
 
@@ -100,14 +98,20 @@ def _treads(rest: Array, rows: list[int]) -> Array:
     return np.concatenate([rest[a:b] - rest[a:b].mean(axis=0) for a, b in itertools.pairwise(edges)])
 
 
-def _returns(rest: Array, rows: list[int]) -> bool:
-    """Whether a staircase in a rest (M, c) ever goes back from a tread to the one before, by its jumps and by the noise."""
+def _returns(rest: Array, rows: list[int], *, same: float = 0.01) -> bool:
+    """Whether a staircase in a rest (M, c) ever goes back from a tread to the one before, by its jumps and by the noise.
+
+    Args:
+        same: share of the larger jump's square by which two levels may differ and be one.
+    """
     edges, spread = [0, *sorted(rows), len(rest)], np.maximum(slow_spread(rest), 1e-300)
     level = np.stack([rest[a:b].mean(axis=0) / spread for a, b in itertools.pairwise(edges)])
     error = rest.shape[1] / np.diff(edges)
     jump = np.sum(np.diff(level, axis=0) ** 2, axis=1)
     back = np.sum((level[2:] - level[:-2]) ** 2, axis=1)
-    return bool(np.any(back < SAME * np.maximum(jump[1:], jump[:-1]) + SURE * (error[2:] + error[:-2])))
+    return bool(
+        np.any(back < same * np.maximum(jump[1:], jump[:-1]) + CRITERIA.standard_errors**2 * (error[2:] + error[:-2]))
+    )
 
 
 def again(scene: Scene, rest: Array, step: Step, noise: Noise) -> Sought:
@@ -157,7 +161,7 @@ def _jumps(rest: Array, noise: Noise, own: list[int] | None = None) -> Array:
     return np.asarray(inner**2 / square)
 
 
-def slips(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[Sought]:
+def slips(scene: Scene, rest: Array, average: Callable[[Array], Array], *, count: int = 400) -> list[Sought]:
     """For all that the arm carries the moment at which a slip of it takes most out of the rest (M, C).
 
     With A the answer to a slip and b its product with the rest, both summed over the rows behind a moment, and S of all rows
@@ -165,6 +169,7 @@ def slips(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[
 
     Args:
         average: rows (N, ...) to (M, ...).
+        count: moments that are looked at.
     """
     M = len(rest)
     if M < FEW_ROWS:
@@ -180,7 +185,7 @@ def slips(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[
             np.cumsum(each[::-1], axis=0)[::-1]
             for each in (np.einsum("mck,mcl->mkl", X, X), np.einsum("mck,mc->mk", X, r))
         ]
-        moments = np.unique(np.linspace(margin, M - margin - 1, MOMENTS).astype(int))
+        moments = np.unique(np.linspace(margin, M - margin - 1, count).astype(int))
         A, b = behind[0][moments], behind[1][moments]
         free = A - A @ np.linalg.pinv(behind[0][0], rcond=1e-9, hermitian=True) @ A
         gain = np.einsum("mk,mkl,ml->m", b, np.linalg.pinv(free, rcond=1e-6, hermitian=True), b)

@@ -8,27 +8,34 @@ from galen_hw.diagnosis.detection.proposal import FEW_ROWS
 from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.physics.scenes.base import Scene
 
-MOST_REPEATED = 0.2
-"""Share of samples that are the one before again: where there are more, the sensor is slower than its record."""
-STILL = 1e-9
-"""Times its usual change by which a simulated channel must move from row to row to move at all."""
-ONCE = 0.99
-"""Share of readings that are different from one another where they are on no grid."""
-CHANCE = 1e-2
-"""Stretches of readings on a grid that may stand by chance, in a recording."""
-GRIDS = 3.0
-"""Times its usual change, which is a step or two of a grid."""
-JUMP = 6.0
-"""The same, by which one channel must jump into such a stretch or out of it: readings at a limit come and go by small changes."""
 
-
-def repeated(scene: Scene) -> Mask:
+def repeated(
+    scene: Scene,
+    *,
+    most: float = 0.2,
+    least: float = 1e-9,
+    once: float = 0.99,
+    often: float = 0.01,
+    grids: float = 3.0,
+    jump: float = 6.0,
+) -> Mask:
     """(N, C) samples that are the one before again where readings do not come again by themselves, in all channels or in one.
 
     Readings without noise do where nothing moves. Those on a grid do by chance: such a stretch must be too long for that, and
     what is simulated must change over it by more than it usually does from row to row. One channel alone is asked of a wrench,
     off a grid, and must jump there or back: a joint's effort and position stand still with the joint. Of two and more samples
     the first is told with them: when it stopped, nobody knows.
+
+    Args:
+        most: share of samples that are the one before again; where there are more, the sensor is slower than its
+            record.
+        least: times its usual change by which a simulated channel must move from row to row to move at all.
+        once: share of readings that are different from one another where they are on no grid.
+        often: stretches of readings on a grid that may stand by chance, in a recording.
+        grids: times its usual change, a step or two of a grid, that the simulation must move over a stretch on a
+            grid.
+        jump: the same, by which one channel must jump into such a stretch or out of it: readings at a limit come
+            and go by small changes.
     """
     y, N = scene.observations.matrix(*scene.channels), len(scene)
     again, moved = np.zeros(y.shape, dtype=bool), np.zeros(N)
@@ -37,27 +44,27 @@ def repeated(scene: Scene) -> Mask:
         again[part][1:] = y[part][1:] == y[part][:-1]
         moved[part][1:] = np.max(np.abs(np.diff(scene.simulated[part], axis=0)) / usual, axis=1)
     # Values that were there before, but not just before, are those of a grid.
-    grid = np.array([len(np.unique(x[~a])) < ONCE * np.sum(~a) for x, a in zip(y.T, again.T, strict=True)])
+    grid = np.array([len(np.unique(x[~a])) < once * np.sum(~a) for x, a in zip(y.T, again.T, strict=True)])
     chance = np.where(grid, np.log(np.maximum(np.mean(again, axis=0), 1.0 / N)), -np.inf)
-    still, out = moved < STILL, np.zeros(y.shape, dtype=bool)
+    still, out = moved < least, np.zeros(y.shape, dtype=bool)
 
     def by_itself(channels: list[int], same: Mask) -> bool:
         """Return whether the sensor is slower than its record, or has no noise."""
         resting = still.sum() >= FEW_ROWS and float(np.mean(again[still][:, channels].all(axis=1))) > 0.5
-        return float(np.mean(same)) > MOST_REPEATED or resting
+        return float(np.mean(same)) > most or resting
 
     every = list(range(y.shape[1]))
     together = np.all(again, axis=1)
     for a, b in _stretches(together) if not by_itself(every, together) else ():
         changed = float(np.max(np.abs(scene.simulated[b - 1] - scene.simulated[a - 1]) / usual))
-        by_chance = np.log(N) + (b - a) * float(np.sum(chance)) >= np.log(CHANCE)
-        if not by_chance and (not grid.all() or changed > GRIDS):
+        by_chance = np.log(N) + (b - a) * float(np.sum(chance)) >= np.log(often)
+        if not by_chance and (not grid.all() or changed > grids):
             out[a - (b > a + 1) : b] = True
     for c in every if scene.observations.predict == "wrench" else ():
         alone = again[:, c] & ~out[:, c]
         for a, b in _stretches(alone) if not by_itself([c], alone) else ():
             jumps = np.abs(y[[a - 1, min(b, N - 1)], c] - y[[max(a - 2, 0), b - 1], c])
-            if not grid[c] and float(np.max(jumps)) > JUMP * usual[c]:
+            if not grid[c] and float(np.max(jumps)) > jump * usual[c]:
                 out[a - (b > a + 1) : b, c] = True
     return out
 

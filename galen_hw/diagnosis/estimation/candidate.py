@@ -18,9 +18,6 @@ from galen_hw.spatial import Array
 if TYPE_CHECKING:
     from galen_hw.diagnosis.estimation.dataset import Bench
 
-LEAST_TOLD = float(np.exp(2.0))
-"""Independent values at which a number costs what it takes of noise alone on average and as much again (Akaike 1974)."""
-
 
 @dataclass(eq=False)
 class Hypothesis:
@@ -111,8 +108,11 @@ class Hypothesis:
         return self.telling
 
     def price(self, bench: "Bench") -> float:
-        """Of one of its numbers: the log of how many independent values tell of it (Schwarz 1978)."""
-        return float(np.log(max(bench.noise.effective * self.lasts(bench.train), LEAST_TOLD)))
+        """Of one of its numbers: the log of how many independent values tell of it (Schwarz 1978).
+
+        Of few no less than two: what it takes of noise alone on average, and as much again (Akaike 1974).
+        """
+        return max(float(np.log(max(bench.noise.effective * self.lasts(bench.train), 1.0))), 2.0)
 
     def ways(self, train: Mask) -> float:
         """Log of how many ways it could have been found in: each of several touches, of which rows are learnt from, anywhere."""

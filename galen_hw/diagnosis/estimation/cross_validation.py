@@ -9,11 +9,6 @@ from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.stats.sampling import Chosen, Index, folds
 from galen_hw.spatial import Array
 
-PIECES = 400
-"""Of so many pieces of a recording every fifth is left out to judge what belongs to moments."""
-LEAST_PIECE = 8
-"""Rows of one where noise has a memory."""
-
 
 def errors(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False, whitened: bool = False) -> Array:
     """(n, C) errors of a model on the training rows, raw or whitened, each predicted from blocks that it is not in."""
@@ -31,12 +26,26 @@ def white_left_out(bench: Bench, model: list[Hypothesis], white: Array) -> Array
     return _errors(bench, model, white, fine=False, whitened=True)
 
 
-def _errors(bench: Bench, model: list[Hypothesis], white: Array, *, fine: bool, whitened: bool = False) -> Array:
-    """(n, C) errors on the training rows, each block or piece predicted from the others."""
+def _errors(
+    bench: Bench,
+    model: list[Hypothesis],
+    white: Array,
+    *,
+    fine: bool,
+    whitened: bool = False,
+    pieces: int = 400,
+    least: int = 8,
+) -> Array:
+    """(n, C) errors on the training rows, each block or piece predicted from the others.
+
+    Args:
+        pieces: of a recording, of which every fifth is left out to judge what belongs to moments.
+        least: rows of a piece where noise has a memory.
+    """
     train = np.flatnonzero(bench.train)
     if fine:
         # Noise with a memory would tell one row from the next; poses of a sweep know nothing of each other.
-        piece = max(len(bench.rows) // PIECES, LEAST_PIECE if len(bench.noise.edges) else 1)
+        piece = max(len(bench.rows) // pieces, least if len(bench.noise.edges) else 1)
         fold = folds(np.asarray(train // piece))
     else:
         fold = folds(bench.block[train])
@@ -50,23 +59,23 @@ def _errors(bench: Bench, model: list[Hypothesis], white: Array, *, fine: bool, 
     return out
 
 
-LIVES = 0.9
-"""Share of the square of what belongs to a moment that must lie in blocks left out for these to be all that tells of it."""
-
-
 def _of_moments(
-    model: list[Hypothesis], white: Array, rows: Chosen, fold: Index, width: int, *, fine: bool
+    model: list[Hypothesis], white: Array, rows: Chosen, fold: Index, width: int, *, fine: bool, lives: float = 0.9
 ) -> Array | None:
     """(k,) parameters of what lies in one fold alone, as learnt on all rows, else nan; None where nothing does.
 
     A touch that lies in the blocks left out cannot be foretold from the others: what then stands there would decide between
     models that have the same one. Nor can what fades from a beginning; it may be quicker than a short piece, which no touch is.
+
+    Args:
+        lives: share of the square of what belongs to a moment that must lie in blocks left out for these to be
+            all that tells of it.
     """
     held = np.zeros(sum(h.count for h in model), dtype=bool)
     done = 0
     for h in model:
         if h.effect is None or (h.effect.EPISODIC and not fine):
             square = np.stack([np.sum(h.white.values[rows[fold == k]] ** 2, axis=(0, 1)) for k in np.unique(fold)])
-            held[done : done + h.count] = square.max(axis=0) > LIVES * square.sum(axis=0)
+            held[done : done + h.count] = square.max(axis=0) > lives * square.sum(axis=0)
         done += h.count
     return np.where(held, fit(model, white, rows, width), np.nan) if held.any() else None

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
+from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.signal_chain import Timing as Ends
 from galen_hw.diagnosis.estimation.signal_chain import through
@@ -25,14 +26,6 @@ from galen_hw.physics.effects.timing import TimeDelay
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import fading
 from galen_hw.spatial import Array
-
-MOST_ROWS = 12500
-SURROGATES = 48
-MOST_OF_MOTION = 0.995
-POSE = 1.0
-"""Seconds from row to row from which they are poses of a sweep."""
-IN_ORDER = 1000
-"""Rows without a clock from which their order shows what the noise is like; poses that were averaged are fewer, and apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +56,17 @@ class Bench:
         held: share of blocks set aside.
         seed: of the choice of blocks and of surrogates.
         most: rows that it may have; neighbours are averaged until there are no more.
+        pose: seconds from row to row from which rows are poses of a sweep.
+        in_order: rows without a clock from which their order shows what the noise is like; poses that were averaged are fewer,
+            and apart.
     """
 
     scene: Scene
     held: float = 0.3
     seed: int = 0
-    most: int = MOST_ROWS
+    most: int = BUDGET.rows
+    pose: float = field(default=1.0, kw_only=True)
+    in_order: int = field(default=1000, kw_only=True)
     rows: Rows = field(init=False)
     block: Index = field(init=False)
     aside: Mask = field(init=False)
@@ -262,15 +260,19 @@ class Bench:
     @property
     def ordered(self) -> bool:
         """Whether the noise of successive rows may be of one piece: on a clock, or where so many rows have only their order."""
-        return self.scene.clock or len(self.rows) >= IN_ORDER
+        return self.scene.clock or len(self.rows) >= self.in_order
 
     @property
     def apart(self) -> bool:
         """Return whether each row is a pose by itself, held for a second or for nobody knows how long."""
-        return not self.scene.clock or self.spacing >= POSE
+        return not self.scene.clock or self.spacing >= self.pose
 
-    def motion_band(self) -> float:
-        """Cycles a row below which nearly all of the motion and of its products lies; 0 where nothing moves."""
+    def motion_band(self, *, most: float = 0.995) -> float:
+        """Cycles a row below which nearly all of the motion and of its products lies; 0 where nothing moves.
+
+        Args:
+            most: share of the power that counts as nearly all.
+        """
         scene = self.scene
         moving = [scene.joint_index(joint) for joint in scene.moved]
         run = max(self.rows.runs, key=lambda r: r.stop - r.start)
@@ -280,14 +282,14 @@ class Bench:
         x = self.rows.average(scene.rates[0][:, moving])[run]
         power = np.abs(np.fft.rfft(x * np.hanning(n)[:, None], axis=0)) ** 2
         share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
-        reach = int(np.max(np.argmax(share > MOST_OF_MOTION, axis=0)))
+        reach = int(np.max(np.argmax(share > most, axis=0)))
         return float(min(2.0 * reach / n, 0.2))
 
     def whitened(self, y: Array) -> Array:
         """(M, C) residual whitened; rows that hold nothing are bridged first."""
         return self.noise.bridged(y, ~self.hollow)
 
-    def surrogates(self, count: int = SURROGATES) -> Array:
+    def surrogates(self, count: int = BUDGET.surrogates) -> Array:
         """(M, C, count) whitened noise like this recording's, quantised where its channels are."""
         rng = np.random.default_rng(self.seed + 1)
         mix = np.linalg.cholesky(self.noise.correlation + 1e-6 * np.eye(self.width))

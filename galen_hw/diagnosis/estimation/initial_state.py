@@ -1,7 +1,6 @@
 """What came before a recording: what the first look leaves open of it, and who presumes to know it."""
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
@@ -13,9 +12,6 @@ from galen_hw.physics.effects.timing import Timing
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import Beginning, Lagging
 from galen_hw.spatial import Array
-
-AS_QUICK: Final = 1.5
-"""Ratio of time constants within which what fades may be what had not settled of a creep."""
 
 
 def left_open(scene: Scene, effects: Sequence[tuple[Effect, Array]]) -> Beginning:
@@ -58,5 +54,10 @@ def _places(lag: Lagging) -> tuple[int | str, ...]:
     return lag.channels or (lag.joint,)
 
 
-def _as_quick(one: float, other: float) -> bool:
-    return bool(abs(np.log(one / other)) < np.log(AS_QUICK))
+def _as_quick(one: float, other: float, *, ratio: float = 1.5) -> bool:
+    """Return whether two time constants are as good as one.
+
+    Args:
+        ratio: of two time constants within which what fades may be what had not settled of a creep.
+    """
+    return bool(abs(np.log(one / other)) < np.log(ratio))

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from galen_hw.diagnosis.estimation import signal_chain
+from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import with_parameters
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.linearisation import rebase
@@ -16,13 +17,6 @@ from galen_hw.spatial import Array
 
 if TYPE_CHECKING:
     from galen_hw.physics.scenes.base import Scene
-
-
-ROUNDS = 4
-MET = 0.02
-"""Of the noise of one row: what the effects do to each other is told anew when it has moved by more."""
-LATER = 0.1
-"""A delay or lag that moves by more than this share makes all other effects' columns anew."""
 
 
 def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
@@ -67,21 +61,24 @@ def load(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
     bench.stand(stream=scene.carrying(standing, carried, signal_chain.limited(bench.timing)))
 
 
-def settle_together(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
+def settle_together(bench: Bench, scorer: Scorer, chosen: list[int], *, met: float = 0.02) -> None:
     """Nonlinear effects where they stand, and what all do to each other taken off the residual: nothing is to be found in it.
 
     A model of which one part undoes another (two slow shares of several hundred per cent) does not come to rest: its effects
     are left each as if alone.
+
+    Args:
+        met: of the noise of one row: what the effects do to each other is told anew when it has moved by more.
     """
     last = np.inf
     bench.stand(restless=False)
-    for _ in range(ROUNDS):
+    for _ in range(BUDGET.rounds):
         settle(bench, scorer, chosen)
         placed = _placed(scorer, chosen, scorer.solve(chosen)[0])
         together = signal_chain.beside(bench.scene, placed, bench.timing)
         now = sum((bench.rows.average(x) for x in together), np.zeros_like(bench.whole))
         moved = float(np.max(np.abs(now - bench.state.interaction) / bench.noise.sigma))
-        if moved < MET:
+        if moved < met:
             return
         rests = moved < last  # not of what is not finite
         bench.stand(interaction=now if rests else 0.0, restless=not rests)
@@ -104,8 +101,13 @@ def _same_clips(timing: list[tuple[Downstream, Array]], old: "Scene", new: "Scen
     return all(np.array_equal(c.clipped(old), c.clipped(new)) for c in clips)
 
 
-def _same_timing(old: signal_chain.Timing, new: list[tuple[Downstream, Array]]) -> bool:
+def _same_timing(old: signal_chain.Timing, new: list[tuple[Downstream, Array]], *, share: float = 0.1) -> bool:
+    """Return whether a stream is as late as it was, by the same effects.
+
+    Args:
+        share: by which a delay or lag may move before all other effects' columns are made anew.
+    """
     return len(old) == len(new) and all(
-        a == b and bool(np.max(np.abs(s - t)) <= LATER * np.max(np.abs(t)))
+        a == b and bool(np.max(np.abs(s - t)) <= share * np.max(np.abs(t)))
         for (a, s), (b, t) in zip(old, new, strict=True)
     )

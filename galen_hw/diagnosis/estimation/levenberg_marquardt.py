@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import rests
@@ -15,16 +16,6 @@ from galen_hw.spatial import Array
 
 if TYPE_CHECKING:
     from galen_hw.diagnosis.stats.sampling import Index
-
-
-STEPS = 30
-AGAIN = 4
-"""Steps of what was at its optimum before something else changed."""
-ENOUGH = 0.1
-"""Fall of twice the log likelihood by which a step must have paid for another."""
-DAMPING = 1e-3
-"""Of the first step, of the square of each column; ten times more where a step does not pay, a tenth where it does."""
-STUCK = 1e6
 
 
 class Beside:
@@ -73,29 +64,43 @@ class Beside:
 
 
 def descended(
-    bench: Bench, beside: Beside, h: Hypothesis, theta: Array, steps: int = STEPS
+    bench: Bench,
+    beside: Beside,
+    h: Hypothesis,
+    theta: Array,
+    steps: int = BUDGET.steps,
+    *,
+    enough: float = 0.1,
+    first: float = 0.001,
+    stuck: float = 1e6,
 ) -> tuple[float, Hypothesis]:
     """The least cost beside a model that damped steps from theta (k,) lead to within the effect's bounds, and the tangent there.
 
     Source: Levenberg 1944, Marquardt 1963; the model's own parameters are solved for at each step (variable projection).
+
+    Args:
+        enough: fall of twice the log likelihood by which a step must have paid for another.
+        first: damping of the first step, of the square of each column; ten times more where a step does not pay,
+            a tenth where it does.
+        stuck: damping beyond which no step pays.
     """
     assert h.effect is not None, "nuisances are linear"
     named = h.effect.parameters(bench.scene)
     low, high = np.array([max(p.low, -p.furthest) for p in named]), np.array([min(p.high, p.furthest) for p in named])
     theta = np.clip(theta, low, high)
     here, cost, A, r = _step_from(bench, beside, h, theta)
-    damping = DAMPING
+    damping = first
     for _ in range(steps):
         further = np.clip(theta + solve_sym(A + damping * np.diag(np.diag(A)), r[:, None])[:, 0], low, high)
         paid = cost - _cost(bench, beside, h, further)
         if not paid > 0.0:
             damping *= 10.0
-            if damping > STUCK:
+            if damping > stuck:
                 break
             continue
         theta, damping = further, 0.1 * damping
         here, cost, A, r = _step_from(bench, beside, h, theta)
-        if paid < ENOUGH:
+        if paid < enough:
             break
     return cost, here
 

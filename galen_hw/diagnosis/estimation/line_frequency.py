@@ -1,7 +1,5 @@
 """How far the phase of an oscillation wanders: a hum is no clock, and its frequency is not known as if it were."""
 
-from typing import Final
-
 import numpy as np
 from scipy.stats import norm as normal
 from scipy.stats import t as student
@@ -11,11 +9,8 @@ from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.physics.effects.events import Vibration
 from galen_hw.spatial import Array
 
-PIECES: Final = 16
-WIDER: Final = float(student.isf(0.025, PIECES - 1) / normal.isf(0.025))
 
-
-def mean_frequency(model: Model, effect: Vibration) -> tuple[float, float]:
+def mean_frequency(model: Model, effect: Vibration, *, count: int = 16) -> tuple[float, float]:
     """Frequency over the whole recording, and its standard deviation by the wander of the phase alone (0: none seen), Hz.
 
     A line whose phase may wander is as well fitted a little beside its frequency: the mean one is where the phase has no slope.
@@ -25,20 +20,23 @@ def mean_frequency(model: Model, effect: Vibration) -> tuple[float, float]:
     square, and the slope of a walk over a time T has the variance 6/5 s^2 / T (least squares; Durlauf and Phillips 1988). That
     s^2 rests on few steps widens the deviation as Student's t is wider than a normal law. Of a weak line noise may hide the
     walk: s^2 is what it is on average where it cannot be negative and every value was as likely before.
+
+    Args:
+        count: pieces.
     """
     bench = model.bench
     places = [bench.scene.channels.index(name) for name in effect.channels]
     time = bench.rows.average(bench.scene.time)
     run = max(bench.rows.runs, key=lambda r: r.stop - r.start)
     rows = np.arange(run.start, run.stop)[~bench.dropped[run]]
-    if len(rows) < 8 * PIECES:
+    if len(rows) < 8 * count:
         return effect.frequency, 0.0
     turning = np.exp(-2j * np.pi * effect.frequency * time[rows])
     # Without the effect, as it was fitted, the rest holds the oscillation itself.
     rest = _alone(model, effect)[rows][:, places] / bench.noise.sigma[places]
     level = np.array([bench.noise.spectrum(np.array([_cycles(model, effect)]))[0, c] for c in places])
     weight = np.conj(np.sum(rest * turning[:, None], axis=0) / len(rows)) * bench.noise.sigma[places] ** 2 / level
-    pieces = np.array_split(np.arange(len(rows)), PIECES)
+    pieces = np.array_split(np.arange(len(rows)), count)
     z = np.array([np.sum(rest[p] * turning[p, None] @ weight) for p in pieces])
     noise = np.array([len(p) * np.sum(np.abs(weight) ** 2 * level / bench.noise.sigma[places] ** 2) for p in pieces])
     steps = np.angle(z[1:] * np.conj(z[:-1]))
@@ -46,10 +44,11 @@ def mean_frequency(model: Model, effect: Vibration) -> tuple[float, float]:
     # Neighbouring steps share the noise of the piece between them: a correlation of minus a half.
     seen = _positive(float(np.mean(steps**2)) - by_noise, by_noise * np.sqrt(3.0 / len(steps)))
     span = float(time[rows[-1]] - time[rows[0]])
-    walk = seen * 1.5 * PIECES / span
+    walk = seen * 1.5 * count / span
+    wider = float(student.isf(0.025, count - 1) / normal.isf(0.025))
     middle = np.array([time[rows[p]].mean() for p in pieces])
     beyond = float(np.polyfit(middle, np.unwrap(np.angle(z)), 1, w=np.abs(z))[0]) if effect.wander else 0.0
-    return effect.frequency + beyond / (2.0 * np.pi), float(WIDER * np.sqrt(1.2 * walk / span) / (2.0 * np.pi))
+    return effect.frequency + beyond / (2.0 * np.pi), float(wider * np.sqrt(1.2 * walk / span) / (2.0 * np.pi))
 
 
 def _positive(value: float, error: float) -> float:

@@ -13,9 +13,6 @@ from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.timing import TimeDelay
 from galen_hw.spatial import Array
 
-ROUNDING = 1e-6
-"""Of the noise."""
-
 
 def tangent(bench: Bench, h: Hypothesis, theta: Array) -> Hypothesis:
     """The hypothesis linearised at theta, with what it predicts there beyond slope times theta."""
@@ -72,5 +69,10 @@ def unbent(scorer: Scorer, i: int) -> AbstractContextManager[None]:
     return nullcontext() if bend is None else scorer.against(scorer.bench.y + bend)
 
 
-def _same(scorer: Scorer, y: Array) -> bool:
-    return bool(np.max(np.abs(y - scorer.bench.y) / scorer.bench.noise.sigma, initial=0.0) < ROUNDING)
+def _same(scorer: Scorer, y: Array, *, rounding: float = 1e-6) -> bool:
+    """Return whether the scorer is on this residual (M, C) already.
+
+    Args:
+        rounding: difference that is none, over the noise.
+    """
+    return bool(np.max(np.abs(y - scorer.bench.y) / scorer.bench.noise.sigma, initial=0.0) < rounding)

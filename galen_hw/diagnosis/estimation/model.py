@@ -4,11 +4,11 @@ import itertools
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import Final
 
 import numpy as np
 
 from galen_hw.diagnosis.estimation import signal_chain
+from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import fit, predicted
@@ -20,15 +20,6 @@ from galen_hw.lazy import cached_property
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.sensor import Saturation
 from galen_hw.spatial import Array
-
-STEP: Final = 0.02
-"""Of the logarithm of the factor within which a searched value is sought: by as much its slope is told."""
-NEVER: Final = 1e-9
-"""Share of the square of a slope that must be left beside the effect's own columns."""
-STAYS: Final = 1e-2
-"""Of the noise of one row: what moves by less stays."""
-NOTHING: Final = 1e-3
-"""Mean square, of the noise's, that is no matter."""
 
 
 @dataclass(frozen=True)
@@ -109,12 +100,18 @@ class Model:
         spread = np.sqrt(np.maximum(np.diag(whole)[size:], 0.0)).tolist()
         return Joint(whole[:size, :size], lost | dict(zip(ways, spread, strict=True)))
 
-    def _way(self, k: int, name: str) -> Hypothesis | None:
-        """How the k-th effect changes with a searched value, as a column; None where the model's own columns do the same."""
+    def _way(self, k: int, name: str, *, share: float = 0.02, never: float = 1e-9) -> Hypothesis | None:
+        """How the k-th effect changes with a searched value, as a column; None where the model's own columns do the same.
+
+        Args:
+            share: of the logarithm of the factor within which a searched value is sought: by as much its
+                slope is told.
+            never: share of the square of a slope that must be left beside the effect's own columns.
+        """
         h, s = self.effects[k], self.slices()[len(self.nuisances) + k]
         assert h.effect is not None, "effects, not nuisances"
         value, channels = h.effect.searched()[name], list(h.raw.channels)
-        step = STEP * float(np.log(h.effect.doubt(self.bench.scene))) * value
+        step = share * float(np.log(h.effect.doubt(self.bench.scene))) * value
         up, down = (self.bench.raw(h.effect.with_searched({name: value + sign * step})) for sign in (1.0, -1.0))
         slope = (up.values - down.values) @ self.final[s] / (2.0 * step)
         way = self.bench.made(None, Columns(h.raw.channels, slope[:, :, None]))
@@ -122,7 +119,7 @@ class Model:
         X = np.concatenate([h.white.values.reshape(-1, h.count), ones], axis=1)
         X, y = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300), way.white.values.reshape(-1)
         left = y - X @ np.linalg.lstsq(X, y, rcond=1e-9)[0]
-        return way if float(left @ left) > NEVER * float(y @ y) else None
+        return way if float(left @ left) > never * float(y @ y) else None
 
     @cached_property
     def variance(self) -> Array:
@@ -172,12 +169,16 @@ class Model:
                 held[s], far = h.theta, True
         return fit(parts, y, rows, self.bench.width, held) if far else theta
 
-    def _reaches(self, h: Hypothesis, theta: Array) -> bool:
-        """Return whether an effect does at theta (k,) what its tangent says, by the noise."""
+    def _reaches(self, h: Hypothesis, theta: Array, *, nothing: float = 1e-3) -> bool:
+        """Return whether an effect does at theta (k,) what its tangent says, by the noise.
+
+        Args:
+            nothing: mean square, of the noise's, that is no matter.
+        """
         assert h.effect is not None, "nuisances are linear"
         assert h.bend is not None, "a tangent has one"
         off = does(self.bench, h.effect, theta) - h.bend - h.raw.values @ theta
-        return bool(np.max(np.mean(off**2, axis=0) / self.bench.noise.sigma**2) < NOTHING)
+        return bool(np.max(np.mean(off**2, axis=0) / self.bench.noise.sigma**2) < nothing)
 
     @property
     def parts(self) -> list[Hypothesis]:
@@ -275,25 +276,25 @@ def _beyond(effects: list[Hypothesis], like: Array) -> Array:
     return sum((x for h in effects for x in (h.bend, h.beside) if x is not None), np.zeros_like(like))
 
 
-TOGETHER_ROUNDS: Final = 4
-
-
-def together(model: Model) -> Model:
+def together(model: Model, *, stays: float = 1e-2) -> Model:
     """The model with what its effects do to each other, fitted again until that stays: a gain scales a new load too.
 
     Where it does not come to rest, the effects are left each as if alone.
+
+    Args:
+        stays: of the noise of one row: what moves by less stays.
     """
     bench, alone, last = model.bench, model, np.inf
     kinds = [(k, h.effect) for k, h in enumerate(model.effects) if h.effect is not None]
     before = [np.zeros_like(bench.whole) for _ in kinds]
-    for _ in range(TOGETHER_ROUNDS):
+    for _ in range(BUDGET.rounds):
         slices = model.slices()[len(model.nuisances) :]
         placed = [(effect, model.final[slices[k]]) for k, effect in kinds]
         now = [bench.rows.average(x) for x in signal_chain.beside(bench.scene, placed, bench.timing)]
         moved = max(
             (float(np.max(np.abs(a - b) / bench.noise.sigma)) for a, b in zip(now, before, strict=False)), default=0.0
         )
-        if moved < STAYS:
+        if moved < stays:
             break
         if not moved < last:
             return alone

@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import Hypothesis, with_parameters
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.levenberg_marquardt import AGAIN, Beside, descended
+from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside, descended
 from galen_hw.diagnosis.estimation.linearisation import rebase, tangent, unbent
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 
@@ -45,4 +46,4 @@ def _settled(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Hypothe
     assert h.theta is not None, "it is chosen as a tangent"
     with unbent(scorer, i):
         beside = Beside(bench, scorer, [j for j in chosen if j != i])
-    return descended(bench, beside, h, h.theta, AGAIN)[1]
+    return descended(bench, beside, h, h.theta, BUDGET.settled)[1]

@@ -48,10 +48,6 @@ class Left(NamedTuple):
     total: float
 
 
-TOGETHER = 32
-"""Columns for which there is room where few come: inner products with many narrow arrays cost more than with a wide one."""
-
-
 class _Beside(NamedTuple):
     """Columns side by side.
 
@@ -63,11 +59,16 @@ class _Beside(NamedTuple):
     room: Array
 
     @classmethod
-    def of(cls, at: "Index", X: Array) -> "_Beside":
-        """With room for more, if they are few."""
-        if len(at) >= TOGETHER:
+    def of(cls, at: "Index", X: Array, *, least: int = 32) -> "_Beside":
+        """With room for more, if they are few.
+
+        Args:
+            least: columns for which there is room where few come: inner products with many narrow arrays cost
+                more than with a wide one.
+        """
+        if len(at) >= least:
             return cls(at, X)
-        return cls(at[:0], np.empty((len(X), TOGETHER), order="F")).joined(at, X)
+        return cls(at[:0], np.empty((len(X), least), order="F")).joined(at, X)
 
     @property
     def columns(self) -> Array:

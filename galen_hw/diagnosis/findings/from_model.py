@@ -15,7 +15,7 @@ from galen_hw.diagnosis.findings.quantities import SIGNAL, headline
 from galen_hw.diagnosis.findings.variables import joint_units
 from galen_hw.diagnosis.findings.wording import believing, saying
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
-from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.lack_of_fit.structure_test import FALSE_ALARM, Left
 from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.result import Finding, Value
 from galen_hw.diagnosis.selection.search_state import Selection
@@ -27,12 +27,15 @@ from galen_hw.physics.effects.sensor import Saturation
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
-AS_CERTAIN = 0.95
-"""Share of a score within which the recording does not say which of two is more certain."""
 
+def findings_of(
+    model: Model, selection: Selection, judged: Judged, glitch: list[Glitches], *, as_certain: float = 0.95
+) -> list[Finding]:
+    """All findings, most certain and largest first.
 
-def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list[Glitches]) -> list[Finding]:
-    """All findings, most certain and largest first."""
+    Args:
+        as_certain: share of a score within which the recording does not say which of two is more certain.
+    """
     by_key: dict[str, list[Hypothesis]] = {}
     for h in model.effects:
         assert h.effect is not None, "effects, not nuisances"
@@ -42,7 +45,7 @@ def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list
     for k in range(len(out) - 1, 0, -1):
         before, own = out[k - 1].evidence, out[k].evidence
         # As certain as the one before, and larger: it moves up.
-        if own["score"] > AS_CERTAIN * before["score"] and own["heldout_gain"] > before["heldout_gain"]:
+        if own["score"] > as_certain * before["score"] and own["heldout_gain"] > before["heldout_gain"]:
             out[k - 1], out[k] = out[k], out[k - 1]
     isolated = [_glitch(model, judged, g) for g in glitch]
     return out + [one for one in isolated if one.evidence["false_alarm_probability"] < CHANCE]
@@ -191,19 +194,19 @@ def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
     )
 
 
-ALIKE = 0.9
-"""Share of the strongest evidence with which a plainer family of functions is named in its place."""
+def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Premise, *, near: float = 0.9) -> Finding:
+    """What nothing named explains.
 
-
-def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Premise) -> Finding:
-    """What nothing named explains."""
+    Args:
+        near: share of the strongest evidence with which a plainer family of functions is named in its place.
+    """
     names = bench.scene.channels
     channels = list(dict.fromkeys([*premise.channels, *(names[one.channel] for one in left)]))
     if premise.wrong:
         says, share, z = premise.wrong[0], 0.0, 10.0
     else:
         # What says the same in plainer words is what people want to read.
-        alike = [one for one in left if one.channel == left[0].channel and one.z >= ALIKE * left[0].z]
+        alike = [one for one in left if one.channel == left[0].channel and one.z >= near * left[0].z]
         best = min(alike, key=lambda one: one.place)
         share, z = best.share, best.z
         where = names[best.channel] + (f" of {ELSEWHERE}" if best.elsewhere else "")
@@ -241,7 +244,7 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
     for c in np.flatnonzero(judged.reached != judged.after):
         # What the findings with a name leave on held-out data: a saved model reaches this, not `rmse_after`.
         parameters[f"rmse_named_{names[c]}"] = Value(float(np.sqrt(judged.after[c])), 0.0, bench.scene.units[c])
-    evidence = {"heldout_gain": gain, "score": float(z), "false_alarm_probability": 2e-4}
+    evidence = {"heldout_gain": gain, "score": float(z), "false_alarm_probability": FALSE_ALARM}
     return Finding("unknown", channels, [], says, parameters, evidence)
 
 

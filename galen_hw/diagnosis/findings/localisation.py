@@ -17,15 +17,6 @@ from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.physics.effects.events import Contact, Glitches, Step
 from galen_hw.spatial import Array
 
-BINS = 16
-MOST = 3
-WIDEST = 0.7
-"""A region that holds more of the rows than this is no region."""
-SURE = 2.5
-"""Standard errors over blocks by which a region must beat an even spread, on rows that it was not found on."""
-FUNCTION = 0.5
-"""Share of the held-out excess from which a variable is said to organise it."""
-
 
 def channels_of(bench: Bench, judged: Judged) -> list[dict[str, Any]]:
     """Every channel with its share of the excess, in units of its noise; most first."""
@@ -64,8 +55,12 @@ class Region:
         return self.share - self.rows
 
 
-def where_of(model: Model) -> list[dict[str, Any]]:
-    """Regions that hold much more of the excess than of the rows, then variables of which the excess is a function."""
+def where_of(model: Model, *, least: float = 0.5) -> list[dict[str, Any]]:
+    """Regions that hold much more of the excess than of the rows, then variables of which the excess is a function.
+
+    Args:
+        least: share of the held-out excess from which a variable is said to organise it.
+    """
     bench = model.bench
     rest = baseline_rest(model)
     known = variables(bench)
@@ -74,7 +69,7 @@ def where_of(model: Model) -> list[dict[str, Any]]:
     out = [_region_entry(one) for one in found]
     named = {one.parts[0][0].name for one in found}
     for variable, share, channel in organised(bench, known, rest)[:2]:
-        if share > FUNCTION and variable.name not in named:
+        if share > least and variable.name not in named:
             low, high = float(variable.values.min()), float(variable.values.max())
             says = f"{100 * share:.0f} % of the unexplained error of {channel} is one function of {variable.name}"
             out.append({"variable": variable.name, "range": [low, high], "excess_share": share, "says": says})
@@ -91,8 +86,12 @@ def baseline_rest(model: Model) -> Array:
     return np.asarray(bench.whole - columns @ np.linalg.lstsq(X, bench.whole[bench.train].reshape(-1), rcond=1e-9)[0])
 
 
-def regions(bench: Bench, known: list[Variable], energy: Array) -> list[Region]:
-    """The best region of every variable, those that say the same as a better one left out."""
+def regions(bench: Bench, known: list[Variable], energy: Array, *, most: int = 3) -> list[Region]:
+    """The best region of every variable, those that say the same as a better one left out.
+
+    Args:
+        most: regions that are told.
+    """
     learn, check = halves(bench)
     if len(energy) < 60 or not (_sure(bench, energy, learn) and _sure(bench, energy, check)):
         return []
@@ -102,7 +101,7 @@ def regions(bench: Bench, known: list[Variable], energy: Array) -> list[Region]:
     single.sort(key=lambda one: -one.lift - (0.08 if one.parts[0][0].name.endswith(".position") else 0.0))
     kept: list[Region] = []
     for one in single:
-        if len(kept) < MOST and all(_overlap(one.mask, other.mask) < 0.5 for other in kept):
+        if len(kept) < most and all(_overlap(one.mask, other.mask) < 0.5 for other in kept):
             kept.append(one)
     return [_narrowed(one, known, energy, bench, learn, check) for one in kept]
 
@@ -123,15 +122,21 @@ def _region(
     bench: Bench,
     learn: Mask,
     check: Mask,
+    *,
+    widest: float = 0.7,
 ) -> Region | None:
-    """The range of a variable, within `inside`, that holds most excess beyond its rows; None if other rows disagree."""
+    """The range of a variable, within `inside`, that holds most excess beyond its rows; None if other rows disagree.
+
+    Args:
+        widest: share of the rows; what holds more of them is no region.
+    """
     found = _scan(variable.values[learn & inside], energy[learn & inside])
     if found is None:
         return None
     mask = inside & (variable.values >= found[0]) & (variable.values <= found[1])
     rows = float(mask[check].sum() / inside[check].sum())
     total = float(energy[check & inside].sum())
-    if not 0.0 < rows < WIDEST or total <= 0.0:
+    if not 0.0 < rows < widest or total <= 0.0:
         return None
     # Blocks are what is independent: a region that one loud block makes is none.
     surplus = np.where(check & inside, energy * (mask - rows), 0.0)
@@ -146,16 +151,24 @@ def _region(
     )
 
 
-def _sure(bench: Bench, surplus: Array, rows: Mask) -> bool:
-    """Return whether the sum over some rows lies above zero by more than blocks of them differ."""
+def _sure(bench: Bench, surplus: Array, rows: Mask, *, needed: float = 2.5) -> bool:
+    """Return whether the sum over some rows lies above zero by more than blocks of them differ.
+
+    Args:
+        needed: standard errors over blocks.
+    """
     by_block = np.bincount(bench.block[rows], surplus[rows])[np.unique(bench.block[rows])]
     spread = float(np.std(by_block, ddof=1)) * np.sqrt(len(by_block)) if len(by_block) > 3 else np.inf
-    return float(by_block.sum()) > SURE * spread
+    return float(by_block.sum()) > needed * spread
 
 
-def _scan(values: Array, energy: Array) -> tuple[float, float] | None:
-    """The range of bins of equal count whose share of the energy exceeds its share of the rows most."""
-    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
+def _scan(values: Array, energy: Array, *, count: int = 16) -> tuple[float, float] | None:
+    """The range of bins of equal count whose share of the energy exceeds its share of the rows most.
+
+    Args:
+        count: bins.
+    """
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, count + 1)))
     if len(edges) < 5 or energy.sum() <= 0.0:
         return None
     place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)

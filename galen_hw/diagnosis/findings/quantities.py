@@ -40,7 +40,6 @@ SIGNAL: Final = "rms_signal"
 """The parameter that every finding has: rms of what it adds to its strongest channel."""
 
 PERCENT: Final = {"gain_error", "leak", "scale_error", "share", "load_share"}
-MOST_PARTS: Final = 3
 
 
 @dataclass(frozen=True)
@@ -98,13 +97,17 @@ def text(name: str, value: Value) -> str:
     return quantity(shown.value, shown.std, shown.unit)
 
 
-def headline(finding: Finding) -> str:
-    """The size of a finding in a few words: up to three parameters, ranges over joints or channels."""
+def headline(finding: Finding, *, most: int = 3) -> str:
+    """The size of a finding in a few words: up to three parameters, ranges over joints or channels.
+
+    Args:
+        most: parameters that are named.
+    """
     parts = _by_name(finding.parameters)
     named = [name for pattern in HEAD.get(finding.effect, ()) for name in parts if re.fullmatch(pattern, name)]
     named = list(dict.fromkeys(named))
     named = [n for n in named if any(_sure(v) for v in parts[n])] or named
-    words = [_range(name, parts[name]) for name in named[:MOST_PARTS]]
+    words = [_range(name, parts[name]) for name in named[:most]]
     if finding.effect in ("vibration", "torque_ripple", "step", "contact", "hysteresis") or not words:
         words += [f"{text(SIGNAL, value)} rms" for value in parts.get(SIGNAL, [])[:1]]
     return ", ".join(words)

@@ -11,9 +11,6 @@ from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.wrench import WrenchScene
 from galen_hw.spatial import Array
 
-EDGE = 0.02
-"""A range that reaches to this share of the values at one end is said to be open there."""
-
 
 @dataclass(frozen=True, eq=False)
 class Variable:
@@ -30,10 +27,15 @@ class Variable:
     about: str
     values: Array
 
-    def span(self, low: float, high: float) -> str:
-        """A range in words: from, above, below, or the direction where it is all of one sign."""
+    def span(self, low: float, high: float, *, outside: float = 0.02) -> str:
+        """A range in words: from, above, below, or the direction where it is all of one sign.
+
+        Args:
+            low, high: of the range.
+            outside: share of the values; a range beyond which fewer lie is said to be open there.
+        """
         values, joint = self.values, self.about
-        at_bottom, at_top = np.mean(values < low) < EDGE, np.mean(values > high) < EDGE
+        at_bottom, at_top = np.mean(values < low) < outside, np.mean(values > high) < outside
         reach = float(np.ptp(values))
         if self.name.endswith(".velocity") and (at_top or at_bottom):
             edge = low if at_top else high

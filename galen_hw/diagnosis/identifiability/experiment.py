@@ -15,7 +15,7 @@ from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.findings.quantities import SIGNAL
 from galen_hw.diagnosis.findings.wording import NEXT, settled_by
-from galen_hw.diagnosis.identifiability.motions import Recipe, recipes
+from galen_hw.diagnosis.identifiability.motions import MEANS, Recipe, recipes
 from galen_hw.diagnosis.identifiability.rivals import Rival, rivals
 from galen_hw.diagnosis.identifiability.simulate import Eye, Stage, beside, stacked, stage
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
@@ -28,14 +28,8 @@ from galen_hw.spatial import Array
 
 SETTLED = 2.0 * np.log(1000.0)
 """Twice the log of odds of a thousand to one."""
-SURE_ODDS = 1e6
-MOST_OTHERS = 6
-LONGEST = 180.0
-"""Minutes; what takes longer is no advice."""
 WIDE = 15.0
 """Degrees between two effects from which no small error of the model makes one look like the other."""
-LOOSE = 0.05
-"""A parameter known worse than this is worth another recording."""
 
 
 @dataclass(frozen=True)
@@ -108,8 +102,8 @@ def pair_of(selection: Selection, finding: Finding, rival: str, model: Model) ->
     if rival != "temperature":
         return None
     theta = _straight(model, part)[1]
-    # Of the temperature nothing was recorded: it is taken to have changed the offset by as much within ten kelvin.
-    size = float(np.ptp(part.does(theta)[:, 0])) / 10.0
+    # Of the temperature nothing was recorded: it is taken to have changed the offset by as much while it warmed.
+    size = float(np.ptp(part.does(theta)[:, 0])) / MEANS.warming
     warm = Temperature(model.bench.scene.channels[part.raw.channels[0]], "temperature.sensor")
     return Pair(part.effect, theta, warm, np.array([size]), (warm,), float("nan"))
 
@@ -126,7 +120,7 @@ def _straight(model: Model, h: Hypothesis) -> tuple[Effect, Array]:
 
 def best_of(model: Model, pair: Pair) -> Advice | None:
     """The recipe that settles the pair soonest; None where none of them can."""
-    able = [a for a in _advised(model, pair) if a.distance > 0.05 * SETTLED and a.minutes < LONGEST]
+    able = [a for a in _advised(model, pair) if a.distance > 0.05 * SETTLED and a.minutes < MEANS.longest]
     # Where the two stay close, what the model leaves out elsewhere decides: a wide angle comes first.
     wide = [a for a in able if a.angle >= WIDE]
     return min(wide or able, key=lambda a: a.minutes, default=None)
@@ -137,7 +131,7 @@ def options_of(model: Model, selection: Selection, findings: list[Finding]) -> l
     for finding in findings:
         if finding.rivals:
             pair = pair_of(selection, finding, finding.rivals[0].effect, model)
-            able = [] if pair is None else [a for a in _advised(model, pair) if a.minutes < LONGEST]
+            able = [] if pair is None else [a for a in _advised(model, pair) if a.minutes < MEANS.longest]
             return sorted(able, key=lambda a: (a.angle < WIDE, a.minutes))
     return []
 
@@ -145,7 +139,7 @@ def options_of(model: Model, selection: Selection, findings: list[Finding]) -> l
 def _advised(model: Model, pair: Pair) -> Iterator[Advice]:
     bench, joints = model.bench, tuple(dict.fromkeys((*pair.found.joints, *pair.rival.joints)))
     keys = {pair.found.KEY, pair.rival.KEY}
-    others = [h for h in model.effects if h.effect is not None and h.effect.KEY not in keys][:MOST_OTHERS]
+    others = [h for h in model.effects if h.effect is not None and h.effect.KEY not in keys]
     for recipe in recipes(bench.scene, _step(model), joints):
         if recipe.keys and not recipe.keys & keys:
             continue
@@ -190,11 +184,11 @@ def _distance(model: Model, staged: Stage, pair: Pair, others: list[Hypothesis])
     return Advice(staged.recipe, distance, float(staged.recipe.minutes * runs), angle)
 
 
-def _nuisances(staged: Stage, others: list[Hypothesis], width: int, *, constants: bool = True) -> Array:
-    """Constants of all channels and the other effects, over all parts."""
+def _nuisances(staged: Stage, others: list[Hypothesis], width: int, *, constants: bool = True, most: int = 6) -> Array:
+    """Constants of all channels and the other effects, over all parts; of these at most so many."""
     rows = sum(len(scene) for scene in staged.scenes)
     known = [np.tile(np.eye(width), (rows, 1, 1))] if constants else []
-    more = [staged.columns(h.effect, width) for h in others if h.effect is not None]
+    more = [staged.columns(h.effect, width) for h in others[:most] if h.effect is not None]
     return stacked([*known, *(c for c in more if c is not None)], rows, width)
 
 
@@ -202,13 +196,17 @@ def _rest(y: Array, X: Array) -> Array:
     return beside(y[:, None], X)[:, 0]
 
 
-def _settling(pair: Pair, advice: Advice) -> str:
-    """The recipe for two rivals and what it would show."""
+def _settling(pair: Pair, advice: Advice, *, most_odds: float = 1e6) -> str:
+    """The recipe for two rivals and what it would show.
+
+    Args:
+        most_odds: that are told as a number: what is said of noise holds no further.
+    """
     names = f"{_plain(pair.found.KEY)} from {_plain(pair.rival.KEY)}"
     runs = round(advice.minutes / advice.recipe.minutes)
     often = f", {runs} times" if runs > 1 else ""
     odds = np.exp(min(0.5 * advice.distance * runs, 60.0))
-    likely = "more than a million to one" if odds > SURE_ODDS else f"about {_round(odds)} to one"
+    likely = "more than a million to one" if odds > most_odds else f"about {_round(odds)} to one"
     if np.isfinite(pair.now) and advice.angle < pair.now + 3.0:
         seen = f"The two stay {advice.angle:.0f} deg apart there, but the odds between them would be {likely}."
     else:
@@ -249,8 +247,12 @@ def _unexplained(model: Model, left: list[Left]) -> str:
     )
 
 
-def _sharper(model: Model, findings: list[Finding]) -> str:
-    """With every name settled: the effect whose size is least certain and the recipe that halves its error soonest."""
+def _sharper(model: Model, findings: list[Finding], *, loose_error: float = 0.05) -> str:
+    """With every name settled: the effect whose size is least certain and the recipe that halves its error soonest.
+
+    Args:
+        loose_error: relative standard error from which a parameter is worth another recording.
+    """
     if all(effect_class(f.effect).EPISODIC for f in findings):
         first = findings[0].effect
         return (
@@ -258,7 +260,7 @@ def _sharper(model: Model, findings: list[Finding]) -> str:
         )
     loose = sorted(findings, key=lambda f: -_error(f))
     part = next((h for h in model.effects if h.effect is not None and loose[0].effect == h.effect.KEY), None)
-    if part is None or part.effect is None or _error(loose[0]) < LOOSE or part.effect.EPISODIC:
+    if part is None or part.effect is None or _error(loose[0]) < loose_error or part.effect.EPISODIC:
         return "Nothing is left to tell apart: save the model, record another motion with it, and it should agree."
     advice = _halving(model, part, _error(loose[0]))
     place = f" of {', '.join(part.effect.joints)}" if part.effect.joints else ""
@@ -279,7 +281,7 @@ def _halving(model: Model, h: Hypothesis, error: float) -> Advice | None:
     """The recipe whose information on an effect's size reaches three times the present one soonest."""
     assert h.effect is not None, "effects, not nuisances"
     effect, theta = _straight(model, h)
-    others = [o for o in model.effects if o is not h][:MOST_OTHERS]
+    others = [o for o in model.effects if o is not h]
     out = []
     for recipe in recipes(model.bench.scene, _step(model), effect.joints):
         try:
@@ -294,7 +296,7 @@ def _halving(model: Model, h: Hypothesis, error: float) -> Advice | None:
         signal = X @ theta
         runs = max(1.0, np.ceil(3.0 / max(error**2 * float(signal @ signal), 1e-9)))
         out.append(Advice(recipe, float(signal @ signal), float(recipe.minutes * runs), 90.0))
-    able = [a for a in out if a.minutes < LONGEST]
+    able = [a for a in out if a.minutes < MEANS.longest]
     return min(able, key=lambda a: a.minutes, default=None)
 
 

@@ -6,6 +6,7 @@ Each recipe has a name, a sentence that an operator can follow, its length, and 
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -14,13 +15,27 @@ from galen_hw.physics.rigid import Body
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
-MOST_ROWS = 900
-SECOND_MASS = 0.2
-"""kg of a known weight that is hung on the tool beside its own."""
-TIP_FORCE = 10.0
-"""N of a known weight on the tip."""
-HANDLING = 2.0
-"""Minutes for a change of tool, a plug, a weight."""
+
+@dataclass(frozen=True)
+class Means:
+    """What a workshop beside the robot has at hand.
+
+    Args:
+        mass: kg of a known weight that is hung on the tool beside its own; force: N of a known weight on the tip.
+        warming: K between a cold and a warm machine.
+        handling: minutes for a change of tool, a plug, a weight; longest: minutes, what takes longer is no advice.
+        rows: on which a motion is simulated.
+    """
+
+    mass: float = 0.2
+    force: float = 10.0
+    warming: float = 10.0
+    handling: float = 2.0
+    longest: float = 180.0
+    rows: int = 900
+
+
+MEANS: Final = Means()
 
 
 @dataclass(frozen=True)
@@ -192,7 +207,7 @@ def _joined(room: Room, name: str, says: str, j: int, legs: list[tuple[Array, Ar
 
 
 def _grid(length: float, step: float) -> Array:
-    return np.arange(0.0, length, max(step, length / MOST_ROWS))
+    return np.arange(0.0, length, max(step, length / MEANS.rows))
 
 
 def _still(room: Room) -> Recipe:
@@ -206,7 +221,7 @@ def _at(room: Room, time: Array) -> Array:
 
 def _path(scene: Scene, room: Room) -> Part:
     """The recording's own motion, thinned."""
-    rows = np.unique(np.linspace(0, len(scene) - 1, min(len(scene), MOST_ROWS)).astype(int))
+    rows = np.unique(np.linspace(0, len(scene) - 1, min(len(scene), MEANS.rows)).astype(int))
     return Part(scene.time[rows] - scene.time[rows[0]], np.where(np.isfinite(scene.q[rows]), scene.q[rows], room.q0))
 
 
@@ -250,9 +265,9 @@ def _handled(scene: Scene, room: Room, path: Part) -> Iterator[Recipe]:
     group, once = scene.observations.predict, _length(path, clock=scene.clock)
     if group == "wrench":
         tool = scene.belief.tool
-        heavier = _with_weight(tool, SECOND_MASS)
-        says = f"repeat the motion with a known weight of {1e3 * SECOND_MASS:.0f} g hung on the tool"
-        yield Recipe("two payloads", says, 2 * once + HANDLING, (path, _after(path, replace(path, tool=heavier))))
+        heavier = _with_weight(tool, MEANS.mass)
+        says = f"repeat the motion with a known weight of {1e3 * MEANS.mass:.0f} g hung on the tool"
+        yield Recipe("two payloads", says, 2 * once + MEANS.handling, (path, _after(path, replace(path, tool=heavier))))
     if scene.clock:
         time = _grid(1200.0, room.step)
         warmth = np.interp(time, [0.0, 200.0, 500.0, 700.0, 1000.0, 1200.0], [0.0, 1.0, 1.0, 0.2, 0.2, 0.9])
@@ -273,7 +288,7 @@ def _handled(scene: Scene, room: Room, path: Part) -> Iterator[Recipe]:
         ("vibration", "repeat the motion with the source of the vibration switched off"),
     ):
         gone = _after(path, replace(path, without=frozenset((key,))))
-        yield Recipe(says.split(" with ")[-1], says, once + HANDLING, (path, gone), frozenset((key,)))
+        yield Recipe(says.split(" with ")[-1], says, once + MEANS.handling, (path, gone), frozenset((key,)))
 
 
 def _with_weight(tool: Body, mass: float) -> Body:
@@ -285,7 +300,7 @@ def _with_weight(tool: Body, mass: float) -> Body:
 
 def _weights(room: Room) -> Recipe:
     """In three poses three weights on the tip, along three axes one after the other."""
-    loads = [TIP_FORCE * share * axis for axis in -np.eye(3) for share in (0.0, 0.3, 0.6, 1.0)]
+    loads = [MEANS.force * share * axis for axis in -np.eye(3) for share in (0.0, 0.3, 0.6, 1.0)]
     rng = np.random.default_rng(5)
     time = _grid(len(loads) * 3 * 10.0, room.step)
     leg = np.minimum((time / 10.0).astype(int), len(loads) * 3 - 1)
@@ -293,8 +308,8 @@ def _weights(room: Room) -> Recipe:
     for j in room.index:
         q[:, j] = room.low[j] + (room.high[j] - room.low[j]) * rng.random(3)
     part = Part(time, q[leg // len(loads)], force=np.array(loads)[leg % len(loads)])
-    says = f"in three poses pull the tip with known weights of up to {TIP_FORCE:.0f} N along three directions"
-    return Recipe("known weights on the tip", says, float(time[-1]) / 60.0 + HANDLING, (part,))
+    says = f"in three poses pull the tip with known weights of up to {MEANS.force:.0f} N along three directions"
+    return Recipe("known weights on the tip", says, float(time[-1]) / 60.0 + MEANS.handling, (part,))
 
 
 def _number(x: float, unit: str) -> str:

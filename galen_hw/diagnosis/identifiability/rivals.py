@@ -22,25 +22,15 @@ from galen_hw.diagnosis.findings.wording import structural, why
 from galen_hw.diagnosis.result import Confusion, Finding
 from galen_hw.diagnosis.selection.comparison import ahead, bent, unclocked
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.linear_algebra import WEAK, orthonormal, pinned_at, scaled, solve_sym
 from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
 
 CLOSE = 7.0
 """Twice a log likelihood below which two effects count as equal: odds of about thirty to one."""
-CLEAR = 2.0
-"""Standard errors over the blocks of the recording below which a lead is none, whatever the likelihood says of it."""
-ASKED = 60.0
-"""Twice a log likelihood from which the blocks need not be asked: they would have to disagree four times over."""
-UNSURE = 0.2
-"""Standard deviation that a rival's share is allowed: its searched value stands where it is most like the found signal."""
-MOST = 5
-SHARPENED = 2
-"""So many rivals of each effect are looked at between the points of their grids."""
-ALREADY, NEAR = 0.5, 40.0
-"""Degrees: nearer ones need no sharpening, farther ones will not be alike."""
-REACH = 8.0
-"""Factor up and down within which the searched value of a rival is sought."""
+NEAR = 40.0
+"""Degrees: a rival further away will not be alike."""
 
 
 @dataclass(frozen=True)
@@ -87,15 +77,19 @@ class Own:
     straight: Array
 
 
-def confusions(model: Model, selection: Selection, finding: Finding) -> list[Confusion]:
-    """Other effects that, put in the finding's place, would do as well; and those that are the same by structure."""
+def confusions(model: Model, selection: Selection, finding: Finding, *, most: int = 5) -> list[Confusion]:
+    """Other effects that, put in the finding's place, would do as well; and those that are the same by structure.
+
+    Args:
+        most: effects, and joints of the same effect.
+    """
     out = {rival.key: Confusion(rival.key, _why(finding.effect, rival)) for rival in rivals(selection, finding)}
     for key in structural(finding.effect, model.bench.scene, finding.parameters):
         out.setdefault(key, Confusion(key, why(finding.effect, key)))
-    return [*list(out.values())[:MOST], *_in_other_joints(selection, finding)]
+    return [*list(out.values())[:most], *_in_other_joints(selection, finding, most)]
 
 
-def _in_other_joints(selection: Selection, finding: Finding) -> list[Confusion]:
+def _in_other_joints(selection: Selection, finding: Finding, most: int) -> list[Confusion]:
     """The same effect where it would do as well: joints about parallel axes turn gravity alike."""
     scorer, out = selection.scorer, []
     for i in _places(selection, finding):
@@ -107,7 +101,7 @@ def _in_other_joints(selection: Selection, finding: Finding) -> list[Confusion]:
             for rival in sorted(_in_place(scorer, own, own_key=True), key=lambda r: -r.angle):
                 if rival.angle < NEAR and rival.effect.joints not in ((), effect.joints):
                     best[rival.effect.joints] = rival
-            near = [_at_its_best(scorer, own, rival) for rival in list(best.values())[-MOST:]]
+            near = [_at_its_best(scorer, own, rival) for rival in list(best.values())[-most:]]
         alike = [r for r in near if r.lead < CLOSE and _is_what_it_is_called(scorer, r)]
         others = " or ".join(", ".join(r.effect.joints) for r in sorted(alike, key=lambda r: r.lead))
         if others:
@@ -116,8 +110,16 @@ def _in_other_joints(selection: Selection, finding: Finding) -> list[Confusion]:
     return out
 
 
-def rivals(selection: Selection, finding: Finding, *, everyone: bool = False) -> list[Rival]:
-    """The best rival of every other key that ties with the finding (or `everyone` at all near), nearest first."""
+def rivals(
+    selection: Selection, finding: Finding, *, everyone: bool = False, asked: float = 60.0, sharpened: int = 2
+) -> list[Rival]:
+    """The best rival of every other key that ties with the finding (or `everyone` at all near), nearest first.
+
+    Args:
+        asked: twice the log likelihood, above what ties, from which the blocks need not be asked: they would have
+            to disagree four times over.
+        sharpened: so many rivals of each effect are looked at between the points of their grids.
+    """
     scorer = selection.scorer
     found: dict[str, Rival] = {}
     misfit = scorer.misfit(selection.chosen)
@@ -131,14 +133,16 @@ def rivals(selection: Selection, finding: Finding, *, everyone: bool = False) ->
                 if rival.key != finding.effect and rival.lead < best.get(rival.key, rival).lead + 1e-9:
                     best[rival.key] = rival
             near = sorted(best.values(), key=lambda rival: rival.angle)
-            coarse = [(_coarse(r) and k < SHARPENED) or _pinned(scorer, r.effect) for k, r in enumerate(near)]
+            coarse = [(_coarse(r) and k < sharpened) or _pinned(scorer, r.effect) for k, r in enumerate(near)]
             sharp = Sharpener(scorer, own) if any(coarse) else None
             for k, rival in enumerate(near):
                 one = sharp.sharpened(rival) if sharp and coarse[k] else rival
-                one = _at_its_best(scorer, own, one) if k < SHARPENED else one
-                if margin <= one.lead < margin + ASKED and one.angle < NEAR:
+                one = _at_its_best(scorer, own, one) if k < sharpened else one
+                if margin <= one.lead < margin + asked and one.angle < NEAR:
                     one = replace(one, agreed=_agreed(scorer, own, one))
-                alike = (one.lead < margin or one.agreed < CLEAR) and _is_what_it_is_called(scorer, one)
+                alike = (one.lead < margin or one.agreed < CRITERIA.standard_errors) and _is_what_it_is_called(
+                    scorer, one
+                )
                 if (everyone or alike) and one.lead < found.get(one.key, one).lead + 1e-9:
                     found[one.key] = one
     return sorted(found.values(), key=lambda rival: rival.lead)
@@ -156,10 +160,15 @@ def _at_its_best(scorer: Scorer, own: Own, rival: Rival) -> Rival:
     return replace(rival, lead=rival.lead + score.gain - bent(bench, scorer, others, rival.place, score).gain)
 
 
-def _is_what_it_is_called(scorer: Scorer, rival: Rival) -> bool:
-    """A play wider than the motion with a share of a thousandth is a scale, and no rival under the name of play."""
+def _is_what_it_is_called(scorer: Scorer, rival: Rival, *, unsure: float = 0.2) -> bool:
+    """A play wider than the motion with a share of a thousandth is a scale, and no rival under the name of play.
+
+    Args:
+        unsure: standard deviation that a rival's share is allowed: its searched value stands where it is most
+            like the found signal.
+    """
     parameters = rival.effect.parameters(scorer.bench.scene)
-    near = all(p.near(float(value), UNSURE) for p, value in zip(parameters, rival.theta, strict=True))
+    near = all(p.near(float(value), unsure) for p, value in zip(parameters, rival.theta, strict=True))
     return near and rival.effect.at_work(scorer.bench.scene)
 
 
@@ -170,9 +179,13 @@ def _agreed(scorer: Scorer, own: Own, rival: Rival) -> float:
         return ahead(scorer.bench, scorer, others, own.i, len(scorer.library) - 1)
 
 
-def _coarse(rival: Rival) -> bool:
-    """Return whether a searched value between the points of its grid could make a near rival nearer."""
-    return len(rival.effect.searched()) == 1 and ALREADY < rival.angle < NEAR
+def _coarse(rival: Rival, *, already: float = 0.5) -> bool:
+    """Return whether a searched value between the points of its grid could make a near rival nearer.
+
+    Args:
+        already: degrees; a nearer rival needs no sharpening.
+    """
+    return len(rival.effect.searched()) == 1 and already < rival.angle < NEAR
 
 
 def _pinned(scorer: Scorer, effect: Effect) -> bool:
@@ -210,14 +223,18 @@ class Sharpener:
     def _left(self, X: Array) -> Array:
         return np.asarray(X - self.base @ (self.base.T @ X))
 
-    def sharpened(self, rival: Rival) -> Rival:
-        """The rival with its searched values, one after the other, where it makes most of the found signal."""
+    def sharpened(self, rival: Rival, *, reach: float = 8.0) -> Rival:
+        """The rival with its searched values, one after the other, where it makes most of the found signal.
+
+        Args:
+            reach: factor up and down within which a searched value is sought.
+        """
         effect = rival.effect.unlimited()
         pinned = self._pinned(effect)
         # Where the size is not free, the searched value is the size: without its limit it may lie far below the grid.
-        down = 1.0 / REACH if pinned is None or effect == rival.effect else 0.0
+        down = 1.0 / reach if pinned is None or effect == rival.effect else 0.0
         for name, value in rival.effect.searched().items():
-            effect = self._along(effect, name, (down * value, REACH * value), finely=pinned is not None)
+            effect = self._along(effect, name, (down * value, reach * value), finely=pinned is not None)
         rest, X = self._rest(effect)
         share = max(1.0 - rest / float(self.signal @ self.signal), 0.0)
         if pinned is None and _angle(np.sqrt(share)) >= rival.angle:
@@ -353,6 +370,6 @@ def _why(found: str, rival: Rival) -> str:
         likely = (
             f"by likelihood alone it would do better ({1.0 / odds:.2g} times), held-out data and form speak against it"
         )
-    if rival.lead >= CLOSE and rival.agreed < CLEAR:
+    if rival.lead >= CLOSE and rival.agreed < CRITERIA.standard_errors:
         likely += f", but the blocks of the recording do not agree on that ({rival.agreed:.1f} standard errors)"
     return f"{why(found, rival.key)}: the two signals are {rival.angle:.1f} deg apart beside the rest, and {likely}"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.identifiability.motions import Part, Recipe
+from galen_hw.diagnosis.identifiability.motions import MEANS, Part, Recipe
 from galen_hw.diagnosis.stats.linear_algebra import solve_sym
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.events import Contact, Step
@@ -16,9 +16,6 @@ from galen_hw.physics.effects.sensor import Drift, Temperature
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
-
-WARMING = 10.0
-"""K between cold and warm."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +85,7 @@ def _scene(scene: Scene, part: Part) -> Scene:
     if any(name.startswith("applied.force.") for name in old.columns) or part.force is not None:
         force = np.zeros((n, 3)) if part.force is None else part.force
         columns |= {f"applied.force.{a}": force[:, i] for i, a in enumerate("xyz")}
-    warm = np.zeros(n) if part.warmth is None else WARMING * part.warmth
+    warm = np.zeros(n) if part.warmth is None else MEANS.warming * part.warmth
     columns |= {name: warm for name in old.columns if name.startswith("temperature.")} | {"temperature.sensor": warm}
     rates = _rates(part, clock=scene.clock)
     belief = old.belief if part.tool is None else replace(old.belief, tool=part.tool)

@@ -37,13 +37,6 @@ PLAIN = (
 COMPUTED = ("compensated.", "std.")
 COUNTED = frozenset({"samples", "pose", "tool", "verify", "joint_age"})
 """Covariates that this program adds itself: by how they begin, and by their names."""
-MOST_PRODUCTS = 40
-MOST_PAIRS = 25
-PLACES = np.array([-1.5, -0.5, 0.5, 1.5])
-WIDTH = 0.8
-"""Centres and width of local functions of one input, in its standard deviations."""
-LAGS = (2, 5, 12, 30, 80, 200)
-"""Rows by which inputs are taken from the past."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +134,10 @@ class Inputs:
         rest: Array,
         like: "Inputs | None",
         named: tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], tuple[str, ...]],
+        *,
+        lags: tuple[int, ...] = (2, 5, 12, 30, 80, 200),
     ) -> Self:
+        """Of raw inputs, see `of`; `lags`: rows by which inputs are taken from the past."""
         scale = Scale.of(raw) if like is None else like.scales[0]
         position = scale(raw)
         weight = Scale.of(load) if like is None else like.scales[1]
@@ -152,7 +148,7 @@ class Inputs:
         bend = Scale.of(second) if like is None else like.scales[3]
         reach = np.maximum(np.ptp(position, axis=0), 1e-9) if like is None else like.reach
         period = float(np.median(np.diff(rows.average(scene.time)))) if scene.clock and len(rows) > 1 else 0.0
-        lags = tuple(k for k in LAGS if k < len(rows) // 4) if like is None else like.lags
+        lags = tuple(k for k in lags if k < len(rows) // 4) if like is None else like.lags
         heat = Scale.of(warm) if like is None else like.scales[4]
         others = Scale.of(rest) if like is None else like.scales[5]
         scales = (scale, weight, speed, bend, heat, others)
@@ -286,10 +282,14 @@ def _counts(steps: Array) -> bool:
     return bool((steps >= 0.0).all() or (steps <= 0.0).all())
 
 
-def _products(a: Array, b: Array) -> Array:
-    """(M, k) products of columns, each pair once."""
+def _products(a: Array, b: Array, *, most: int = 40) -> Array:
+    """(M, k) products of columns, each pair once.
+
+    Args:
+        most: products.
+    """
     pairs = [(i, j) for i in range(a.shape[1]) for j in range(b.shape[1]) if a is not b or j >= i]
-    return np.stack([a[:, i] * b[:, j] for i, j in pairs[:MOST_PRODUCTS]], axis=-1) if pairs else a[:, :0]
+    return np.stack([a[:, i] * b[:, j] for i, j in pairs[:most]], axis=-1) if pairs else a[:, :0]
 
 
 def local(inputs: Inputs) -> Iterator[tuple[str, Array]]:
@@ -300,11 +300,24 @@ def local(inputs: Inputs) -> Iterator[tuple[str, Array]]:
     yield from _planes("the speeds of input {} and input {}", rate, rate)
 
 
-def _planes(name: str, a: Array, b: Array) -> Iterator[tuple[str, Array]]:
-    """Bumps (M, 16) over the plane of each pair of columns."""
+def _planes(
+    name: str,
+    a: Array,
+    b: Array,
+    *,
+    most: int = 25,
+    places: tuple[float, ...] = (-1.5, -0.5, 0.5, 1.5),
+    width: float = 0.8,
+) -> Iterator[tuple[str, Array]]:
+    """Bumps (M, 16) over the plane of each pair of columns.
+
+    Args:
+        most: pairs.
+        places, width: of the bumps along one column, in its standard deviations.
+    """
     every = itertools.product(range(a.shape[1]), range(b.shape[1]))
-    for i, j in itertools.islice((pair for pair in every if a is not b or pair[0] < pair[1]), MOST_PAIRS):
-        first, second = (np.exp(-0.5 * ((x[:, None] - PLACES) / WIDTH) ** 2) for x in (a[:, i], b[:, j]))
+    for i, j in itertools.islice((pair for pair in every if a is not b or pair[0] < pair[1]), most):
+        first, second = (np.exp(-0.5 * ((x[:, None] - np.array(places)) / width) ** 2) for x in (a[:, i], b[:, j]))
         yield name.format(i + 1, j + 1), (first[:, :, None] * second[:, None, :]).reshape(len(a), -1)
 
 

@@ -2,7 +2,6 @@
 
 import warnings
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 from sklearn.linear_model import orthogonal_mp
@@ -11,22 +10,22 @@ from galen_hw.diagnosis.lack_of_fit.regression import Regression
 from galen_hw.diagnosis.stats.sampling import Index
 from galen_hw.spatial import Array
 
-MOST_FUNCTIONS: Final = 4
-LEAST: Final = 1e-3
-"""Share of the whole rest that must be explained."""
-ENOUGH: Final = 0.98
-"""Of the best number's gain: the smallest number that reaches it is taken."""
-LEAST_SHARE: Final = 0.1
-"""Of a function's size: what must lie in the rows that it is learnt on."""
-
 
 @dataclass
 class Pursuit(Regression):
     """Orthogonal matching pursuit by single functions (Pati, Rezaiifar and Krishnaprasad 1993).
 
     How many functions it takes is what predicts blocks left out best.
+
+    Args:
+        most: functions.
+        enough: of the best number's gain; the smallest number that reaches it is taken.
+        alive: share of a function's size that must lie in the rows that it is learnt on.
     """
 
+    most: int = field(default=4, kw_only=True)
+    enough: float = field(default=0.98, kw_only=True)
+    alive: float = field(default=0.1, kw_only=True)
     _count: int = field(init=False, default=0)
     _parts: dict[str, Array] = field(init=False, default_factory=dict)
 
@@ -41,10 +40,10 @@ class Pursuit(Regression):
         self._folds = [self._path(np.delete(every, f)) for f in self.plain.folds]
         raw = self._gains(self._X, self.rest)
         best = float(raw.max())
-        if best <= LEAST * float(self.rest @ self.rest):
+        if best <= self.least * float(self.rest @ self.rest):
             return
         # Another motion is where more functions than are needed differ.
-        self._count = int(np.flatnonzero(raw >= ENOUGH * best)[0])
+        self._count = int(np.flatnonzero(raw >= self.enough * best)[0])
         self.reached, self.white_gain = (
             float(g[self._count]) for g in (raw, self._gains(self._white, self.white_rest))
         )
@@ -68,17 +67,17 @@ class Pursuit(Regression):
         return int(self.plain.columns[name].shape[1])
 
     def _path(self, rows: Index) -> Array:
-        """(k, MOST_FUNCTIONS) coefficients of one, two and more functions, learnt on some rows."""
+        """(k, most) coefficients of one, two and more functions, learnt on some rows."""
         X, y = self._learnt[rows] / self._size, self._target[rows]
         norms = np.linalg.norm(X, axis=0)
         # Of a function that hardly lives in these rows nothing can be learnt from them.
-        alive = norms > LEAST_SHARE
-        out = np.zeros((X.shape[1], MOST_FUNCTIONS))
+        alive = norms > self.alive
+        out = np.zeros((X.shape[1], self.most))
         if not alive.any():
             return out
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # It warns when the functions left depend on those taken; it then stops.
-            most = min(MOST_FUNCTIONS, int(alive.sum()))
+            most = min(self.most, int(alive.sum()))
             path = orthogonal_mp(X[:, alive] / norms[alive], y, n_nonzero_coefs=most, return_path=True)
         path = np.reshape(path, (int(alive.sum()), -1))
         out[alive, : path.shape[1]] = path / norms[alive, None]
@@ -86,8 +85,8 @@ class Pursuit(Regression):
         return out / self._size[:, None]
 
     def _gains(self, X: Array, y: Array) -> Array:
-        """(MOST_FUNCTIONS,) falls of a sum of squares on folds left out in turn."""
-        total = np.zeros(MOST_FUNCTIONS)
+        """(most,) falls of a sum of squares on folds left out in turn."""
+        total = np.zeros(self.most)
         for rows, theta in zip(self.plain.folds, self._folds, strict=True):
             predicted = X[rows] @ theta
             total += 2.0 * y[rows] @ predicted - np.einsum("nm,nm->m", predicted, predicted)

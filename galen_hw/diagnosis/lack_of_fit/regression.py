@@ -19,6 +19,7 @@ class Regression(ABC):
         rest, white_rest: (n,) over the noise's standard deviation, and whitened.
         weighed: fitted as whitened (generalised) or as it is: the first is best where noise is the rest's larger part, the
             second where physics is.
+        least: share of the whole rest that must be explained.
         chosen: families of which it takes something; reached, white_gain: falls of the sum of squares on folds left out.
     """
 
@@ -27,6 +28,7 @@ class Regression(ABC):
     rest: Array
     white_rest: Array
     weighed: bool
+    least: float = field(default=1e-3, kw_only=True)
     chosen: list[str] = field(init=False, default_factory=list)
     reached: float = field(init=False, default=0.0)
     white_gain: float = field(init=False, default=0.0)

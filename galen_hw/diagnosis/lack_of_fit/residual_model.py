@@ -22,15 +22,6 @@ from galen_hw.spatial import Array
 
 RIDGES: Final = np.logspace(-2.0, 4.0, 13)
 """Tried; in units of the noise's square over that of one function's whole contribution."""
-MOST_FAMILIES: Final = 3
-WORTH: Final = 0.1
-"""Share of what is explained by which a family must be better than a plainer one, or another family add."""
-PLAINER: Final = 0.03
-"""Share of what is explained by which a few low powers may fall short of all functions: they hold of another motion too."""
-LEAST: Final = 1e-3
-"""And share of the whole rest."""
-TRIED: Final = 8
-"""Families that are tried beside those chosen: the ones that explain most of what these leave."""
 
 
 @dataclass(frozen=True)
@@ -115,10 +106,16 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
     return Remainder(functions.inputs, parts, offsets, gain, crossed) if parts else None
 
 
-def _best(functions: Functions, names: list[str], channel: int, rest: Array, white_rest: Array) -> Regression:
+def _best(
+    functions: Functions, names: list[str], channel: int, rest: Array, white_rest: Array, *, short: float = 0.03
+) -> Regression:
     """The regression of a channel's rest (n,) that explains most of blocks left out; one on low powers if it does nearly as well.
 
     A resonance may be in step with a speed in one motion, and is not in the next.
+
+    Args:
+        short: share of what is explained by which a few low powers may fall short of all functions: they hold of another
+            motion too.
     """
 
     def of(kind: type[Ridge | Pursuit], some: list[str]) -> Ridge | Pursuit:
@@ -132,13 +129,22 @@ def _best(functions: Functions, names: list[str], channel: int, rest: Array, whi
     best = max(tried, key=lambda one: one.reached)
     powers = [name for name in functions.columns if name in PLAIN]
     plainer = of(Pursuit, powers) if powers and best.chosen else best
-    return plainer if plainer.chosen and plainer.reached >= (1.0 - PLAINER) * best.reached else best
+    return plainer if plainer.chosen and plainer.reached >= (1.0 - short) * best.reached else best
 
 
 @dataclass
 class Ridge(Regression):
-    """Ridge regression on families of functions, few of them."""
+    """Ridge regression on families of functions, few of them.
 
+    Args:
+        most: families.
+        worth: share of what is explained by which a family must be better than a plainer one, or another family add.
+        tried: families that are tried beside those chosen: the ones that explain most of what these leave.
+    """
+
+    most: int = field(default=3, kw_only=True)
+    worth: float = field(default=0.1, kw_only=True)
+    tried: int = field(default=8, kw_only=True)
     _ridge: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
@@ -152,18 +158,18 @@ class Ridge(Regression):
         self._b = self._white_b if self.weighed else self._plain_b
         self._alone: dict[str, list[tuple[Array, Array]]] = {}
         total, names = float(self.rest @ self.rest), list(self.plain.columns)
-        while len(self.chosen) < MOST_FAMILIES:
+        while len(self.chosen) < self.most:
             left = [n for n in names if n not in self.chosen]
             if self.chosen:
                 promise = self._promises(left)
-                best_few = sorted(left, key=lambda n: -promise[n])[:TRIED]
+                best_few = sorted(left, key=lambda n: -promise[n])[: self.tried]
                 left = [n for n in left if n in best_few]
             tried = {n: self._gains([*self.chosen, n]) for n in left}
             gains = {n: float(raw.max()) for n, (raw, _) in tried.items()}
             best = max(gains.values(), default=0.0)
-            if best - self.reached < max(WORTH * best, LEAST * total):
+            if best - self.reached < max(self.worth * best, self.least * total):
                 return
-            name = next(n for n, gain in gains.items() if gain >= best - WORTH * (best - self.reached))
+            name = next(n for n, gain in gains.items() if gain >= best - self.worth * (best - self.reached))
             self.chosen.append(name)
             self.reached, self._ridge = gains[name], int(np.argmax(tried[name][0]))
             self.white_gain = float(tried[name][1][self._ridge])

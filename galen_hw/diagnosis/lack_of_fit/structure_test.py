@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -13,19 +13,14 @@ from galen_hw.diagnosis.estimation.dataset import Bench, rich_basis
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs, broad, local
 from galen_hw.diagnosis.stats.linear_algebra import orthonormal, scaled
 from galen_hw.diagnosis.stats.sampling import Index, folds
+from galen_hw.diagnosis.stats.significance import CHANCE
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.spatial import Array
 
-Z_NEEDED = 4.5
-CHANCE = 2e-4
-LEAST_RIDGE = 0.1
-"""Of a function a tenth at least must lie in the blocks that it is learnt on before it is half believed in the others."""
-T_NEEDED = 3.0
-"""Standard errors by which generic functions must win on blocks that they were not fitted on."""
-LEAST_OWN = 1e-6
-"""Share of a function's square that the model must not be able to do."""
-T_SHUFFLED, Z_SHUFFLED, SHUFFLES, FEW_SHUFFLES = 1.2, 8.0, 60, 10
-"""And fewer where shuffled blocks show that no order of the same blocks is predicted nearly so well, by standard deviations."""
+FALSE_ALARM: Final = CHANCE / 10.0
+"""Probability that noise is called structure, over all families and channels: of the budget a tenth."""
+T_NEEDED: Final = 3.0
+"""Standard errors by which generic functions, or trees, must win on blocks that they were not fitted on."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +110,7 @@ def leftovers(bench: Bench, generic: list[Family], models: Sequence[Fitted]) -> 
             Xw = bench.noise.whitened(transformed, c)[good]
             G = Xw.T @ Xw
             for out, base, y in asked:
-                found = _found(Xw, G, base, y, bench.block[good], CHANCE / (len(generic) * bench.width))
+                found = _found(Xw, G, base, y, bench.block[good], FALSE_ALARM / (len(generic) * bench.width))
                 if found is not None:
                     z, gain, w = found
                     # Slow structure is larger in raw units than the whitening makes it look.
@@ -129,34 +124,50 @@ def leftovers(bench: Bench, generic: list[Family], models: Sequence[Fitted]) -> 
 
 
 def _found(
-    Xw: Array, squared: Array, base: Array, y: Array, block: Index, chance: float
+    Xw: Array,
+    squared: Array,
+    base: Array,
+    y: Array,
+    block: Index,
+    chance: float,
+    *,
+    part: float = 0.1,
+    least_z: float = 4.5,
+    own_part: float = 1e-6,
+    least_t: float = 1.2,
 ) -> tuple[float, float, Array] | None:
     """Whether columns (n, k) explain a rest (n,) more than chance does: z, gain on blocks left out, weights (k,) of the columns.
 
     Args:
         squared: (k, k) inner products of the columns; base: (n, r) orthonormal, what the model can do; the rest has no part
             in it.
+        part: of a function, that must lie in the blocks that it is learnt on before it is half believed in the
+            others.
+        least_z: standard deviations above what chance explains, below which nothing else is asked.
+        own_part: of a function's square, that the model must not be able to do.
+        least_t: standard errors that are enough where shuffled blocks show that no order of the same blocks is
+            predicted nearly so well.
     """
     B = base.T @ Xw
     squares, V = np.diag(squared), np.zeros((Xw.shape[1], 0))
-    own = squares - np.einsum("rk,rk->k", B, B) > LEAST_OWN * squares
+    own = squares - np.einsum("rk,rk->k", B, B) > own_part * squares
     if own.any():
         # Inner products of the columns less what the model can do.
         G = squared[np.ix_(own, own)] - B[:, own].T @ B[:, own]
         size = np.sqrt(np.diag(G))
         value, vector = np.linalg.eigh(G / np.outer(size, size))
-        good = value > LEAST_OWN * float(value[-1])
+        good = value > own_part * float(value[-1])
         V = np.zeros((Xw.shape[1], int(good.sum())))
         V[own] = vector[:, good] / np.sqrt(value[good]) / size[:, None]
     k, projected = V.shape[1], V.T @ (Xw.T @ y)
     T = float(projected @ projected)
     z = (T - k) / np.sqrt(2.0 * max(k, 1))
-    if not k or z < Z_NEEDED or chi2.sf(T, k) > chance:
+    if not k or z < least_z or chi2.sf(T, k) > chance:
         return None
-    U, ridge = (Xw - base @ B) @ V, LEAST_RIDGE + k / T
+    U, ridge = (Xw - base @ B) @ V, part + k / T
     each = _crossed(U, y[:, None], block, ridge=ridge)[:, 0]
     sure = sureness(each)
-    if sure < T_NEEDED and not (sure >= T_SHUFFLED and _beyond_shuffled(U, y, block, ridge=ridge)):
+    if sure < T_NEEDED and not (sure >= least_t and _beyond_shuffled(U, y, block, ridge=ridge)):
         return None
     return z, float(each.sum()), V @ projected
 
@@ -183,17 +194,24 @@ def sureness(each: Array) -> float:
     return float(np.mean(each)) / max(spread, 1e-300)
 
 
-def _beyond_shuffled(U: Array, y: Array, block: Index, *, ridge: float) -> bool:
+def _beyond_shuffled(
+    U: Array, y: Array, block: Index, *, ridge: float, beyond: float = 8.0, orders_asked: int = 60, first: int = 10
+) -> bool:
     """Return whether functions predict blocks left out far better than they predict the same blocks in another order.
 
     What acts in a few corners of the motion lies in a few blocks: their gains differ so much that a mean over its error says
     little. That the rest is large at just the moments that the motion foretells is no luck.
+
+    Args:
+        beyond: standard deviations between orders.
+        orders_asked: orders of the blocks.
+        first: orders that are asked first, by half as many deviations.
     """
     rng = np.random.default_rng(len(y))
     pieces = [np.flatnonzero(block == b) for b in np.unique(block)]
-    shuffled = [np.concatenate([pieces[i] for i in rng.permutation(len(pieces))]) for _ in range(SHUFFLES)]
+    shuffled = [np.concatenate([pieces[i] for i in rng.permutation(len(pieces))]) for _ in range(orders_asked)]
     # Most are far from it, and a few orders show that.
-    for count, needed in ((FEW_SHUFFLES, 0.5 * Z_SHUFFLED), (SHUFFLES, Z_SHUFFLED)):
+    for count, needed in ((first, 0.5 * beyond), (orders_asked, beyond)):
         orders = np.stack([y, *(y[order] for order in shuffled[:count])], axis=-1)
         gains = _crossed(U, orders, block, ridge=ridge).sum(axis=0)
         if gains[0] <= np.mean(gains[1:]) + needed * np.std(gains[1:]):

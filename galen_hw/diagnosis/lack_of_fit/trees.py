@@ -10,26 +10,17 @@ import numpy as np
 from sklearn.ensemble import ExtraTreesRegressor, HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
+from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
 from galen_hw.diagnosis.lack_of_fit.gram import Functions
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder
-from galen_hw.diagnosis.lack_of_fit.structure_test import Left, sureness
+from galen_hw.diagnosis.lack_of_fit.structure_test import T_NEEDED, Left, sureness
 from galen_hw.diagnosis.stats.sampling import Index, folds
 from galen_hw.spatial import Array
 
 TOGETHER: Final = "all inputs together, as no function that was tried does"
 """What trees follow, in words."""
-SLOW: Final = 2.0
-"""Times the noise's lowest level that some of it must be for trees to look into it: else there is nothing to be found."""
-ROWS: Final = 3000
-"""On about which trees look for structure."""
-NUMBER, LEAF = 30, 10
-"""Of the trees, and of the rows that one of their leaves holds at least."""
-SURE: Final = 3.0
-"""Standard errors by which they must win on blocks that they have not seen."""
-BY_TIME: Final = 0.5
-"""Share of what they win that trees on the time alone may."""
 
 
 def new() -> HistGradientBoostingRegressor:
@@ -61,15 +52,20 @@ def beside(remainder: Remainder, model: Model, functions: Functions) -> Remainde
 
 
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
-def hidden(model: Model) -> list[Left]:
+def hidden(model: Model, *, slower: float = 2.0, most_by_time: float = 0.5) -> list[Left]:
     """Structure of a model's rest that passes for slow noise, a channel at a time: what trees predict of blocks left out.
 
     A law of several inputs at once that is in no family is followed by none, and by its own slowness it is noise then. What
     trees on the time alone foretell is slow noise, or drift: where a motion does not come back its place is a clock.
+
+    Args:
+        slower: times the noise's lowest level that some of it must be for trees to look into it: else there is
+            nothing to be found.
+        most_by_time: share of what they win that trees on the time alone may.
     """
     bench, good = model.bench, np.flatnonzero(~model.bench.dropped)
     levels = bench.noise.levels
-    slow = np.flatnonzero(levels.max(axis=0) > SLOW * levels.min(axis=0)) if len(levels) else np.empty(0, dtype=int)
+    slow = np.flatnonzero(levels.max(axis=0) > slower * levels.min(axis=0)) if len(levels) else np.empty(0, dtype=int)
     if not len(slow):
         return []
     inputs = Inputs.of(bench.scene, bench.rows)
@@ -87,12 +83,12 @@ def hidden(model: Model) -> list[Left]:
         return foretold, np.stack([np.bincount(number, column) for column in each.T], axis=-1)
 
     foretold, gain = asked(X)
-    if max(map(sureness, gain.T)) < SURE:
+    if max(map(sureness, gain.T)) < T_NEEDED:
         return []
     out, by_time = [], asked(time)[1].sum(axis=0)
     for k, c in enumerate(slow):
         own, sure = float(gain[:, k].sum()), sureness(gain[:, k])
-        if sure >= SURE and by_time[k] <= BY_TIME * own:
+        if sure >= T_NEEDED and by_time[k] <= most_by_time * own:
             basis = np.linalg.qr(np.stack([np.ones(len(rest)), foretold[:, k]], axis=-1))[0]
             share, size = own / float(rest[good, k] @ rest[good, k]), np.sqrt(own / len(good)) * bench.noise.sigma[c]
             out.append(Left(int(c), TOGETHER, sure, share, float(size), basis))
@@ -101,7 +97,7 @@ def hidden(model: Model) -> list[Left]:
 
 def _foretold(X: Array, y: Array, fold: Index, good: Index) -> Array:
     """(M, m) rests (M, m) as trees on inputs (M, k) predict them that were learnt on some of the good rows of other folds."""
-    out, seen = np.zeros(y.shape), good[:: max(len(good) // ROWS, 1)]
+    out, seen = np.zeros(y.shape), good[:: max(len(good) // BUDGET.coarse, 1)]
     for f in range(int(fold.max()) + 1):
         learn, aside = seen[fold[seen] != f], fold == f
         if len(learn) and aside.any():
@@ -110,9 +106,14 @@ def _foretold(X: Array, y: Array, fold: Index, good: Index) -> Array:
     return out
 
 
-def _many() -> ExtraTreesRegressor:
-    """Extremely randomised trees (Geurts, Ernst and Wehenkel 2006): all channels at once, and quick."""
-    return ExtraTreesRegressor(NUMBER, min_samples_leaf=LEAF, random_state=0)
+def _many(*, number: int = 30, leaf: int = 10) -> ExtraTreesRegressor:
+    """Extremely randomised trees (Geurts, Ernst and Wehenkel 2006): all channels at once, and quick.
+
+    Args:
+        number: trees.
+        leaf: rows that one of their leaves holds at least.
+    """
+    return ExtraTreesRegressor(number, min_samples_leaf=leaf, random_state=0)
 
 
 def _left(rest: Array) -> float:

@@ -11,28 +11,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import chi2
 
+from galen_hw.diagnosis.noise.resolution import RESOLUTION
 from galen_hw.spatial import Array
 
 if TYPE_CHECKING:
     from galen_hw.diagnosis.stats.sampling import Index, Mask
 
-CERTAIN = 9.0
-"""Twice the log likelihood ratio, over all channels, from which a corner is believed; one of flicker noise reaches 6."""
-CONTRARY = -2.0
-"""Below it a channel speaks against what the others say."""
-HIDDEN = 1.5
-"""The same ratio from which flicker noise is there beside the corner: in doubt nothing is flat."""
-LIKE_NOISE = 3.0
-"""Deviance a band up to which floor and shelf are what the noise looks like: 1 for such noise; physics that is left has humps."""
-WINDOWED = 1.94
-"""Lines of a Hann window's spectrum that are worth one independent line."""
-LEAST_BANDS = 6
-CORNERS, SLOPES, GENTLE = 24, 15, 7
-"""Of the slopes, a quarter to two, so many are none steeper than flicker noise."""
-ITERATIONS = 150
 
-
-def shelves(centres: Array, levels: Array, lines: Array, slowest: float) -> Array:
+def shelves(
+    centres: Array,
+    levels: Array,
+    lines: Array,
+    slowest: float,
+    *,
+    certain: float = 9.0,
+    contrary: float = -2.0,
+    hidden: float = 1.5,
+    steps: int = 15,
+    gentle_steps: int = 7,
+) -> Array:
     """(C,) level below the corner of each channel's noise, a standard error up; nan where it is not flat there for certain.
 
     What is steeper than flicker noise for certain has the slowest corner that noise may have.
@@ -40,81 +37,87 @@ def shelves(centres: Array, levels: Array, lines: Array, slowest: float) -> Arra
     Args:
         centres: (B,) of the bands, cycles a row; levels: (B, C); lines: (B,) of the spectrum in each band.
         slowest: cycles a row, of the slowest corner.
+        certain: twice the log likelihood ratio, over all channels, from which a corner is believed; one of
+            flicker noise reaches 6.
+        contrary: the same ratio below which a channel speaks against what the others say.
+        hidden: the same ratio from which flicker noise is there beside the corner: in doubt nothing is flat.
+        steps: slopes that are tried, a quarter to two.
+        gentle_steps: of these, none steeper than flicker noise.
     """
-    if len(centres) < LEAST_BANDS:
+    if len(centres) < RESOLUTION.fewest:
         return np.full(levels.shape[1], np.nan)
-    corners = np.geomspace(1.5 * centres[0], centres[-1], CORNERS)
+    corners = np.geomspace(1.5 * centres[0], centres[-1], RESOLUTION.corners)
     bends = 1.0 / (1.0 + (centres / corners[:, None]) ** 2)
-    slopes = (centres / centres[0]) ** -np.linspace(0.25, 2.0, SLOPES)[:, None]
+    slopes = (centres / centres[0]) ** -np.linspace(0.25, 2.0, steps)[:, None]
     white, flicker = np.ones_like(centres), centres[0] / centres
-    weights = np.maximum(lines, 1.0) / WINDOWED
+    weights = _independent(lines)
     corner, fitted, which = _likeliest(levels, weights, [np.stack([white, bend], axis=-1) for bend in bends])
     costs, models = _fitted(levels, weights, [np.stack([white, slope], axis=-1) for slope in slopes])
     both, _, _ = _likeliest(levels, weights, [np.stack([white, bend, flicker], axis=-1) for bend in bends])
     # The steepest of the slopes is a walk's.
-    rising, gentle, walk, walked = costs.min(axis=0), costs[:GENTLE].min(axis=0), costs[-1], models[-1]
-    sure, noise = rising - corner, corner < LIKE_NOISE * len(centres)
-    steep = (walk < LIKE_NOISE * len(centres)) & (gentle - walk >= CERTAIN)
-    flat = noise & (np.sum(sure[noise]) >= CERTAIN) & (sure > CONTRARY) & (corner - both < HIDDEN)
+    rising, gentle, walk, walked = costs.min(axis=0), costs[:gentle_steps].min(axis=0), costs[-1], models[-1]
+    sure, noise = rising - corner, _like_noise(corner, centres)
+    steep = (_like_noise(walk, centres)) & (gentle - walk >= certain)
+    flat = noise & (np.sum(sure[noise]) >= certain) & (sure > contrary) & (corner - both < hidden)
     # The shelf is known from the bands below the corner alone; in doubt slow noise is stronger.
     known = np.array([np.sum(weights[centres <= corners[k]]) for k in which])
     shelf = np.where(flat, fitted[0] * (1.0 + 1.0 / np.sqrt(known)), np.nan)
     return np.where(steep & ~flat, walked[0] * (centres[0] / slowest) ** 2, shelf)
 
 
-WALKS = 22.0
-"""Twice the log likelihood ratio from which a channel is said to walk: what a search asks of any effect."""
-
-
-def walking(centres: Array, levels: Array, lines: Array, modes: Array, rows: int, slowest: float) -> "Mask":
+def walking(
+    centres: Array, levels: Array, lines: Array, modes: Array, rows: int, slowest: float, *, needed: float = 22.0
+) -> "Mask":
     """(C,) which channels walk: their spectrum rises as 1 / f^2 down to their slowest modes, and no noise is like that.
 
     Args:
         modes: (K, C) squares of the half cosines 1 to K over so many rows, below the bands.
+        needed: twice the log likelihood ratio from which a channel is said to walk: what a search asks of any
+            effect.
 
     Other arguments as of `shelves`. A walk is asked against noise with a corner above `slowest`, and against flicker noise.
     """
     f = np.concatenate([0.5 * np.arange(1, len(modes) + 1) / rows, centres])
     level = np.concatenate([np.maximum(modes, 1e-12 * np.max(levels, axis=0)), levels])
     # A single line is chi square of one, and so counts half.
-    weights = np.concatenate([np.full(len(modes), 0.5), np.maximum(lines, 1.0) / WINDOWED])
+    weights = np.concatenate([np.full(len(modes), 0.5), _independent(lines)])
     white, flicker = np.ones_like(f), f[0] / f
-    bends = [1.0 / (1.0 + (f / corner) ** 2) for corner in np.geomspace(slowest, centres[-1], CORNERS)]
+    bends = [1.0 / (1.0 + (f / corner) ** 2) for corner in np.geomspace(slowest, centres[-1], RESOLUTION.corners)]
     forgets, _, _ = _likeliest(level, weights, [np.stack([white, bend, flicker], axis=-1) for bend in bends])
     walk, walked, _ = _likeliest(level, weights, [np.stack([white, flicker**2], axis=-1)])
-    like = _deviance(levels, walked[len(modes) :], weights[len(modes) :]) < LIKE_NOISE * len(centres)
-    return np.asarray(like & (forgets - walk > WALKS))
+    like = _like_noise(_deviance(levels, walked[len(modes) :], weights[len(modes) :]), centres)
+    return np.asarray(like & (forgets - walk > needed))
 
 
-WHITE = 0.01
-"""Chance with which white noise may look more coloured than that."""
-
-
-def whitest(levels: Array, lines: Array) -> Array:
+def whitest(levels: Array, lines: Array, *, chance: float = 0.01) -> Array:
     """(B, C) levels of few bands, all the same where white noise might well have them: whitening by scatter makes structure.
 
     Arguments as of `shelves`. The deviance of one level for all bands is chi square of B - 1.
+
+    Args:
+        chance: with which white noise may look more coloured than that.
     """
-    weights = np.maximum(lines, 1.0)[:, None] / WINDOWED
+    weights = _independent(lines)[:, None]
     one = np.sum(weights * levels, axis=0) / np.sum(weights)
     deviance = 2.0 * np.sum(weights * (levels / one - np.log(levels / one) - 1.0), axis=0)
-    return np.where(deviance < chi2.isf(WHITE, len(levels) - 1), one, levels)
+    return np.where(deviance < chi2.isf(chance, len(levels) - 1), one, levels)
 
 
-STIFFNESS = 10.0 ** np.linspace(-3.0, 5.0, 33)
-"""Of the smoothed spectrum against bending, per band: from none to a straight line."""
-
-
-def smoothed(centres: Array, levels: Array, lines: Array) -> Array:
+def smoothed(
+    centres: Array, levels: Array, lines: Array, *, powers: tuple[float, float, int] = (-3.0, 5.0, 33)
+) -> Array:
     """(B, C) levels of a spectrum that bends no more than its bands show: a power law is not held back, their scatter is.
 
     A smoothing spline of the logarithms, whose stiffness is the likeliest one (restricted likelihood; Wahba 1985), the
     scatter of a band being known from its number of lines. Arguments as of `shelves`.
+
+    Args:
+        powers: first and last power of ten, and number, of stiffnesses against bending, per band: from none to a straight line.
     """
     count = len(centres)
-    if count < LEAST_BANDS:
+    if count < RESOLUTION.fewest:
         return levels
-    u, weights = np.log(centres), np.maximum(lines, 1.0) / WINDOWED
+    u, weights = np.log(centres), _independent(lines)
     bend = np.zeros((count - 2, count))
     for k in range(count - 2):
         left, right = u[k + 1] - u[k], u[k + 2] - u[k + 1]
@@ -123,13 +126,30 @@ def smoothed(centres: Array, levels: Array, lines: Array) -> Array:
     out = np.empty_like(levels)
     for c, y in enumerate(np.log(levels).T):
         best = np.inf
-        for stiffness in STIFFNESS:
+        for stiffness in 10.0 ** np.linspace(*powers):
             whole = np.diag(weights) + stiffness * against
             fit = np.linalg.solve(whole, weights * y)
             cost = float(np.linalg.slogdet(whole)[1] - (count - 2) * np.log(stiffness) + (y - fit) @ (weights * y))
             if cost < best:
                 best, out[:, c] = cost, np.exp(fit)
     return out
+
+
+def _independent(lines: Array) -> Array:
+    """(B,) independent lines in each band: of a Hann window's spectrum 1.94 lines are worth one.
+
+    Neighbours correlate by 2/3, the next ones by 1/6: 1 + 2 (4/9 + 1/36).
+    """
+    return np.asarray(np.maximum(lines, 1.0) / 1.94)
+
+
+def _like_noise(deviance: Array, centres: Array, *, most: float = 3.0) -> "Mask":
+    """(C,) whether a deviance (C,) over bands is one of noise: 1 a band for such noise; physics that is left has humps.
+
+    Args:
+        most: deviance a band.
+    """
+    return np.asarray(deviance < most * len(centres))
 
 
 def _likeliest(levels: Array, weights: Array, shapes: list[Array]) -> tuple[Array, Array, "Index"]:
@@ -140,18 +160,21 @@ def _likeliest(levels: Array, weights: Array, shapes: list[Array]) -> tuple[Arra
     return np.asarray(costs[best, each]), np.asarray(models[best, :, each].T), best
 
 
-def _fitted(levels: Array, weights: Array, shapes: list[Array]) -> tuple[Array, Array]:
+def _fitted(levels: Array, weights: Array, shapes: list[Array], *, updates: int = 150) -> tuple[Array, Array]:
     """Each of several sums of shapes (B, K), amplitudes >= 0: (S, C) deviance, (S, B, C) levels.
 
     Deviance: minus twice the log likelihood over that of the levels themselves, chi square of B less what was fitted.
 
     Multiplicative updates for the Itakura-Saito divergence, which is this likelihood (Fevotte, Bertin and Durrieu 2009).
+
+    Args:
+        updates: of the amplitudes.
     """
     parts = np.stack(shapes)
     peak = np.max(levels, axis=0)
     data = levels / peak
     amplitude = np.full((len(parts), parts.shape[2], levels.shape[1]), 1.0 / parts.shape[2])
-    for _ in range(ITERATIONS):
+    for _ in range(updates):
         model = np.maximum(parts @ amplitude, 1e-12)
         pull = np.swapaxes(parts, 1, 2) * weights
         amplitude *= (pull @ (data / model**2)) / (pull @ (1.0 / model))

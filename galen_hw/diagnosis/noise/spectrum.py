@@ -10,27 +10,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.fft import dct, idct, next_fast_len
 
-from galen_hw.diagnosis.noise.low_frequency import LEAST_BANDS, shelves, smoothed, walking, whitest
+from galen_hw.diagnosis.noise.low_frequency import shelves, smoothed, walking, whitest
+from galen_hw.diagnosis.noise.resolution import RESOLUTION
 from galen_hw.diagnosis.stats.sampling import Mask, Rows
 from galen_hw.lazy import cached_property
 from galen_hw.spatial import Array
-
-SURELY = 2.5
-"""Standard deviations by which neighbours must differ by less than noise as large as it seems would."""
-BANDS_PER_DECADE = 6
-LINES = 18
-SHORTEST = 96
-STEEPEST = -1.0
-"""Slope (power of the frequency) along which the spectrum is continued below the slowest band at most: flicker noise.
-Slower wander than a recording can tell from drift is called drift."""
-FORGETS = 30.0
-"""Times that noise forgets within a recording, at least: what has a longer memory drifts."""
-SLOW = 0.003
-"""Cycles a row of a slow regressor."""
-WANDERS = 50
-"""Cycles in a recording up to which noise is said to wander."""
-SLOW_CYCLES = 7.0
-"""Below so many cycles in a segment the spectrum is continued, not measured."""
 
 
 @dataclass(frozen=True)
@@ -78,12 +62,12 @@ class Noise:
     @property
     def _lengths(self) -> list[int]:
         """Of the runs that are long enough for a spectrum, rows."""
-        return [run.stop - run.start for run in self.rows.runs if run.stop - run.start >= SHORTEST]
+        return [run.stop - run.start for run in self.rows.runs if run.stop - run.start >= RESOLUTION.shortest]
 
     @property
     def slowest(self) -> float:
         """Corner of the longest memory that noise may have, cycles a row."""
-        return FORGETS / (2.0 * np.pi * max(self._lengths))
+        return RESOLUTION.forgets / (2.0 * np.pi * max(self._lengths))
 
     @cached_property
     def _shelves(self) -> Array:
@@ -92,7 +76,7 @@ class Noise:
 
     def walks(self, rest: Array, waves: int) -> Mask:
         """(C,) whether what is left (M, C) of a channel is no noise but a walk; `waves` half cosines lie below the bands."""
-        if len(self.centres) < LEAST_BANDS or len(self.rows.runs) > 1:
+        if len(self.centres) < RESOLUTION.fewest or len(self.rows.runs) > 1:
             return np.zeros(len(self.sigma), dtype=bool)
         modes = dct(rest, axis=0, norm="ortho")[1 : 1 + waves] ** 2
         return walking(self.centres, self.levels, self.lines, modes, len(rest), self.slowest)
@@ -175,7 +159,7 @@ class Noise:
         return out
 
     def _coloured(self, run: slice) -> bool:
-        return len(self.edges) > 0 and run.stop - run.start >= SHORTEST
+        return len(self.edges) > 0 and run.stop - run.start >= RESOLUTION.shortest
 
     @cached_property
     def _places(self) -> tuple[slice, ...]:
@@ -206,7 +190,7 @@ class Noise:
         """(C,) rms of what is slower than a fiftieth of the recording, (C,) of what is quicker."""
         if not len(self.edges):
             return np.zeros_like(self.sigma), self.sigma
-        slow, quick = np.split(self._all / len(self.rows), [2 * WANDERS])
+        slow, quick = np.split(self._all / len(self.rows), [2 * RESOLUTION.wanders])
         return np.sqrt(slow.sum(axis=0)), np.sqrt(quick.sum(axis=0))
 
     @cached_property
@@ -218,7 +202,7 @@ class Noise:
     @cached_property
     def slow(self) -> Array:
         """(C,) level that a slow regressor meets."""
-        return np.asarray(self.spectrum(np.array([SLOW]))[0])
+        return np.asarray(self.spectrum(np.array([RESOLUTION.slow]))[0])
 
     @cached_property
     def effective(self) -> float:
@@ -226,8 +210,13 @@ class Noise:
         return float(max(np.sum(len(self.rows) * np.minimum(1.0, self.sigma**2 / self.slow)), 20.0))
 
 
-def _line(at: Array, centres: Array, level: Array, shelf: float) -> Array:
-    """Linear interpolation; below the first centre the shelf, else along the slope of the slowest decade (at most `STEEPEST`)."""
+def _line(at: Array, centres: Array, level: Array, shelf: float, *, steepest: float = -1.0) -> Array:
+    """Linear interpolation; below the first centre the shelf, else along the slope of the slowest decade (at most `steepest`).
+
+    Args:
+        steepest: power of the frequency of flicker noise: slower wander than a recording can tell from drift is
+            called drift.
+    """
     out = np.interp(at, centres, level)
     below = at < centres[0]
     if np.isfinite(shelf):
@@ -235,7 +224,7 @@ def _line(at: Array, centres: Array, level: Array, shelf: float) -> Array:
         return out
     slowest = centres < centres[0] + 1.5 * np.log(10.0)
     slope = _slope(centres[slowest], level[slowest]) if slowest.sum() >= 3 else 0.0
-    out[below] = level[0] + min(max(slope, STEEPEST), 0.0) * (at[below] - centres[0])
+    out[below] = level[0] + min(max(slope, steepest), 0.0) * (at[below] - centres[0])
     return out
 
 
@@ -271,13 +260,13 @@ def estimate(
     sigma = np.maximum(sigma, 1e-12 * (np.max(np.abs(rest)) + 1e-300) + 1e-15)
     correlation = np.nan_to_num(np.corrcoef((rest / sigma).T)) if C > 1 else np.ones((1, 1))
     np.fill_diagonal(correlation, 1.0)
-    long = [run for run in rows.runs if run.stop - run.start >= SHORTEST]
+    long = [run for run in rows.runs if run.stop - run.start >= RESOLUTION.shortest]
     if not ordered or not long:
         sigma = np.minimum(sigma, _by_neighbours(rest, sigma, freedom, rows)) if apart else sigma
         return Noise(rows, np.empty(0), np.empty((0, C)), sigma, float(freedom.sum()), correlation, steps)
     edges = _bands(max(run.stop - run.start for run in long))
     levels = np.stack([_levels(rest[:, c], basis[c], long, edges, above) for c in range(C)], axis=-1)
-    if len(levels) < LEAST_BANDS:
+    if len(levels) < RESOLUTION.fewest:
         levels = whitest(levels, sum(run.stop - run.start for run in long) * np.diff(edges))
     noise = Noise(rows, edges, levels, sigma, float(freedom.sum()), correlation, steps)
     # What the bands say the variance is, so that one sample's sigma holds the slow part too, as far as it was measured.
@@ -286,35 +275,43 @@ def estimate(
     return Noise(rows, edges, levels, total, float(freedom.sum()), correlation, steps)
 
 
-def _by_neighbours(rest: Array, sigma: Array, freedom: Array, rows: Rows) -> Array:
+def _by_neighbours(rest: Array, sigma: Array, freedom: Array, rows: Rows, *, surely: float = 2.5) -> Array:
     """(C,) standard deviation by the differences of neighbours, where these are surely smaller than noise of sigma (C,) has.
 
     In white noise half the mean squared difference over the variance is 1, with a deviation of 1 / sqrt(n) (von Neumann 1941).
+
+    Args:
+        surely: standard deviations of that ratio by which the differences must be smaller.
     """
     difference = np.concatenate([np.diff(rest[run], axis=0) for run in rows.runs])
     square = 0.5 * np.mean(difference**2, axis=0) * len(rest) / freedom
-    return np.where(square < (1.0 - SURELY / np.sqrt(freedom)) * sigma**2, np.sqrt(square), sigma)
+    return np.where(square < (1.0 - surely / np.sqrt(freedom)) * sigma**2, np.sqrt(square), sigma)
 
 
-def _bands(n: int) -> Array:
-    """Limits in cycles a row: at least `LINES` lines of the spectrum in a band, equal ratios where there are more."""
-    edges, ratio = [SLOW_CYCLES / n], 10.0 ** (1.0 / BANDS_PER_DECADE)
+def _bands(n: int, *, lines: int = 18, per_decade: int = 6, slowest: float = 7.0) -> Array:
+    """Limits in cycles a row: at least so many lines of the spectrum in a band, equal ratios where there are more.
+
+    Args:
+        n: rows of a segment.
+        lines: in a band; per_decade: bands.
+        slowest: cycles in a segment below which the spectrum is continued, not measured.
+    """
+    edges, ratio = [slowest / n], 10.0 ** (1.0 / per_decade)
     while edges[-1] < 0.5:
-        edges.append(max(edges[-1] * ratio, edges[-1] + LINES / n))
-    if len(edges) > 2 and 0.5 - edges[-2] < LINES / n:
+        edges.append(max(edges[-1] * ratio, edges[-1] + lines / n))
+    if len(edges) > 2 and 0.5 - edges[-2] < lines / n:
         edges.pop(-2)
     return np.array([*edges[:-1], 0.5])
 
 
-LEAST_FREEDOM = 5.0
-"""A band of which the rich fit has left fewer lines is not measured, but read off its neighbours."""
-
-
-def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array, above: float) -> Array:
+def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array, above: float, *, least: float = 5.0) -> Array:
     """(B,) level a band: what the rich fit has left there over the share of the band that it could not reach.
 
     The rest of a fit with an orthonormal basis Q has at frequency f the expected power (1 - t) S, t the basis' own power
     there (residual likelihood; Patterson and Thompson 1971, in the frequency domain).
+
+    Args:
+        least: lines of a band that the rich fit must leave; else it is not measured, but read off its neighbours.
     """
     lines, free, place = [], [], []
     for run in runs:
@@ -333,11 +330,11 @@ def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array, above: f
     level = np.full(len(edges) - 1, np.nan)
     for b in range(len(level)):
         inside = (band == b) & (left > 0.02)
-        if np.sum(left[inside]) < LEAST_FREEDOM or edges[b] < above:
+        if np.sum(left[inside]) < least or edges[b] < above:
             continue
         # A single line (mains, a periodic motion) must not pass for noise; of few lines one may well be the largest.
         single, told = line[inside] / left[inside], left[inside] > 0.3
-        many = told.sum() >= 12 and len(level) >= LEAST_BANDS
+        many = told.sum() >= 12 and len(level) >= RESOLUTION.fewest
         usual = np.median(single[told]) / 0.69 if many else np.inf
         good = single < 8.0 * usual
         level[b] = np.sum(line[inside][good]) / np.sum(left[inside][good])

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from galen_hw.diagnosis.preprocessing.data_quality import Premise
+from galen_hw.diagnosis.stats.paired_test import PIECES
 from galen_hw.diagnosis.stats.sampling import Index, Mask
 from galen_hw.errors import UsageError
 from galen_hw.physics.effects.registry import scene_of
@@ -16,24 +17,14 @@ from galen_hw.physics.scenes.pose import QUATERNION
 from galen_hw.physics.signals.differentiation import at_rest, denoised
 from galen_hw.spatial import Array
 
-FEWEST: Final = 8
-SHORT: Final = 100
-"""Rows of a motion below which only gross effects can show."""
-DISORDER: Final = 0.05
-"""Share of rows out of order beyond which the clock is not one clock."""
-GAP_STEPS, GAP_S = 5.0, 0.5
-"""A step this many times the median, and at least so long, is a gap: what happened in it nobody knows."""
-PIECES: Final = 40
-"""Of a recording, by which the mean square of two simulations is compared."""
-SURELY: Final = 4.0
-"""Standard errors."""
-SEEN: Final = 1.1
-"""Times the variance of what the simulation misses that it may become without a joint's noise; more is motion taken for noise."""
 ORIENTATION: Final = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
 
 
-def premises(scene: Scene) -> Premise:
+def premises(scene: Scene, *, short: int = 100) -> Premise:
     """Leave out rows that cannot be compared; axes, signs, units and clocks were looked at before (`galen_hw.premises`).
+
+    Args:
+        short: rows of a motion below which only gross effects can show.
 
     Raises:
         UsageError: no channel, nothing to simulate from, a clock that is none, or too few rows to compare.
@@ -47,7 +38,7 @@ def premises(scene: Scene) -> Premise:
         out.scene = step(out.scene, out.notes)
     out.scene = _complete(out.scene, out.notes, out.wrong)
     out.scene = quiet(out.scene)
-    if out.scene.clock and len(out.scene) < SHORT:
+    if out.scene.clock and len(out.scene) < short:
         out.notes.append(f"only {len(out.scene)} rows: too short to tell any but gross effects")
     out.notes += out.wrong
     return out
@@ -97,8 +88,12 @@ def _measured(scene: Scene, notes: list[str]) -> Scene:
     return scene_of(replace(scene.observations, columns={k: v for k, v in columns.items() if k not in empty}))
 
 
-def _ordered(scene: Scene, notes: list[str]) -> Scene:
-    """Rows whose clock stands or runs backwards inside a segment go."""
+def _ordered(scene: Scene, notes: list[str], *, most: float = 0.05) -> Scene:
+    """Rows whose clock stands or runs backwards inside a segment go.
+
+    Args:
+        most: share of rows out of order beyond which the clock is not one clock.
+    """
     if not scene.clock:
         return scene
     good, behind = np.ones(len(scene), dtype=bool), 0
@@ -113,7 +108,7 @@ def _ordered(scene: Scene, notes: list[str]) -> Scene:
         good[part] = kept
     if good.all():
         return scene
-    if behind > DISORDER * len(scene):
+    if behind > most * len(scene):
         raise UsageError(
             f"time runs backwards in {behind} of {len(scene)} rows",
             where="recording: time",
@@ -140,8 +135,13 @@ def longest_rising(t: Array) -> Index:
     return np.array(out[::-1], dtype=np.intp)
 
 
-def _parted(scene: Scene, notes: list[str]) -> Scene:
-    """Rows on either side of a gap are no longer continuous with each other."""
+def _parted(scene: Scene, notes: list[str], *, times: float = 5.0, least: float = 0.5) -> Scene:
+    """Rows on either side of a gap are no longer continuous with each other.
+
+    Args:
+        times: the median step; what is longer is a gap: what happened in it nobody knows.
+        least: seconds of a gap.
+    """
     if not scene.clock or len(scene) < 3:
         return scene
     steps = np.diff(scene.time)
@@ -151,7 +151,7 @@ def _parted(scene: Scene, notes: list[str]) -> Scene:
     inside = steps[~edges[1:]]
     if not len(inside):
         return scene
-    gap = (steps > max(GAP_STEPS * float(np.median(inside)), GAP_S)) & ~edges[1:]
+    gap = (steps > max(times * float(np.median(inside)), least)) & ~edges[1:]
     if not gap.any():
         return scene
     longest = float(steps[gap].max())
@@ -209,27 +209,34 @@ def quiet(scene: Scene) -> Scene:
     return scene
 
 
-def _as_near(other: Scene, scene: Scene) -> bool:
+def _as_near(other: Scene, scene: Scene, *, sure: float = 4.0, most: float = 0.1) -> bool:
     """Return whether another simulation of a recording misses hardly more of it, all channels alike, and not surely more.
 
     Joints that were read on an even clock and stamped unevenly are not where a smooth motion has them at those times.
+
+    Args:
+        sure: standard errors over pieces of the recording.
+        most: share of the variance of what the simulation misses that may come to it; more is motion taken for noise.
     """
     rest, its = (one.residual - np.nanmean(one.residual, axis=0) for one in (scene, other))
     more = (its**2 - rest**2) / np.maximum(np.nanvar(rest, axis=0), 1e-30)
     pieces = [np.nanmean(x) for x in np.array_split(more, min(PIECES, len(more)))]
-    surely = np.mean(pieces) > SURELY * np.std(pieces) / np.sqrt(len(pieces))
-    return bool(np.nanmean(more) <= SEEN - 1.0 and not surely)
+    surely = np.mean(pieces) > sure * np.std(pieces) / np.sqrt(len(pieces))
+    return bool(np.nanmean(more) <= most and not surely)
 
 
-def enough(good: Mask) -> None:
+def enough(good: Mask, *, fewest: int = 8) -> None:
     """Raise if too few rows (N,) can be compared.
 
+    Args:
+        fewest: rows.
+
     Raises:
-        UsageError: fewer than `FEWEST`.
+        UsageError: fewer than `fewest`.
     """
-    if good.sum() < FEWEST:
+    if good.sum() < fewest:
         what = f"only {int(good.sum())} of {len(good)} rows can be compared"
-        raise UsageError(what, where="recording", todo=f"record at least {FEWEST}, with no empty cells")
+        raise UsageError(what, where="recording", todo=f"record at least {fewest}, with no empty cells")
 
 
 def _complete(scene: Scene, notes: list[str], wrong: Sequence[str] = ()) -> Scene:

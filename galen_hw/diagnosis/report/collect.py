@@ -8,18 +8,12 @@ from galen_hw.diagnosis.findings.localisation import baseline_rest, organised
 from galen_hw.diagnosis.findings.variables import Variable, variables
 from galen_hw.diagnosis.identifiability.experiment import options_of
 from galen_hw.diagnosis.identifiability.rivals import rivals
+from galen_hw.diagnosis.report.caps import CAPS
 from galen_hw.diagnosis.report.effect_curves import curves_of
 from galen_hw.diagnosis.report.plot_data import Alike, Along, Evidence, Option, Traces
 from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
-
-MOST_EVIDENCE = 40
-MOST_ALONG = 6
-LEAST_ALONG = 0.1
-"""Share of the excess from which a variable is worth a picture."""
-MOST_ALIKE = 6
-MOST_OPTIONS = 6
 
 
 def traces_of(work: Work) -> Traces:
@@ -42,8 +36,12 @@ def traces_of(work: Work) -> Traces:
     )
 
 
-def _along(work: Work, before: Array) -> list[Along]:
-    """The variables that organise the excess best, one picture a variable, with the region where one was found."""
+def _along(work: Work, before: Array, *, least: float = 0.1) -> list[Along]:
+    """The variables that organise the excess best, one picture a variable, with the region where one was found.
+
+    Args:
+        least: share of the excess from which a variable is worth a picture.
+    """
     if work.diagnosis.verdict == "agrees":
         return []
     names, regions = work.bench.scene.channels, {w["variable"]: w["range"] for w in work.diagnosis.where}
@@ -52,9 +50,9 @@ def _along(work: Work, before: Array) -> list[Along]:
         region = regions.get(v.name)
         whole = region is None or (region[0] <= v.values.min() and region[1] >= v.values.max())
         inside = None if whole or region is None else (float(region[0]), float(region[1]))
-        if share > LEAST_ALONG or inside is not None:
+        if share > least or inside is not None:
             out.append(Along(_label(v), v.unit, names.index(channel), v.values, share, inside))
-    return out[:MOST_ALONG]
+    return out[: CAPS.alike]
 
 
 def _label(v: Variable) -> str:
@@ -84,13 +82,13 @@ def _alike(work: Work) -> list[Alike]:
         known = {one.rival for one in shown}
         nan = float("nan")
         shown += [Alike(finding.effect, key, nan, nan, nan, apart=False) for key in tied - known]
-        out += sorted(shown, key=lambda one: one.apart)[:MOST_ALIKE]
+        out += sorted(shown, key=lambda one: one.apart)[: CAPS.alike]
     return out
 
 
 def _options(work: Work) -> list[Any]:
     """Recipes for the first open question, quickest first."""
-    return options_of(work.model, work.selection, work.diagnosis.findings)[:MOST_OPTIONS]
+    return options_of(work.model, work.selection, work.diagnosis.findings)[: CAPS.alike]
 
 
 def _evidence(work: Work) -> list[Evidence]:
@@ -102,7 +100,7 @@ def _evidence(work: Work) -> list[Evidence]:
     refused = {_place(e): paid for e, paid in selection.refused}
     for i in sorted(selection.first, key=lambda i: -selection.first[i].rank):
         effect = selection.scorer.library[i].effect
-        if effect is None or _place(effect) in seen or len(rows) == MOST_EVIDENCE:
+        if effect is None or _place(effect) in seen or len(rows) == CAPS.evidence:
             continue
         seen.add(_place(effect))
         score = selection.first[i]

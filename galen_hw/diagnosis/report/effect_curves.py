@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from galen_hw.diagnosis.findings.variables import Variable, joint_units, variables
+from galen_hw.diagnosis.report.caps import CAPS
 from galen_hw.diagnosis.report.plot_data import Curve
 from galen_hw.diagnosis.report.summary import channel_words
 from galen_hw.diagnosis.work import Work
@@ -15,14 +16,11 @@ from galen_hw.physics.effects.friction import TorqueRipple
 from galen_hw.physics.effects.sensor import CrossTalk, Temperature
 from galen_hw.spatial import Array
 
-MOST = 16
 OVER_TIME = ("drift", "step", "contact", "bias", "creep")
 OVER_SPEED = ("friction",)
 OVER_LOAD = ("compliance", "hardening")
 OVER_SIGNAL = ("gain", "saturation")
 OVER_RATE = ("time_delay", "lag")
-PERIODS = 3.0
-"""More periods than this are folded onto one."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,7 @@ def curves_of(work: Work) -> list[Curve]:
     known = variables(work.bench)
     out: list[Curve] = []
     for h, s in zip(model.parts, model.slices(), strict=True):
-        if h.effect is None or not h.count or len(out) == MOST:
+        if h.effect is None or not h.count or len(out) == CAPS.curves:
             continue
         change = h.does(model.theta[s])
         best = int(np.argmax(np.std(change, axis=0) / work.bench.noise.sigma[list(h.raw.channels)]))
@@ -135,9 +133,13 @@ def _of_channel(work: Work, effect: Effect, channel: int) -> Axis | None:
     return Axis(f"{name}, simulated", unit, average(scene.simulated[:, source]))
 
 
-def _folded(label: str, unit: str, x: Array, period: float) -> Axis:
-    """A coordinate folded onto one period where it goes through many."""
-    if np.ptp(x) <= PERIODS * period:
+def _folded(label: str, unit: str, x: Array, period: float, *, most: float = 3.0) -> Axis:
+    """A coordinate folded onto one period where it goes through many.
+
+    Args:
+        most: periods; more are folded onto one.
+    """
+    if np.ptp(x) <= most * period:
         return Axis(label, unit, x)
     return Axis(f"{label} within one period", unit, np.mod(x, period))
 

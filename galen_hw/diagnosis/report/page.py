@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from galen_hw.config.report_page import page_template
 from galen_hw.diagnosis.findings.quantities import headline, quantity, text
 from galen_hw.diagnosis.report import plots
+from galen_hw.diagnosis.report.caps import CAPS
 from galen_hw.diagnosis.report.plot_data import Curve, Traces
 from galen_hw.diagnosis.report.summary import VERDICTS, channel_words, lines, moment
 from galen_hw.diagnosis.result import Diagnosis, Value
@@ -14,11 +15,6 @@ from galen_hw.version import VERSION
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-FEW = 6
-"""Parameters that are shown at once; of more the table folds."""
-CERTAIN = 1e-6
-"""Chances are told down to this: what is said of noise holds no further."""
 
 
 def write_page(path: Path, answer: Diagnosis, traces: Traces) -> None:
@@ -33,7 +29,7 @@ def write_page(path: Path, answer: Diagnosis, traces: Traces) -> None:
         "parameter": _parameter,
         "size": headline,
         "moment": lambda w: moment(w[0], w[1], answer.clock),
-        "chance": lambda p: f"{p:.0e}" if p >= CERTAIN else f"< {CERTAIN:.0e}",
+        "chance": lambda p: f"{p:.0e}" if p >= CAPS.chance else f"< {CAPS.chance:.0e}",
         "number": lambda x: f"{x:.3g}",
     }
     template = page_template("galen_hw.diagnosis.report", "page.html.j2", filters)
@@ -42,7 +38,7 @@ def write_page(path: Path, answer: Diagnosis, traces: Traces) -> None:
         answer=answer,
         verdict=VERDICTS[answer.verdict],
         lines=lines(answer),
-        few=FEW,
+        few=CAPS.alike,
         evidence=traces.evidence,
         highest=max((e.score for e in traces.evidence), default=1.0),
         alike=traces.alike,

@@ -9,13 +9,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from galen_hw.diagnosis.findings.quantities import readable
+from galen_hw.diagnosis.report.caps import CAPS
 from galen_hw.diagnosis.report.plot_data import Along, Curve, Option, Traces
 from galen_hw.diagnosis.report.summary import channel_words
 from galen_hw.spatial import Array
 
 BEFORE, AFTER, FLOOR, GREY, INK, HELD = "#d1603d", "#17627f", "#d5e7ee", "#8a949b", "#1d2a33", "#efe9da"
-MOST_POINTS: Final = 5000
-MOST_CHANNELS: Final = 14
 STYLE: Final[Any] = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -247,7 +246,7 @@ def options(chosen: list[Option]) -> bytes | None:
 def _channels(traces: Traces) -> list[int]:
     """At most fourteen, those that changed most, in their own order."""
     change = np.nanstd(traces.before - traces.after, axis=0) / np.maximum(np.nanstd(traces.after, axis=0), 1e-300)
-    return sorted(np.argsort(-change)[:MOST_CHANNELS].tolist())
+    return sorted(np.argsort(-change)[: CAPS.channels].tolist())
 
 
 def _scale(x: Array, unit: str) -> tuple[float, str]:
@@ -264,7 +263,7 @@ def _named(label: str, unit: str) -> str:
 
 
 def _thin(n: int) -> Array:
-    return np.unique(np.linspace(0, max(n - 1, 0), min(n, MOST_POINTS)).astype(int))
+    return np.unique(np.linspace(0, max(n - 1, 0), min(n, CAPS.points)).astype(int))
 
 
 def _binned(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array, Array, Array]:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from galen_hw.diagnosis.findings.quantities import headline, quantity, readable
+from galen_hw.diagnosis.report.caps import CAPS
 from galen_hw.diagnosis.result import Diagnosis, Finding
 
 VERDICTS: Final = {
@@ -12,8 +13,6 @@ VERDICTS: Final = {
     "partly_explained": "simulation and recording differ; named physics explains part of it",
     "unexplained": "simulation and recording differ, and no named physics explains it",
 }
-MOST_FINDINGS: Final = 4
-FEW: Final = 3
 
 __all__ = ["VERDICTS", "channel_words", "lines", "quantity", "summary"]
 
@@ -28,7 +27,7 @@ def lines(d: Diagnosis) -> list[tuple[str, str]]:
     out = [("what", _what(d))]
     if d.findings:
         out.append(("where", _where(d)))
-        shown = d.findings[:MOST_FINDINGS]
+        shown = d.findings[: CAPS.findings]
         out += [("why" if k == 0 else "", _why(f)) for k, f in enumerate(shown)]
         if len(d.findings) > len(shown):
             out.append(("", "and " + ", ".join(f.effect for f in d.findings[len(shown) :])))
@@ -73,7 +72,7 @@ def _what(d: Diagnosis) -> str:
 
 
 def _where(d: Diagnosis) -> str:
-    loud = [c for c in d.channels if c["excess_share"] >= 0.05][:FEW]
+    loud = [c for c in d.channels if c["excess_share"] >= 0.05][: CAPS.names]
     parts = [
         f"{100 * c['excess_share']:.0f} % of the unexplained error in {channel_words(c['channel'])}" for c in loud[:1]
     ]
@@ -81,8 +80,8 @@ def _where(d: Diagnosis) -> str:
     out = ", ".join(parts) or "too small to share out among the channels"
     out += "".join(f"; {w['says']}" for w in d.where[:1])
     if d.when and any(f.effect in ("contact", "step", "glitches") for f in d.findings):
-        more = f" and {len(d.when) - FEW} more" if len(d.when) > FEW else ""
-        out += f"; at {', '.join(moment(a, b, d.clock) for a, b in d.when[:FEW])}{more}"
+        more = f" and {len(d.when) - CAPS.names} more" if len(d.when) > CAPS.names else ""
+        out += f"; at {', '.join(moment(a, b, d.clock) for a, b in d.when[: CAPS.names])}{more}"
     return out
 
 
@@ -96,11 +95,11 @@ def moment(start: float, end: float, clock: bool = True) -> str:
 def _why(finding: Finding) -> str:
     if finding.effect == "unknown":
         return f"unknown: {finding.says}"
-    place = ", ".join(finding.joints[:FEW] or [channel_words(c) for c in finding.channels[:FEW]])
-    more = max(len(finding.joints) - FEW, 0)
+    place = ", ".join(finding.joints[: CAPS.names] or [channel_words(c) for c in finding.channels[: CAPS.names]])
+    more = max(len(finding.joints) - CAPS.names, 0)
     place += f" and {more} more" if more else ""
     out = f"{finding.effect.replace('_', ' ')} ({place}): {headline(finding)}; {finding.takes}"
-    others = [c.effect.replace("_", " ") for c in finding.rivals[:FEW]]
+    others = [c.effect.replace("_", " ") for c in finding.rivals[: CAPS.names]]
     others += ["in another joint"] if len(finding.rivals) < len(finding.confounded_with) else []
     if others:
         out += f"; could also be {' or '.join(others)}"

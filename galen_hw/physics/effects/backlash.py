@@ -14,25 +14,17 @@ from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.signals.differentiation import row_noise
 from galen_hw.spatial import Array
 
-SLOW_CROSSINGS = 8
-"""Impulses that are tried for a gap with grease in it, from one that throws the link at once to one that hardly does."""
-SINKING = 4
-"""The same, and as many times in which weight that is not balanced sinks it through the gap."""
-SHORTEST = 0.1
-"""Seconds of such a time at least: quicker than a motion begins and ends it might as well be thrown."""
-COASTING = 4
-"""Times that are tried for which the link's momentum lasts."""
-NOISY = 2.0
-"""Standard deviations of a joint's readings below which a dead band of them is no play."""
-APART = 0.2
-"""Share of a joint's own spread from which what changes from row to row is no noise: rows are poses, not samples of a motion."""
 
+def _reading_noise(scene: Scene, joint: str, *, most: float = 0.2) -> float:
+    """Standard deviation of a joint's readings from row to row, rad or m; 0 where none can be told.
 
-def _reading_noise(scene: Scene, joint: str) -> float:
-    """Standard deviation of a joint's readings from row to row, rad or m; 0 where none can be told."""
+    Args:
+        most: share of a joint's own spread from which what changes from row to row is no noise: rows are poses,
+            not samples of a motion.
+    """
     q = scene.q[:, scene.joint_index(joint)]
     noise = row_noise(q, scene.segments)
-    return noise if noise < APART * float(np.std(q)) else 0.0
+    return noise if noise < most * float(np.std(q)) else 0.0
 
 
 def _driven(scene: Scene, load: Array) -> Array:
@@ -79,10 +71,14 @@ class Backlash(Effect):
     coasting: float | None = None
 
     @classmethod
-    def propose(cls, scene: Scene) -> Iterator[Self]:
+    def propose(cls, scene: Scene, *, slow: int = 8) -> Iterator[Self]:
         """Half widths from far below the joint's range to most of it; sharp and soft crossings for each joint with a load.
 
         In poses bearings with friction too, from little to most of what the load reaches.
+
+        Args:
+            slow: impulses that are tried for a gap with grease in it, from one that throws the link at once
+                to one that hardly does.
         """
         for joint in scene.joint_names:
             if scene.joint_port(joint) is None:
@@ -101,7 +97,7 @@ class Backlash(Effect):
                         reach = 0.5 * float(np.ptp(_driven(scene, load)))
                         yield from (
                             cls(joint, None, None, balanced, impulse=one)
-                            for one in log_grid(0.002 * reach, 0.9 * reach, SLOW_CROSSINGS)
+                            for one in log_grid(0.002 * reach, 0.9 * reach, slow)
                         )
                         yield from cls._sinking(scene, joint, reach) if balanced else ()
                     if scene.observations.predict != "position" and not balanced:
@@ -111,17 +107,25 @@ class Backlash(Effect):
                         )
 
     @classmethod
-    def _sinking(cls, scene: Scene, joint: str, reach: float) -> Iterator[Self]:
+    def _sinking(
+        cls, scene: Scene, joint: str, reach: float, *, count: int = 4, shortest: float = 0.1
+    ) -> Iterator[Self]:
         """What a balance leaves of the weight, or lifts beyond it, takes the link across a gap of impulse up to `reach`.
 
         In times from the shortest that shows between two motions to a share of the recording.
+
+        Args:
+            count: impulses, and as many times in which weight that is not balanced sinks the link through the
+                gap.
+            shortest: seconds of such a time at least: quicker than a motion begins and ends it might as well
+                be thrown.
         """
         weight = scene.weight_load(joint)
         size = 0.0 if weight is None else float(np.sqrt(np.mean(weight**2)))
         if not size:
             return
-        for impulse in log_grid(0.002 * reach, 0.9 * reach, SINKING):
-            for crossing in log_grid(SHORTEST, 0.03 * duration(scene), SINKING):
+        for impulse in log_grid(0.002 * reach, 0.9 * reach, count):
+            for crossing in log_grid(shortest, 0.03 * duration(scene), count):
                 share = 2.0 * impulse / (crossing * size)
                 if share < 1.0:
                     yield from (
@@ -129,10 +133,14 @@ class Backlash(Effect):
                         for lifted in (False, True)
                     )
 
-    def richer(self, scene: Scene) -> Iterator[Self]:
-        """With momentum, that lasts from less than a row to a good part of what a motion takes."""
+    def richer(self, scene: Scene, *, count: int = 4) -> Iterator[Self]:
+        """With momentum, that lasts from less than a row to a good part of what a motion takes.
+
+        Args:
+            count: times that are tried for which the link's momentum lasts.
+        """
         if self.impulse is not None and self.coasting is None:
-            yield from (replace(self, coasting=T) for T in log_grid(0.5 * spacing(scene), 0.3, COASTING))
+            yield from (replace(self, coasting=T) for T in log_grid(0.5 * spacing(scene), 0.3, count))
 
     def load(self, scene: Scene) -> Array | None:
         """(N,) what throws or drags the far side from stop to stop, N or N m; None where it is not known."""
@@ -143,11 +151,15 @@ class Backlash(Effect):
         assert weight is not None, "known where the load of motion is"
         return load + (-self.unborne if self.lifted else self.unborne) * weight
 
-    def at_work(self, scene: Scene) -> bool:
-        """Whether it is wider than the noise of the joint's own readings: a dead band as narrow makes these quieter, no more."""
+    def at_work(self, scene: Scene, *, least: float = 2.0) -> bool:
+        """Whether it is wider than the noise of the joint's own readings: a dead band as narrow makes these quieter, no more.
+
+        Args:
+            least: standard deviations of a joint's readings below which a dead band of them is no play.
+        """
         if self.half_width is None or self.joint not in scene.moved:
             return True
-        return self.half_width > NOISY * _reading_noise(scene, self.joint)
+        return self.half_width > least * _reading_noise(scene, self.joint)
 
     def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
         """A link lies where what a robot's file says of its load takes it, not on the other side."""

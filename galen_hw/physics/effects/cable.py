@@ -27,16 +27,6 @@ LOOSE: Final = ("spring", "pull")
 """Forms with more parameters than a cable has."""
 DRY: Final = (Parameter("dry_friction", "N", 0.0),)
 EYE: Final = (Parameter("eye_friction", "N", 0.0), Parameter("stroke", "m", 1e-5, furthest=0.1))
-STROKES: Final = (0.02, 0.2)
-"""Where the search for an eye's stroke begins, of the standard deviation of the length."""
-LENGTHS: Final = (0.1, 0.3, 1.0)
-"""m, of tendons that may do what a spring does."""
-RUBBING: Final = (0.2, 0.7)
-"""Friction of a conduit where the search for it begins, of the standard deviation of the pull."""
-LEAST_LENGTH: Final = 1e-6
-"""m; a shorter tendon has no direction."""
-NEAR: Final = 2
-"""Links before the sensor's own to which its cable may be tied."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +60,17 @@ class CableDrag(Effect):
     clipped: str = ""
 
     @classmethod
-    def propose(cls, scene: Scene) -> Iterator[Self]:
-        """The spring for wrenches; single channels and joints for wrenches and efforts. A tendon is sought from its spring."""
+    def propose(cls, scene: Scene, *, near: int = 2) -> Iterator[Self]:
+        """The spring for wrenches; single channels and joints for wrenches and efforts. A tendon is sought from its spring.
+
+        Args:
+            near: links before the sensor's own to which its cable may be tied.
+        """
         group = scene.observations.predict
         if group == "wrench" and scene.belief.robot is not None:
             yield cls("spring")
             yield cls("pull")
-            yield from (cls("spring", anchored=joint) for joint in _carriers(scene)[-NEAR:])
+            yield from (cls("spring", anchored=joint) for joint in _carriers(scene)[-near:])
         if isinstance(scene, EffortScene) and scene.link("") is not None:
             yield cls("spring")
             yield from (cls("spring", clipped=joint) for joint in _carriers(scene))
@@ -214,8 +208,12 @@ class CableDrag(Effect):
         felt = (R * force[:, None]).sum(axis=0)
         return np.concatenate([felt, np.cross(theta[5:8], felt, axis=0)]).T
 
-    def tendons(self, scene: Scene, theta: Array) -> list[Array]:
-        """(8,) parameters of tendons that pull about as this spring does with its parameters theta (k,)."""
+    def tendons(self, scene: Scene, theta: Array, *, lengths: tuple[float, ...] = (0.1, 0.3, 1.0)) -> list[Array]:
+        """(8,) parameters of tendons that pull about as this spring does with its parameters theta (k,).
+
+        Args:
+            lengths: m, of tendons that may do what a spring does.
+        """
         R, p = (x.mean(axis=-1) for x in self._carrier(scene)[:2])
         stiffness, constant, of_stiffness, of_constant = theta[0], theta[1:4], theta[4:7], theta[7:16]
         # One lever stands in twelve numbers.
@@ -224,21 +222,34 @@ class CableDrag(Effect):
         pull = constant - stiffness * p
         tension = float(np.linalg.norm(pull))
         out = []
-        for length in LENGTHS if tension > 0.0 else ():
+        for length in lengths if tension > 0.0 else ():
             stiff = max(stiffness, tension / length)
             anchor = p + R @ clip + pull / tension * length
             out.append(np.array([stiff, *anchor, length - tension / stiff, *clip]))
         return out
 
-    def rubbing(self, scene: Scene, theta: Array) -> dict[str, list[Array]]:
-        """By form, parameters of tendons as this one is with its parameters theta (8,), that rub little or much."""
+    def rubbing(
+        self,
+        scene: Scene,
+        theta: Array,
+        *,
+        strokes: tuple[float, ...] = (0.02, 0.2),
+        shares: tuple[float, ...] = (0.2, 0.7),
+    ) -> dict[str, list[Array]]:
+        """By form, parameters of tendons as this one is with its parameters theta (8,), that rub little or much.
+
+        Args:
+            strokes: where the search for an eye's stroke begins, of the standard deviation of the length.
+            shares: friction of a conduit where the search for it begins, of the standard deviation of the
+                pull.
+        """
         R, p, _ = self._carrier(scene)
         length = _stretched(R, p, theta)[2]
         swing, reach = float(np.std(theta[0] * np.maximum(length - theta[4], 0.0))), float(np.std(length))
-        frictions = [share * swing for share in RUBBING] if swing > 0.0 else []
+        frictions = [share * swing for share in shares] if swing > 0.0 else []
         return {
             "tendon_dry": [np.append(theta, friction) for friction in frictions],
-            "tendon_eye": [np.append(theta, (f, share * reach)) for f in frictions for share in STROKES],
+            "tendon_eye": [np.append(theta, (f, share * reach)) for f in frictions for share in strokes],
         }
 
     def _carrier(self, scene: Scene) -> tuple[Array, Array, Array | None]:
@@ -288,8 +299,12 @@ def _carriers(scene: Scene) -> tuple[str, ...]:
     return tuple(joints[-1] for joints in links[:-1])
 
 
-def _stretched(R: Array, p: Array, theta: Array) -> tuple[Array, Array, Array]:
-    """Of a tendon: from the body's origin to the clip (3, N), from there to the anchor (3, N), and how far that is (N,)."""
+def _stretched(R: Array, p: Array, theta: Array, *, least: float = 1e-6) -> tuple[Array, Array, Array]:
+    """Of a tendon: from the body's origin to the clip (3, N), from there to the anchor (3, N), and how far that is (N,).
+
+    Args:
+        least: m; a shorter tendon has no direction.
+    """
     lever = (R * theta[5:8, None]).sum(axis=1)
     span = theta[1:4, None] - p - lever
-    return lever, span, np.maximum(np.sqrt((span**2).sum(axis=0)), LEAST_LENGTH)
+    return lever, span, np.maximum(np.sqrt((span**2).sum(axis=0)), least)

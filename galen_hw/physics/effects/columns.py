@@ -2,16 +2,12 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
-
-SAMPLED: Final = 97
-"""So many rows are looked at before a column is searched for a value: nearly all columns are full."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,9 +22,13 @@ class Columns:
         """Number of linear parameters."""
         return int(self.values.shape[2])
 
-    def live(self) -> NDArray[np.bool_]:
-        """(len(channels), k) where a column is not zero throughout: parameters of their own in each channel leave most empty."""
-        out = np.asarray(self.values[:: max(1, len(self.values) // SAMPLED)].any(axis=0))
+    def live(self, *, rows: int = 97) -> NDArray[np.bool_]:
+        """(len(channels), k) where a column is not zero throughout: parameters of their own in each channel leave most empty.
+
+        Args:
+            rows: that are looked at before a column is searched for a value: nearly all columns are full.
+        """
+        out = np.asarray(self.values[:: max(1, len(self.values) // rows)].any(axis=0))
         for i, k in np.argwhere(~out):
             out[i, k] = self.values[:, i, k].any()
         return out

@@ -91,10 +91,6 @@ class Step(_Shaped):
         return average(scene.seen(after.astype(float)))
 
 
-PARTS = 6
-"""Of an episode, in each of which a touch may be otherwise and is no noise for that."""
-
-
 @dataclass(frozen=True)
 class Contact(_Shaped):
     """An outside force during episodes (start, end) in s: in each, a level and a bow in every channel named.
@@ -130,11 +126,15 @@ class Contact(_Shaped):
         edges = [np.linspace(start, end, count + 1).tolist() for start, end in self.episodes]
         return replace(self, episodes=tuple(part for edge in edges for part in itertools.pairwise(edge)))
 
-    def unshaped(self, step: float) -> tuple[Effect, ...]:
-        """How it swells and turns round inside an episode, and what happens about where that begins and ends."""
+    def unshaped(self, step: float, *, parts: int = 6) -> tuple[Effect, ...]:
+        """How it swells and turns round inside an episode, and what happens about where that begins and ends.
+
+        Args:
+            parts: of an episode, in each of which a touch may be otherwise and is no noise for that.
+        """
         around = tuple((t - step, t + step) for episode in self.episodes for t in episode)
         edges = (replace(self, episodes=around, waves=1).parted(2),) if step > 0.0 else ()
-        return (self.parted(PARTS), *edges)
+        return (self.parted(parts), *edges)
 
     def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
         """Box and half sines of every episode."""

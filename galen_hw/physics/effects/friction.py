@@ -15,22 +15,11 @@ from galen_hw.physics.effects.parameters import Parameter, Searched, log_grid, s
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
-RESPONSE = 0.03
-"""Time constant of a position servo to begin with, s, where no simulation tells it."""
-LEAST_SETTLING = 1.01
-"""Slower than it follows, at least, a servo settles that sticks."""
-SETTLINGS = (4.0, 16.0)
-"""So much slower to begin with."""
-LEAST_LOOSE = 0.1
-"""Share of the rows in motion in which what is called friction must slip."""
 MOST_KEPT = 6e7
 """Values of servos' stand-offs that a scene keeps (half a gigabyte), those asked for last: they are walked row by row."""
 
 _KEEPING = threading.Lock()
 """Of these; two searches may ask at once."""
-
-MOST_TOGETHER = 1.5e7
-"""Values of them that are walked side by side."""
 
 
 @dataclass(frozen=True)
@@ -93,14 +82,21 @@ class Friction(Effect):
                 yield from cls._in_servos(scene, joint)
 
     @classmethod
-    def _in_servos(cls, scene: Scene, joint: str) -> Iterator[Self]:
-        """Stand-offs from far below the joint's range to a tenth of it; those that give way, quickly and slowly."""
+    def _in_servos(
+        cls, scene: Scene, joint: str, *, response: float = 0.03, settlings: tuple[float, ...] = (4.0, 16.0)
+    ) -> Iterator[Self]:
+        """Stand-offs from far below the joint's range to a tenth of it; those that give way, quickly and slowly.
+
+        Args:
+            response: time constant of a position servo to begin with, s, where no simulation tells it.
+            settlings: so many times slower, to begin with, a servo settles that sticks.
+        """
         half_range = 0.5 * float(np.ptp(scene.q[:, scene.joint_index(joint)]))
         known = scene.response(joint)
         shortest = 0.5 * spacing(scene)
-        given = {"response": max(RESPONSE, shortest), "shortest": shortest} if known is None else {"simulated": known}
+        given = {"response": max(response, shortest), "shortest": shortest} if known is None else {"simulated": known}
         for coulomb in log_grid(half_range * 1e-4, half_range * 0.1, 11):
-            for settling in (None, *(one * (known or RESPONSE) for one in SETTLINGS)):
+            for settling in (None, *(one * (known or response) for one in settlings)):
                 form = "servo" if settling is None else "creeping_servo"
                 yield cls(joint, form, coulomb=coulomb, settling=settling, **given)
                 if known is not None:  # else a lag or a delay of the joint is as much
@@ -142,12 +138,16 @@ class Friction(Effect):
         return {"coulomb": (c,), "viscous": (v,), "coulomb_viscous": (c, v)}.get(self.form) or (c, v, extra[self.form])
 
     @classmethod
-    def ahead(cls, scene: Scene, effects: Sequence[Self]) -> None:
-        """The stand-offs of servos, as many as the scene keeps."""
+    def ahead(cls, scene: Scene, effects: Sequence[Self], *, together: float = 1.5e7) -> None:
+        """The stand-offs of servos, as many as the scene keeps.
+
+        Args:
+            together: values of stand-offs that are walked side by side.
+        """
         kept = _kept(scene)
         sticking = {one.servo: one for one in effects if one.freedom is not None}
         new = [one for servo, one in sticking.items() if servo not in kept][: int(MOST_KEPT / len(scene))]
-        most = max(int(MOST_TOGETHER / len(scene)), 1)
+        most = max(int(together / len(scene)), 1)
         for few in (new[i : i + most] for i in range(0, len(new), most)):
             for one, stands in zip(few, _stand_offs(scene, few), strict=True):
                 kept[one.servo] = stands
@@ -187,8 +187,12 @@ class Friction(Effect):
         """A servo whose response nobody simulated has its lag with its friction in one equation."""
         return ("lag",) if "servo" in self.form and self.simulated is None else ()
 
-    def at_work(self, scene: Scene) -> bool:
-        """Return whether a servo that gives way while it sticks also breaks loose, in so many of the rows that move."""
+    def at_work(self, scene: Scene, *, least: float = 0.1) -> bool:
+        """Return whether a servo that gives way while it sticks also breaks loose, in so many of the rows that move.
+
+        Args:
+            least: share of the rows in motion in which what is called friction must slip.
+        """
         if self.settling is None or self.coulomb is None:
             return True
         response, settling = self.constants()
@@ -197,13 +201,17 @@ class Friction(Effect):
         stands = stands + scene.lag("follows", command, response, held=True)[:, 0]
         moves = np.diff(command[:, 0]) != 0.0
         loose = np.abs(command[1:, 0] - stands[:-1]) > self.coulomb * settling / (settling - response)
-        return bool(np.sum(loose & moves) >= LEAST_LOOSE * np.sum(moves))
+        return bool(np.sum(loose & moves) >= least * np.sum(moves))
 
-    def constants(self) -> tuple[float, float]:
-        """Response and settling, s."""
+    def constants(self, *, least: float = 1.01) -> tuple[float, float]:
+        """Response and settling, s.
+
+        Args:
+            least: times slower than it follows a servo settles that sticks.
+        """
         response = self.response if self.simulated is None else self.simulated
         assert response is not None, "proposed with one"
-        return response, np.inf if self.settling is None else max(self.settling, LEAST_SETTLING * response)
+        return response, np.inf if self.settling is None else max(self.settling, least * response)
 
     def _servo(self, scene: Scene, v: Array) -> list[Array]:
         assert self.coulomb is not None, "proposed with one"

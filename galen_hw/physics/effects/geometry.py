@@ -254,15 +254,15 @@ def _less_zero(scene: Scene, change: Callable[[Scene], Array | None]) -> Array |
     return out if out is None or zero is None else out - zero
 
 
-STRIDE = 1e-4
-"""rad, m or a share: a central difference over twice as much is exact to 1e-8."""
+def _slope(change: Callable[[float], Array | None], *, stride: float = 1e-4) -> Array | None:
+    """Central difference at nothing.
 
-
-def _slope(change: Callable[[float], Array | None]) -> Array | None:
-    """Central difference at nothing."""
-    up = change(STRIDE)
-    down = None if up is None else change(-STRIDE)
-    return None if up is None or down is None else (up - down) / (2.0 * STRIDE)
+    Args:
+        stride: rad, m or a share: a central difference over twice as much is exact to 1e-8.
+    """
+    up = change(stride)
+    down = None if up is None else change(-stride)
+    return None if up is None or down is None else (up - down) / (2.0 * stride)
 
 
 def _by_screw(scene: Scene, joint: str, amount: Array) -> Array | None:

@@ -14,10 +14,6 @@ from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import Lagging
 from galen_hw.spatial import Array
 
-SLOWER = 1.05
-"""Times its shortest constant from which creep is creep."""
-
-
 KELVIN = 7
 """Elements by which a spectrum of constants is made up: over three decades two to a decade."""
 
@@ -74,9 +70,13 @@ class Creep(Effect):
         """Where it began."""
         return "Its load came on as the recording began: nothing had settled." if self.rested else ""
 
-    def at_work(self, scene: Scene) -> bool:
-        """Return whether it is slower than a filter: at the shortest constant it stands for something quicker."""
-        return self.constant > SLOWER * self.SEARCHED["constant"].low
+    def at_work(self, scene: Scene, *, least: float = 1.05) -> bool:
+        """Return whether it is slower than a filter: at the shortest constant it stands for something quicker.
+
+        Args:
+            least: times its shortest constant from which creep is creep.
+        """
+        return self.constant > least * self.SEARCHED["constant"].low
 
     def with_searched(self, values: Mapping[str, float]) -> Self:
         """Another constant, not above the longest of which this recording sees enough to tell it from a give."""
@@ -146,14 +146,14 @@ def let_through(scene: Scene, load: Array, friction: float) -> Array:
     return scene.play("bearing", load[:, None], friction)[:, 0]
 
 
-BEGUN = 0.1
-"""Times its spread that a load is at the start, from which it matters whether it has settled."""
+def _begun(scene: Scene, channel: str, joint: str, *, share: float = 0.1) -> bool:
+    """Return whether what bears has a load at the start.
 
-
-def _begun(scene: Scene, channel: str, joint: str) -> bool:
-    """Return whether what bears has a load at the start."""
+    Args:
+        share: of its spread that a load is at the start, from which it matters whether it has settled.
+    """
     load = scene.load(joint) if joint else scene.simulated[:, scene.channels.index(channel) if channel else slice(None)]
-    return load is not None and bool(np.any(np.abs(load[0]) > BEGUN * np.nanstd(load, axis=0)))
+    return load is not None and bool(np.any(np.abs(load[0]) > share * np.nanstd(load, axis=0)))
 
 
 def _bearing(scene: Scene) -> Iterator[tuple[str, str]]:

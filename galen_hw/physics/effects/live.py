@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from galen_hw.spatial import Array
 
 if TYPE_CHECKING:
     from galen_hw.physics.operators.stateful import Memory
-
-RATE_CONSTANT: Final = 0.02
-"""Time constant in s over which joint rates are smoothed for the effects that need them."""
 
 
 class Sample(Protocol):
@@ -77,13 +74,18 @@ class EffectStream:
         scene = WrenchScene(observations, rates=(rates[0], rates[1]), memory=self._memory)
         return np.asarray(np.sum(compound(scene, self.effects), axis=0)[0])
 
-    def _rates(self, time: float, q: Array) -> Array:
+    def _rates(self, time: float, q: Array, *, constant: float = 0.02) -> Array:
+        """Return joint rates (n,) by differences, smoothed.
+
+        Args:
+            constant: s, over which joint rates are smoothed for the effects that need them.
+        """
         if self._last is None:
             self._last = (time, q, np.zeros_like(q))
         before, old, rate = self._last
         step = time - before
         if step > 0.0:
-            share = -np.expm1(-step / RATE_CONSTANT)
+            share = -np.expm1(-step / constant)
             rate = rate + share * ((q - old) / step - rate)
             self._last = (time, q, rate)
         return rate

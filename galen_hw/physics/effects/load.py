@@ -16,10 +16,6 @@ MOMENTS = ("moment_x", "moment_y", "moment_z")
 INERTIA = ("inertia_xx", "inertia_xy", "inertia_yy", "inertia_xz", "inertia_yz", "inertia_zz")
 
 
-FARTHEST = 0.5
-"""m from the sensor to the middle of what a hand or a clip may have put on the tool."""
-
-
 @dataclass(frozen=True)
 class Payload(Effect):
     """The carried body differs: mass dm, first moment d(m c) and inertia enter Newton and Euler linearly.
@@ -59,12 +55,16 @@ class Payload(Effect):
         """Where it is one point."""
         return self.at is not None
 
-    def told_by(self, theta: Array) -> Self | None:
-        """A small body where mass and moment (4 and more,) say that it is; None if that is no place near a sensor."""
+    def told_by(self, theta: Array, *, farthest: float = 0.5) -> Self | None:
+        """A small body where mass and moment (4 and more,) say that it is; None if that is no place near a sensor.
+
+        Args:
+            farthest: m from the sensor to the middle of what a hand or a clip may have put on the tool.
+        """
         if self.still or self.part not in ("body", "full", "point") or theta[0] == 0.0:
             return None
         x, y, z = (float(v) for v in theta[1:4] / theta[0])
-        return replace(self, part="point", at=(x, y, z)) if x * x + y * y + z * z < FARTHEST**2 else None
+        return replace(self, part="point", at=(x, y, z)) if x * x + y * y + z * z < farthest**2 else None
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Changes of mass, first moment and inertia."""
@@ -186,12 +186,6 @@ class BaseTilt(Effect):
         return np.asarray(rotation_exp(vector) @ scene.belief.gravity)
 
 
-FARTHEST_CENTRE = 2.0
-"""m between a sensor and the centre about which an arm turns it: the reach of the largest that carry one by hand."""
-EXCITED = 0.03
-"""Size of the answer to a lever along one axis over that of the largest, below which the turning does not show it."""
-
-
 @dataclass(frozen=True)
 class Inertial(Effect):
     """Forces of acceleration that the model leaves out.
@@ -207,8 +201,13 @@ class Inertial(Effect):
     lever: str = ""
 
     @classmethod
-    def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Where the baseline holds weight alone, and where the way of the sensor's origin is not recorded."""
+    def propose(cls, scene: Scene, *, least: float = 0.03) -> Iterator[Self]:
+        """Where the baseline holds weight alone, and where the way of the sensor's origin is not recorded.
+
+        Args:
+            least: size of the answer to a lever along one axis over that of the largest, below which the
+                turning does not show it.
+        """
         if not scene.clock:
             return
         if scene.inertial_port() is not None:
@@ -216,12 +215,17 @@ class Inertial(Effect):
         port = scene.turn_port()
         if port is not None:
             size = np.linalg.norm(port, axis=(0, 1))
-            yield cls("".join(a for a, s in zip("xyz", size, strict=True) if s > EXCITED * size.max()))
+            yield cls("".join(a for a, s in zip("xyz", size, strict=True) if s > least * size.max()))
 
-    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """The share of the rigid prediction, 1 when only inertia was left out; or the lever."""
+    def parameters(self, scene: Scene, *, farthest: float = 2.0) -> tuple[Parameter, ...]:
+        """The share of the rigid prediction, 1 when only inertia was left out; or the lever.
+
+        Args:
+            farthest: m between a sensor and the centre about which an arm turns it: the reach of the largest
+                that carry one by hand.
+        """
         if self.lever:
-            return tuple(Parameter(f"lever_{a}", "m", furthest=FARTHEST_CENTRE) for a in self.lever)
+            return tuple(Parameter(f"lever_{a}", "m", furthest=farthest) for a in self.lever)
         return (Parameter("share", "1", 0.0, expected=1.0),)
 
     def columns(self, scene: Scene) -> Columns:

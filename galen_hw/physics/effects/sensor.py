@@ -48,8 +48,6 @@ class Bias(Effect):
 
 QUICKEST = 5.0
 """Time constant (s) of the quickest drift: what warms in a sensor takes tens of seconds, and nothing else drifts quicker."""
-HALF_COSINES = 5
-"""Of a wander, over the length of the recording."""
 WALK = 14
 """Of one that wanders as a walk does: down to what can be told from noise."""
 WALKING = 6
@@ -64,7 +62,8 @@ costs 5 to 8 of it.
 class Drift(Effect):
     """The offset moves slowly: straight, r = a t / D; warm-up, r = a (1 - exp(-t / T)); wander, some half cosines over D.
 
-    A wander has a few `waves`, a walk all that are slower than noise, of which each quicker one is the smaller.
+    A wander has a few `waves` (half cosines over D, five as proposed), a walk all that are slower than noise, of which each
+    quicker one is the smaller.
     A warm-up with a `second` constant is the sum of two: what is near the heat is warm before what is far from it.
 
     D is the length of the recording. Beyond it (a tool's file in the live services) a straight drift is carried on for as
@@ -85,7 +84,7 @@ class Drift(Effect):
     length: float = 1.0
     channels: tuple[str, ...] = ()
     second: float | None = None
-    waves: int = HALF_COSINES
+    waves: int = 5
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -101,7 +100,7 @@ class Drift(Effect):
             yield cls(name, "linear", None, start, length)
             for constant in log_grid(max(length / 30.0, quickest), length / 1.5, 5):
                 yield cls(name, "warm_up", constant, start, length)
-            if length >= HALF_COSINES * quickest:
+            if length >= cls.waves * quickest:
                 yield cls(name, "wander", None, start, length)
 
     @property

@@ -15,12 +15,8 @@ from galen_hw.spatial import Array
 
 Index = NDArray[np.intp]
 LONG = 400
-FEW_CORNERS = 0.02
-"""Share of the rows, of so many or more, below which the corners of a signal are walked one by one."""
 FORGOTTEN = 1e-30
 """Share of a past value below which it is gone, whatever the value."""
-LEAST_RATIO = 1e-2
-"""Of a step over a lag's constant from which its shares are no series."""
 EVEN = 1e-9
 """Spread of the clock's steps, as a share of one, that is rounding."""
 
@@ -31,7 +27,7 @@ def evenly(time: Array) -> bool:
     return len(steps) > 1 and bool(np.ptp(steps) <= EVEN * steps[0])
 
 
-def play(x: Array, half_width: Array, state: Array | None) -> tuple[Array, Array]:
+def play(x: Array, half_width: Array, state: Array | None, *, few: float = 0.02) -> tuple[Array, Array]:
     """Play (backlash) operator: the output rests until the input has crossed the band of +- half_width.
 
     p_k = min(max(p_{k-1}, x_k - r), x_k + r). Source: Brokate and Sprekels, Hysteresis and Phase Transitions, ch. 2.
@@ -40,11 +36,12 @@ def play(x: Array, half_width: Array, state: Array | None) -> tuple[Array, Array
         x: (N, m) inputs.
         half_width: (m,) r >= 0 in the unit of x.
         state: (m,) last output; None: the output starts at the first input.
+        few: share of the rows below which the corners of a long signal are walked one by one.
     """
     low, high = x - half_width, x + half_width
     start = x[0] if state is None else state
     corners = [_corners(x[:, j]) for j in range(x.shape[1])] if len(x) >= LONG else []
-    if corners and all(len(at) < FEW_CORNERS * len(x) for at in corners):
+    if corners and all(len(at) < few * len(x) for at in corners):
         out = np.stack([_along(low[:, j], high[:, j], start[j], at) for j, at in enumerate(corners)], axis=-1)
         return out, out[-1].copy()
     # One step clamps to a band, and clamps after one another are a clamp: all of them by doubling, not row by row.
@@ -139,14 +136,18 @@ def lagging(steps: Array, constant: Array, *, held: bool) -> tuple[Array, Array,
     return 1.0 - gone, straight - 1.0 + gone, 1.0 - straight
 
 
-def below(steps: Array, constant: Array) -> Array:
-    """Share of its bow by which a lag's output after steps (s) is below that of a straight input: half the mean of s (1 - s)."""
+def below(steps: Array, constant: Array, *, least: float = 1e-2) -> Array:
+    """Share of its bow by which a lag's output after steps (s) is below that of a straight input: half the mean of s (1 - s).
+
+    Args:
+        least: of a step over the constant from which its shares are no series.
+    """
     ratio = steps / constant
-    r = np.maximum(ratio, LEAST_RATIO)
+    r = np.maximum(ratio, least)
     left = np.exp(-r)
     first, second = (1.0 - left * (1.0 + r)) / r, (2.0 - left * (2.0 + 2.0 * r + r * r)) / r**2
     # Of short steps the rest of a series: the terms above cancel.
-    return np.where(ratio < LEAST_RATIO, ratio / 12.0 - ratio**2 / 24.0, 0.5 * (first - second))
+    return np.where(ratio < least, ratio / 12.0 - ratio**2 / 24.0, 0.5 * (first - second))
 
 
 def _lag_evenly(

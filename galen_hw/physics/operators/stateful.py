@@ -23,9 +23,6 @@ from galen_hw.physics.operators.gap_dynamics import gap
 from galen_hw.physics.operators.stick_slip_servo import ServoState, servo
 from galen_hw.spatial import Array
 
-MEAN_BOW = 1.0 / 12.0
-"""By which share of a parabola's second difference a straight line lies above it, in the mean over a step."""
-
 Memory = dict[Any, Any]
 """What operators remember from row to row, by the name of their place in the effect."""
 
@@ -142,7 +139,8 @@ class Operated:
 
     def straightened(self, name: Any, x: Array) -> Array:
         """(N, m) inputs of which straight lines between the rows are, in the mean, what the inputs are, see `operators.bow`."""
-        return x - MEAN_BOW * self._bows(name, x)
+        # A straight line lies above its parabola by half the mean of s (1 - s) of the second difference.
+        return x - 1.0 / 12.0 * self._bows(name, x)
 
     def _bows(self, name: Any, x: Array) -> Array:
         return self._carried(name, x, lambda part, state: bow(self.time[part], x[part], state))

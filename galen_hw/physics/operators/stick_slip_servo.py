@@ -12,12 +12,6 @@ from galen_hw.spatial import Array
 
 MANY_SERVOS = 48
 """From which they are walked side by side: a row of arrays costs as much as about so many single numbers."""
-CHUNK = 256
-"""Rows in which the end of a phase is sought at first."""
-BRIEF = 64
-"""Rows of a phase below which it costs less to walk row by row, as what comes next probably does too."""
-STRETCH, LONGEST_STRETCH = 128, 8192
-"""Rows that are walked then, at first and at most."""
 
 
 @dataclass(frozen=True)
@@ -104,9 +98,26 @@ class _Servo:
             at.append(q)
         return at
 
-    def followed(self, q: float, share: float, little: float, command: Array) -> Array:
-        """The same (N,) where all rows have the same shares: it slips to one side, or sticks, over many rows at once."""
-        count, begun, stretch = len(command), 0, STRETCH
+    def followed(
+        self,
+        q: float,
+        share: float,
+        little: float,
+        command: Array,
+        *,
+        brief: int = 64,
+        first_stretch: int = 128,
+        longest: int = 8192,
+    ) -> Array:
+        """The same (N,) where all rows have the same shares: it slips to one side, or sticks, over many rows at once.
+
+        Args:
+            brief: rows of a phase below which it costs less to walk row by row, as what comes next probably
+                does too.
+            first_stretch: rows that are walked then, at first.
+            longest: rows that are walked then, at most.
+        """
+        count, begun, stretch = len(command), 0, first_stretch
         if count < LONG or not share < 1.0:
             return np.array(self.walked(q, repeat(share), repeat(little), command.tolist()))
         out, loose, stuck = np.empty(count), _Following.of(command, q, share), _Following.of(command, q, little)
@@ -119,18 +130,22 @@ class _Servo:
             out[begun:end] = how.place[begun + 1 : end + 1] - side * self.band
             fading = how.fading[1 : end - begun + 1]
             out[begun : begun + len(fading)] += apart * fading
-            if end - begun >= BRIEF:
-                stretch = STRETCH
+            if end - begun >= brief:
+                stretch = first_stretch
             else:
                 start, end = end, min(end + stretch, count)
                 walk = self.walked(float(out[start - 1]), repeat(share), repeat(little), command[start:end].tolist())
-                out[start:end], stretch = walk, min(2 * stretch, LONGEST_STRETCH)
+                out[start:end], stretch = walk, min(2 * stretch, longest)
             begun, q = end, float(out[end - 1])
         return out
 
-    def _end(self, how: "_Following", begun: int, side: float, apart: float) -> int:
-        """First row behind `begun` at which it no longer slips to this side, or no longer sticks (0)."""
-        row, size = begun + 1, CHUNK
+    def _end(self, how: "_Following", begun: int, side: float, apart: float, *, chunk: int = 256) -> int:
+        """First row behind `begun` at which it no longer slips to this side, or no longer sticks (0).
+
+        Args:
+            chunk: rows in which the end is sought at first.
+        """
+        row, size = begun + 1, chunk
         while row < len(how.ahead):
             error = how.ahead[row : row + size] + side * self.band
             fading = how.fading[row - begun : row - begun + len(error)]

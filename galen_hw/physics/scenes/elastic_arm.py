@@ -142,11 +142,6 @@ class GivingScene(PoseScene):
         return np.concatenate([move, screw[:, 3:]], axis=1)[:, :width]
 
 
-RESTING, FEW, SIGMAS = 0.2, 10, 4.5
-"""A load rests within this share of a play's half width about its mean, and within so many standard deviations once some
-loads have shown it."""
-
-
 @dataclass(slots=True)
 class RestingLoad:
     """Mean of a load from the start, for as long as it rests.
@@ -159,12 +154,18 @@ class RestingLoad:
     mean: float = 0.0
     square: float = 0.0
 
-    def take(self, load: float, half_width: float) -> bool:
-        """Return whether it rests still; a load that moves is no part of the mean."""
+    def take(self, load: float, half_width: float, *, share: float = 0.2, few: int = 10, sigmas: float = 4.5) -> bool:
+        """Return whether it rests still; a load that moves is no part of the mean.
+
+        Args:
+            share: of a play's half width about the mean within which a load rests.
+            few: loads that show how much they scatter.
+            sigmas: standard deviations about the mean within which it rests then.
+        """
         away = load - self.mean
-        if self.count and abs(away) > RESTING * half_width:
+        if self.count and abs(away) > share * half_width:
             return False
-        if self.count >= FEW and away * away > SIGMAS * SIGMAS * self.square / self.count:
+        if self.count >= few and away * away > sigmas * sigmas * self.square / self.count:
             return False
         self.count += 1
         self.mean += away / self.count

@@ -16,8 +16,6 @@ from galen_hw.spatial import Array
 
 FEW = 20
 """Rows on the way up, and as many on the way down, from which an offset between them is told."""
-COARSE = 4000
-"""Ports of a URDF are smooth along the motion: they are evaluated on about so many rows and interpolated."""
 
 FOLLOWS = 0.1
 """Share of a simulated servo's error that another cause than its response may have for that to be taken as known."""
@@ -71,12 +69,16 @@ class JointScene(Scene):
         order = [self.joint_index(_joint(name)) for name in self.channels]
         return np.asarray(values[:, order])
 
-    def _coarse(self, run: Callable[[Any], Array]) -> Array:
-        """run(rows) -> (M, ...) on an even choice of rows, cubic in between; exact where there are few."""
+    def _coarse(self, run: Callable[[Any], Array], *, most: int = 4000) -> Array:
+        """run(rows) -> (M, ...) on an even choice of rows, cubic in between; exact where there are few.
+
+        Args:
+            most: rows: ports of a URDF are smooth along the motion.
+        """
         n = len(self)
-        if n <= COARSE or len(self.segments) > 1:
+        if n <= most or len(self.segments) > 1:
             return np.asarray(run(np.arange(n)))
-        rows = np.unique(np.linspace(0, n - 1, COARSE).astype(int))
+        rows = np.unique(np.linspace(0, n - 1, most).astype(int))
         return np.asarray(CubicSpline(rows, run(rows), axis=0)(np.arange(n)))
 
 

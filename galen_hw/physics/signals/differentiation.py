@@ -14,17 +14,19 @@ from galen_hw.physics.signals.rest_to_rest import moved
 from galen_hw.physics.signals.splines import SHORTEST, motion_band, spline
 from galen_hw.spatial import Array
 
-ORDER = 4
 NARROW = 5
 CUT = 1.5
 """Cut-off of the low-pass over the band of the motion."""
-LONGEST_KEPT = 50_000
-"""Samples of the longest signal whose derivatives are kept, and how many such: 100 MB at most."""
 MOST_KEPT = 24
 
 
-def _rates(x: Array, dt: float) -> tuple[Array, Array]:
-    options = {"window_length": NARROW, "polyorder": ORDER, "delta": dt, "mode": "interp"}
+def _rates(x: Array, dt: float, *, order: int = 4) -> tuple[Array, Array]:
+    """Return the first and second derivative of a signal (N,), of which rows are dt apart, by local polynomials.
+
+    Args:
+        order: of the local polynomials.
+    """
+    options = {"window_length": NARROW, "polyorder": order, "delta": dt, "mode": "interp"}
     return savgol_filter(x, deriv=1, **options), savgol_filter(x, deriv=2, **options)
 
 
@@ -45,9 +47,13 @@ def denoised(time: Array, x: Array, segments: list[slice]) -> Array:
     return out
 
 
-def _followed(t: Array, x: Array, *, place: bool = True) -> Array | None:
-    """As `_through`; what was asked before is not computed again: premises and search simulate one recording many times."""
-    if len(t) > LONGEST_KEPT:
+def _followed(t: Array, x: Array, *, place: bool = True, longest: int = 50_000) -> Array | None:
+    """As `_through`; what was asked before is not computed again: premises and search simulate one recording many times.
+
+    Args:
+        longest: samples of a signal whose derivatives are kept.
+    """
+    if len(t) > longest:
         return _through(t, x, place=place)
     found = _kept(np.ascontiguousarray(t, dtype=float).tobytes(), np.ascontiguousarray(x, dtype=float).tobytes(), place)
     return None if found is None else found.copy()
@@ -109,34 +115,39 @@ def smoothed(time: Array, x: Array, segments: list[slice], band: float, *, bridg
     return out
 
 
-LINE, ALONE_BY = 60.0, 4.0
-"""Power of a line over the median of the spectrum that noise never has, exp(-40) in one place; and over the next line."""
-FOOT = 5
-"""Lines on either side that a line's window spreads it over, and that its phase's wander does."""
+def has_line(
+    x: Array, dt: float, above: float, *, foot: int = 5, over_median: float = 60.0, over_next: float = 4.0
+) -> bool:
+    """Return whether a signal (N,) holds one narrow line, and no row of lines, above a frequency (Hz).
 
-
-def has_line(x: Array, dt: float, above: float) -> bool:
-    """Return whether a signal (N,) holds one narrow line, and no row of lines, above a frequency (Hz)."""
+    Args:
+        foot: lines on either side that a line's window spreads it over, and that its phase's wander does.
+        over_median: power of a line over the median of the spectrum that noise never has, exp(-40) in one place.
+        over_next: power of a line over the next one.
+    """
     n = len(x)
     first = max(int(np.ceil(above * n * dt)), 1)
     if n < SHORTEST or n // 2 - first < SHORTEST or not np.isfinite(x).all():
         return False
     power = np.abs(np.fft.rfft((x - np.mean(x)) * np.hanning(n)))[first:] ** 2
     peak = int(np.argmax(power))
-    others = np.delete(power, np.s_[max(peak - FOOT, 0) : peak + FOOT + 1])
-    return bool(power[peak] > max(LINE * float(np.median(others)), ALONE_BY * float(np.max(others))) > 0.0)
+    others = np.delete(power, np.s_[max(peak - foot, 0) : peak + foot + 1])
+    return bool(power[peak] > max(over_median * float(np.median(others)), over_next * float(np.max(others))) > 0.0)
 
 
-ALONE, AROUND = 3, 101
-"""So many samples in a row may be isolated, more are an event; and of so many around nine of ten say what is usual."""
+ALONE = 3
+"""Samples in a row that may be isolated; more are an event."""
 
 
-def isolated(x: Array) -> NDArray[np.bool_]:
+def isolated(x: Array, *, width: int = 101) -> NDArray[np.bool_]:
     """(N,) samples, at most three in a row, that stand out to one side of what lies before and after them.
 
     How far a sample stands out is the smaller of its distances to the third one before and after, where both have one sign;
     zero on slopes, steps and ramps. It must be six times what nine samples of ten around it stay below, and twice what the
     signal itself changes there from the sixth sample to the third (a cusp is no spike).
+
+    Args:
+        width: samples around, of which nine of ten say what is usual.
     """
     n = len(x)
     none = np.zeros(n, dtype=bool)
@@ -149,7 +160,7 @@ def isolated(x: Array) -> NDArray[np.bool_]:
     if not out.any():
         return none
     # At an end its own value counts as all that lies beyond, unless that would be most of what there is.
-    around = percentile_filter(out, 90, size=AROUND, mode="nearest" if n >= AROUND else "reflect")
+    around = percentile_filter(out, 90, size=width, mode="nearest" if n >= width else "reflect")
     usual = np.maximum(around, max(float(np.quantile(out, 0.9)), float(out[out > 0.0].min())))
     needed = np.maximum(6.0 * usual, 2.0 * np.maximum(np.abs(third - sixth), np.abs(next_third - next_sixth)))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], out > needed, [False]]).astype(int)))
@@ -197,33 +208,28 @@ def _on_grid(t: Array, x: Array, band: float | None) -> Array:
     return np.asarray(CubicSpline(grid, _filtered(np.interp(grid, t, x), step, band), axis=1)(t))
 
 
-WHITE = 0.75
-"""Mean squared step over twice the variance from which a signal is noise: 1 for white noise, nothing for motion."""
-MEDIAN_OF_NORMAL = 0.6745
-"""Median size of what is normal with a standard deviation of one."""
 STILL_ROWS = 8
 """Rows of which the mean is one value where a rest is sought."""
-STILL_S = 1.0
-"""Shortest rest that is worth finding, in s."""
-STILL = 3.5
-"""Standard errors by which a mean may be away from the rest that it is part of."""
-STILL_SUM = 2.0
-"""And standard deviations by which the sum of their squares may exceed what noise makes: a slow motion is no rest."""
 
 
-def at_rest(time: Array, x: Array, segments: list[slice]) -> Array:
+def at_rest(time: Array, x: Array, segments: list[slice], *, white_from: float = 0.75, shortest: float = 1.0) -> Array:
     """Signals (N, n) over time (N,) in s with the mean of each rest in its place, as far as their own noise can tell rests.
 
     At rest a reading holds noise alone (successive rows know nothing of each other); a whole segment may be one.
+
+    Args:
+        white_from: mean squared step over twice the variance from which a signal is noise: 1 for white noise,
+            nothing for motion.
+        shortest: rest that is worth finding, in s.
     """
     out = x.copy()
     for part in segments:
         if part.stop - part.start < SHORTEST:
             continue
         spread = np.var(x[part], axis=0)
-        white = np.mean(np.diff(x[part], axis=0) ** 2, axis=0) > WHITE * 2.0 * spread
+        white = np.mean(np.diff(x[part], axis=0) ** 2, axis=0) > white_from * 2.0 * spread
         out[part] = np.where(white & (spread > 0.0), np.mean(x[part], axis=0), x[part])
-        length = max(math.ceil(STILL_S / float(np.median(np.diff(time[part]))) / STILL_ROWS), 3)
+        length = max(math.ceil(shortest / float(np.median(np.diff(time[part]))) / STILL_ROWS), 3)
         for j in np.flatnonzero(~white):
             for rest in _rests(x[part, j], length):
                 at = slice(part.start + rest.start, part.start + rest.stop)
@@ -237,13 +243,17 @@ def row_noise(x: Array, segments: list[slice]) -> float:
     By the median of fourth differences, in which noise has 70 times its variance and what moves at the pace of an arm is gone.
     """
     every = np.concatenate([np.diff(x[part], 4) for part in segments])
-    return float(np.nanmedian(np.abs(every))) / (MEDIAN_OF_NORMAL * math.sqrt(70.0)) if len(every) else math.nan
+    # Half of what is normal is smaller than 0.6745 standard deviations.
+    return float(np.nanmedian(np.abs(every))) / (0.6745 * math.sqrt(70.0)) if len(every) else math.nan
 
 
-def _rests(x: Array, shortest: int) -> Iterator[slice]:
+def _rests(x: Array, shortest: int, *, still: float = 3.5) -> Iterator[slice]:
     """Runs of rows of a noisy signal (N,) that stays where it is, of at least `shortest` times `STILL_ROWS` rows.
 
     Means of a few rows each stay within what the noise of a row makes of them, each and as a whole.
+
+    Args:
+        still: standard errors by which a mean may be away from the rest that it is part of.
     """
     count = len(x) // STILL_ROWS
     sigma = row_noise(x, [slice(None)])
@@ -255,7 +265,7 @@ def _rests(x: Array, shortest: int) -> Iterator[slice]:
         last, total = first, 0.0
         while last < count:
             n = last - first
-            if n and abs(means[last] - total / n) > STILL * math.sqrt(1.0 + 1.0 / n):
+            if n and abs(means[last] - total / n) > still * math.sqrt(1.0 + 1.0 / n):
                 break
             total, last = total + means[last], last + 1
         n = last - first
@@ -267,26 +277,40 @@ def _rests(x: Array, shortest: int) -> Iterator[slice]:
             first += max(n // 4, 1)
 
 
-def _stays(z: Array) -> bool:
-    """Return whether values (n,) of unit variance are that alone: no coarser means of them, down to two, are further apart."""
+def _stays(z: Array, *, most: float = 2.0) -> bool:
+    """Return whether values (n,) of unit variance are that alone: no coarser means of them, down to two, are further apart.
+
+    Args:
+        most: standard deviations by which the sum of their squares may exceed what noise makes: a slow motion is
+            no rest.
+    """
     while len(z) >= 2:
-        if float(np.sum((z - z.mean()) ** 2)) > len(z) - 1 + STILL_SUM * math.sqrt(2.0 * (len(z) - 1)):
+        if float(np.sum((z - z.mean()) ** 2)) > len(z) - 1 + most * math.sqrt(2.0 * (len(z) - 1)):
             return False
         z = (z[: len(z) // 2 * 2].reshape(-1, 2).sum(axis=1)) / math.sqrt(2.0)
     return True
 
 
-END = 0.6
-"""So many periods of the low-pass's cut-off from an end of a segment derivatives are a guess: half of their rows are missing."""
-LONGEST_END_S = 1.0
-MOST_OF_SEGMENT = 0.05
-"""Of a segment's time, at either end: a joint that rests has no band, and must not cost the recording."""
-
-
-def ends(time: Array, x: Array, segments: list[slice], band: float | None = None) -> NDArray[np.bool_]:
+def ends(
+    time: Array,
+    x: Array,
+    segments: list[slice],
+    band: float | None = None,
+    *,
+    periods: float = 0.6,
+    longest: float = 1.0,
+    most: float = 0.05,
+) -> NDArray[np.bool_]:
     """(N,) rows so near to an end of their segment that derivatives of the signals (N, n) over time (N,) in s are not known.
 
     The band is that of the low-pass in Hz; found here, the lowest of the signals counts. Few rows of each segment.
+
+    Args:
+        periods: of the low-pass's cut-off from an end of a segment in which derivatives are a guess: half of
+            their rows are missing.
+        longest: s, of such an end.
+        most: share of a segment's time, at either end: a joint that rests has no band, and must not cost the
+            recording.
     """
     out = np.zeros(len(x), dtype=bool)
     for part in segments:
@@ -295,6 +319,6 @@ def ends(time: Array, x: Array, segments: list[slice], band: float | None = None
             continue
         dt = float(np.median(np.diff(t)))
         lowest = min((band or motion_band(column, dt) for column in x[part].T), default=0.5 / dt)
-        reach = min(END / (CUT * lowest), LONGEST_END_S, MOST_OF_SEGMENT * float(t[-1] - t[0]))
+        reach = min(periods / (CUT * lowest), longest, most * float(t[-1] - t[0]))
         out[part] = (t < t[0] + reach) | (t > t[-1] - reach)
     return out

@@ -9,79 +9,66 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import LinAlgError, eigh
 
-from galen_hw.physics.signals.splines import DEGREE
+from galen_hw.physics.signals.splines import DEGREE, MOST_KNOTS
 from galen_hw.spatial import Array
 
-PIECES: Final = (6, 12, 24)
-"""Of a move's spline; cross-validation takes one number for all moves of a signal."""
-STARTS: Final = (3, 2)
-"""Equal coefficients at a rest: three start a spline with neither speed nor acceleration, two without speed alone."""
-CLEARLY: Final = 0.5
-"""Share of the score of starts without a jolt at which starts with one are believed."""
 PENALTIES: Final = 10.0 ** np.arange(-10.0, 3.0)
 """Of the squared fourth derivative over the pieces."""
-SHIFTS: Final = (-8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5)
-"""Rows after the last one at rest at which a move may begin: its first ones may hide in a reading's last digit."""
-USUAL: Final = (-1.0, 0.0)
-"""Of these, where the search begins: at what suits all moves best."""
-HIDDEN: Final = -4.0
-"""Where half of the moves begin no later, their readings are too coarse to say how they do."""
-SAMPLED: Final = 12
-"""Moves that say how smooth all are."""
-AROUND: Final = 9
-"""Rows of the rests on either side that count as a move's: as far as it may reach."""
-REST_ROWS: Final = 16
-REST_S: Final = 0.2
-"""Equal readings, and how long, that are a rest; fewer may be a slow move in steps of the encoder."""
-MOVE_ROWS: Final = 12
-"""Fewest rows of a move; fewer are a step of the encoder or a flicker, and the signal is none of moves and rests."""
-MOST_FREE: Final = 0.7
-"""Coefficients per row; more would smooth nothing."""
-FITS: Final = 1.5
-"""Times the variance of the readings' own noise that the moves' splines may leave."""
-EXACT: Final = 1e-15
-"""Share of a signal's variance that they may leave, whatever its noise: readings that hold none."""
-SMALLER: Final = 0.8
-MEAN_OF_SMALLER: Final = 0.5586
-"""Mean size of so many of the smallest of what is normal with a standard deviation of one."""
 MOST_KEPT: Final = 2048
 """Splines that are kept ready: on an even clock the moves of a sweep are alike, and so are those of its joints."""
 
-EVEN: Final = 1e-3
-"""Share of a step by which the clock of a recording is even but for rounding."""
-NOTHING: Final = 1e-6
-"""Rows that are none."""
 
 Ends = tuple[float, float]
 """Rows after the last one of the rest before at which a move begins, and before the first one of the next at which it ends."""
 
 
-def moved(t: Array, x: Array) -> Array | None:
+def moved(
+    t: Array,
+    x: Array,
+    *,
+    hidden: float = -4.0,
+    sampled: int = 12,
+    around: int = 9,
+    fewest: int = 12,
+    fits: float = 1.5,
+    exact: float = 1e-15,
+    uneven: float = 1e-3,
+) -> Array | None:
     """Signal (N,) over times (N,) in s by moves and rests, with two derivatives (3, N); None: it is not made of these.
 
     A rest is a run of equal readings. At its ends speed and acceleration are zero, or the speed alone where an arm starts with
     a jolt. Penalised is the fourth derivative, of which moves of little jerk have little (Flash and Hogan 1985); how much and
     how finely, for all moves alike, and to half a row when each begins and ends, generalised cross-validation says (Craven and
     Wahba 1979). Splines that leave clearly more than the noise of the readings are not believed, unless that is next to nothing.
+
+    Args:
+        hidden: rows; where half of the moves begin no later, their readings are too coarse to say how they do.
+        sampled: moves that say how smooth all are.
+        around: rows of the rests on either side that count as a move's: as far as it may reach.
+        fewest: rows of a move; fewer are a step of the encoder or a flicker, and the signal is none of moves and
+            rests.
+        fits: times the variance of the readings' own noise that the moves' splines may leave.
+        exact: share of a signal's variance that they may leave, whatever its noise: readings that hold none.
+        uneven: share of a step by which the clock of a recording is even but for rounding.
     """
     rests = _rests(t, x) if np.isfinite(x).all() else []
     between = list(_between(rests, len(x))) if rests else []
-    if not between or any(b - a < MOVE_ROWS for a, b, *_ in between):
+    if not between or any(b - a < fewest for a, b, *_ in between):
         return None
     step = float(np.median(np.diff(t)))
-    places = [slice(a - AROUND if after else a, b + AROUND if before else b) for a, b, after, before in between]
-    even = bool(np.ptp(np.diff(t)) < EVEN * step)
+    places = [slice(a - around if after else a, b + around if before else b) for a, b, after, before in between]
+    even = bool(np.ptp(np.diff(t)) < uneven * step)
     moves = [
-        _Move(_clock(t[part], step, even=even), x[part], AROUND * after, AROUND * before, even)
+        _Move(_clock(t[part], step, even=even), x[part], around * after, around * before, even)
         for part, (_, _, after, before) in zip(places, between, strict=True)
     ]
-    found = _best_way(moves[:: max(len(moves) // SAMPLED, 1)])
+    found = _best_way(moves[:: max(len(moves) // sampled, 1)])
     if found is None:
         return None
     way, usual = found
     ends = [one.best_ends(way, usual) for one in moves]
     sought = np.concatenate([one.sought(at) for one, at in zip(moves, ends, strict=True)])
-    if np.median(sought) <= HIDDEN:
+    if np.median(sought) <= hidden:
         return None
     out = np.zeros((3, len(x)))
     for a, b in rests:
@@ -94,7 +81,7 @@ def moved(t: Array, x: Array) -> Array | None:
         out[:, part], used = follows
         left += float(np.sum((out[0, part] - one.x) ** 2))
         free += len(one.x) - used
-    if left > max(FITS * _noise(t, x, places) ** 2 * free, EXACT * len(x) * float(np.var(x))):
+    if left > max(fits * _noise(t, x, places) ** 2 * free, exact * len(x) * float(np.var(x))):
         return None
     return np.asarray(out / np.array([[1.0], [step], [step**2]]))
 
@@ -139,17 +126,28 @@ class _Move:
         resting = np.sum((x[: rows.start] - x[0]) ** 2) + np.sum((x[rows.stop :] - x[-1]) ** 2)
         return np.asarray((made.left(x[rows], x[0], x[-1]) + resting) / (1.0 - made.used / len(x)) ** 2)
 
-    def best_ends(self, way: _Way, at: Ends) -> Ends:
-        """Where it begins and ends best, one after the other: downhill from where it stands."""
+    def best_ends(
+        self,
+        way: _Way,
+        at: Ends,
+        *,
+        shifts: tuple[float, ...] = (-8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5),
+    ) -> Ends:
+        """Where it begins and ends best, one after the other: downhill from where it stands.
+
+        Args:
+            shifts: rows after the last one at rest at which a move may begin: its first ones may hide in a
+                reading's last digit.
+        """
         for side in (k for k, rows in enumerate((self.before, self.after)) if rows):
 
             def placed(k: int, at: Ends = at, side: int = side) -> Ends:
-                return (SHIFTS[k], at[1]) if side == 0 else (at[0], SHIFTS[k])
+                return (shifts[k], at[1]) if side == 0 else (at[0], shifts[k])
 
             def score(k: int, placed: Callable[[int], Ends] = placed) -> float:
-                return float(self.scores(way, placed(k))[way.penalty]) if 0 <= k < len(SHIFTS) else np.inf
+                return float(self.scores(way, placed(k))[way.penalty]) if 0 <= k < len(shifts) else np.inf
 
-            k = SHIFTS.index(at[side])
+            k = shifts.index(at[side])
             here = score(k)
             for step in (-1, 1):
                 while (there := score(k + step)) < here:
@@ -172,12 +170,16 @@ class _Move:
         out[:, rows] = made.derivatives(made.through(self.x[rows], self.x[0], self.x[-1], way.penalty))
         return out, float(made.used[way.penalty])
 
-    def _splines(self, way: _Way, ends: Ends) -> tuple["_Splines", slice] | None:
-        """Splines that may go through it, and the rows between its ends."""
+    def _splines(self, way: _Way, ends: Ends, *, nothing: float = 1e-6) -> tuple["_Splines", slice] | None:
+        """Splines that may go through it, and the rows between its ends.
+
+        Args:
+            nothing: rows that are none.
+        """
         u = self.clock
         first = float(u[self.before - 1] + ends[0] if self.before else u[0])
         last = float(u[-self.after] - ends[1] if self.after else u[-1])
-        rows = slice(*np.searchsorted(u, [first - NOTHING, last + NOTHING]))
+        rows = slice(*np.searchsorted(u, [first - nothing, last + nothing]))
         heads, tails = (way.fixed if rest else 0 for rest in (self.before, self.after))
         length, many = round(last - first, 6), rows.stop - rows.start
         if self.even:
@@ -187,19 +189,34 @@ class _Move:
         return None if made is None else (made, rows)
 
 
-def _best_way(moves: Sequence[_Move]) -> tuple[_Way, Ends] | None:
-    """What cross-validation says of some moves together, and where to begin; starts with a jolt only where it says so clearly."""
+def _best_way(
+    moves: Sequence[_Move],
+    *,
+    numbers: tuple[int, ...] = (6, 12, 24),
+    starts: tuple[int, ...] = (3, 2),
+    clearly: float = 0.5,
+    first: tuple[float, ...] = (-1.0, 0.0),
+) -> tuple[_Way, Ends] | None:
+    """What cross-validation says of some moves together, and where to begin; starts with a jolt only where it says so clearly.
+
+    Args:
+        numbers: pieces of a move's spline that are tried.
+        starts: equal coefficients at a rest: three start a spline with neither speed nor acceleration, two
+            without speed alone.
+        clearly: share of the score of starts without a jolt at which starts with one are believed.
+        first: rows after the last one at rest where the search for the ends begins: at what suits all moves best.
+    """
 
     def told(way: _Way, ends: Sequence[Ends]) -> tuple[float, int]:
         every = np.sum([one.scores(way, at) for one, at in zip(moves, ends, strict=True)], axis=0)
         return float(np.min(every)), int(np.argmin(every))
 
     best: list[tuple[float, _Way, Ends]] = []
-    for fixed in STARTS:
+    for fixed in starts:
         tried: list[tuple[float, _Way, Ends]] = []
-        for pieces in PIECES:
+        for pieces in numbers:
             way = _Way(pieces, fixed)
-            (_, penalty), usual = min((told(way, [(at, at)] * len(moves)), (at, at)) for at in USUAL)
+            (_, penalty), usual = min((told(way, [(at, at)] * len(moves)), (at, at)) for at in first)
             way = way._replace(penalty=penalty)
             ends = [one.best_ends(way, usual) for one in moves]
             score, penalty = told(way, ends)
@@ -208,7 +225,7 @@ def _best_way(moves: Sequence[_Move]) -> tuple[_Way, Ends] | None:
     smooth, jolt = best
     if not np.isfinite(min(smooth[0], jolt[0])):
         return None
-    return jolt[1:] if jolt[0] < CLEARLY * smooth[0] else smooth[1:]
+    return jolt[1:] if jolt[0] < clearly * smooth[0] else smooth[1:]
 
 
 def _noise(t: Array, x: Array, parts: Sequence[slice]) -> float:
@@ -223,13 +240,19 @@ def _noise(t: Array, x: Array, parts: Sequence[slice]) -> float:
         shares = 1.0 / np.prod(near[:, :, None] - near[:, None, :] + np.eye(5), axis=2)
         every.append(np.sum(shares * read, axis=1) / np.sqrt(np.sum(shares**2, axis=1)))
     size = np.sort(np.abs(np.concatenate(every)))
-    return float(np.mean(size[: int(SMALLER * len(size))])) / MEAN_OF_SMALLER
+    # The smaller four fifths of what is normal have a mean size of 0.5586 standard deviations.
+    return float(np.mean(size[: int(0.8 * len(size))])) / 0.5586
 
 
-def _rests(t: Array, x: Array) -> list[tuple[int, int]]:
-    """Runs of equal values in a signal (N,) at times (N,), first row and the one after the last."""
+def _rests(t: Array, x: Array, *, fewest: int = 16, shortest: float = 0.2) -> list[tuple[int, int]]:
+    """Runs of equal values in a signal (N,) at times (N,), first row and the one after the last.
+
+    Args:
+        fewest: equal readings that are a rest; fewer may be a slow move in steps of the encoder.
+        shortest: s, of such a rest.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], (np.diff(x) == 0.0).astype(int), [0]]))).reshape(-1, 2)
-    return [(int(a), int(b) + 1) for a, b in edges if b + 1 - a >= REST_ROWS and t[b] - t[a] >= REST_S]
+    return [(int(a), int(b) + 1) for a, b in edges if b + 1 - a >= fewest and t[b] - t[a] >= shortest]
 
 
 def _between(rests: Sequence[tuple[int, int]], n: int) -> Iterator[tuple[int, int, bool, bool]]:
@@ -298,7 +321,7 @@ def _evenly(many: int, first: float, length: float, pieces: int, heads: int, tai
 
 def _made(rows: Array, length: float, pieces: int, heads: int, tails: int) -> _Splines | None:
     """Splines over rows (n,) at places along a length in rows; None: too few rows."""
-    if pieces + DEGREE - heads - tails > MOST_FREE * len(rows):
+    if pieces + DEGREE - heads - tails > MOST_KNOTS * len(rows):
         return None
     knots = np.concatenate([np.zeros(DEGREE), np.linspace(0.0, length, pieces + 1), np.full(DEGREE, length)])
     basis = BSpline.design_matrix(rows, knots, DEGREE).toarray()

@@ -12,28 +12,21 @@ SHORTEST = 64
 """Rows too few to tell motion from noise."""
 DEGREE = 5
 """Of the splines: their second derivative is still a cubic."""
-KNOTS = (2.0, 3.0, 4.0, 6.0, 12.0)
-"""Per period of the highest frequency of the motion, of which cross-validation takes one; few suit motion of a sharp band."""
 MOST_KNOTS = 0.7
 """Of the rows; more would smooth nothing."""
 DIFFERENCES = 4
 """Order of the penalised differences: two above the second derivative, which is wanted."""
-PENALTIES = np.arange(-6.0, 7.0, 2.0)
-"""Decades of the penalty over the weight of the rows on one coefficient."""
-DECADE = 0.1
-"""To which share of a decade the penalty is sought."""
-CLOSE = 1e-12
-"""Share of a signal's variance that a spline may leave, whatever it looks like."""
-ROUGH = 0.4
-"""Correlation of successive rows of what a spline leaves, beyond which that is motion that it could not follow."""
 
 
-def motion_band(x: Array, dt: float) -> float:
+def motion_band(x: Array, dt: float, *, falling: float = 3.0) -> float:
     """Highest frequency (Hz) at which a signal (N,) stands above its own noise; the Nyquist frequency where it does all along.
 
     The noise level is the median of the periodogram's upper half, and at each frequency no less than the median of the tenth of
     the band above it, up to three times that level (samples that were brought to an even clock have less noise at the top, but
     what falls by more is a signal); the band ends where a smoothed periodogram last exceeds it eightfold.
+
+    Args:
+        falling: times the noise at the top that noise further down may be: what rows left out do to it.
     """
     n = len(x)
     if n < SHORTEST:
@@ -45,12 +38,8 @@ def motion_band(x: Array, dt: float) -> float:
     level = float(np.median(power[n // 4 :])) / 0.69
     if level <= 1e-18 * float(smooth.max()):
         return 0.5 / dt
-    above = np.flatnonzero(smooth > 8.0 * np.clip(_median_above(power) / 0.69, level, FALLING * level))
+    above = np.flatnonzero(smooth > 8.0 * np.clip(_median_above(power) / 0.69, level, falling * level))
     return float((above[-1] + 1 if len(above) else 1) / (n * dt))
-
-
-FALLING = 3.0
-"""Times the noise at the top that noise further down may be: what rows left out do to it."""
 
 
 def _median_above(power: Array) -> Array:
@@ -61,30 +50,56 @@ def _median_above(power: Array) -> Array:
     return np.asarray(np.interp(np.arange(len(power)), places, np.median(tenths[places], axis=1)))
 
 
-def spline(t: Array, x: Array) -> BSpline | None:
+def spline(
+    t: Array,
+    x: Array,
+    *,
+    counted: tuple[float, ...] = (2.0, 3.0, 4.0, 6.0, 12.0),
+    exact: float = 1e-12,
+    rough: float = 0.4,
+) -> BSpline | None:
     """Penalised spline through a signal (N,) under white noise at rising times (N,) in s; None: no noise can be told.
 
     Knots evenly over the rows and a penalty on differences of their coefficients; how many and how much generalised
     cross-validation says (Eilers and Marx 1996; Craven and Wahba 1979). With a penalty it falls off as the motion does. By knots
     alone all noise passes up to their band: differentiated twice, that is what a lag would seem to take away. Unlike a filter it
     needs no continuation beyond the ends. None for a signal without noise or too quick for its rows.
+
+    Args:
+        counted: knots per period of the highest frequency of the motion, of which cross-validation takes one; few
+            suit motion of a sharp band.
+        exact: share of a signal's variance that a spline may leave, whatever it looks like.
+        rough: correlation of successive rows of what a spline leaves, beyond which that is motion that it could
+            not follow.
     """
     n = len(x)
     if n < SHORTEST:
         return None
     even = np.interp(np.linspace(t[0], t[-1], n), t, x)
     band = motion_band(even, 1.0)
-    if band >= 0.5 or KNOTS[0] * band > MOST_KNOTS:
+    if band >= 0.5 or counted[0] * band > MOST_KNOTS:
         return None
-    counts = sorted({max(round(min(knots * band, MOST_KNOTS) * n), 4) for knots in KNOTS})
+    counts = sorted({max(round(min(knots * band, MOST_KNOTS) * n), 4) for knots in counted})
     _, found = min((_penalised(t, x, pieces) for pieces in counts), key=lambda one: one[0])
     left = x - found(t)
-    close = float(left @ left) < CLOSE * n * float(np.var(x))
-    return found if close or abs(float(left[1:] @ left[:-1])) < ROUGH * float(left @ left) else None
+    close = float(left @ left) < exact * n * float(np.var(x))
+    return found if close or abs(float(left[1:] @ left[:-1])) < rough * float(left @ left) else None
 
 
-def _penalised(t: Array, x: Array, pieces: int) -> tuple[float, BSpline]:
-    """What cross-validation says of the best penalty for a spline of so many pieces, and that spline."""
+def _penalised(
+    t: Array,
+    x: Array,
+    pieces: int,
+    *,
+    tolerance: float = 0.1,
+    decades: tuple[float, ...] = (-6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0),
+) -> tuple[float, BSpline]:
+    """What cross-validation says of the best penalty for a spline of so many pieces, and that spline.
+
+    Args:
+        tolerance: to which share of a decade the penalty is sought.
+        decades: of the penalty over the weight of the rows on one coefficient.
+    """
     n = len(x)
     inner = np.interp(np.linspace(0.0, n - 1.0, pieces + 1), np.arange(n), t)
     # Beyond the ends as at the ends: knots that coincide there would make a straight line rough.
@@ -109,10 +124,10 @@ def _penalised(t: Array, x: Array, pieces: int) -> tuple[float, BSpline]:
         left = x - basis @ factors
         return float(left @ left) / (1.0 - free / n) ** 2, factors
 
-    first = float(min(PENALTIES, key=lambda decade: solved(float(decade))[0]))
-    step = float(PENALTIES[1] - PENALTIES[0])
+    first = float(min(decades, key=lambda decade: solved(float(decade))[0]))
+    step = float(decades[1] - decades[0])
     near = first - step, first + step
-    best = minimize_scalar(lambda at: solved(at)[0], bounds=near, method="bounded", options={"xatol": DECADE})
+    best = minimize_scalar(lambda at: solved(at)[0], bounds=near, method="bounded", options={"xatol": tolerance})
     score, factors = solved(float(best.x))
     return score, BSpline(places, factors, DEGREE)
 
