@@ -8,6 +8,7 @@ from galen_hw.diagnosis.detection.proposal import Sought
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.events import Vibration
 from galen_hw.physics.effects.friction import TorqueRipple
+from galen_hw.physics.effects.traits import Line
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
@@ -22,11 +23,16 @@ NARROW = 0.1
 
 
 def lines(
-    scene: Scene, rest: Array, runs: tuple[slice, ...], known: Sequence[Vibration] = (), *, narrow: float = NARROW
+    scene: Scene,
+    rest: Array,
+    runs: tuple[slice, ...],
+    known: Sequence[tuple[tuple[int, ...], Line]] = (),
+    *,
+    narrow: float = NARROW,
 ) -> list[Sought]:
     """The strongest line of the spectrum over its neighbourhood, over all channels and in each.
 
-    `narrow`: share of its frequency that it may reach to either side.
+    `known`: with the places of their channels; `narrow`: share of its frequency that it may reach to either side.
 
     What is left within the breadth of a known line is its own: two lines so near would be each other's wander.
     """
@@ -46,9 +52,9 @@ def lines(
     ratio[: _above_motion(scene, runs, pad, n)] = 0.0
     dt = span / max(n - 1, 1)
     frequency = np.arange(len(ratio)) / (pad * dt)
-    for line in known:
-        near = np.abs(frequency - line.frequency) < line.breadth(scene)
-        ratio[np.ix_(near, [scene.channels.index(name) for name in line.channels])] = 0.0
+    for places, line in known:
+        near = np.abs(frequency - line.frequency) < line.breadth
+        ratio[np.ix_(near, places)] = 0.0
     out = []
     joint = ratio.sum(axis=1)
     for score, names in [

@@ -3,12 +3,14 @@
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeGuard
 
 import numpy as np
 from scipy.fft import dct, fft, idct
 
 from galen_hw.diagnosis.detection.proposal import FEW_ROWS, SHARED, Sought, moment, slow_spread
 from galen_hw.diagnosis.noise.spectrum import Noise
+from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.events import Step
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
@@ -108,6 +110,11 @@ def _returns(rest: Array, rows: list[int]) -> bool:
     jump = np.sum(np.diff(level, axis=0) ** 2, axis=1)
     back = np.sum((level[2:] - level[:-2]) ** 2, axis=1)
     return bool(np.any(back < SAME * np.maximum(jump[1:], jump[:-1]) + SURE * (error[2:] + error[:-2])))
+
+
+def is_seen_by_itself(effect: Effect | None) -> TypeGuard[Step]:
+    """Return whether it is a jump of readings: what has slipped on the arm shows as the arm turns."""
+    return isinstance(effect, Step) and not effect.carried
 
 
 def again(scene: Scene, rest: Array, step: Step, noise: Noise) -> Sought:

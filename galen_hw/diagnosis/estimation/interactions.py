@@ -10,8 +10,7 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.linearisation import rebase
 from galen_hw.diagnosis.estimation.nonlinear import settle
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.physics.effects.base import Downstream, Effect
-from galen_hw.physics.effects.sensor import Saturation
+from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
 
 if TYPE_CHECKING:
@@ -28,9 +27,9 @@ LATER = 0.1
 def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
     """What a late or lagging stream delivers of the other effects is late too: a delayed play is not a delay plus a play."""
     for _ in range(2):
-        theta, now = scorer.solve(chosen)[0], list[tuple[Downstream, Array]]()
+        theta, now = scorer.solve(chosen)[0], list[tuple[Effect, Array]]()
         for h, t in with_parameters(scorer.parts(chosen), theta):
-            if isinstance(h.effect, Downstream):
+            if h.effect is not None and h.effect.DOWNSTREAM:
                 now.append((h.effect, t))
         before = bench.stream
         load(bench, scorer, chosen)
@@ -98,13 +97,13 @@ def _placed(scorer: Scorer, chosen: list[int], theta: Array) -> list[tuple[Effec
     return [(h.effect, t) for h, t in parts if h.effect is not None]
 
 
-def _same_clips(timing: list[tuple[Downstream, Array]], old: "Scene", new: "Scene") -> bool:
+def _same_clips(timing: list[tuple[Effect, Array]], old: "Scene", new: "Scene") -> bool:
     """Return whether the readings that clip are the same ones, and come back to the same constants."""
-    clips = [effect for effect, _ in timing if isinstance(effect, Saturation)]
-    return all(np.array_equal(c.clipped(old), c.clipped(new)) for c in clips)
+    clips = [effect for effect, _ in timing if effect.clips]
+    return all(np.array_equal(c.at_limit(old), c.at_limit(new)) for c in clips)
 
 
-def _same_timing(old: signal_chain.Timing, new: list[tuple[Downstream, Array]]) -> bool:
+def _same_timing(old: signal_chain.Timing, new: list[tuple[Effect, Array]]) -> bool:
     return len(old) == len(new) and all(
         a == b and bool(np.max(np.abs(s - t)) <= LATER * np.max(np.abs(t)))
         for (a, s), (b, t) in zip(old, new, strict=True)

@@ -82,7 +82,7 @@ def worth(bench: Bench, scorer: Scorer, out: Selection, i: int) -> tuple[float, 
     if not len(out.begun):
         out.begun = errors(bench, scorer, out.chosen) ** 2
     weight, begun = where_it_acts(scorer, out.chosen, i, bench), out.begun
-    if effect is not None and effect.OCCASIONAL:
+    if effect is not None and effect.touches:
         during = np.asarray(scorer.library[i].raw.values[bench.train].any(axis=(1, 2)))
         if _stands_out(before, during, weight):
             before, after, begun = before[during], after[during], begun[during]

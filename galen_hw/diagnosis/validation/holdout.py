@@ -13,7 +13,6 @@ from galen_hw.diagnosis.stats.paired_test import Gain, paired, sure
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, predict, touched
 from galen_hw.diagnosis.validation.other_recording import apply, noisier, undisturbed
 from galen_hw.diagnosis.validation.support import LEAST_SUPPORT, Guard, poor, support
-from galen_hw.physics.effects.cable import CableDrag
 from galen_hw.physics.effects.registry import effect_class
 from galen_hw.physics.scenes.base import Scene
 
@@ -182,11 +181,13 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
 
 
 def _vague(model: Model) -> list[Hypothesis]:
-    """Cables whose parameters do not say that they are cables, and those that patch what another one misses."""
-    cables = [
-        (h, h.effect, s) for h, s in zip(model.parts, model.slices(), strict=True) if isinstance(h.effect, CableDrag)
+    """Effects whose parameters do not say that they are what they are called, and those that patch what another one misses."""
+    effects = [
+        (h, h.effect, s)
+        for h, s in zip(model.parts, model.slices(), strict=True)
+        if h.effect is not None and h.effect.PROVES
     ]
-    if not cables:
+    if not effects:
         return []
-    spread, every = np.sqrt(model.variance), [e for _, e, _ in cables]
-    return [h for h, e, s in cables if e.patches(every) or not e.known(model.final[s], spread[s])]
+    spread, every = np.sqrt(model.variance), [e for _, e, _ in effects]
+    return [h for h, e, s in effects if e.patches(every) or not e.known(model.final[s], spread[s])]

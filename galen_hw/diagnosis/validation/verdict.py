@@ -13,7 +13,6 @@ from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.result import Finding, Verdict
 from galen_hw.diagnosis.stats.significance import CHANCE
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, touched
-from galen_hw.physics.effects.events import Vibration
 from galen_hw.physics.effects.registry import effect_class
 from galen_hw.spatial import Array
 
@@ -58,7 +57,7 @@ def _swings(x: Array) -> Array:
 
 def _at_hums(model: Model, x: Array) -> Array:
     """(M, C) the part of x (M, C) that swings as the hums of a model do, in whatever phase."""
-    hums = [h.raw.values[:, 0] for h in model.effects if isinstance(h.effect, Vibration)]
+    hums = [h.raw.values[:, 0] for h in model.effects if h.line(model.bench.scene)]
     X = np.concatenate(hums, axis=1)
     return np.asarray(X @ np.linalg.lstsq(X, x, rcond=1e-9)[0])
 
@@ -74,7 +73,7 @@ def trifles(model: Model) -> list[Hypothesis]:
         # What belongs to moments is as large as it is then: a touch in a hundredth of the rows is no trifle.
         when = x.any(axis=1) if effect_class(key).EPISODIC else np.ones(len(x), dtype=bool)
         own = _swings(x) if free and when.all() else np.sum(x[when] ** 2, axis=0) / max(int(when.sum()), 1)
-        hums = effect_class(key) is Vibration
+        hums = any(h.line(model.bench.scene) and h.effect and key == h.effect.KEY for h in model.effects)
         missing = np.zeros(model.bench.width)
         for other, its in does.items():
             rough = effect_class(key).ROUGH and effect_class(other).ROUGH

@@ -7,9 +7,10 @@ from typing import ClassVar, Self
 import numpy as np
 
 from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.bearing import let_through
 from galen_hw.physics.effects.columns import Columns, through
-from galen_hw.physics.effects.hysteresis import let_through
 from galen_hw.physics.effects.parameters import Parameter, Searched, duration, log_grid, spacing
+from galen_hw.physics.effects.traits import Follows
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.signals.differentiation import row_noise
 from galen_hw.spatial import Array
@@ -133,6 +134,13 @@ class Backlash(Effect):
         """With momentum, that lasts from less than a row to a good part of what a motion takes."""
         if self.impulse is not None and self.coasting is None:
             yield from (replace(self, coasting=T) for T in log_grid(0.5 * spacing(scene), 0.3, COASTING))
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """The joint, or the load that throws it from stop to stop, another way back."""
+        load = self.load(scene) if self.half_width is None else None
+        if load is not None:
+            return Follows("load", self.joint, memory=True, values=load)
+        return Follows("position" if self.joint in scene.joint_names else "signal", self.joint, memory=True)
 
     def load(self, scene: Scene) -> Array | None:
         """(N,) what throws or drags the far side from stop to stop, N or N m; None where it is not known."""

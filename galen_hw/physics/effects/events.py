@@ -11,6 +11,7 @@ import numpy as np
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns, in_each
 from galen_hw.physics.effects.parameters import Parameter, Searched, unit_of
+from galen_hw.physics.effects.traits import Follows, Line, Span
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.sensitivity import Carried
 from galen_hw.spatial import Array
@@ -63,6 +64,23 @@ class Step(_Shaped):
     carried: str = ""
     later: tuple[float, ...] = ()
 
+    @property
+    def jump(self) -> float:
+        """Its first."""
+        return self.moment
+
+    def jumping(self, moment: float) -> Self:
+        """Its first moved."""
+        return replace(self, moment=moment)
+
+    def staged(self, start: float, length: float) -> Self:
+        """In the middle."""
+        return self.jumping(start + 0.5 * length)
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """The clock."""
+        return Follows("time")
+
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """The jump of every channel, or shifts and turns of what has slipped."""
         if self.carried:
@@ -91,6 +109,14 @@ class Step(_Shaped):
         return average(scene.seen(after.astype(float)))
 
 
+HAND = 5
+"""Half waves that a hand which swells and turns asks for at first, where a knock is a level and a bow."""
+FINEST = 96
+"""Half waves of an episode at most."""
+ROWS_A_WAVE = 4
+"""Rows of the shortest episode that a half wave has at least."""
+MOST = 1000
+"""Columns that a touch may have, level and waves of all episodes and channels."""
 PARTS = 6
 """Of an episode, in each of which a touch may be otherwise and is no noise for that."""
 
@@ -105,16 +131,36 @@ class Contact(_Shaped):
 
     KEY = "contact"
     SIDE_BY_SIDE = True
-    OCCASIONAL = True
     ROUGH = True
     channels: tuple[str, ...]
-    episodes: tuple[tuple[float, float], ...]
+    episodes: tuple[Span, ...]
     waves: int = 1
 
     @property
-    def occasions(self) -> int:
+    def touches(self) -> tuple[Span, ...]:
         """Its episodes."""
-        return len(self.episodes)
+        return self.episodes
+
+    def during(self, touches: tuple[Span, ...]) -> Self:
+        """With other episodes."""
+        return replace(self, episodes=touches)
+
+    def finer(self, time: Array) -> Iterator[Self]:
+        """With more half waves than it has, twice as many each time, and no more than its episodes and memory can bear."""
+        shortest = min(int(np.sum((time >= start) & (time <= end))) for start, end in self.episodes)
+        places = len(self.episodes) * len(self.channels)
+        waves = max(2 * self.waves, HAND)
+        while waves <= min(FINEST, shortest // ROWS_A_WAVE, MOST // places):
+            yield replace(self, waves=waves)
+            waves *= 2
+
+    def staged(self, start: float, length: float) -> Self:
+        """Once, for a tenth of the time."""
+        return self.during(((start + 0.3 * length, start + 0.4 * length),))
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """The clock."""
+        return Follows("time")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Level, bow and further half waves per channel and episode."""
@@ -146,6 +192,10 @@ class Contact(_Shaped):
         return average(np.stack(out, axis=-1))
 
 
+SAME_LINE = 0.1
+"""Of what two lines of the spectrum are apart that one recording can tell."""
+
+
 @dataclass(frozen=True)
 class Vibration(_Shaped):
     """Narrow-band oscillation: r = a sin(2 pi f t) + b cos(2 pi f t). Structure, mains, motor.
@@ -173,6 +223,23 @@ class Vibration(_Shaped):
     def doubt(self, scene: Scene) -> float:
         """A line is as narrow as the recording is long; one line beside it the fit has the next hump."""
         return 1.0 + 1.0 / (float(np.ptp(scene.time)) * self.frequency)
+
+    def line(self, scene: Scene) -> Line:
+        """Itself."""
+        return Line(self.frequency, self.breadth(scene), self.wander > 0)
+
+    def indistinct(self, other: Effect, span: float) -> bool:
+        """Sines so near stay in step over the whole recording."""
+        near = SAME_LINE / max(span, 1e-9)
+        return isinstance(other, Vibration) and abs(other.frequency - self.frequency) < near
+
+    def again(self, start: float, length: float) -> tuple[Effect, ...]:
+        """In another phase."""
+        return (self,)
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """The clock, again and again."""
+        return Follows("time", period=1.0 / self.frequency)
 
     def breadth(self, scene: Scene) -> float:
         """Hz to either side that belong to it: what its slow changes reach, and one line of the spectrum more."""

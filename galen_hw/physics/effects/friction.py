@@ -12,6 +12,7 @@ from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns, in_channel
 from galen_hw.physics.effects.parameters import Parameter, Searched, log_grid, spacing
+from galen_hw.physics.effects.traits import Follows
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
@@ -177,6 +178,10 @@ class Friction(Effect):
             values = {**values, "response": max(values["response"], self.shortest)}
         return super().with_searched(values)
 
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """How quickly the joint goes."""
+        return Follows("speed")
+
     @property
     def stripped(self) -> Self:
         """A servo that holds for good while it sticks."""
@@ -292,6 +297,11 @@ class TorqueRipple(Effect):
         """Amplitudes of sine and cosine."""
         unit = scene.units[_place(scene, self.joint)]
         return Parameter("sine", unit), Parameter("cosine", unit)
+
+    def follows(self, scene: Scene, channel: int) -> Follows | None:
+        """The joint, again and again."""
+        period = 2.0 * np.pi / self.wave_number
+        return Follows("position", self.joint, period) if self.joint in scene.joint_names else None
 
     def doubt(self, scene: Scene) -> float:
         """Half a period over the whole way of the joint: beyond it the fit has the next hump."""

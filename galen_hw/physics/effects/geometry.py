@@ -31,6 +31,7 @@ class JointOffset(Effect):
     KEY = "joint_offset"
     COMPLEXITY = 0
     RIGID = True
+    LOAD_POWER = True
     joint: str
 
     @classmethod

@@ -1,21 +1,30 @@
 """Effects with memory of load or motion: creep and hysteresis."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, Self
 
 import numpy as np
 
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import LOADS, Effect
+from galen_hw.physics.effects.bearing import FIRST_STEPS, begun, let_through
 from galen_hw.physics.effects.columns import Columns, in_all, in_channel, through
+from galen_hw.physics.effects.compliance import Compliance
 from galen_hw.physics.effects.parameters import FARTHEST_SCALE, Parameter, Searched, duration, log_grid
+from galen_hw.physics.effects.sensor import Drift
+from galen_hw.physics.effects.traits import Alternative, Follows
 from galen_hw.physics.scenes.base import Scene
-from galen_hw.physics.scenes.initial_state import Lagging
+from galen_hw.physics.scenes.initial_state import Beginning, Lagging
 from galen_hw.spatial import Array
 
 SLOWER = 1.05
 """Times its shortest constant from which creep is creep."""
+
+
+AS_QUICK = 1.5
+"""Ratio of time constants within which what fades may be what had not settled of a creep."""
 
 
 KELVIN = 7
@@ -98,6 +107,49 @@ class Creep(Effect):
         places = () if self.joint else tuple(i for i, name in enumerate(scene.channels) if self.channel in ("", name))
         return tuple(Lagging(places, self.constant * ratio, self.joint) for ratio in spread)
 
+    def alternatives(self, model: Sequence[Effect | None]) -> Iterator[Alternative]:
+        """A joint's creep behind its friction, told from either end: the load that it feels is what the friction lets through.
+
+        Apart, each is told wrong: friction with the widths that creep makes of it, and what both miss as a jump, or as a give of
+        the joint, which then goes.
+        """
+        if not self.joint or self.friction is not None:
+            return
+        gives = tuple(k for k, e in enumerate(model) if isinstance(e, Compliance) and e.gives_in(self.joint))
+        for k, loop in enumerate(model):
+            if isinstance(loop, Hysteresis) and loop.rubs_in(self.joint):
+                values = begun(loop.scale, self.constant)
+                yield Alternative((k,), gives, partial(self._behind, loop), ((0, 2), (1, 2)), values, FIRST_STEPS, 1)
+
+    def _behind(self, loop: "Hysteresis", at: Array) -> list[Effect]:
+        """Creep from either end, and the friction, at the logarithms of friction and constant."""
+        friction, constant = np.exp(at).tolist()
+        creeps = [one.with_searched({"friction": friction, "constant": constant}) for one in (self, self.otherwise())]
+        return [*creeps, loop.stuck_by(friction)]
+
+    def beginning(self, scene: Scene, theta: Array, others: Sequence[Effect]) -> Beginning:
+        """Where an offset fades as one that has not settled does: settled and rested are not all that may have been before."""
+        alike = any(isinstance(one, Drift) and self._fades_with(one) for one in others)
+        return Beginning(lags=self.lags(scene)) if alike else Beginning()
+
+    def presumes(self, scene: Scene) -> bool:
+        """Where it began rested, and any beginning as quick is fitted."""
+        known = [(c, lag) for lag in scene.beginning.lags for c in lag.places]
+        return self.rested and all(
+            any(c == place and _as_quick(one.constant, lag.constant) for c, one in known)
+            for lag in self.lags(scene)
+            for place in lag.places
+        )
+
+    def _fades_with(self, drift: Drift) -> bool:
+        if drift.constant is None or self.channel not in ("", drift.channel):
+            return False
+        return _as_quick(drift.constant, self.constant)
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """The clock."""
+        return Follows("time")
+
     def unlimited(self) -> Self:
         """Any constant: what never settles in this recording is a give to it, but it may be there."""
         return replace(self, longest=np.inf)
@@ -141,9 +193,8 @@ class Creep(Effect):
         return np.asarray(np.mean(slow, axis=0))
 
 
-def let_through(scene: Scene, load: Array, friction: float) -> Array:
-    """(N,) what a bearing with dry friction lets through of a load (N,), all in N or N m: a play of it as wide as that."""
-    return scene.play("bearing", load[:, None], friction)[:, 0]
+def _as_quick(one: float, other: float) -> bool:
+    return bool(abs(np.log(one / other)) < np.log(AS_QUICK))
 
 
 BEGUN = 0.1
@@ -261,6 +312,15 @@ class Hysteresis(Effect):
         if name == "reach" and not self.driver.startswith("joint"):
             return "N m or N"
         return super().searched_unit(name)
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """What drives it, another way back."""
+        kind, _, joint = self.driver.partition(":")
+        if kind == "load" and scene.load(joint) is not None:
+            return Follows("load", joint, memory=True)
+        if joint in scene.joint_names:
+            return Follows("position", joint, memory=True)
+        return Follows("signal", memory=True)
 
     def rubs_in(self, joint: str) -> bool:
         """Return whether it is a joint's friction beside its spring."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from galen_hw.physics.effects.base import LOADS, Downstream, Effect
 from galen_hw.physics.effects.columns import Columns, in_channel, in_each
 from galen_hw.physics.effects.parameters import FARTHEST_SCALE, Parameter, Searched, duration, log_grid, unit_of
+from galen_hw.physics.effects.traits import Follows
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
@@ -30,6 +31,10 @@ class Bias(Effect):
     def always_fitted(cls, predict: str) -> bool:
         """In every group."""
         return True
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """Nothing."""
+        return Follows("time")
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -99,6 +104,23 @@ class Drift(Effect):
             for constant in log_grid(length / 30.0, length / 1.5, 5):
                 yield cls(name, "warm_up", constant, start, length)
             yield cls(name, "wander", None, start, length)
+
+    def staged(self, start: float, length: float) -> Self:
+        """All of it, from there."""
+        return replace(self, start=start, length=length)
+
+    def growth(self, length: float) -> float:
+        """A straight one goes on."""
+        return length / max(self.length, 1e-9) if self.form == "linear" else 1.0
+
+    def again(self, start: float, length: float) -> tuple[Effect, ...]:
+        """It begins anew, and may wander as well."""
+        begun = self.staged(start, length)
+        return (begun,) if begun.form == "wander" else (begun, replace(begun, form="wander", constant=None))
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """The clock."""
+        return Follows("time")
 
     @property
     def wandering(self) -> tuple[str, ...]:
@@ -186,6 +208,14 @@ class Temperature(Effect):
         places = tuple(scene.channels.index(name) for name in self.channels or (self.channel,))
         return in_each(places, self.warmth(scene)[:, None])
 
+    def staged(self, start: float, length: float) -> Self:
+        """By the thermometer at the sensor where it has none."""
+        return replace(self, place=self.place or "temperature.sensor", reference=0.0)
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """The thermometer."""
+        return Follows("column", self.place)
+
     def warmth(self, scene: Scene) -> Array:
         """(N,) kelvin over the reference, of the thermometer or of what follows it."""
         warmth = np.asarray(scene.observations.columns[self.place]) - self.reference
@@ -211,6 +241,10 @@ class Gain(Effect):
             return
         spread = np.nanstd(scene.simulated, axis=0)
         yield from (cls(name) for name, s in zip(scene.channels, spread, strict=True) if s > 0.0)
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """What the channel carries."""
+        return Follows("signal")
 
     def reads(self, scene: Scene) -> bool:
         """All that the channel carries."""
@@ -248,6 +282,10 @@ class CrossTalk(Effect):
             for b, s in zip(scene.channels, spread, strict=True):
                 if a != b and s > 0.0:
                     yield cls(a, b)
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """What the other channel carries."""
+        return Follows("signal", self.source)
 
     def reads(self, scene: Scene) -> bool:
         """All that the channel carries."""
@@ -291,6 +329,24 @@ class Saturation(Downstream):
                 if limit is not None:
                     yield cls(name, limit if upper else -limit, upper)
 
+    @property
+    def clips(self) -> tuple[str, float]:
+        """Itself."""
+        return self.channel, self.limit
+
+    def levelled(self, limit: float) -> Self:
+        """There."""
+        return replace(self, limit=limit)
+
+    @property
+    def side(self) -> str:
+        """Its end of the range."""
+        return "high" if self.upper else "low"
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """What the channel carries."""
+        return Follows("signal")
+
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """The share of the clipping."""
         return (Parameter("share", "1", 0.0, expected=1.0),)
@@ -300,7 +356,7 @@ class Saturation(Downstream):
         place = scene.channels.index(self.channel)
         if place not in columns.channels or not columns.count:
             return columns
-        clipped = self.clipped(scene)
+        clipped = self.at_limit(scene)
         values = columns.values.copy()
         values[clipped, columns.channels.index(place)] *= 1.0 - np.clip(theta[0], 0.0, 1.0)
         return Columns(columns.channels, values)
@@ -310,9 +366,9 @@ class Saturation(Downstream):
         place = scene.channels.index(self.channel)
         shown = scene.simulated + scene.standing + (0.0 if self.channel in scene.limited else scene.carried)
         back = self.limit - shown[:, place]
-        return in_channel(place, [np.where(self.clipped(scene), back, 0.0)])
+        return in_channel(place, [np.where(self.at_limit(scene), back, 0.0)])
 
-    def clipped(self, scene: Scene) -> NDArray[np.bool_]:
+    def at_limit(self, scene: Scene) -> NDArray[np.bool_]:
         """(N,) rows in which all that the channel carries goes beyond the limit."""
         whole = (scene.simulated + scene.standing + scene.carried)[:, scene.channels.index(self.channel)]
         return np.asarray(whole > self.limit if self.upper else whole < self.limit)

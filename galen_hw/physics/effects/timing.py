@@ -1,16 +1,17 @@
 """Effects of the clock: one stream late against the other, and slow filters."""
 
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
 
 from galen_hw.physics.channels import joint_of
-from galen_hw.physics.effects.base import Downstream
+from galen_hw.physics.effects.base import Downstream, Effect
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.parameters import Parameter, Searched, log_grid, spacing
+from galen_hw.physics.effects.traits import Averages, Follows
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import Beginning, Lagging
 from galen_hw.spatial import Array
@@ -39,12 +40,16 @@ class Timing(Downstream):
         return self.between == "bows"
 
     @abstractmethod
-    def beginning(self, scene: Scene, theta: Array) -> Beginning:
+    def beginning(self, scene: Scene, theta: Array, others: Sequence[Effect]) -> Beginning:
         """What it leaves open, with parameters theta (k,), at the beginning of a recording: it answers to what came before."""
 
     @abstractmethod
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
         """(N, m) signals as this stream delivers them, whatever they are."""
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """How quickly the simulated goes."""
+        return Follows("rate")
 
     def places(self, scene: Scene) -> tuple[int, ...]:
         """The channels that it makes late: the named joint's, or all."""
@@ -72,6 +77,7 @@ class TimeDelay(Timing):
 
     KEY = "time_delay"
     COMPLEXITY = 0
+    SHIFT = True
     joint: str = ""
     between: str = "lines"
 
@@ -97,7 +103,7 @@ class TimeDelay(Timing):
         """A shift is not its slope."""
         return True
 
-    def beginning(self, scene: Scene, theta: Array) -> Beginning:
+    def beginning(self, scene: Scene, theta: Array, others: Sequence[Effect]) -> Beginning:
         """As many seconds as it is late, or at the end as it is early."""
         late = float(theta[0])
         return Beginning(max(late, 0.0), max(-late, 0.0))
@@ -112,6 +118,30 @@ class TimeDelay(Timing):
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
         """(N, m) signals as this stream delivers them."""
         return scene.delay("delay", x, float(theta[0]), bowed=self.bowed)
+
+    def delivered_on(self, rows: Averages, scene: Scene, columns: Columns, theta: Array) -> Columns:
+        """Averages of what is late are late averages."""
+        if not columns.count:
+            return super().delivered_on(rows, scene, columns, theta)
+        places, late = self.places(scene), float(theta[0])
+        mine = [i for i, c in enumerate(columns.channels) if c in places]
+        if not mine:
+            return Columns(columns.channels, rows.average(columns.values))
+        if len(mine) == len(columns.channels):
+            return Columns(columns.channels, rows.late(columns.values, late, bowed=self.bowed))
+        out = np.empty((len(rows.simulated), *columns.values.shape[1:]))
+        rest = [i for i in range(len(columns.channels)) if i not in mine]
+        out[:, rest] = rows.average(columns.values[:, rest])
+        out[:, mine] = rows.late(columns.values[:, mine], late, bowed=self.bowed)
+        return Columns(columns.channels, out)
+
+    def shifted(self, rows: Averages, scene: Scene, theta: Array) -> Array:
+        """Nothing delivers it, and a joint's own changes no other channel."""
+        places, simulated = list(self.places(scene)), scene.simulated
+        mine = simulated if len(places) == simulated.shape[1] else simulated[:, places]
+        out = np.zeros_like(rows.simulated)
+        out[:, places] = rows.late(mine, float(theta[0]), bowed=self.bowed) - rows.simulated[:, places]
+        return out
 
 
 @dataclass(frozen=True)
@@ -158,7 +188,7 @@ class Lag(Timing):
         constant = max(values.get("constant", self.constant), self.shortest)
         return replace(self, constant=constant, damping=values.get("damping", self.damping))
 
-    def beginning(self, scene: Scene, theta: Array) -> Beginning:
+    def beginning(self, scene: Scene, theta: Array, others: Sequence[Effect]) -> Beginning:
         """What the filter held. Of second order two numbers a channel would be free: enough to make one of a delay."""
         first = self.damping is None
         return Beginning(lags=(Lagging(self.places(scene), self.constant),) if first else ())

@@ -6,7 +6,6 @@ from galen_hw.diagnosis.detection import steps
 from galen_hw.diagnosis.estimation.interactions import load
 from galen_hw.diagnosis.estimation.least_squares import rests
 from galen_hw.diagnosis.selection.search_state import Selection
-from galen_hw.physics.effects.events import Step
 
 BETTER: Final = 1.0
 """Fall of the whitened sum of squares for which a jump moves: less is no other moment."""
@@ -18,7 +17,7 @@ def timed(out: Selection) -> bool:
     moved = False
     for place, i in enumerate(out.chosen):
         step = scorer.library[i].effect
-        if not isinstance(step, Step) or step.carried:
+        if not steps.is_seen_by_itself(step):
             continue
         load(bench, scorer, out.chosen)
         others = [j for j in out.chosen if j != i]
