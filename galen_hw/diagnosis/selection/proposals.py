@@ -9,14 +9,14 @@ from galen_hw.diagnosis.estimation.interactions import load
 from galen_hw.diagnosis.estimation.least_squares import rests
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.physics.effects.base import Effect
-from galen_hw.physics.effects.registry import EFFECTS, effect_class
+from galen_hw.physics.effects.registry import kinds
 
 
 def library(bench: Bench) -> list[Effect]:
     """Every hypothesis that the scene allows; offsets are always in the model and judged at the end."""
     predict = bench.scene.observations.predict
-    kinds = [kind for kind in map(effect_class, EFFECTS) if not kind.always_fitted(predict)]
-    return [effect for kind in kinds for effect in kind.propose(bench.scene)]
+    asked = [kind for kind in kinds() if not kind.always_fitted(predict)]
+    return [effect for kind in asked for effect in kind.propose(bench.scene)]
 
 
 def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sought]:

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from galen_hw.errors import UsageError
 from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.clocks import Shift, Timing
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
 
@@ -63,6 +64,21 @@ def effect_class(key: str) -> type[Effect]:
     if key not in EFFECTS:
         raise UsageError(f"no effect {key!r}", where="terms", todo=f"one of: {', '.join(EFFECTS)}")
     return _load(EFFECTS[key])  # type: ignore[no-any-return]
+
+
+def kinds() -> list[type[Effect]]:
+    """Return the classes of all keys, in the order of the table."""
+    return [effect_class(key) for key in EFFECTS]
+
+
+def shifts(scene: Scene) -> list[Shift]:
+    """Return the clocks that a scene allows and that deliver all as it was, and later."""
+    return [one for kind in kinds() if issubclass(kind, Shift) for one in kind.propose(scene)]
+
+
+def clocks(scene: Scene) -> list[Timing]:
+    """Return all clocks that a scene allows."""
+    return [one for kind in kinds() if issubclass(kind, Timing) for one in kind.propose(scene)]
 
 
 def scene_of(observations: Observations, **options: Any) -> Scene:

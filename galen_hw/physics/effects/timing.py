@@ -1,6 +1,5 @@
 """Effects of the clock: one stream late against the other, and slow filters."""
 
-from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
@@ -8,67 +7,18 @@ from typing import ClassVar, Self
 import numpy as np
 
 from galen_hw.physics.channels import joint_of
-from galen_hw.physics.effects.base import Downstream, Effect
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.clocks import Filter, Shift
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.parameters import Parameter, Searched, log_grid, spacing
-from galen_hw.physics.effects.traits import Averages, Follows
+from galen_hw.physics.effects.traits import Averages
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import Beginning, Lagging
 from galen_hw.spatial import Array
 
-BETWEEN = ("lines", "bows", "steps")
-"""What the simulated does between two rows: runs straight, along a parabola, or has the later one's value all the way."""
-
-
-class Timing(Downstream):
-    """An effect of the clock."""
-
-    CLOCK = True
-
-    NEEDS_CLOCK = True
-    joint: str
-    between: str
-
-    def __post_init__(self) -> None:
-        """Refuses what it does not know: TypeError."""
-        if self.between not in BETWEEN:
-            raise TypeError(f"between two rows are {', '.join(BETWEEN)}, not {self.between}")
-
-    @property
-    def bowed(self) -> bool:
-        """Return whether the simulated runs along parabolas between two rows."""
-        return self.between == "bows"
-
-    @abstractmethod
-    def beginning(self, scene: Scene, theta: Array, others: Sequence[Effect]) -> Beginning:
-        """What it leaves open, with parameters theta (k,), at the beginning of a recording: it answers to what came before."""
-
-    @abstractmethod
-    def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
-        """(N, m) signals as this stream delivers them, whatever they are."""
-
-    def follows(self, scene: Scene, channel: int) -> Follows:
-        """How quickly the simulated goes."""
-        return Follows("rate")
-
-    def places(self, scene: Scene) -> tuple[int, ...]:
-        """The channels that it makes late: the named joint's, or all."""
-        return tuple(i for i, name in enumerate(scene.channels) if self.joint in ("", joint_of(name)))
-
-    def delivered(self, scene: Scene, columns: Columns, theta: Array) -> Columns:
-        """What another effect does, as it arrives through this stream: the channels of `joint` alone where one is named."""
-        places = self.places(scene)
-        mine = [i for i, c in enumerate(columns.channels) if c in places]
-        if not mine or not columns.count:
-            return columns
-        values = columns.values.copy()
-        flat = values[:, mine].reshape(len(values), -1)
-        values[:, mine] = self.retimed(scene, flat, theta).reshape(len(values), len(mine), columns.count)
-        return Columns(columns.channels, values)
-
 
 @dataclass(frozen=True)
-class TimeDelay(Timing):
+class TimeDelay(Shift):
     """One stream is late: y(t) = w(t - d), one number for all channels; its slope at zero is -dw/dt.
 
     `joint` restricts it to one joint's reading; `between`: see `BETWEEN`; steps are lines to it. Visible where the channels move.
@@ -77,7 +27,6 @@ class TimeDelay(Timing):
 
     KEY = "time_delay"
     COMPLEXITY = 0
-    SHIFT = True
     joint: str = ""
     between: str = "lines"
 
@@ -89,6 +38,10 @@ class TimeDelay(Timing):
         yield cls()
         if scene.observations.predict == "position" and len(scene.channels) > 1:
             yield from (cls(joint_of(name)) for name in scene.channels)
+
+    def lagging(self, constant: float, shortest: float, damping: float | None = None) -> "Lag":
+        """What answers slowly where this one is late, all of it."""
+        return Lag(constant, self.joint, shortest, whole=True, damping=damping, between=self.between)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """The delay, positive when the recording is late against the simulation."""
@@ -145,7 +98,7 @@ class TimeDelay(Timing):
 
 
 @dataclass(frozen=True)
-class Lag(Timing):
+class Lag(Filter):
     """A first-order response: T dy/dt = w - y; y - w is `share` times that (1 for a plain first order).
 
     With `damping` z one of second order: T^2 y'' + 2 z T y' + y = w, of a servo or a filter of two poles (0.71: Butterworth).
@@ -215,13 +168,14 @@ class Lag(Timing):
         """Lagged less simulated."""
         places = self.places(scene)
         mine = scene.simulated[:, places]
-        return Columns(places, (self._lagged(scene, mine) - mine)[:, :, None])
+        return Columns(places, (self.filtered(scene, mine) - mine)[:, :, None])
 
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
         """(N, m) signals as this stream delivers them."""
-        return x + float(theta[0]) * (self._lagged(scene, x) - x)
+        return x + float(theta[0]) * (self.filtered(scene, x) - x)
 
-    def _lagged(self, scene: Scene, x: Array) -> Array:
+    def filtered(self, scene: Scene, x: Array) -> Array:
+        """(N, m) signals behind it."""
         if self.damping is not None:
             return second_order(scene, x, self.constant, self.damping, self.between)
         return first_order(scene, x, self.constant, self.between)

@@ -207,6 +207,20 @@ class Traits:
         del rows, scene, theta
         return None
 
+    @property
+    def interpolation(self) -> str:
+        """Of clocks: what lies between two rows to it, see `BETWEEN`."""
+        return ""
+
+    def interpolated(self, between: str) -> Self:
+        """The same with something else between two rows."""
+        del between
+        return self
+
+    def timely(self) -> Self | None:
+        """The same without a part of it that is late by as much in all that it does, as a clock is; None where there is none."""
+        return None
+
     def staged(self, start: float, length: float) -> Self:
         """The same in a recording that is still to be made, which begins at `start` and takes so long, s."""
         del start, length
