@@ -17,7 +17,7 @@ from galen_hw.diagnosis.findings.wording import believing, saying
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.preprocessing.data_quality import Premise
-from galen_hw.diagnosis.result import Finding, Value
+from galen_hw.diagnosis.result import UNKNOWN, Finding, Value
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.significance import CHANCE
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged
@@ -182,7 +182,7 @@ def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
     least = np.min(z, where=z > outliers.FAR, initial=np.max(z))
     chance = float(np.clip(len(bench.scene) * bench.width * erfc(least / np.sqrt(2.0)), 1e-300, 1.0))
     return Finding(
-        "glitches",
+        Glitches.KEY,
         list(glitch.channels),
         [],
         f"{len(rows)} isolated or repeated samples stand far off what is measured around them; they are left out of every fit.",
@@ -242,7 +242,7 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
         # What the findings with a name leave on held-out data: a saved model reaches this, not `rmse_after`.
         parameters[f"rmse_named_{names[c]}"] = Value(float(np.sqrt(judged.after[c])), 0.0, bench.scene.units[c])
     evidence = {"heldout_gain": gain, "score": float(z), "false_alarm_probability": 2e-4}
-    return Finding("unknown", channels, [], says, parameters, evidence)
+    return Finding(UNKNOWN, channels, [], says, parameters, evidence)
 
 
 def dependence(kind: str, names: Sequence[str]) -> str:

@@ -24,6 +24,7 @@ from galen_hw.diagnosis.selection.comparison import ahead, bent, unclocked
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.linear_algebra import WEAK, orthonormal, pinned_at, scaled, solve_sym
 from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.registry import effect_class
 from galen_hw.spatial import Array
 
 CLOSE = 7.0
@@ -262,7 +263,7 @@ def _places(selection: Selection, finding: Finding) -> list[int]:
     scorer = selection.scorer
     chosen = [(i, scorer.library[i].effect) for i in selection.chosen]
     mine = [i for i, effect in chosen if effect is not None and finding.effect == effect.KEY]
-    if mine or finding.effect not in ("bias", "joint_offset"):
+    if mine or not effect_class(finding.effect).always_fitted(scorer.bench.scene.observations.predict):
         return mine
     names = scorer.bench.scene.channels
     constant = [i for i, h in enumerate(scorer.base) if len(h.raw.channels) == 1]

@@ -1,6 +1,6 @@
 """Play in a joint: which side of its gap the far side lies on, and how it gets across."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
@@ -59,6 +59,14 @@ class Backlash(Effect):
     """
 
     KEY = "backlash"
+    SAYS = "a dead band at every reversal: play, or the stand-off of a servo against friction"
+    KNOWN_BY = "it shifts by a fixed width at reversals, whatever their size"
+    CONFIRMED_BY = "sweep one joint slowly to and fro with small and with large reversals"
+    HEAD = ("half_width", "half_play")
+    ALIKE: ClassVar = {"friction": "a servo without integral action stands off against friction as if it had play"}
+    TOLD_APART: ClassVar = {
+        "friction": "push the stopped joint lightly by hand in both directions: play gives, friction does not"
+    }
     COMPLEXITY = 2
     ROUGH = True
     SEARCHED: ClassVar = {
@@ -78,6 +86,11 @@ class Backlash(Effect):
     unborne: float | None = None
     lifted: bool = False
     coasting: float | None = None
+
+    @classmethod
+    def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
+        """What holds a servo back at a reversal."""
+        return ["friction", "hysteresis"] if scene.observations.predict == "position" else []
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:

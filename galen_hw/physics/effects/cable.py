@@ -59,6 +59,11 @@ class CableDrag(Effect):
     """
 
     KEY = "cable_drag"
+    SAYS = "a cable or hose pulls, depending on where the arm is"
+    KNOWN_BY = "it depends on the arm's position and not on the clock"
+    CONFIRMED_BY = "repeat the poses in random order with the cable unplugged"
+    HEAD = ("stiffness", "dry_friction", "eye_friction")
+    REMOVED_BY = "repeat the motion with the cable unplugged or held slack"
     MIMICS_RIGID = True
     FLEXIBLE = True
     ROUGH = True

@@ -37,6 +37,11 @@ class Compliance(Effect):
     """
 
     KEY = "compliance"
+    SAYS = "elastic give under load, own weight included"
+    KNOWN_BY = "it is proportional to the load"
+    CONFIRMED_BY = "load the tip with three known weights in three directions"
+    HEAD = ("compliance.*",)
+    ALIKE: ClassVar = {"hardening": "over this range of load the stiffness hardly changes"}
     LOAD_POWER = True
     form: str = "joint"
     joint: str = ""
@@ -150,6 +155,9 @@ class Hardening(Effect):
     """
 
     KEY = "hardening"
+    SAYS = "stiffness changes with load"
+    KNOWN_BY = "it grows faster than the load"
+    CONFIRMED_BY = "load the tip with three known weights, the heaviest near the limit"
     ROUGH = True
     LOAD_POWER = True
     SEARCHED: ClassVar = {"knee": Searched(1e-9, 1e6, "N m or N")}

@@ -58,6 +58,14 @@ class Step(_Shaped):
     """
 
     KEY = "step"
+    SAYS = "the offset jumps at a moment"
+    KNOWN_BY = "before and after the moment the residual is level"
+    HEAD = ("jump_.*",)
+    RMS_TOLD = True
+    ALIKE: ClassVar = {
+        "drift": "one jump and a quick slope differ only near the moment",
+        "contact": "the force does not end before the recording does",
+    }
     SIDE_BY_SIDE = True
     channels: tuple[str, ...]
     moment: float
@@ -130,6 +138,11 @@ class Contact(_Shaped):
     """
 
     KEY = "contact"
+    SAYS = "an outside force acts during some episodes"
+    KNOWN_BY = "it comes and goes at moments, and nothing is left between them"
+    CONFIRMED_BY = "repeat the same path in free air"
+    RMS_TOLD = True
+    REMOVED_BY = "repeat the motion in free air, nothing near the arm"
     SIDE_BY_SIDE = True
     ROUGH = True
     channels: tuple[str, ...]
@@ -206,6 +219,13 @@ class Vibration(_Shaped):
     """
 
     KEY = "vibration"
+    SAYS = "an oscillation of one frequency"
+    KNOWN_BY = "it is one line of the spectrum, above what the joints themselves do"
+    CONFIRMED_BY = "hold still for a minute with the motors on, then off"
+    HEAD = ("frequency",)
+    RMS_TOLD = True
+    ALIKE: ClassVar = {"torque_ripple": "the joint turns at nearly constant speed"}
+    REMOVED_BY = "repeat the motion with the source of the vibration switched off"
     SIDE_BY_SIDE = True
     THROUGHOUT = True
     ROUGH = True
@@ -265,6 +285,8 @@ class Glitches(_Sought):
     """
 
     KEY = "glitches"
+    SAYS = "isolated or repeated samples, far off what is measured around them"
+    HEAD = ("size",)
     channels: tuple[str, ...]
     rows: tuple[int, ...] = ()
 
@@ -283,6 +305,7 @@ class Unknown(_Sought):
     """Structure that nothing named explains: no physics, hence no model here, and nothing that the live services could use."""
 
     KEY = "unknown"
+    SAYS = "structure that nothing named explains"
     channels: tuple[str, ...] = ()
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:

@@ -52,6 +52,10 @@ class Friction(Effect):
     """
 
     KEY = "friction"
+    SAYS = "friction in the joint"
+    KNOWN_BY = "it follows the direction and the size of the joint's speed"
+    CONFIRMED_BY = "sweep each joint both ways at three speeds"
+    HEAD = ("coulomb", "coulomb_forward", "coulomb_backward", "viscous.*", "stiction")
     COMPLEXITY = 1
     ROUGH = True
     SEARCHED: ClassVar = {
@@ -288,6 +292,11 @@ class TorqueRipple(Effect):
     """
 
     KEY = "torque_ripple"
+    SAYS = "a force periodic in the joint's position"
+    KNOWN_BY = "it repeats with the joint's position, at any speed"
+    HEAD = ("wave_number",)
+    RMS_TOLD = True
+    ALIKE: ClassVar = {"cable_drag": "over less than one period a ripple is a spring"}
     SIDE_BY_SIDE = True
     SEARCHED: ClassVar = {"wave_number": Searched(0.1, 1e5, "rad/rad or rad/m")}
     joint: str

@@ -48,6 +48,14 @@ class Creep(Effect):
     """
 
     KEY = "creep"
+    SAYS = "it settles slowly after a change of load"
+    KNOWN_BY = "it goes on settling while the load rests"
+    CONFIRMED_BY = "hold a load for a minute after each change of load"
+    HEAD = ("share", "compliance", "constant")
+    ALIKE: ClassVar = {
+        "hysteresis": "both remember the load; only rests of different length part them",
+        "compliance": "nearly all rests are longer than the settling",
+    }
     FLEXIBLE = True
     ROUGH = True
     SEARCHED: ClassVar = {
@@ -241,6 +249,18 @@ class Hysteresis(Effect):
     """
 
     KEY = "hysteresis"
+    SAYS = "it remembers past load or motion, whatever the speed"
+    KNOWN_BY = "it depends on where the motion turned round and not on how quick it was"
+    CONFIRMED_BY = "sweep one joint slowly to and fro with small and with large reversals"
+    RMS_TOLD = True
+    ALIKE: ClassVar = {
+        "backlash": "play is one element of a hysteresis",
+        "friction": "friction with presliding is a hysteresis of motion",
+    }
+    TOLD_APART: ClassVar = {
+        "friction": "sweep the joint slowly to and fro with ever smaller reversals, the servo off",
+        "backlash": "sweep the joint slowly to and fro with ever smaller reversals",
+    }
     FLEXIBLE = True
     ROUGH = True
     SEARCHED: ClassVar = {
@@ -257,6 +277,11 @@ class Hysteresis(Effect):
     gap: float | None = None
     form: str = "less"
     wear: float | None = None
+
+    @classmethod
+    def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
+        """What holds a servo back at a reversal."""
+        return ["friction", "backlash"] if scene.observations.predict == "position" else []
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:

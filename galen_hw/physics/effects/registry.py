@@ -81,6 +81,11 @@ def clocks(scene: Scene) -> list[Timing]:
     return [one for kind in kinds() if issubclass(kind, Timing) for one in kind.propose(scene)]
 
 
+def constant_of(channel: str, predict: str) -> Effect:
+    """Return what the constant of a channel of a group is where the baseline may have none."""
+    return next(one for kind in kinds() if (one := kind.fitted_as(channel, predict)) is not None)
+
+
 def scene_of(observations: Observations, **options: Any) -> Scene:
     """The scene of the compared group; options as in `Scene`."""
     known = _load("galen_hw.physics.effects.terms:known_change") if observations.belief.terms else None

@@ -1,6 +1,6 @@
 """Effects of a sensor's channels: offset, drift, temperature, scale, leaks and clipping."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
@@ -24,6 +24,20 @@ class Bias(Effect):
     """
 
     KEY = "bias"
+    SAYS = "a constant offset that the model does not hold"
+    KNOWN_BY = "it stays the same through the whole recording"
+    CONFIRMED_BY = "add poses with the sensor upside down"
+    HEAD = ("offset",)
+    ALIKE: ClassVar = {
+        "joint_offset": "an offset of the reading and of the joint's zero look the same here",
+        "link_geometry": "an arm that stands elsewhere and a tracker that is off read the same",
+        "payload": "gravity hardly turns in the sensor",
+    }
+    TOLD_APART: ClassVar = {
+        "link_geometry": "measure a mark on the base with the tracker: an arm that stands elsewhere moves it not",
+        "joint_offset": "check the joint's zero against a mechanical mark; no motion of the arm can",
+    }
+    CONSTANT = True
     COMPLEXITY = 0
     channel: str
 
@@ -31,6 +45,16 @@ class Bias(Effect):
     def always_fitted(cls, predict: str) -> bool:
         """In every group."""
         return True
+
+    @classmethod
+    def fitted_as(cls, channel: str, predict: str) -> Self | None:
+        """Of all but positions, where it is the joint's zero."""
+        return None if predict == "position" else cls(channel)
+
+    @classmethod
+    def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
+        """The zero of the joint that is read."""
+        return ["joint_offset"] if scene.observations.predict == "position" else []
 
     def follows(self, scene: Scene, channel: int) -> Follows:
         """Nothing."""
@@ -78,6 +102,18 @@ class Drift(Effect):
     """
 
     KEY = "drift"
+    SAYS = "the offset moves slowly with time"
+    KNOWN_BY = "it follows the clock and not the arm"
+    CONFIRMED_BY = "come back to one home pose every eight poses, in random order, and record a temperature"
+    HEAD = ("change.*", "amplitude.*")
+    ALIKE: ClassVar = {
+        "temperature": "no temperature was recorded that could settle it",
+        "creep": "both move slowly in one direction",
+        "cable_drag": "the arm went through its poses in one order, so that time and place go together",
+        "payload": "the poses were ordered so that gravity changes with time",
+    }
+    TOLD_APART: ClassVar = {"temperature": "log the temperature at the sensor while the machine warms up, at rest"}
+    WARMS = True
     SEARCHED: ClassVar = {"constant": Searched(1e-2, 1e6, "s"), "second": Searched(1e-2, 1e6, "s")}
     EPISODIC = True
     THROUGHOUT = True
@@ -104,6 +140,11 @@ class Drift(Effect):
             for constant in log_grid(length / 30.0, length / 1.5, 5):
                 yield cls(name, "warm_up", constant, start, length)
             yield cls(name, "wander", None, start, length)
+
+    @classmethod
+    def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
+        """What a thermometer would show."""
+        return [] if scene.observations.has("temperature.") else ["temperature"]
 
     def staged(self, start: float, length: float) -> Self:
         """All of it, from there."""
@@ -179,6 +220,11 @@ class Temperature(Effect):
     """
 
     KEY = "temperature"
+    SAYS = "the offset follows the measured temperature"
+    KNOWN_BY = "it follows the thermometer better than the clock"
+    CONFIRMED_BY = "record a warm and a cold start with the arm at rest"
+    HEAD = ("coefficient",)
+    WARMS = True
     SEARCHED: ClassVar = {"constant": Searched(1e-2, 1e5, "s")}
     channel: str = ""
     place: str = ""
@@ -208,6 +254,11 @@ class Temperature(Effect):
         places = tuple(scene.channels.index(name) for name in self.channels or (self.channel,))
         return in_each(places, self.warmth(scene)[:, None])
 
+    @classmethod
+    def supposed(cls, channel: str) -> tuple[Self, float]:
+        """By ten kelvin."""
+        return cls(channel, "temperature.sensor"), 10.0
+
     def staged(self, start: float, length: float) -> Self:
         """By the thermometer at the sensor where it has none."""
         return replace(self, place=self.place or "temperature.sensor", reference=0.0)
@@ -230,6 +281,14 @@ class Gain(Effect):
     """
 
     KEY = "gain"
+    SAYS = "the channel's scale is off"
+    KNOWN_BY = "it is proportional to the channel's own signal"
+    CONFIRMED_BY = "repeat the poses with a second, known mass"
+    HEAD = ("gain_error",)
+    ALIKE: ClassVar = {
+        "payload": "more weight and a larger scale are proportional for one tool",
+        "joint_scale": "the channel is nearly proportional to the joint's travel",
+    }
     COMPLEXITY = 1
     MIMICS_RIGID = True
     channel: str
@@ -268,6 +327,14 @@ class CrossTalk(Effect):
     """
 
     KEY = "cross_talk"
+    SAYS = "another channel leaks into this one"
+    KNOWN_BY = "it is proportional to the other channel's signal"
+    CONFIRMED_BY = "repeat the poses with a second, known mass"
+    HEAD = ("leak",)
+    ALIKE: ClassVar = {
+        "payload": "with one tool, weight that moves between channels can be its own or a leak",
+        "sensor_mounting": "a turned sensor is a skew matrix of cross-talk",
+    }
     FLEXIBLE = True
     channel: str
     source: str
@@ -310,6 +377,9 @@ class Saturation(Downstream):
     """
 
     KEY = "saturation"
+    SAYS = "the readings clip at a limit"
+    KNOWN_BY = "readings pile up at the limit where the simulation goes on"
+    HEAD = ("limit",)
     SEARCHED: ClassVar = {}
     BRIEF: ClassVar[bool] = True
     channel: str

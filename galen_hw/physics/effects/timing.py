@@ -26,6 +26,14 @@ class TimeDelay(Shift):
     """
 
     KEY = "time_delay"
+    SAYS = "the recording is late against the simulation"
+    KNOWN_BY = "it is proportional to the rate of change and the same everywhere"
+    CONFIRMED_BY = "move one joint at two speeds, with quick starts"
+    HEAD = ("delay",)
+    ALIKE: ClassVar = {
+        "lag": "for motion this slow a delay and a first-order lag are the same",
+        "friction": "for motion at nearly one speed a delay shifts as friction does",
+    }
     COMPLEXITY = 0
     joint: str = ""
     between: str = "lines"
@@ -109,6 +117,14 @@ class Lag(Filter):
     """
 
     KEY = "lag"
+    SAYS = "the recording follows the simulation like a filter of the first order, or of the second where a damping is given"
+    KNOWN_BY = "it is large where the signal moves quickly and dies away where it rests"
+    CONFIRMED_BY = "move one joint at two speeds, with quick starts"
+    HEAD = ("constant", "damping")
+    ALIKE: ClassVar = {
+        "friction": "a lag and viscous friction both follow the speed",
+        "creep": "creep is a lag with a long time constant",
+    }
     COMPLEXITY = 2
     BEHIND = ("time_delay",)
     """s + D (L s - s) + (D s - s) = D L s: a late clock delivers what the filter gives."""

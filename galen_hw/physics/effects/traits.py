@@ -1,6 +1,6 @@
 """What the engine asks of an effect beside its columns, each with the answer of most: what it is like, where and when it acts."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Protocol, Self
 
@@ -87,7 +87,34 @@ class Averages(Protocol):
         """(M, ...) of signals (N, ...) that come later by seconds."""
 
 
-class Traits:
+class Words:
+    """What is said of an effect to people: each kind in its own file."""
+
+    SAYS: ClassVar[str] = ""
+    """What it is; empty: the first line of its docstring."""
+    KNOWN_BY: ClassVar[str] = "nothing else that was asked does the same"
+    """By what it is told from others."""
+    CONFIRMED_BY: ClassVar[str] = ""
+    """A recording that would show it best."""
+    REMOVED_BY: ClassVar[str] = ""
+    """A motion without it, where people can take it away."""
+    HEAD: ClassVar[tuple[str, ...]] = ()
+    """Parameters that are named first, by regular expression; with none of them the size of the signal speaks."""
+    RMS_TOLD: ClassVar[bool] = False
+    """The size of its signal is told beside them."""
+    ALIKE: ClassVar[Mapping[str, str]] = {}
+    """Keys of look-alikes, and why the two cannot be told apart; each pair stands with one of them."""
+    TOLD_APART: ClassVar[Mapping[str, str]] = {}
+    """The same, and what would tell them apart where no motion that can be simulated does."""
+
+    @classmethod
+    def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
+        """Return keys of what no recording of this kind can tell from it, by names of parameters that were found."""
+        del scene, parameters
+        return []
+
+
+class Traits(Words):
     """What an effect is like."""
 
     NEEDS_CLOCK: ClassVar[bool] = False
@@ -120,6 +147,10 @@ class Traits:
     """It goes with a power of its joint's load: of several, a sum bends as one likes."""
     PROVES: ClassVar[bool] = False
     """Its own parameters must say that it is what it is called, see `known` and `patches`."""
+    CONSTANT: ClassVar[bool] = False
+    """It is the constant of a channel: beside it no other is free."""
+    WARMS: ClassVar[bool] = False
+    """It may come from warmth, and shows as the machine warms and cools."""
     SIDE_BY_SIDE: ClassVar[bool] = False
     """Several of its kind may stand in one place."""
 
@@ -133,6 +164,18 @@ class Traits:
         """Return whether it is the constant of a channel of this group, which is in every model and judged at its end."""
         del predict
         return False
+
+    @classmethod
+    def fitted_as(cls, channel: str, predict: str) -> Self | None:
+        """What the constant of a channel of this group is called where the baseline may have none; None: not this."""
+        del channel, predict
+        return None
+
+    @classmethod
+    def supposed(cls, channel: str) -> tuple[Self, float] | None:
+        """What it would be in a channel where what drives it was not recorded, and the range of that which is supposed."""
+        del channel
+        return None
 
     @property
     def touches(self) -> tuple[Span, ...]:
