@@ -17,9 +17,10 @@ from galen_hw.diagnosis.identifiability.rivals import rivals
 from galen_hw.diagnosis.identifiability.simulate import Eye, beside, stage
 from galen_hw.diagnosis.selection.comparison import unclocked
 from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.drift import Drift, Temperature
 from galen_hw.physics.effects.load import Payload
 from galen_hw.physics.effects.registry import effect_class, kinds
-from galen_hw.physics.effects.sensor import Drift, Gain, Temperature
+from galen_hw.physics.effects.sensor import Gain
 from tests import diagnosis_parts as parts
 from tests import physics_scenes
 

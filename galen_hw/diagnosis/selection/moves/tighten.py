@@ -1,4 +1,4 @@
-"""A tendon in the place of a spring: what the spring's many parameters took from others must be said by these."""
+"""Physics in the place of what stands for it, a tendon of a spring: what many parameters took from others these must say."""
 
 import numpy as np
 

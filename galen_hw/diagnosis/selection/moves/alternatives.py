@@ -23,7 +23,7 @@ TOLERANCE: Final = 3e-3
 MOST: Final = 60
 
 
-def behind_friction(out: Selection) -> bool:
+def replaced(out: Selection) -> bool:
     """Return whether an effect, and others with it, gave way to better ones of which it knows, see `Effect.alternatives`."""
     scorer = out.scorer
     for i in out.chosen:
