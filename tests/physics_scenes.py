@@ -6,13 +6,14 @@ import numpy as np
 
 from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.effects.cable import CableDrag
+from galen_hw.physics.effects.clocks import BETWEEN
+from galen_hw.physics.effects.creep import Creep
+from galen_hw.physics.effects.drift import Drift
 from galen_hw.physics.effects.events import Contact, Glitches, Step, Vibration
 from galen_hw.physics.effects.friction import TorqueRipple
-from galen_hw.physics.effects.hysteresis import Creep
 from galen_hw.physics.effects.load import Payload
 from galen_hw.physics.effects.registry import EFFECTS, effect_class, scene_of
-from galen_hw.physics.effects.sensor import Drift
-from galen_hw.physics.effects.timing import BETWEEN, Lag, TimeDelay
+from galen_hw.physics.effects.timing import Lag, TimeDelay
 from galen_hw.physics.observations import Belief, Group, Observations
 from galen_hw.physics.rigid import Body
 from galen_hw.physics.scenes.base import Scene

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from physics_scenes import scene
 
-from galen_hw.physics.effects.hysteresis import Creep
+from galen_hw.physics.effects.creep import Creep
 from galen_hw.physics.operators.filters import LagState, lag
 from galen_hw.physics.scenes.initial_state import FEW, GONE, MOST_UNKNOWN, Beginning, Lagging, fading
 

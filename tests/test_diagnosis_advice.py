@@ -16,9 +16,11 @@ from galen_hw.diagnosis.identifiability.motions import recipes
 from galen_hw.diagnosis.identifiability.rivals import rivals
 from galen_hw.diagnosis.identifiability.simulate import Eye, beside, stage
 from galen_hw.diagnosis.selection.comparison import unclocked
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.drift import Drift, Temperature
 from galen_hw.physics.effects.load import Payload
-from galen_hw.physics.effects.registry import effect_class
-from galen_hw.physics.effects.sensor import Drift, Gain, Temperature
+from galen_hw.physics.effects.registry import effect_class, kinds
+from galen_hw.physics.effects.sensor import Gain
 from tests import diagnosis_parts as parts
 from tests import physics_scenes
 
@@ -197,12 +199,9 @@ def test_a_recipes_worth_is_the_squared_distance_in_units_of_the_noise() -> None
 
 def test_all_words_are_of_the_vocabulary() -> None:
     """Every key that is confused, settled or drawn is a word of the vocabulary."""
-    from galen_hw.diagnosis.findings import wording
-
-    keys = (
-        {key for pair in (*wording.WHY, *wording.SETTLED_BY) for key in pair}
-        | set(wording.NEXT)
-        | set(wording.BELIEVED)
-    )
-    assert all(effect_class(key) for key in keys)
-    assert set(wording.BELIEVED) | {"unknown", "glitches"} == set(wording.SAYS)
+    pairs = [(kind.KEY, key) for kind in kinds() for key in (*kind.ALIKE, *kind.TOLD_APART)]
+    assert pairs
+    assert all(effect_class(key) for pair in pairs for key in pair)
+    told = {kind.KEY for kind in kinds() if kind.KNOWN_BY != Effect.KNOWN_BY}
+    assert all(kind.SAYS for kind in kinds())
+    assert told | {"unknown", "glitches"} == {kind.KEY for kind in kinds()}

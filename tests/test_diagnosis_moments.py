@@ -23,9 +23,10 @@ from galen_hw.diagnosis.validation.contact_or_place import outstanding
 from galen_hw.diagnosis.validation.holdout import earned, judge
 from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.diagnosis.validation.verdict import beyond
+from galen_hw.physics.effects.drift import Drift
 from galen_hw.physics.effects.events import Contact, Step, Vibration
 from galen_hw.physics.effects.registry import scene_of
-from galen_hw.physics.effects.sensor import Drift, Gain, Saturation
+from galen_hw.physics.effects.sensor import Gain, Saturation
 
 
 def test_offsets_are_learnt_beside_the_drift_that_is_told() -> None:

@@ -11,9 +11,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from diagnosis_cases import Array, Bench, lagged, sines
 
 from galen_hw.diagnosis.pipeline import diagnose
-from galen_hw.physics.effects.hysteresis import Creep
+from galen_hw.physics.effects.creep import Creep
+from galen_hw.physics.effects.drift import Drift, Temperature
 from galen_hw.physics.effects.registry import scene_of
-from galen_hw.physics.effects.sensor import Drift, Temperature
 from galen_hw.physics.operators.filters import lag
 
 

@@ -19,8 +19,9 @@ from galen_hw.diagnosis.searching import Search, held_up
 from galen_hw.diagnosis.selection.acceptance import plausible
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.drift import Drift
 from galen_hw.physics.effects.registry import scene_of
-from galen_hw.physics.effects.sensor import Drift, Gain
+from galen_hw.physics.effects.sensor import Gain
 
 
 @pytest.fixture(scope="module")

@@ -17,10 +17,11 @@ from galen_hw.diagnosis.estimation.model import Model, together
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.noise.low_frequency import smoothed
 from galen_hw.diagnosis.pipeline import diagnose
-from galen_hw.physics.effects.hysteresis import Creep
+from galen_hw.physics.effects.creep import Creep
+from galen_hw.physics.effects.drift import Drift
 from galen_hw.physics.effects.load import Payload
 from galen_hw.physics.effects.registry import scene_of
-from galen_hw.physics.effects.sensor import Drift, Gain
+from galen_hw.physics.effects.sensor import Gain
 from galen_hw.physics.rigid import Body
 
 

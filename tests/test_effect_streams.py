@@ -13,10 +13,10 @@ from physics_scenes import scene
 
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.cable import CableDrag
+from galen_hw.physics.effects.drift import Drift
 from galen_hw.physics.effects.events import Contact, Step, Vibration
 from galen_hw.physics.effects.friction import TorqueRipple
 from galen_hw.physics.effects.registry import EFFECTS, effect_class, scene_of
-from galen_hw.physics.effects.sensor import Drift
 from galen_hw.physics.scenes.base import Scene
 
 GROUPS = ("wrench", "pose", "targets", "effort", "position")

@@ -19,10 +19,10 @@ from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.concatenate import PAUSE, joined
 from galen_hw.physics.effects.backlash import Backlash
 from galen_hw.physics.effects.compliance import Compliance
+from galen_hw.physics.effects.drift import Drift
 from galen_hw.physics.effects.friction import Friction
 from galen_hw.physics.effects.hysteresis import Hysteresis
 from galen_hw.physics.effects.registry import scene_of
-from galen_hw.physics.effects.sensor import Drift
 from galen_hw.physics.effects.timing import Lag, TimeDelay
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.signals.differentiation import at_rest, denoised, derivatives, ends, has_line, isolated

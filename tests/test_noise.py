@@ -25,9 +25,9 @@ from galen_hw.diagnosis.noise.spectrum import Noise, estimate
 from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.diagnosis.validation.other_recording import noisier
 from galen_hw.physics.effects.columns import Columns
+from galen_hw.physics.effects.drift import WALK
 from galen_hw.physics.effects.events import Contact, Vibration
 from galen_hw.physics.effects.registry import scene_of
-from galen_hw.physics.effects.sensor import WALK
 
 
 def noise(*lengths: int) -> Noise:

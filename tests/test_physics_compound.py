@@ -15,8 +15,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from physics_scenes import JOINTS, URDF, WRENCH, belief, motion, proposals
 
 from galen_hw.kinematics import UrdfRobot
+from galen_hw.physics.effects.creep import Creep
 from galen_hw.physics.effects.geometry import JointOffset, JointScale, LinkGeometry, SensorMounting
-from galen_hw.physics.effects.hysteresis import Creep
 from galen_hw.physics.effects.interactions import READERS, STANDS, compound, meet
 from galen_hw.physics.effects.live import EffectStream
 from galen_hw.physics.effects.load import INERTIA, BaseTilt, Payload

@@ -24,7 +24,8 @@ from galen_hw.kinematics import GalenRobot
 from galen_hw.messages import JointsState, Vector3, WrenchCompensated
 from galen_hw.physics.effects.backlash import Backlash
 from galen_hw.physics.effects.compliance import Compliance, Hardening
-from galen_hw.physics.effects.hysteresis import Creep, Hysteresis
+from galen_hw.physics.effects.creep import Creep
+from galen_hw.physics.effects.hysteresis import Hysteresis
 from galen_hw.services.deflection.service import DeflectionService
 from galen_hw.services.deflection.settings import DeflectionSettings
 from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore

@@ -10,7 +10,7 @@ import numpy as np
 from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.elastic_terms import Term, Weight
 from galen_hw.physics.effects.compliance import Compliance, Hardening
-from galen_hw.physics.effects.hysteresis import Creep
+from galen_hw.physics.effects.creep import Creep
 from galen_hw.services.deflection.store import DeflectionFile
 from galen_hw.version import VERSION
 

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 Verdict = Literal["agrees", "explained", "partly_explained", "unexplained"]
 
@@ -24,6 +24,10 @@ class Confusion:
     why: str
 
 
+UNKNOWN: Final = "unknown"
+"""The effect of a finding that has no name."""
+
+
 @dataclass
 class Finding:
     """One effect, in all its channels and joints."""
@@ -35,6 +39,11 @@ class Finding:
     parameters: dict[str, Value]
     evidence: dict[str, float]
     confounded_with: list[Confusion] = field(default_factory=list)
+
+    @property
+    def named(self) -> bool:
+        """Whether it is a kind of physics, and not what is left without a name."""
+        return self.effect != UNKNOWN
 
     @property
     def rivals(self) -> list[Confusion]:

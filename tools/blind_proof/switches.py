@@ -67,8 +67,8 @@ class Switch:
 SWITCHES: Final[dict[str, Switch]] = {
     "clipping": Switch(f"{MOVES}.clipping:clipped", _no, "a limit in the place of a contact"),
     "split": Switch(f"{MOVES}.split:split", _no, "one effect in the place of its parts"),
-    "tendon": Switch(f"{MOVES}.cable:tightened", _no, "a spring as the tendon that it may be"),
-    "creep_friction": Switch(f"{MOVES}.creep_friction:behind_friction", _no, "a creep behind friction"),
+    "tendon": Switch(f"{MOVES}.tighten:tightened", _no, "a spring as the tendon that it may be"),
+    "creep_friction": Switch(f"{MOVES}.alternatives:replaced", _no, "a creep behind friction"),
     "exchange": Switch(f"{MOVES}.exchange:regrouped", _no, "two effects for others that stand for both"),
     "one_clock": Switch(f"{MOVES}.timing:one_clock", _no, "one clock for all joints"),
     "reclock": Switch(f"{MOVES}.timing:reclocked", _no, "clocks of all effects at once"),

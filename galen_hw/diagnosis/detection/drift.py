@@ -7,7 +7,7 @@ import numpy as np
 
 from galen_hw.diagnosis.detection.proposal import FEW_ROWS, SHARED, Sought, slow_spread
 from galen_hw.diagnosis.noise.spectrum import Noise
-from galen_hw.physics.effects.sensor import WALK, Drift, Temperature
+from galen_hw.physics.effects.drift import WALK, Drift, Temperature
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 

@@ -8,6 +8,7 @@ from galen_hw.diagnosis.detection.proposal import Sought
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.events import Vibration
 from galen_hw.physics.effects.friction import TorqueRipple
+from galen_hw.physics.effects.traits import Line
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
@@ -16,7 +17,7 @@ def lines(
     scene: Scene,
     rest: Array,
     runs: tuple[slice, ...],
-    known: Sequence[Vibration] = (),
+    known: Sequence[tuple[tuple[int, ...], Line]] = (),
     *,
     narrow: float = 0.1,
     wanders: tuple[int, ...] = (0, 5, 15, 45),
@@ -27,6 +28,7 @@ def lines(
     What is left within the breadth of a known line is its own: two lines so near would be each other's wander.
 
     Args:
+        known: lines with the places of their channels.
         narrow: share of its frequency that a line may reach to either side: what is broader is no narrow band (a quality
             of five).
         wanders: half cosines over the recording that the phase of a hum may follow; the last where the line stands out
@@ -50,9 +52,9 @@ def lines(
     ratio[: _above_motion(scene, runs, pad, n)] = 0.0
     dt = span / max(n - 1, 1)
     frequency = np.arange(len(ratio)) / (pad * dt)
-    for line in known:
-        near = np.abs(frequency - line.frequency) < line.breadth(scene)
-        ratio[np.ix_(near, [scene.channels.index(name) for name in line.channels])] = 0.0
+    for places, line in known:
+        near = np.abs(frequency - line.frequency) < line.breadth
+        ratio[np.ix_(near, places)] = 0.0
     out = []
     joint = ratio.sum(axis=1)
     for score, names in [

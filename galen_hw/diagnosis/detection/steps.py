@@ -3,13 +3,14 @@
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeGuard
 
 import numpy as np
 from scipy.fft import dct, fft, idct
 
 from galen_hw.diagnosis.detection.proposal import FEW_ROWS, SHARED, Sought, moment, slow_spread
 from galen_hw.diagnosis.noise.spectrum import Noise
-from galen_hw.diagnosis.stats.criteria import CRITERIA
+from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.events import Step
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
@@ -98,20 +99,24 @@ def _treads(rest: Array, rows: list[int]) -> Array:
     return np.concatenate([rest[a:b] - rest[a:b].mean(axis=0) for a, b in itertools.pairwise(edges)])
 
 
-def _returns(rest: Array, rows: list[int], *, same: float = 0.01) -> bool:
+def _returns(rest: Array, rows: list[int], *, same: float = 0.01, sure: float = 4.0) -> bool:
     """Whether a staircase in a rest (M, c) ever goes back from a tread to the one before, by its jumps and by the noise.
 
     Args:
         same: share of the larger jump's square by which two levels may differ and be one.
+        sure: variances of the difference by which they may do so besides.
     """
     edges, spread = [0, *sorted(rows), len(rest)], np.maximum(slow_spread(rest), 1e-300)
     level = np.stack([rest[a:b].mean(axis=0) / spread for a, b in itertools.pairwise(edges)])
     error = rest.shape[1] / np.diff(edges)
     jump = np.sum(np.diff(level, axis=0) ** 2, axis=1)
     back = np.sum((level[2:] - level[:-2]) ** 2, axis=1)
-    return bool(
-        np.any(back < same * np.maximum(jump[1:], jump[:-1]) + CRITERIA.standard_errors**2 * (error[2:] + error[:-2]))
-    )
+    return bool(np.any(back < same * np.maximum(jump[1:], jump[:-1]) + sure * (error[2:] + error[:-2])))
+
+
+def is_seen_by_itself(effect: Effect | None) -> TypeGuard[Step]:
+    """Return whether it is a jump of readings: what has slipped on the arm shows as the arm turns."""
+    return isinstance(effect, Step) and not effect.carried
 
 
 def again(scene: Scene, rest: Array, step: Step, noise: Noise) -> Sought:

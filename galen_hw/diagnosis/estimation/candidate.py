@@ -12,6 +12,7 @@ from galen_hw.diagnosis.stats.sampling import Index, Mask
 from galen_hw.lazy import cached_property
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns
+from galen_hw.physics.effects.traits import Line
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
@@ -80,6 +81,10 @@ class Hypothesis:
         """Of its effect; None: a nuisance."""
         return None if self.effect is None else self.effect.family
 
+    def line(self, scene: Scene) -> Line | None:
+        """The line of the spectrum that it is, if any."""
+        return None if self.effect is None else self.effect.line(scene)
+
     @property
     def held(self) -> Array:
         """(k,) values of its parameters that are not fitted in a model, nan for those that are."""
@@ -103,7 +108,7 @@ class Hypothesis:
         Told once, as `aside` is.
         """
         if self.telling is None:
-            touching = self.effect is not None and self.effect.OCCASIONAL
+            touching = self.effect is not None and bool(self.effect.touches)
             self.telling = float(np.mean(self.raw.values[train].any(axis=(1, 2)))) if touching else 1.0
         return self.telling
 
@@ -117,8 +122,8 @@ class Hypothesis:
     def ways(self, train: Mask) -> float:
         """Log of how many ways it could have been found in: each of several touches, of which rows are learnt from, anywhere."""
         times = 1.0
-        if self.effect is not None and self.effect.OCCASIONAL and self.count:
-            times = self.effect.occasions * (1.0 - self.aside(train) / self.count)
+        if self.effect is not None and self.effect.touches and self.count:
+            times = len(self.effect.touches) * (1.0 - self.aside(train) / self.count)
         return times * math.log(self.looked)
 
     def does(self, theta: Array) -> Array:

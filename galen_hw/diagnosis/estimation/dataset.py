@@ -22,7 +22,6 @@ from galen_hw.lazy import cached_property
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.parameters import spacing
-from galen_hw.physics.effects.timing import TimeDelay
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import fading
 from galen_hw.spatial import Array
@@ -152,6 +151,10 @@ class Bench:
         """Rows to judge on."""
         return self.aside & ~self.dropped
 
+    def average(self, x: Array) -> Array:
+        """Signals (N, ...) on the bench's rows, (M, ...)."""
+        return self.rows.average(x)
+
     def averaged(self, columns: Columns) -> Columns:
         """Columns (N, c, k) on the bench's rows, (M, c, k)."""
         return Columns(columns.channels, self.rows.average(columns.values))
@@ -176,19 +179,7 @@ class Bench:
         for downstream, theta in ends[:-1]:
             columns = downstream.delivered(self.stream, columns, theta)
         last, theta = ends[-1]
-        if not isinstance(last, TimeDelay) or not columns.count:
-            return self.averaged(last.delivered(self.stream, columns, theta))
-        places, late = last.places(self.stream), float(theta[0])
-        mine = [i for i, c in enumerate(columns.channels) if c in places]
-        if not mine:
-            return self.averaged(columns)
-        if len(mine) == len(columns.channels):
-            return Columns(columns.channels, self.late(columns.values, late, bowed=last.bowed))
-        values = np.empty((len(self.rows), *columns.values.shape[1:]))
-        rest = [i for i in range(len(columns.channels)) if i not in mine]
-        values[:, rest] = self.rows.average(columns.values[:, rest])
-        values[:, mine] = self.late(columns.values[:, mine], late, bowed=last.bowed)
-        return Columns(columns.channels, values)
+        return last.delivered_on(self, self.stream, columns, theta)
 
     @property
     def spacing(self) -> float:

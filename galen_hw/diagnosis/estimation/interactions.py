@@ -11,8 +11,7 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.linearisation import rebase
 from galen_hw.diagnosis.estimation.nonlinear import settle
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.physics.effects.base import Downstream, Effect
-from galen_hw.physics.effects.sensor import Saturation
+from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
 
 if TYPE_CHECKING:
@@ -22,9 +21,9 @@ if TYPE_CHECKING:
 def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
     """What a late or lagging stream delivers of the other effects is late too: a delayed play is not a delay plus a play."""
     for _ in range(2):
-        theta, now = scorer.solve(chosen)[0], list[tuple[Downstream, Array]]()
+        theta, now = scorer.solve(chosen)[0], list[tuple[Effect, Array]]()
         for h, t in with_parameters(scorer.parts(chosen), theta):
-            if isinstance(h.effect, Downstream):
+            if h.effect is not None and h.effect.DOWNSTREAM:
                 now.append((h.effect, t))
         before = bench.stream
         load(bench, scorer, chosen)
@@ -95,13 +94,13 @@ def _placed(scorer: Scorer, chosen: list[int], theta: Array) -> list[tuple[Effec
     return [(h.effect, t) for h, t in parts if h.effect is not None]
 
 
-def _same_clips(timing: list[tuple[Downstream, Array]], old: "Scene", new: "Scene") -> bool:
+def _same_clips(timing: list[tuple[Effect, Array]], old: "Scene", new: "Scene") -> bool:
     """Return whether the readings that clip are the same ones, and come back to the same constants."""
-    clips = [effect for effect, _ in timing if isinstance(effect, Saturation)]
-    return all(np.array_equal(c.clipped(old), c.clipped(new)) for c in clips)
+    clips = [effect for effect, _ in timing if effect.clips]
+    return all(np.array_equal(c.at_limit(old), c.at_limit(new)) for c in clips)
 
 
-def _same_timing(old: signal_chain.Timing, new: list[tuple[Downstream, Array]], *, share: float = 0.1) -> bool:
+def _same_timing(old: signal_chain.Timing, new: list[tuple[Effect, Array]], *, share: float = 0.1) -> bool:
     """Return whether a stream is as late as it was, by the same effects.
 
     Args:

@@ -5,12 +5,13 @@ from scipy.stats import norm as normal
 from scipy.stats import t as student
 from scipy.stats import truncnorm
 
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.model import Model
-from galen_hw.physics.effects.events import Vibration
+from galen_hw.physics.effects.traits import Line
 from galen_hw.spatial import Array
 
 
-def mean_frequency(model: Model, effect: Vibration, *, count: int = 16) -> tuple[float, float]:
+def mean_frequency(model: Model, h: Hypothesis, line: Line, *, count: int = 16) -> tuple[float, float]:
     """Frequency over the whole recording, and its standard deviation by the wander of the phase alone (0: none seen), Hz.
 
     A line whose phase may wander is as well fitted a little beside its frequency: the mean one is where the phase has no slope.
@@ -24,17 +25,16 @@ def mean_frequency(model: Model, effect: Vibration, *, count: int = 16) -> tuple
     Args:
         count: pieces.
     """
-    bench = model.bench
-    places = [bench.scene.channels.index(name) for name in effect.channels]
+    bench, places = model.bench, list(h.raw.channels)
     time = bench.rows.average(bench.scene.time)
     run = max(bench.rows.runs, key=lambda r: r.stop - r.start)
     rows = np.arange(run.start, run.stop)[~bench.dropped[run]]
     if len(rows) < 8 * count:
-        return effect.frequency, 0.0
-    turning = np.exp(-2j * np.pi * effect.frequency * time[rows])
+        return line.frequency, 0.0
+    turning = np.exp(-2j * np.pi * line.frequency * time[rows])
     # Without the effect, as it was fitted, the rest holds the oscillation itself.
-    rest = _alone(model, effect)[rows][:, places] / bench.noise.sigma[places]
-    level = np.array([bench.noise.spectrum(np.array([_cycles(model, effect)]))[0, c] for c in places])
+    rest = _alone(model, line)[rows][:, places] / bench.noise.sigma[places]
+    level = np.array([bench.noise.spectrum(np.array([_cycles(model, line)]))[0, c] for c in places])
     weight = np.conj(np.sum(rest * turning[:, None], axis=0) / len(rows)) * bench.noise.sigma[places] ** 2 / level
     pieces = np.array_split(np.arange(len(rows)), count)
     z = np.array([np.sum(rest[p] * turning[p, None] @ weight) for p in pieces])
@@ -47,8 +47,8 @@ def mean_frequency(model: Model, effect: Vibration, *, count: int = 16) -> tuple
     walk = seen * 1.5 * count / span
     wider = float(student.isf(0.025, count - 1) / normal.isf(0.025))
     middle = np.array([time[rows[p]].mean() for p in pieces])
-    beyond = float(np.polyfit(middle, np.unwrap(np.angle(z)), 1, w=np.abs(z))[0]) if effect.wander else 0.0
-    return effect.frequency + beyond / (2.0 * np.pi), float(wider * np.sqrt(1.2 * walk / span) / (2.0 * np.pi))
+    beyond = float(np.polyfit(middle, np.unwrap(np.angle(z)), 1, w=np.abs(z))[0]) if line.wanders else 0.0
+    return line.frequency + beyond / (2.0 * np.pi), float(wider * np.sqrt(1.2 * walk / span) / (2.0 * np.pi))
 
 
 def _positive(value: float, error: float) -> float:
@@ -58,17 +58,18 @@ def _positive(value: float, error: float) -> float:
     return float(truncnorm.mean(-value / error, np.inf, loc=value, scale=error))
 
 
-def _alone(model: Model, effect: Vibration) -> Array:
+def _alone(model: Model, line: Line) -> Array:
     """(M, C) what is left with the effect put back, and whatever else hums within its breadth."""
-    out, near = model.rest().copy(), effect.breadth(model.bench.scene)
+    out = model.rest().copy()
     for h, s in zip(model.parts, model.slices(), strict=True):
-        if isinstance(h.effect, Vibration) and abs(h.effect.frequency - effect.frequency) <= near:
+        other = h.line(model.bench.scene)
+        if other is not None and abs(other.frequency - line.frequency) <= line.breadth:
             out[:, list(h.raw.channels)] += h.does(model.theta[s])
     return out
 
 
-def _cycles(model: Model, effect: Vibration) -> float:
+def _cycles(model: Model, line: Line) -> float:
     """The frequency in cycles a row."""
     bench = model.bench
     time = bench.rows.average(bench.scene.time)
-    return float(np.clip(effect.frequency * np.median(np.diff(time)), 1e-6, 0.5))
+    return float(np.clip(line.frequency * np.median(np.diff(time)), 1e-6, 0.5))

@@ -10,7 +10,6 @@ from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.estimation.signal_chain import arrived
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns
-from galen_hw.physics.effects.timing import TimeDelay
 from galen_hw.spatial import Array
 
 
@@ -31,13 +30,9 @@ def tangent(bench: Bench, h: Hypothesis, theta: Array) -> Hypothesis:
 
 def does(bench: Bench, effect: Effect, theta: Array) -> Array:
     """(M, C) averaged change of an effect with parameters theta (k,), as it arrives through a late or lagging stream."""
-    if isinstance(effect, TimeDelay):
-        # Nothing delivers it, and a joint's own changes no other channel.
-        places, simulated = list(effect.places(bench.scene)), bench.scene.simulated
-        mine = simulated if len(places) == bench.width else simulated[:, places]
-        out = np.zeros((len(bench.rows), bench.width))
-        out[:, places] = bench.late(mine, float(theta[0]), bowed=effect.bowed) - bench.simulated[:, places]
-        return out
+    shifted = effect.shifted(bench, bench.scene, theta)
+    if shifted is not None:
+        return shifted
     return bench.rows.average(arrived(bench.stream, effect, effect.change(bench.scene, theta), bench.timing))
 
 

@@ -18,7 +18,6 @@ from galen_hw.diagnosis.stats.sampling import Chosen
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.lazy import cached_property
 from galen_hw.physics.effects.columns import Columns
-from galen_hw.physics.effects.sensor import Saturation
 from galen_hw.spatial import Array
 
 
@@ -194,7 +193,7 @@ class Model:
         """The same with some effects left out, fitted again; without a limit the others show where the readings clipped."""
         kept, limits = (
             [h for h in self.effects if h not in out],
-            [h.effect for h in out if isinstance(h.effect, Saturation)],
+            [h.effect for h in out if h.effect is not None and h.effect.clips],
         )
         if not limits:
             bent = any(h.bend is not None or h.beside is not None for h in out)

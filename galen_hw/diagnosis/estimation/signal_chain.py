@@ -4,14 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from galen_hw.physics.effects.base import Downstream, Effect
+from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.interactions import Placed, compound, meet
-from galen_hw.physics.effects.sensor import Saturation
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
-Timing = Sequence[tuple[Downstream, Array]]
+Timing = Sequence[tuple[Effect, Array]]
 """The ends of a stream with their parameters, the first one first."""
 
 
@@ -42,8 +41,8 @@ def arrived(scene: Scene, effect: Effect, change: Array, timing: Timing) -> Arra
 
 def carried(scene: Scene, effects: Sequence[Placed], timing: Timing) -> Array:
     """(N, C) what all but limits add, as if nothing clipped."""
-    open_end = [(other, its) for other, its in timing if not isinstance(other, Saturation)]
-    return arriving(scene, [(e, theta) for e, theta in effects if not isinstance(e, Saturation)], open_end)
+    open_end = [(other, its) for other, its in timing if not other.clips]
+    return arriving(scene, [(e, theta) for e, theta in effects if not e.clips], open_end)
 
 
 def beside(scene: Scene, effects: Sequence[Placed], timing: Timing) -> list[Array]:
@@ -59,13 +58,13 @@ def beside(scene: Scene, effects: Sequence[Placed], timing: Timing) -> list[Arra
 
 def limited(timing: Timing) -> list[str]:
     """Channels whose readings clip."""
-    return [other.channel for other, _ in timing if isinstance(other, Saturation)]
+    return [other.clips[0] for other, _ in timing if other.clips]
 
 
 def added(scene: Scene, effects: Sequence[Placed], timing: Timing) -> Array:
     """(N, C) what a model adds to a recording that it has not seen, whose constants are not known before."""
     whole = carried(scene, effects, timing)
-    if not any(isinstance(effect, Saturation) for effect, _ in effects):
+    if not any(effect.clips for effect, _ in effects):
         return whole
     # Few rows clip: the median constant is that of the others.
     stream = scene.carrying(np.median(scene.residual - whole, axis=0), whole, limited(timing))

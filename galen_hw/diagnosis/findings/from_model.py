@@ -17,13 +17,12 @@ from galen_hw.diagnosis.findings.wording import believing, saying
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
 from galen_hw.diagnosis.lack_of_fit.structure_test import FALSE_ALARM, Left
 from galen_hw.diagnosis.preprocessing.data_quality import Premise
-from galen_hw.diagnosis.result import Finding, Value
+from galen_hw.diagnosis.result import UNKNOWN, Finding, Value
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.significance import CHANCE
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged
 from galen_hw.diagnosis.validation.verdict import COMES_AND_GOES, FEW_SAMPLES, NOTHING_ELSEWHERE
-from galen_hw.physics.effects.events import Glitches, Vibration
-from galen_hw.physics.effects.sensor import Saturation
+from galen_hw.physics.effects.events import Glitches
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
@@ -114,8 +113,8 @@ def _rms_variance(h: Hypothesis, theta: Array, covariance: Array, free: Array) -
 
 def _prefix(h: Hypothesis) -> str:
     place = getattr(h.effect, "channel", "") or getattr(h.effect, "joint", "")
-    if isinstance(h.effect, Saturation):
-        place += " high" if h.effect.upper else " low"
+    if h.effect is not None and h.effect.side:
+        place += f" {h.effect.side}"
     return f"{place}: " if place else ""
 
 
@@ -125,8 +124,9 @@ def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int)
     variance = model.variance[s]
     values = effect.searched()
     searched = {name: model.joint.searched[model.effects.index(h), name] for name in values}
-    if isinstance(effect, Vibration):
-        values["frequency"], wandering = mean_frequency(model, effect)
+    line = effect.line(bench.scene)
+    if line is not None:
+        values["frequency"], wandering = mean_frequency(model, h, line)
         searched["frequency"] = float(np.hypot(searched["frequency"], wandering))
     named = zip(effect.parameters(bench.scene), model.final[s], np.sqrt(variance), strict=True)
     mark = prefix or (f"{number + 1}: " if number else "")
@@ -134,11 +134,11 @@ def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int)
     for name, value in values.items():
         unit = _unit(bench.scene, effect.joints, effect.searched_unit(name))
         out[f"{mark}{name}"] = Value(value, searched[name], unit)
-    if hasattr(effect, "moment"):
-        out[f"{mark}moment"] = Value(float(effect.moment), 0.0, "s")
-    if hasattr(effect, "limit"):
+    if effect.jump is not None:
+        out[f"{mark}moment"] = Value(float(effect.jump), 0.0, "s")
+    if effect.clips:
         unit = bench.scene.units[h.raw.channels[0]]
-        out[f"{mark}limit"] = Value(float(effect.limit), 0.0, unit)
+        out[f"{mark}limit"] = Value(float(effect.clips[1]), 0.0, unit)
     return out
 
 
@@ -185,7 +185,7 @@ def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
     least = np.min(z, where=z > outliers.FAR, initial=np.max(z))
     chance = float(np.clip(len(bench.scene) * bench.width * erfc(least / np.sqrt(2.0)), 1e-300, 1.0))
     return Finding(
-        "glitches",
+        Glitches.KEY,
         list(glitch.channels),
         [],
         f"{len(rows)} isolated or repeated samples stand far off what is measured around them; they are left out of every fit.",
@@ -245,7 +245,7 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
         # What the findings with a name leave on held-out data: a saved model reaches this, not `rmse_after`.
         parameters[f"rmse_named_{names[c]}"] = Value(float(np.sqrt(judged.after[c])), 0.0, bench.scene.units[c])
     evidence = {"heldout_gain": gain, "score": float(z), "false_alarm_probability": FALSE_ALARM}
-    return Finding("unknown", channels, [], says, parameters, evidence)
+    return Finding(UNKNOWN, channels, [], says, parameters, evidence)
 
 
 def dependence(kind: str, names: Sequence[str]) -> str:

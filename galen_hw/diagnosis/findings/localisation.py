@@ -14,7 +14,7 @@ from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.findings.variables import Variable, variables
 from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.diagnosis.validation.judgement import Judged
-from galen_hw.physics.effects.events import Contact, Glitches, Step
+from galen_hw.physics.effects.events import Glitches
 from galen_hw.spatial import Array
 
 
@@ -238,10 +238,11 @@ def episodes_of(model: Model, glitch: list[Glitches]) -> list[list[float]]:
     out: list[list[float]] = []
     steps: list[float] = []
     for h in model.effects:
-        if isinstance(h.effect, Contact):
-            out += [list(e) for e in h.effect.episodes]
-        if isinstance(h.effect, Step):
-            steps.append(float(h.effect.moment))
+        if h.effect is None:
+            continue
+        out += [list(e) for e in h.effect.touches]
+        if h.effect.jump is not None:
+            steps.append(float(h.effect.jump))
     for one in glitch:
         out += [[float(scene.time[r]), float(scene.time[r])] for r in one.rows[:50]]
     # A step holds until the next one, the last until the end.

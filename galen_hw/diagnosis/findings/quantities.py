@@ -7,34 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from galen_hw.diagnosis.result import Finding, Value
-
-HEAD: Final[dict[str, tuple[str, ...]]] = {
-    "bias": ("offset",),
-    "step": ("jump_.*",),
-    "drift": ("change.*", "amplitude.*"),
-    "temperature": ("coefficient",),
-    "gain": ("gain_error",),
-    "cross_talk": ("leak",),
-    "saturation": ("limit",),
-    "time_delay": ("delay",),
-    "lag": ("constant", "damping"),
-    "creep": ("share", "compliance", "constant"),
-    "backlash": ("half_width", "half_play"),
-    "vibration": ("frequency",),
-    "payload": ("mass", "moment_."),
-    "base_tilt": ("tilt_.",),
-    "inertial": ("share", "lever_."),
-    "joint_offset": ("offset",),
-    "joint_scale": ("scale_error",),
-    "link_geometry": (".*_tilt.*", ".*_shift.*", "rod_length.*", "radius.*"),
-    "sensor_mounting": ("turn_.", "shift_."),
-    "friction": ("coulomb", "coulomb_forward", "coulomb_backward", "viscous.*", "stiction"),
-    "compliance": ("compliance.*",),
-    "torque_ripple": ("wave_number",),
-    "cable_drag": ("stiffness", "dry_friction", "eye_friction"),
-    "glitches": ("size",),
-}
-"""Parameters that are named first, by regular expression; with none of them the size of the signal speaks."""
+from galen_hw.physics.effects.registry import effect_class
 
 SIGNAL: Final = "rms_signal"
 """The parameter that every finding has: rms of what it adds to its strongest channel."""
@@ -103,12 +76,12 @@ def headline(finding: Finding, *, most: int = 3) -> str:
     Args:
         most: parameters that are named.
     """
-    parts = _by_name(finding.parameters)
-    named = [name for pattern in HEAD.get(finding.effect, ()) for name in parts if re.fullmatch(pattern, name)]
+    parts, kind = _by_name(finding.parameters), effect_class(finding.effect)
+    named = [name for pattern in kind.HEAD for name in parts if re.fullmatch(pattern, name)]
     named = list(dict.fromkeys(named))
     named = [n for n in named if any(_sure(v) for v in parts[n])] or named
     words = [_range(name, parts[name]) for name in named[:most]]
-    if finding.effect in ("vibration", "torque_ripple", "step", "contact", "hysteresis") or not words:
+    if kind.RMS_TOLD or not words:
         words += [f"{text(SIGNAL, value)} rms" for value in parts.get(SIGNAL, [])[:1]]
     return ", ".join(words)
 

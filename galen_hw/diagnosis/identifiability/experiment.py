@@ -14,7 +14,7 @@ import numpy as np
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.findings.quantities import SIGNAL
-from galen_hw.diagnosis.findings.wording import NEXT, settled_by
+from galen_hw.diagnosis.findings.wording import settled_by
 from galen_hw.diagnosis.identifiability.motions import MEANS, Recipe, recipes
 from galen_hw.diagnosis.identifiability.rivals import Rival, rivals
 from galen_hw.diagnosis.identifiability.simulate import Eye, Stage, beside, stacked, stage
@@ -23,7 +23,6 @@ from galen_hw.diagnosis.result import Finding
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.registry import effect_class
-from galen_hw.physics.effects.sensor import Temperature
 from galen_hw.spatial import Array
 
 SETTLED = 2.0 * np.log(1000.0)
@@ -65,7 +64,7 @@ class Pair:
 
 def next_experiment(model: Model, selection: Selection, findings: list[Finding], left: list[Left]) -> str:
     """One or two sentences: what to record next, and what that would show."""
-    if any(f.effect == "unknown" and not f.parameters["share_left"].value for f in findings):
+    if any(not f.named and not f.parameters["share_left"].value for f in findings):
         return "First put right what is said of the recording itself; nothing else is worth an experiment before."
     said = [_settled(model, selection, f) for f in findings if f.rivals][:1]
     if left:
@@ -99,13 +98,14 @@ def pair_of(selection: Selection, finding: Finding, rival: str, model: Model) ->
         kin = tuple(effect for effect in effects if effect.family == one.effect.family)
         mine = _straight(model, part) if found.curved else (found, one.own)
         return Pair(*mine, one.effect, one.theta, kin[:8], one.angle)
-    if rival != "temperature":
+    supposed = effect_class(rival).supposed(model.bench.scene.channels[part.raw.channels[0]])
+    if supposed is None:
         return None
+    # Of what drives the rival nothing was recorded: it is taken to have done as much within the range supposed.
+    other, span = supposed
     theta = _straight(model, part)[1]
-    # Of the temperature nothing was recorded: it is taken to have changed the offset by as much while it warmed.
-    size = float(np.ptp(part.does(theta)[:, 0])) / MEANS.warming
-    warm = Temperature(model.bench.scene.channels[part.raw.channels[0]], "temperature.sensor")
-    return Pair(part.effect, theta, warm, np.array([size]), (warm,), float("nan"))
+    size = float(np.ptp(part.does(theta)[:, 0])) / span
+    return Pair(part.effect, theta, other, np.array([size]), (other,), float("nan"))
 
 
 def _straight(model: Model, h: Hypothesis) -> tuple[Effect, Array]:
@@ -165,7 +165,7 @@ def _distance(model: Model, staged: Stage, pair: Pair, others: list[Hypothesis])
     if found.shape[2] != pair.theta.size or rival.shape[2] != pair.rival_theta.size:
         return None  # what belongs to the recording's own moments has no counterpart in another
     eye = Eye(bench, staged)
-    nuisance = _nuisances(staged, others, width, constants=not {"bias"} & {pair.found.KEY, pair.rival.KEY})
+    nuisance = _nuisances(staged, others, width, constants=not (pair.found.CONSTANT or pair.rival.CONSTANT))
     white = beside(eye.whiten(np.concatenate([found, rival], axis=2)), N := eye.whiten(nuisance))
     F, R = white[:, : found.shape[2]], white[:, found.shape[2] :]
     signal = F @ (staged.scale(pair.found) * pair.theta)
@@ -255,9 +255,8 @@ def _sharper(model: Model, findings: list[Finding], *, loose_error: float = 0.05
     """
     if all(effect_class(f.effect).EPISODIC for f in findings):
         first = findings[0].effect
-        return (
-            f"Nothing is left to tell apart. To confirm the {_plain(first)}: {NEXT.get(first, 'repeat the recording')}."
-        )
+        how = effect_class(first).CONFIRMED_BY or "repeat the recording"
+        return f"Nothing is left to tell apart. To confirm the {_plain(first)}: {how}."
     loose = sorted(findings, key=lambda f: -_error(f))
     part = next((h for h in model.effects if h.effect is not None and loose[0].effect == h.effect.KEY), None)
     if part is None or part.effect is None or _error(loose[0]) < loose_error or part.effect.EPISODIC:
@@ -267,7 +266,7 @@ def _sharper(model: Model, findings: list[Finding], *, loose_error: float = 0.05
     least = f"the size of the {_plain(loose[0].effect)}{place} ({100 * _error(loose[0]):.0f} %)"
     what = f"Nothing is left to tell apart. Least certain is {least}"
     if advice is None:
-        return f"{what}: {NEXT.get(part.effect.KEY, 'record it twice as long')}."
+        return f"{what}: {part.effect.CONFIRMED_BY or 'record it twice as long'}."
     return f"{what}: {advice.recipe.says} ({_minutes(advice.minutes)}) to halve that."
 
 

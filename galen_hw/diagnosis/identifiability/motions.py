@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from galen_hw.diagnosis.findings.variables import joint_units
+from galen_hw.physics.effects.registry import kinds
 from galen_hw.physics.rigid import Body
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
@@ -277,16 +278,12 @@ def _handled(scene: Scene, room: Room, path: Part) -> Iterator[Recipe]:
             says,
             20.0,
             (Part(time, _at(room, time), warmth=warmth),),
-            frozenset(("temperature", "drift")),
+            frozenset(kind.KEY for kind in kinds() if kind.WARMS),
             again=False,
         )
     if group == "pose":
         yield _weights(room)
-    for key, says in (
-        ("cable_drag", "repeat the motion with the cable unplugged or held slack"),
-        ("contact", "repeat the motion in free air, nothing near the arm"),
-        ("vibration", "repeat the motion with the source of the vibration switched off"),
-    ):
+    for key, says in sorted((kind.KEY, kind.REMOVED_BY) for kind in kinds() if kind.REMOVED_BY):
         gone = _after(path, replace(path, without=frozenset((key,))))
         yield Recipe(says.split(" with ")[-1], says, once + MEANS.handling, (path, gone), frozenset((key,)))
 

@@ -22,9 +22,9 @@ from galen_hw.diagnosis.findings.wording import structural, why
 from galen_hw.diagnosis.result import Confusion, Finding
 from galen_hw.diagnosis.selection.comparison import ahead, bent, unclocked
 from galen_hw.diagnosis.selection.search_state import Selection
-from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.linear_algebra import WEAK, orthonormal, pinned_at, scaled, solve_sym
 from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.registry import effect_class
 from galen_hw.spatial import Array
 
 CLOSE = 7.0
@@ -58,6 +58,14 @@ class Rival:
     own: Array
     effect: Effect
     agreed: float = np.inf
+
+    def undecided(self, *, clear: float = 2.0) -> bool:
+        """Return whether the blocks of the recording do not agree on its lead.
+
+        Args:
+            clear: standard errors over the blocks below which a lead is none, whatever the likelihood says of it.
+        """
+        return self.agreed < clear
 
 
 @dataclass(frozen=True)
@@ -140,9 +148,7 @@ def rivals(
                 one = _at_its_best(scorer, own, one) if k < sharpened else one
                 if margin <= one.lead < margin + asked and one.angle < NEAR:
                     one = replace(one, agreed=_agreed(scorer, own, one))
-                alike = (one.lead < margin or one.agreed < CRITERIA.standard_errors) and _is_what_it_is_called(
-                    scorer, one
-                )
+                alike = (one.lead < margin or one.undecided()) and _is_what_it_is_called(scorer, one)
                 if (everyone or alike) and one.lead < found.get(one.key, one).lead + 1e-9:
                     found[one.key] = one
     return sorted(found.values(), key=lambda rival: rival.lead)
@@ -279,7 +285,7 @@ def _places(selection: Selection, finding: Finding) -> list[int]:
     scorer = selection.scorer
     chosen = [(i, scorer.library[i].effect) for i in selection.chosen]
     mine = [i for i, effect in chosen if effect is not None and finding.effect == effect.KEY]
-    if mine or finding.effect not in ("bias", "joint_offset"):
+    if mine or not effect_class(finding.effect).always_fitted(scorer.bench.scene.observations.predict):
         return mine
     names = scorer.bench.scene.channels
     constant = [i for i, h in enumerate(scorer.base) if len(h.raw.channels) == 1]
@@ -370,6 +376,6 @@ def _why(found: str, rival: Rival) -> str:
         likely = (
             f"by likelihood alone it would do better ({1.0 / odds:.2g} times), held-out data and form speak against it"
         )
-    if rival.lead >= CLOSE and rival.agreed < CRITERIA.standard_errors:
+    if rival.lead >= CLOSE and rival.undecided():
         likely += f", but the blocks of the recording do not agree on that ({rival.agreed:.1f} standard errors)"
     return f"{why(found, rival.key)}: the two signals are {rival.angle:.1f} deg apart beside the rest, and {likely}"

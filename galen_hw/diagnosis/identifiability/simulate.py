@@ -10,9 +10,7 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.identifiability.motions import MEANS, Part, Recipe
 from galen_hw.diagnosis.stats.linear_algebra import solve_sym
 from galen_hw.physics.effects.base import Effect
-from galen_hw.physics.effects.events import Contact, Step
 from galen_hw.physics.effects.registry import scene_of
-from galen_hw.physics.effects.sensor import Drift, Temperature
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
@@ -36,31 +34,21 @@ class Stage:
         out = []
         for scene, part in zip(self.scenes, self.recipe.parts, strict=True):
             try:
-                columns = self._placed(effect).columns(scene).full(width)
+                columns = effect.staged(self.start, self.length).columns(scene).full(width)
             except (AssertionError, KeyError, ValueError, StopIteration, IndexError, AttributeError):
                 return None  # the effect has no port in this scene
             out.append(columns * (effect.KEY not in part.without))
         whole = np.concatenate(out)
         return whole if np.isfinite(whole).all() else None
 
-    def _placed(self, effect: Effect) -> Effect:
-        """Effects that belong to moments, at moments of this recipe."""
-        length = max(self.end - self.start, 1e-9)
-        if isinstance(effect, Drift):
-            return replace(effect, start=self.start, length=length)
-        if isinstance(effect, Step):
-            return replace(effect, moment=self.start + 0.5 * length)
-        if isinstance(effect, Contact):
-            return replace(effect, episodes=((self.start + 0.3 * length, self.start + 0.4 * length),))
-        if isinstance(effect, Temperature):
-            return replace(effect, place=effect.place or "temperature.sensor", reference=0.0)
-        return effect
+    @property
+    def length(self) -> float:
+        """Of the clock, s."""
+        return max(self.end - self.start, 1e-9)
 
     def scale(self, effect: Effect) -> float:
-        """How much larger the parameters are here than in the recording: a straight drift goes on."""
-        if isinstance(effect, Drift) and effect.form == "linear":
-            return (self.end - self.start) / max(effect.length, 1e-9)
-        return 1.0
+        """How much larger the parameters are here than in the recording."""
+        return effect.growth(self.end - self.start)
 
 
 def stage(scene: Scene, recipe: Recipe) -> Stage:

@@ -1,6 +1,8 @@
 """Each found effect's own curve: against what it is a function of, all other effects taken off."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -9,18 +11,10 @@ from galen_hw.diagnosis.report.caps import CAPS
 from galen_hw.diagnosis.report.plot_data import Curve
 from galen_hw.diagnosis.report.summary import channel_words
 from galen_hw.diagnosis.work import Work
-from galen_hw.physics.effects.backlash import Backlash
 from galen_hw.physics.effects.base import Effect
-from galen_hw.physics.effects.events import Vibration
-from galen_hw.physics.effects.friction import TorqueRipple
-from galen_hw.physics.effects.sensor import CrossTalk, Temperature
+from galen_hw.physics.effects.traits import Follows
+from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
-
-OVER_TIME = ("drift", "step", "contact", "bias", "creep")
-OVER_SPEED = ("friction",)
-OVER_LOAD = ("compliance", "hardening")
-OVER_SIGNAL = ("gain", "saturation")
-OVER_RATE = ("time_delay", "lag")
 
 
 @dataclass(frozen=True)
@@ -68,15 +62,11 @@ def curves_of(work: Work) -> list[Curve]:
 
 def axis_of(work: Work, effect: Effect, channel: int, change: Array, known: list[Variable]) -> Axis:
     """The variable that an effect is a function of."""
-    key, over_time = effect.KEY, effect.KEY in OVER_TIME
-    axis = _periodic(work, effect)
-    if key in ("hysteresis", "backlash"):
-        axis = _driver(work, effect, channel)
-    elif key in (*OVER_SPEED, *OVER_LOAD):
-        axis = _of_joint(work, effect) or _of_force(work, channel)
-    elif key in (*OVER_SIGNAL, *OVER_RATE, "cross_talk", "temperature"):
-        axis = _of_channel(work, effect, channel)
-    if axis is None and not over_time and known:
+    follows = effect.follows(work.bench.scene, channel)
+    if follows is not None and follows.quantity == "time" and not follows.period:
+        return _time(work)
+    axis = None if follows is None else QUANTITIES[follows.quantity](_Along(work, effect, follows, channel))
+    if axis is None and known:
         best = max(known, key=lambda v: _ordered(v.values, change) + 0.05 * v.name.endswith(".position"))
         axis = Axis(best.name.removeprefix("joint.").replace(".", " "), best.unit, best.values)
     return _time(work) if axis is None else axis
@@ -87,77 +77,103 @@ def _time(work: Work) -> Axis:
     return Axis("time" if scene.clock else "row", "s" if scene.clock else "", work.bench.rows.average(scene.time), True)
 
 
-def _periodic(work: Work, effect: Effect) -> Axis | None:
-    """What repeats, against the phase of its period."""
-    scene, average = work.bench.scene, work.bench.rows.average
-    if isinstance(effect, Vibration):
-        return _folded("time", "s", average(scene.time), 1.0 / effect.frequency)
-    if isinstance(effect, TorqueRipple) and effect.joint in scene.joint_names:
-        x, unit = average(scene.q[:, scene.joint_index(effect.joint)]), joint_units(scene, effect.joint)[0]
-        return _folded(f"{effect.joint} position", unit, x, 2.0 * np.pi / effect.wave_number)
-    return None
+@dataclass(frozen=True)
+class _Along:
+    """What an effect follows in a channel, as an axis of each quantity."""
+
+    work: Work
+    effect: Effect
+    follows: Follows
+    channel: int
+
+    @property
+    def scene(self) -> Scene:
+        """Of the recording."""
+        return self.work.bench.scene
+
+    def average(self, x: Array) -> Array:
+        """Signals (N,) on the bench's rows."""
+        return self.work.bench.rows.average(x)
+
+    def time(self) -> Axis:
+        """What repeats, against the phase of its period."""
+        return _folded("time", "s", self.average(self.scene.time), self.follows)
+
+    def position(self) -> Axis:
+        """Of the joint that it names."""
+        joint = self.follows.name
+        x, unit = self.average(self.scene.q[:, self.scene.joint_index(joint)]), joint_units(self.scene, joint)[0]
+        return _folded(f"{joint} position", unit, x, self.follows)
+
+    def speed(self) -> Axis | None:
+        """Of its joint, or the force at the tip where none moves."""
+        joint = self._moved()
+        if joint is None:
+            return self._force()
+        speed = self.average(self.scene.rates[0][:, self.scene.joint_index(joint)])
+        return Axis(f"{joint} speed", f"{joint_units(self.scene, joint)[0]}/s", speed)
+
+    def load(self) -> Axis | None:
+        """Of the joint that it names, or of its own, or the force at the tip where none moves or is loaded."""
+        joint, load = self.follows.name or self._moved(), self.follows.values
+        if load is None and joint is not None:
+            load = self.scene.load(joint)
+        if joint is None or load is None:
+            return self._force()
+        return Axis(f"{joint} load", joint_units(self.scene, joint)[1], self.average(load), self.follows.memory)
+
+    def column(self) -> Axis | None:
+        """A thermometer."""
+        name = self.follows.name
+        known = self.scene.observations.columns.get(name)
+        return None if known is None else Axis(name, "degC", self.average(np.asarray(known)))
+
+    def signal(self) -> Axis:
+        """Scales, leaks and memories over the simulated signal."""
+        names = self.scene.channels
+        source = names.index(self.follows.name) if self.follows.name in names else self.channel
+        label, x = f"{channel_words(names[source])}, simulated", self.average(self.scene.simulated[:, source])
+        return Axis(label, self.scene.units[source], x, self.follows.memory)
+
+    def rate(self) -> Axis:
+        """Delays over its rate."""
+        c = self.channel
+        label = f"{channel_words(self.scene.channels[c])}, simulated rate"
+        return Axis(label, f"{self.scene.units[c]}/s", self.average(self.scene.simulated_rate[:, c]))
+
+    def _moved(self) -> str | None:
+        """The first of its joints that moves."""
+        return next((j for j in self.effect.joints if j in self.scene.moved), None)
+
+    def _force(self) -> Axis | None:
+        """The structure's give over the force along the channel's axis."""
+        name = f"applied.force.{self.scene.channels[self.channel].rsplit('.', 1)[-1]}"
+        force = self.scene.observations.columns.get(name)
+        if force is None or not np.isfinite(force).all():
+            return None
+        return Axis(name.replace(".", " "), "N", self.average(np.asarray(force)))
 
 
-def _of_joint(work: Work, effect: Effect) -> Axis | None:
-    """Friction over the joint's speed, give over its load."""
-    scene, average = work.bench.scene, work.bench.rows.average
-    joint = next((j for j in effect.joints if j in scene.moved), None)
-    if joint is None:
-        return None
-    unit, load_unit = joint_units(scene, joint)
-    if effect.KEY in OVER_SPEED:
-        return Axis(f"{joint} speed", f"{unit}/s", average(scene.rates[0][:, scene.joint_index(joint)]))
-    load = scene.load(joint)
-    return None if load is None else Axis(f"{joint} load", load_unit, average(load))
+QUANTITIES: Final[dict[str, Callable[[_Along], Axis | None]]] = {
+    "time": _Along.time,
+    "position": _Along.position,
+    "speed": _Along.speed,
+    "load": _Along.load,
+    "signal": _Along.signal,
+    "rate": _Along.rate,
+    "column": _Along.column,
+}
 
 
-def _of_force(work: Work, channel: int) -> Axis | None:
-    """The structure's give over the force along the channel's axis."""
-    name = f"applied.force.{work.bench.scene.channels[channel].rsplit('.', 1)[-1]}"
-    force = work.bench.scene.observations.columns.get(name)
-    if force is None or not np.isfinite(force).all():
-        return None
-    return Axis(name.replace(".", " "), "N", work.bench.rows.average(np.asarray(force)))
-
-
-def _of_channel(work: Work, effect: Effect, channel: int) -> Axis | None:
-    """Scales and leaks over the simulated signal, delays over its rate, temperature over the thermometer."""
-    scene, average = work.bench.scene, work.bench.rows.average
-    if isinstance(effect, Temperature):
-        known = scene.observations.columns.get(effect.place)
-        return None if known is None else Axis(effect.place, "degC", average(np.asarray(known)))
-    source = scene.channels.index(effect.source) if isinstance(effect, CrossTalk) else channel
-    name, unit = channel_words(scene.channels[source]), scene.units[source]
-    if effect.KEY in OVER_RATE:
-        return Axis(f"{name}, simulated rate", f"{unit}/s", average(scene.simulated_rate[:, source]))
-    return Axis(f"{name}, simulated", unit, average(scene.simulated[:, source]))
-
-
-def _folded(label: str, unit: str, x: Array, period: float, *, most: float = 3.0) -> Axis:
+def _folded(label: str, unit: str, x: Array, follows: Follows, *, most: float = 3.0) -> Axis:
     """A coordinate folded onto one period where it goes through many.
 
     Args:
         most: periods; more are folded onto one.
     """
-    if np.ptp(x) <= most * period:
-        return Axis(label, unit, x)
-    return Axis(f"{label} within one period", unit, np.mod(x, period))
-
-
-def _driver(work: Work, effect: Effect, channel: int) -> Axis:
-    """What a memory remembers: a joint's position or load, or the simulated channel."""
-    scene, average = work.bench.scene, work.bench.rows.average
-    kind, _, joint = getattr(effect, "driver", f"joint:{getattr(effect, 'joint', '')}").partition(":")
-    load = scene.load(joint) if kind == "load" else None
-    if isinstance(effect, Backlash) and effect.half_width is None:
-        load = effect.load(scene)
-    if load is not None:
-        return Axis(f"{joint} load", joint_units(scene, joint)[1], average(load), loop=True)
-    if joint in scene.joint_names:
-        x = average(scene.q[:, scene.joint_index(joint)])
-        return Axis(f"{joint} position", joint_units(scene, joint)[0], x, loop=True)
-    label = f"{channel_words(scene.channels[channel])}, simulated"
-    return Axis(label, scene.units[channel], average(scene.simulated[:, channel]), loop=True)
+    if not follows.period or np.ptp(x) <= most * follows.period:
+        return Axis(label, unit, x, follows.memory)
+    return Axis(f"{label} within one period", unit, np.mod(x, follows.period))
 
 
 def _ordered(x: Array, y: Array, bins: int = 24) -> float:

@@ -43,7 +43,7 @@ def write_page(path: Path, answer: Diagnosis, traces: Traces) -> None:
         highest=max((e.score for e in traces.evidence), default=1.0),
         alike=traces.alike,
         pictures=_pictures(answer, traces),
-        unnamed=any(f.effect == "unknown" and f.evidence["heldout_gain"] > 0.0 for f in answer.findings),
+        unnamed=any(not f.named and f.evidence["heldout_gain"] > 0.0 for f in answer.findings),
         version=VERSION,
     )
     whole.write_text(page, encoding="utf-8")

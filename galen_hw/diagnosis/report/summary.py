@@ -6,6 +6,7 @@ from typing import Any, Final
 from galen_hw.diagnosis.findings.quantities import headline, quantity, readable
 from galen_hw.diagnosis.report.caps import CAPS
 from galen_hw.diagnosis.result import Diagnosis, Finding
+from galen_hw.physics.effects.registry import effect_class
 
 VERDICTS: Final = {
     "agrees": "simulation and recording agree",
@@ -79,10 +80,16 @@ def _where(d: Diagnosis) -> str:
     parts += [f"{100 * c['excess_share']:.0f} % in {channel_words(c['channel'])}" for c in loud[1:]]
     out = ", ".join(parts) or "too small to share out among the channels"
     out += "".join(f"; {w['says']}" for w in d.where[:1])
-    if d.when and any(f.effect in ("contact", "step", "glitches") for f in d.findings):
+    if d.when and any(_momentary(f) for f in d.findings):
         more = f" and {len(d.when) - CAPS.names} more" if len(d.when) > CAPS.names else ""
         out += f"; at {', '.join(moment(a, b, d.clock) for a, b in d.when[: CAPS.names])}{more}"
     return out
+
+
+def _momentary(finding: Finding) -> bool:
+    """Return whether it is physics of moments, of which there is something to be said."""
+    kind = effect_class(finding.effect)
+    return finding.named and kind.EPISODIC and not kind.THROUGHOUT
 
 
 def moment(start: float, end: float, clock: bool = True) -> str:
@@ -93,7 +100,7 @@ def moment(start: float, end: float, clock: bool = True) -> str:
 
 
 def _why(finding: Finding) -> str:
-    if finding.effect == "unknown":
+    if not finding.named:
         return f"unknown: {finding.says}"
     place = ", ".join(finding.joints[: CAPS.names] or [channel_words(c) for c in finding.channels[: CAPS.names]])
     more = max(len(finding.joints) - CAPS.names, 0)

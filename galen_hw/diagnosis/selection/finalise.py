@@ -1,7 +1,6 @@
 """The chosen model, settled: which constants stand in it, and which weights."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,12 +13,7 @@ from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.paired_test import paired
-from galen_hw.physics.channels import joint_of
-from galen_hw.physics.effects.geometry import JointOffset
-from galen_hw.physics.effects.sensor import Bias
-
-if TYPE_CHECKING:
-    from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.registry import constant_of
 
 
 def settle_model(bench: Bench, scorer: Scorer, selection: Selection) -> Model:
@@ -70,6 +64,4 @@ def offsets(bench: Bench) -> list[Hypothesis]:
 def _named(bench: Bench, constant: Hypothesis) -> Hypothesis:
     """The constant of a channel as the effect that it would be."""
     name = bench.scene.channels[constant.raw.channels[0]]
-    position = bench.scene.observations.predict == "position"
-    effect: Effect = JointOffset(joint_of(name)) if position else Bias(name)
-    return Hypothesis(effect, constant.raw, constant.white)
+    return Hypothesis(constant_of(name, bench.scene.observations.predict), constant.raw, constant.white)

@@ -9,15 +9,14 @@ from galen_hw.diagnosis.estimation.interactions import load
 from galen_hw.diagnosis.estimation.least_squares import rests
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.physics.effects.base import Effect
-from galen_hw.physics.effects.events import Vibration
-from galen_hw.physics.effects.registry import EFFECTS, effect_class
+from galen_hw.physics.effects.registry import kinds
 
 
 def library(bench: Bench) -> list[Effect]:
     """Every hypothesis that the scene allows; offsets are always in the model and judged at the end."""
     predict = bench.scene.observations.predict
-    kinds = [kind for kind in map(effect_class, EFFECTS) if not kind.always_fitted(predict)]
-    return [effect for kind in kinds for effect in kind.propose(bench.scene)]
+    asked = [kind for kind in kinds() if not kind.always_fitted(predict)]
+    return [effect for kind in asked for effect in kind.propose(bench.scene)]
 
 
 def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sought]:
@@ -34,7 +33,7 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sou
     added = bench.rows.average(np.asarray(bench.stream.standing + bench.stream.carried))
     stream, seen = bench.rows.average(bench.scene.simulated) + added, ~bench.dropped
     found += clipping.saturations(bench.scene, np.asarray(bench.whole - added)[seen], stream[seen])
-    hums = [effect for i in chosen if isinstance(effect := scorer.library[i].effect, Vibration)]
+    hums = [(h.raw.channels, line) for h in (scorer.library[i] for i in chosen) if (line := h.line(bench.scene))]
     return (
         found
         + spectral_lines.lines(bench.scene, rest, bench.rows.runs, hums)
@@ -42,18 +41,10 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sou
     )
 
 
-SAME_LINE = 0.1
-"""Of what two lines of the spectrum are apart: sines so near stay in step over the whole recording."""
-
-
 def known(bench: Bench, scorer: Scorer, effect: Effect) -> bool:
     """Return whether a hypothesis is in the library: turn after turn the rest shows the same, as long as nothing takes it."""
-    family = effect.family
-    alike = [h.effect for h in scorer.library if h.family == family]
-    if not isinstance(effect, Vibration):
-        return effect in alike
-    near = SAME_LINE / max(float(np.ptp(bench.scene.time)), 1e-9)
-    return any(isinstance(one, Vibration) and abs(one.frequency - effect.frequency) < near for one in alike)
+    family, span = effect.family, float(np.ptp(bench.scene.time))
+    return any(h.effect is not None and effect.indistinct(h.effect, span) for h in scorer.library if h.family == family)
 
 
 def at_first_sight(bench: Bench) -> list[proposal.Sought]:

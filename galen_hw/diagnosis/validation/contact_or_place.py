@@ -15,7 +15,6 @@ from galen_hw.diagnosis.lack_of_fit.basis_functions import POSITION, Inputs
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.diagnosis.validation.judgement import Judged, touched
-from galen_hw.physics.effects.events import Contact
 
 FORETOLD: Final = 0.4
 """Share of what touches take, in the moments of each, that must follow from the positions of the others."""
@@ -27,7 +26,7 @@ AROUND: Final = 0.5
 
 def touches_of(model: Model) -> list[Hypothesis]:
     """Contacts that a model believes in."""
-    return [h for h in model.effects if isinstance(h.effect, Contact)]
+    return [h for h in model.effects if h.effect is not None and h.effect.touches]
 
 
 def outstanding(model: Model, judged: Judged, rest: Sequence[Left]) -> Model:
@@ -40,20 +39,20 @@ def outstanding(model: Model, judged: Judged, rest: Sequence[Left]) -> Model:
     left = np.maximum(judged.after - judged.floor, 0.0)
     time = model.bench.rows.average(model.bench.scene.time)
     for h, at in zip(model.parts, model.slices(), strict=True):
-        if not isinstance(h.effect, Contact):
+        if h.effect is None or not h.effect.touches:
             kept += [h] if h.effect is not None else []
             continue
         channels, does = list(h.raw.channels), h.raw.values @ model.final[at]
         episodes = []
-        for start, end in h.effect.episodes:
+        for start, end in h.effect.touches:
             taken = np.mean(does[(time >= start) & (time <= end)] ** 2, axis=0)
             most = int(np.argmax(taken / judged.floor[channels]))
             if channels[most] not in more or taken[most] >= OUT**2 * left[channels[most]]:
                 episodes.append((start, end))
-        if len(episodes) == len(h.effect.episodes):
+        if len(episodes) == len(h.effect.touches):
             kept.append(h)
         elif episodes:
-            kept.append(model.bench.add(replace(h.effect, episodes=tuple(episodes)), h.looked))
+            kept.append(model.bench.add(h.effect.during(tuple(episodes)), h.looked))
     return model if kept == model.effects else replace(model, effects=kept)
 
 
@@ -101,8 +100,7 @@ def _each(bench: Bench, touches: Sequence[Hypothesis]) -> list[Mask]:
     time = bench.rows.average(bench.scene.time)
     near = np.zeros(len(bench.rows), dtype=bool)
     for h in touches:
-        assert isinstance(h.effect, Contact), "touches are contacts"
-        for start, end in h.effect.episodes:
+        for start, end in () if h.effect is None else h.effect.touches:
             margin = AROUND * (end - start)
             near |= (time >= start - margin) & (time <= end + margin)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(int))).reshape(-1, 2)

@@ -1,7 +1,6 @@
 """What is left once everything with a name is named: found, predicted, weighed against names that bend far enough to hide it."""
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
@@ -17,9 +16,6 @@ from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.diagnosis.validation.other_recording import left_elsewhere
 from galen_hw.diagnosis.validation.verdict import beyond, strong
 from galen_hw.physics.scenes.base import Scene
-
-POWERS: Final = ("joint_offset", "compliance", "hardening")
-"""Effects that go with a power of a joint's load."""
 
 
 def left_by(models: Sequence[Model], generic: list[structure_test.Family]) -> list[list[structure_test.Left]]:
@@ -115,7 +111,7 @@ def _yielding(model: Model) -> list[set[int]]:
     """Sets of effects that may be no more than part of what has no name: all flexible ones, each kind, polynomials."""
     kinds: dict[str, set[int]] = {}
     for h in model.effects:
-        if h.effect is not None and (h.effect.FLEXIBLE or h.effect.OCCASIONAL):
+        if h.effect is not None and (h.effect.FLEXIBLE or h.effect.touches):
             kinds.setdefault(h.effect.KEY, set()).add(id(h))
     every = set[int]().union(*kinds.values())
     flexible = [every, *kinds.values()] if len(kinds) > 1 else list(kinds.values())
@@ -129,7 +125,7 @@ def _polynomials(model: Model) -> list[set[int]]:
     """
     joints: dict[str, set[int]] = {}
     for h in model.effects:
-        if h.effect is not None and h.effect.KEY in POWERS:
+        if h.effect is not None and h.effect.LOAD_POWER:
             for joint in h.effect.joints:
                 joints.setdefault(joint, set()).add(id(h))
     return [alike for alike in joints.values() if len(alike) > 1]

@@ -14,7 +14,6 @@ from galen_hw.diagnosis.stats.paired_test import Gain, paired
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, predict, touched
 from galen_hw.diagnosis.validation.other_recording import apply, noisier, undisturbed
 from galen_hw.diagnosis.validation.support import HoldoutTest
-from galen_hw.physics.effects.cable import CableDrag
 from galen_hw.physics.effects.registry import effect_class
 from galen_hw.physics.scenes.base import Scene
 
@@ -203,11 +202,13 @@ def _supported(judged: Judged, tests: Sequence[Gain], questions: int) -> bool:
 
 
 def _vague(model: Model) -> list[Hypothesis]:
-    """Cables whose parameters do not say that they are cables, and those that patch what another one misses."""
-    cables = [
-        (h, h.effect, s) for h, s in zip(model.parts, model.slices(), strict=True) if isinstance(h.effect, CableDrag)
+    """Effects whose parameters do not say that they are what they are called, and those that patch what another one misses."""
+    effects = [
+        (h, h.effect, s)
+        for h, s in zip(model.parts, model.slices(), strict=True)
+        if h.effect is not None and h.effect.PROVES
     ]
-    if not cables:
+    if not effects:
         return []
-    spread, every = np.sqrt(model.variance), [e for _, e, _ in cables]
-    return [h for h, e, s in cables if e.patches(every) or not e.known(model.final[s], spread[s])]
+    spread, every = np.sqrt(model.variance), [e for _, e, _ in effects]
+    return [h for h, e, s in effects if e.patches(every) or not e.known(model.final[s], spread[s])]

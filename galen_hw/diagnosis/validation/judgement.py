@@ -10,7 +10,6 @@ from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.stats.paired_test import Gain
 from galen_hw.diagnosis.stats.sampling import Mask
-from galen_hw.physics.effects.events import Contact
 from galen_hw.physics.effects.registry import effect_class
 from galen_hw.spatial import Array
 
@@ -111,7 +110,7 @@ def touched(model: Model) -> Mask:
     """(M,) rows of its own bench during the contacts that a model believes in."""
     out = np.zeros(len(model.bench.rows), dtype=bool)
     for h in model.effects:
-        if isinstance(h.effect, Contact):
+        if h.effect is not None and h.effect.touches:
             out |= h.raw.values.any(axis=(1, 2))
     return out
 

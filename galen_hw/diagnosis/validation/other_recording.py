@@ -18,8 +18,6 @@ from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.sampling import Mask, Rows
 from galen_hw.diagnosis.validation.judgement import Judged, touched
 from galen_hw.physics.effects.base import Effect
-from galen_hw.physics.effects.events import Contact, Step, Vibration
-from galen_hw.physics.effects.sensor import Drift
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import fading
 from galen_hw.spatial import Array
@@ -47,7 +45,7 @@ def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure
     white = here.whitened(rest) * model.bench.noise.sigma / np.sqrt(judged.floor)
     own = [here.made(None, columns).white for columns in here.constants()]
     for h, effect in effects:
-        if isinstance(effect, Contact):
+        if effect.touches:
             continue
         again = here.add(effect)
         own.append((again if h.theta is None else tangent(here, again, h.theta)).white)
@@ -61,7 +59,7 @@ def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure
 
 def _anew(effect: Effect) -> bool:
     """Return whether an effect belongs to moments, and these are not left out of what is judged."""
-    return not effect.lasting() and not isinstance(effect, Contact)
+    return not effect.lasting() and not effect.touches
 
 
 def _bench(model: Model, scene: Scene, judged: Judged) -> Bench | None:
@@ -104,12 +102,10 @@ def undisturbed(model: Model, scene: Scene) -> tuple[Mask, tuple[tuple[float, fl
         spoilt = outliers.spikes(scene.raw_residual, tuple(scene.segments))
         whole &= ~rows.spread(np.asarray((spoilt | repeated(scene)).any(axis=1)))
     good, episodes, time = whole, tuple[tuple[float, float], ...](), rows.average(scene.time)
-    if not any(isinstance(h.effect, Contact) for h in model.effects):
+    if not any(h.effect is not None and h.effect.touches for h in model.effects):
         return good, episodes
     for _ in range(2):
-        found = [
-            one.effect.episodes for one in contacts(scene, apply(model, scene, good)) if isinstance(one.effect, Contact)
-        ]
+        found = [one.effect.touches for one in contacts(scene, apply(model, scene, good))]
         episodes = max(found, key=lambda each: sum(end - start for start, end in each), default=())
         good = whole.copy()
         for start, end in episodes:
@@ -139,30 +135,22 @@ def apply(model: Model, scene: Scene, good: Mask | None = None, besides: Array |
     rest = rest - (0.0 if besides is None else besides)
     columns = [_nuisances(refit, scene, rows, bench)] if refit else []
     found = [h.effect for h in model.parts if h.effect is not None]
+    start, length = float(scene.time[0]), max(float(np.ptp(scene.time)), 1e-9)
     for effect in found:
-        if isinstance(effect, Drift | Vibration):
-            columns += [_full(other, scene, rows, bench.width) for other in _again(effect, scene)]
+        columns += [_full(other, scene, rows, bench.width) for other in effect.again(start, length)]
     left = _less(rest, columns, seen)
     for effect in found:
-        if isinstance(effect, Step):
-            jumps = [_full(replace(effect, moment=t), scene, rows, bench.width) for t in _moments(scene, left, rows)]
+        if effect.jump is not None:
+            jumps = [_full(effect.jumping(t), scene, rows, bench.width) for t in _moments(scene, left, rows)]
             columns.append(min(jumps, key=lambda jump: float(np.sum(_less(left, [jump], seen)[seen] ** 2))))
             left = _less(rest, columns, seen)
     return left
 
 
-def _again(effect: Drift | Vibration, scene: Scene) -> list[Drift | Vibration]:
-    """The same kind of thing in another recording: a drift begins anew, and may wander as well."""
-    if isinstance(effect, Vibration):
-        return [effect]
-    begun = replace(effect, start=float(scene.time[0]), length=max(float(np.ptp(scene.time)), 1e-9))
-    return [begun] if begun.form == "wander" else [begun, replace(begun, form="wander", constant=None)]
-
-
 def _moments(scene: Scene, rest: Array, rows: Rows) -> list[float]:
     """Times at which something may have jumped in a recording; its start where nothing did."""
     jumps = steps.steps(scene, rest) + steps.slips(scene, rest, rows.average)
-    found = [s.effect.moment for s in jumps if isinstance(s.effect, Step)]
+    found = [s.effect.jump for s in jumps if s.effect.jump is not None]
     return sorted(set(found)) or [float(scene.time[0])]
 
 

@@ -179,7 +179,7 @@ def _followed(step: float, sigma: float) -> float:
 
 def verdict_of(findings: list[Finding], rest: list[Left], premise: Premise) -> Verdict:
     """The word for what was found and what is left."""
-    named = [f for f in findings if f.effect != "unknown"]
+    named = [f for f in findings if f.named]
     if premise.wrong:
         return "unexplained"
     if not named:

@@ -14,7 +14,8 @@ from galen_hw.identification.deflection.stream import GiveStream, Place, Six, Tr
 from galen_hw.kinematics import NOMINAL_GRAVITY
 from galen_hw.physics.effects.backlash import Backlash
 from galen_hw.physics.effects.compliance import Hardening
-from galen_hw.physics.effects.hysteresis import Creep, Hysteresis
+from galen_hw.physics.effects.creep import Creep
+from galen_hw.physics.effects.hysteresis import Hysteresis
 from galen_hw.physics.scenes.elastic_arm import FRAMES, RestingLoad, Slip
 from galen_hw.spatial import Array
 

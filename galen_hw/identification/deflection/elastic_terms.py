@@ -12,7 +12,8 @@ from galen_hw.identification.deflection.data import DeflectionSet
 from galen_hw.physics.effects.backlash import Backlash
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.compliance import Compliance, Hardening
-from galen_hw.physics.effects.hysteresis import Creep, Hysteresis
+from galen_hw.physics.effects.creep import Creep
+from galen_hw.physics.effects.hysteresis import Hysteresis
 from galen_hw.physics.scenes.elastic_arm import GivingScene, Slip
 from galen_hw.spatial import Array
 

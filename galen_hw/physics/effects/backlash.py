@@ -1,15 +1,16 @@
 """Play in a joint: which side of its gap the far side lies on, and how it gets across."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
 
 from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.bearing import let_through
 from galen_hw.physics.effects.columns import Columns, through
-from galen_hw.physics.effects.hysteresis import let_through
 from galen_hw.physics.effects.parameters import Parameter, Searched, duration, log_grid, spacing
+from galen_hw.physics.effects.traits import Follows
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.signals.differentiation import row_noise
 from galen_hw.spatial import Array
@@ -50,6 +51,14 @@ class Backlash(Effect):
     """
 
     KEY = "backlash"
+    SAYS = "a dead band at every reversal: play, or the stand-off of a servo against friction"
+    KNOWN_BY = "it shifts by a fixed width at reversals, whatever their size"
+    CONFIRMED_BY = "sweep one joint slowly to and fro with small and with large reversals"
+    HEAD = ("half_width", "half_play")
+    ALIKE: ClassVar = {"friction": "a servo without integral action stands off against friction as if it had play"}
+    TOLD_APART: ClassVar = {
+        "friction": "push the stopped joint lightly by hand in both directions: play gives, friction does not"
+    }
     COMPLEXITY = 2
     ROUGH = True
     SEARCHED: ClassVar = {
@@ -69,6 +78,11 @@ class Backlash(Effect):
     unborne: float | None = None
     lifted: bool = False
     coasting: float | None = None
+
+    @classmethod
+    def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
+        """What holds a servo back at a reversal."""
+        return ["friction", "hysteresis"] if scene.observations.predict == "position" else []
 
     @classmethod
     def propose(cls, scene: Scene, *, slow: int = 8) -> Iterator[Self]:
@@ -141,6 +155,13 @@ class Backlash(Effect):
         """
         if self.impulse is not None and self.coasting is None:
             yield from (replace(self, coasting=T) for T in log_grid(0.5 * spacing(scene), 0.3, count))
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """The joint, or the load that throws it from stop to stop, another way back."""
+        load = self.load(scene) if self.half_width is None else None
+        if load is not None:
+            return Follows("load", self.joint, memory=True, values=load)
+        return Follows("position" if self.joint in scene.joint_names else "signal", self.joint, memory=True)
 
     def load(self, scene: Scene) -> Array | None:
         """(N,) what throws or drags the far side from stop to stop, N or N m; None where it is not known."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.parameters import Parameter, Searched
+from galen_hw.physics.effects.traits import Traits
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
@@ -20,7 +21,7 @@ LOADS: Final = ("wrench", "effort")
 """Groups whose channels are loads."""
 
 
-class Effect(ABC):
+class Effect(Traits, ABC):
     """One hypothesis of one kind: a frozen dataclass whose fields say where it acts and hold what is searched.
 
     The predicted change of the compared channels is `columns(scene) @ theta`, zero for theta = 0. Where physics is
@@ -29,40 +30,6 @@ class Effect(ABC):
 
     KEY: ClassVar[str] = ""
     SEARCHED: ClassVar[Mapping[str, Searched]] = {}
-    NEEDS_CLOCK: ClassVar[bool] = False
-    DOWNSTREAM: ClassVar[bool] = False
-    """It acts on what a stream delivers, after everything else, see `Downstream`."""
-    BEHIND: ClassVar[tuple[str, ...]] = ()
-    """Of downstream effects: keys of others through which its own change arrives; all others stand beside it."""
-    EPISODIC: ClassVar[bool] = False
-    """Its parameters belong to moments of one recording and do not carry over to another."""
-    THROUGHOUT: ClassVar[bool] = False
-    """Of episodic effects: it is there all through its recording."""
-    BRIEF: ClassVar[bool] = False
-    """It acts in few rows only, which may all lie in one block."""
-    ROUGH: ClassVar[bool] = False
-    """A law of matter, or a shape: an idea of what happens, never the whole of it. Geometry and weight are no ideas."""
-    NULL: ClassVar[Mapping[str, float]] = {}
-    CLOCK: ClassVar[bool] = False
-    """Of downstream effects: a delay or filter through which all else arrives."""
-    COMPLEXITY: ClassVar[int] = 3
-    """Of look-alikes that do nearly as well while the model still misses much, that with less goes first."""
-    RIGID: ClassVar[bool] = False
-    """A constant of the arm or its load; these stand for each other in twos and threes: an axis that is turned is the joint
-    before it with another zero, and the sensor turned back."""
-    MIMICS_RIGID: ClassVar[bool] = False
-    """It may have been taken for one: a steady pull for a payload on a tilted arm, a gain for most of one on a single link."""
-    FLEXIBLE: ClassVar[bool] = False
-    """Its form bends enough to take what several constants of geometry or load do together."""
-    OCCASIONAL: ClassVar[bool] = False
-    """Of episodic effects: it is nothing but in its episodes, each of which was found by itself and tells of its own numbers."""
-    SIDE_BY_SIDE: ClassVar[bool] = False
-    """Several of its kind may stand in one place."""
-
-    @classmethod
-    def lasting(cls) -> bool:
-        """Return whether it acts all along, and in another recording as in this one."""
-        return not (cls.EPISODIC or cls.BRIEF)
 
     @classmethod
     @abstractmethod
@@ -124,24 +91,8 @@ class Effect(ABC):
         return (self.KEY, *(str(getattr(self, name, "")) for name in names), *map(str, getattr(self, "errors", ())))
 
     @property
-    def occasions(self) -> int:
-        """How many times it was found, each by itself."""
-        return 1
-
-    @property
-    def single(self) -> tuple["Effect", ...]:
-        """Each part by itself of what was asked together, as several jumps are that follow any slope; empty where it is one."""
-        return ()
-
-    @property
     def swings(self) -> bool:
         """Of clocks: whether it answers with a frequency of its own."""
-        return False
-
-    @classmethod
-    def always_fitted(cls, predict: str) -> bool:
-        """Return whether it is the constant of a channel of this group, which is in every model and judged at its end."""
-        del predict
         return False
 
     @property
@@ -328,4 +279,4 @@ class Downstream(Effect):
 
     @abstractmethod
     def delivered(self, scene: Scene, columns: Columns, theta: Array) -> Columns:
-        """What another effect does (`columns`), as it arrives behind this one with its parameters theta."""
+        """What another effect does, as it arrives."""

@@ -1,6 +1,6 @@
 """A cable or hose: along one joint, as a spring that is linear in what is unknown, and as the tendon that it is."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
@@ -49,9 +49,15 @@ class CableDrag(Effect):
     """
 
     KEY = "cable_drag"
+    SAYS = "a cable or hose pulls, depending on where the arm is"
+    KNOWN_BY = "it depends on the arm's position and not on the clock"
+    CONFIRMED_BY = "repeat the poses in random order with the cable unplugged"
+    HEAD = ("stiffness", "dry_friction", "eye_friction")
+    REMOVED_BY = "repeat the motion with the cable unplugged or held slack"
     MIMICS_RIGID = True
     FLEXIBLE = True
     ROUGH = True
+    PROVES = True
     form: str
     channel: str = ""
     joint: str = ""
@@ -137,9 +143,10 @@ class CableDrag(Effect):
         """A taut cable pulls the harder the further it is drawn, whichever way: what pushes off is none."""
         return self.form != "spring" or bool(theta[0] >= -3.0 * spread[0])
 
-    def patches(self, others: Iterable["CableDrag"]) -> bool:
+    def patches(self, others: Sequence[Effect]) -> bool:
         """Whether it is no cable beside others, but what these miss: one channel of a wrench with one joint, beside a tendon."""
-        return bool(self.joint) and joint_of(self.channel) == "" and any(other.curved for other in others)
+        tendons = [other for other in others if isinstance(other, CableDrag) and other.curved]
+        return bool(self.joint) and joint_of(self.channel) == "" and bool(tendons)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -207,6 +214,19 @@ class CableDrag(Effect):
             return np.asarray(np.einsum("nci,in->nc", answer, wrench))
         felt = (R * force[:, None]).sum(axis=0)
         return np.concatenate([felt, np.cross(theta[5:8], felt, axis=0)]).T
+
+    def starts(self, scene: Scene, theta: Array) -> list[tuple[Effect, Array]]:
+        """Of a spring tendons that pull about as it does; of a tendon the same without what rubs. Of a pull none."""
+        tendon = replace(self, form="tendon")
+        if self.curved:
+            return [(tendon, theta[: len(TENDON)])]
+        return [(tendon, one) for one in self.tendons(scene, theta)] if self.form == "spring" else []
+
+    def richer_starts(self, scene: Scene, theta: Array) -> Iterator[list[tuple[Effect, Array]]]:
+        """In a conduit, and through an eye."""
+        for form, rubbing in self.rubbing(scene, theta).items() if scene.clock else ():
+            if rubbing:
+                yield [(replace(self, form=form), one) for one in rubbing]
 
     def tendons(self, scene: Scene, theta: Array, *, lengths: tuple[float, ...] = (0.1, 0.3, 1.0)) -> list[Array]:
         """(8,) parameters of tendons that pull about as this spring does with its parameters theta (k,).

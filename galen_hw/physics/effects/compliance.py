@@ -11,6 +11,7 @@ from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns, in_all, through
 from galen_hw.physics.effects.parameters import Parameter, Searched, log_grid
+from galen_hw.physics.effects.traits import Follows
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.joint import PositionScene
 from galen_hw.physics.scenes.pose import ArmScene
@@ -36,6 +37,12 @@ class Compliance(Effect):
     """
 
     KEY = "compliance"
+    SAYS = "elastic give under load, own weight included"
+    KNOWN_BY = "it is proportional to the load"
+    CONFIRMED_BY = "load the tip with three known weights in three directions"
+    HEAD = ("compliance.*",)
+    ALIKE: ClassVar = {"hardening": "over this range of load the stiffness hardly changes"}
+    LOAD_POWER = True
     form: str = "joint"
     joint: str = ""
     source: str = "all"
@@ -46,6 +53,14 @@ class Compliance(Effect):
     def location(self) -> tuple[str, ...]:
         """A joint and a structure may give side by side."""
         return (*super().location, self.form)
+
+    def gives_in(self, joint: str) -> bool:
+        """Return whether it is a give of the joint in proportion to its load."""
+        return self.form == "joint" and self.joint == joint
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """Its load."""
+        return Follows("load")
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -140,7 +155,11 @@ class Hardening(Effect):
     """
 
     KEY = "hardening"
+    SAYS = "stiffness changes with load"
+    KNOWN_BY = "it grows faster than the load"
+    CONFIRMED_BY = "load the tip with three known weights, the heaviest near the limit"
     ROUGH = True
+    LOAD_POWER = True
     SEARCHED: ClassVar = {"knee": Searched(1e-9, 1e6, "N m or N")}
     joint: str
     power: int = 3
@@ -163,6 +182,10 @@ class Hardening(Effect):
         if self.knee is not None:
             return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
         return (Parameter("coefficient", f"rad or m/(load)^{self.power}"),)
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """Its load."""
+        return Follows("load")
 
     def law(self, x: Array) -> Array:
         """(N,) of loads (N,), per unit of the parameter."""

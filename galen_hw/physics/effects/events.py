@@ -11,6 +11,7 @@ import numpy as np
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns, in_each
 from galen_hw.physics.effects.parameters import Parameter, Searched, unit_of
+from galen_hw.physics.effects.traits import Follows, Line, Span
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.sensitivity import Carried
 from galen_hw.spatial import Array
@@ -57,11 +58,36 @@ class Step(_Shaped):
     """
 
     KEY = "step"
+    SAYS = "the offset jumps at a moment"
+    KNOWN_BY = "before and after the moment the residual is level"
+    HEAD = ("jump_.*",)
+    RMS_TOLD = True
+    ALIKE: ClassVar = {
+        "drift": "one jump and a quick slope differ only near the moment",
+        "contact": "the force does not end before the recording does",
+    }
     SIDE_BY_SIDE = True
     channels: tuple[str, ...]
     moment: float
     carried: str = ""
     later: tuple[float, ...] = ()
+
+    @property
+    def jump(self) -> float:
+        """Its first."""
+        return self.moment
+
+    def jumping(self, moment: float) -> Self:
+        """Its first moved."""
+        return replace(self, moment=moment)
+
+    def staged(self, start: float, length: float) -> Self:
+        """In the middle."""
+        return self.jumping(start + 0.5 * length)
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """The clock."""
+        return Follows("time")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """The jump of every channel, or shifts and turns of what has slipped."""
@@ -100,17 +126,48 @@ class Contact(_Shaped):
     """
 
     KEY = "contact"
+    SAYS = "an outside force acts during some episodes"
+    KNOWN_BY = "it comes and goes at moments, and nothing is left between them"
+    CONFIRMED_BY = "repeat the same path in free air"
+    RMS_TOLD = True
+    REMOVED_BY = "repeat the motion in free air, nothing near the arm"
     SIDE_BY_SIDE = True
-    OCCASIONAL = True
     ROUGH = True
     channels: tuple[str, ...]
-    episodes: tuple[tuple[float, float], ...]
+    episodes: tuple[Span, ...]
     waves: int = 1
 
     @property
-    def occasions(self) -> int:
+    def touches(self) -> tuple[Span, ...]:
         """Its episodes."""
-        return len(self.episodes)
+        return self.episodes
+
+    def during(self, touches: tuple[Span, ...]) -> Self:
+        """With other episodes."""
+        return replace(self, episodes=touches)
+
+    def finer(self, time: Array, *, hand: int = 5, finest: int = 96, rows: int = 4, most: int = 1000) -> Iterator[Self]:
+        """With more half waves than it has, twice as many each time, and no more than its episodes and memory can bear.
+
+        Args:
+            hand: half waves that a hand which swells and turns asks for at first, where a knock is a level and a bow.
+            finest: half waves of an episode at most; rows: of the shortest episode that a half wave has at least.
+            most: columns that a touch may have, level and waves of all episodes and channels.
+        """
+        shortest = min(int(np.sum((time >= start) & (time <= end))) for start, end in self.episodes)
+        places = len(self.episodes) * len(self.channels)
+        waves = max(2 * self.waves, hand)
+        while waves <= min(finest, shortest // rows, most // places):
+            yield replace(self, waves=waves)
+            waves *= 2
+
+    def staged(self, start: float, length: float) -> Self:
+        """Once, for a tenth of the time."""
+        return self.during(((start + 0.3 * length, start + 0.4 * length),))
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """The clock."""
+        return Follows("time")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Level, bow and further half waves per channel and episode."""
@@ -156,6 +213,13 @@ class Vibration(_Shaped):
     """
 
     KEY = "vibration"
+    SAYS = "an oscillation of one frequency"
+    KNOWN_BY = "it is one line of the spectrum, above what the joints themselves do"
+    CONFIRMED_BY = "hold still for a minute with the motors on, then off"
+    HEAD = ("frequency",)
+    RMS_TOLD = True
+    ALIKE: ClassVar = {"torque_ripple": "the joint turns at nearly constant speed"}
+    REMOVED_BY = "repeat the motion with the source of the vibration switched off"
     SIDE_BY_SIDE = True
     THROUGHOUT = True
     ROUGH = True
@@ -173,6 +237,27 @@ class Vibration(_Shaped):
     def doubt(self, scene: Scene) -> float:
         """A line is as narrow as the recording is long; one line beside it the fit has the next hump."""
         return 1.0 + 1.0 / (float(np.ptp(scene.time)) * self.frequency)
+
+    def line(self, scene: Scene) -> Line:
+        """Itself."""
+        return Line(self.frequency, self.breadth(scene), self.wander > 0)
+
+    def indistinct(self, other: Effect, span: float, *, share: float = 0.1) -> bool:
+        """Sines so near stay in step over the whole recording.
+
+        Args:
+            share: of what two lines of the spectrum are apart that one recording can tell.
+        """
+        near = share / max(span, 1e-9)
+        return isinstance(other, Vibration) and abs(other.frequency - self.frequency) < near
+
+    def again(self, start: float, length: float) -> tuple[Effect, ...]:
+        """In another phase."""
+        return (self,)
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """The clock, again and again."""
+        return Follows("time", period=1.0 / self.frequency)
 
     def breadth(self, scene: Scene) -> float:
         """Hz to either side that belong to it: what its slow changes reach, and one line of the spectrum more."""
@@ -198,6 +283,8 @@ class Glitches(_Sought):
     """
 
     KEY = "glitches"
+    SAYS = "isolated or repeated samples, far off what is measured around them"
+    HEAD = ("size",)
     channels: tuple[str, ...]
     rows: tuple[int, ...] = ()
 
@@ -216,6 +303,7 @@ class Unknown(_Sought):
     """Structure that nothing named explains: no physics, hence no model here, and nothing that the live services could use."""
 
     KEY = "unknown"
+    SAYS = "structure that nothing named explains"
     channels: tuple[str, ...] = ()
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:

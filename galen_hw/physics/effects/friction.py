@@ -12,6 +12,7 @@ from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns, in_channel
 from galen_hw.physics.effects.parameters import Parameter, Searched, log_grid, spacing
+from galen_hw.physics.effects.traits import Follows
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
@@ -40,6 +41,10 @@ class Friction(Effect):
     """
 
     KEY = "friction"
+    SAYS = "friction in the joint"
+    KNOWN_BY = "it follows the direction and the size of the joint's speed"
+    CONFIRMED_BY = "sweep each joint both ways at three speeds"
+    HEAD = ("coulomb", "coulomb_forward", "coulomb_backward", "viscous.*", "stiction")
     COMPLEXITY = 1
     ROUGH = True
     SEARCHED: ClassVar = {
@@ -177,6 +182,15 @@ class Friction(Effect):
             values = {**values, "response": max(values["response"], self.shortest)}
         return super().with_searched(values)
 
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """How quickly the joint goes."""
+        return Follows("speed")
+
+    def timely(self) -> Self | None:
+        """A servo without its viscous part c follows sooner by c."""
+        viscous = self.form.endswith("servo_viscous")
+        return replace(self, form=self.form.removesuffix("_viscous")) if viscous else None
+
     @property
     def stripped(self) -> Self:
         """A servo that holds for good while it sticks."""
@@ -286,6 +300,11 @@ class TorqueRipple(Effect):
     """
 
     KEY = "torque_ripple"
+    SAYS = "a force periodic in the joint's position"
+    KNOWN_BY = "it repeats with the joint's position, at any speed"
+    HEAD = ("wave_number",)
+    RMS_TOLD = True
+    ALIKE: ClassVar = {"cable_drag": "over less than one period a ripple is a spring"}
     SIDE_BY_SIDE = True
     SEARCHED: ClassVar = {"wave_number": Searched(0.1, 1e5, "rad/rad or rad/m")}
     joint: str
@@ -300,6 +319,11 @@ class TorqueRipple(Effect):
         """Amplitudes of sine and cosine."""
         unit = scene.units[_place(scene, self.joint)]
         return Parameter("sine", unit), Parameter("cosine", unit)
+
+    def follows(self, scene: Scene, channel: int) -> Follows | None:
+        """The joint, again and again."""
+        period = 2.0 * np.pi / self.wave_number
+        return Follows("position", self.joint, period) if self.joint in scene.joint_names else None
 
     def doubt(self, scene: Scene) -> float:
         """Half a period over the whole way of the joint: beyond it the fit has the next hump."""

@@ -1,12 +1,12 @@
 """Effects of geometry: joint zeros and scales, links and axes, the sensor's seat."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.channels import joint_unit
+from galen_hw.physics.channels import joint_of, joint_unit
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns, in_all
 from galen_hw.physics.effects.parameters import FARTHEST_SCALE, Parameter
@@ -29,14 +29,36 @@ class JointOffset(Effect):
     """
 
     KEY = "joint_offset"
+    SAYS = "the joint's zero is off"
+    KNOWN_BY = "one constant angle gives it in all channels and poses"
+    CONFIRMED_BY = "visit poses that spread all joints, and check one zero with a level"
+    HEAD = ("offset",)
+    ALIKE: ClassVar = {
+        "sensor_mounting": "the last joint's zero and the sensor's seat turn about the same axis",
+        "link_geometry": "over this range of poses a zero and a tilted axis do the same",
+        "joint_scale": "over this narrow range of the joint a scale is nearly a constant",
+        "compliance": "the load hardly changes",
+    }
+    TOLD_APART: ClassVar = {"sensor_mounting": "check the last joint's zero with a level; no motion of the arm can"}
     COMPLEXITY = 0
     RIGID = True
+    LOAD_POWER = True
     joint: str
 
     @classmethod
     def always_fitted(cls, predict: str) -> bool:
         """Of a joint that is compared itself."""
         return predict == "position"
+
+    @classmethod
+    def fitted_as(cls, channel: str, predict: str) -> Self | None:
+        """The same."""
+        return cls(joint_of(channel)) if predict == "position" else None
+
+    @classmethod
+    def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
+        """An offset of the reading."""
+        return ["bias"] if scene.observations.predict == "position" else []
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -79,6 +101,11 @@ class JointScale(Effect):
     """
 
     KEY = "joint_scale"
+    SAYS = "the joint's scale is off"
+    KNOWN_BY = "it grows in proportion to the joint's travel"
+    CONFIRMED_BY = "visit both ends of the joint's range"
+    HEAD = ("scale_error",)
+    ALIKE: ClassVar = {"compliance": "the load is nearly proportional to the joint's travel"}
     RIGID = True
     joint: str
 
@@ -127,9 +154,22 @@ class LinkGeometry(Effect):
     """
 
     KEY = "link_geometry"
+    SAYS = "a link or an axis is not where or how the model says"
+    KNOWN_BY = "one constant error of the arm gives it in all poses"
+    CONFIRMED_BY = "visit poses that spread all joints in random order, with some repeated"
+    HEAD = (".*_tilt.*", ".*_shift.*", "rod_length.*", "radius.*")
+    ALIKE: ClassVar = {"sensor_mounting": "a tilt behind the last axis is the sensor's seat"}
+    TOLD_APART: ClassVar = {"sensor_mounting": "turn the tool by 180 degrees on its flange and repeat the poses"}
     RIGID = True
     joint: str
     errors: tuple[str, ...]
+
+    @classmethod
+    def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
+        """Where all of it is where the arm stands: a tracker that is off."""
+        bare = [name.rsplit(": ", 1)[-1] for name in parameters if name != "rms_signal"]
+        stands = bool(bare) and all(name.startswith("frame_shift") for name in bare)
+        return ["bias"] if scene.observations.predict == "pose" and stands else []
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -183,6 +223,10 @@ class SensorMounting(Effect):
     """
 
     KEY = "sensor_mounting"
+    SAYS = "the sensor is turned or shifted on its flange"
+    KNOWN_BY = "one constant turn or shift of the sensor gives it in all poses"
+    CONFIRMED_BY = "repeat the poses with the tool turned by 180 degrees"
+    HEAD = ("turn_.", "shift_.")
     RIGID = True
     part: str = "turn"
 

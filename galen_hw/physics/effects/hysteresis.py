@@ -1,6 +1,6 @@
-"""Effects with memory of load or motion: creep and hysteresis."""
+"""Memory of load or motion, whatever the speed."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
@@ -8,165 +8,11 @@ import numpy as np
 
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import LOADS, Effect
-from galen_hw.physics.effects.columns import Columns, in_all, in_channel, through
-from galen_hw.physics.effects.parameters import FARTHEST_SCALE, Parameter, Searched, duration, log_grid
+from galen_hw.physics.effects.columns import Columns, in_channel, through
+from galen_hw.physics.effects.parameters import Parameter, Searched, log_grid
+from galen_hw.physics.effects.traits import Follows
 from galen_hw.physics.scenes.base import Scene
-from galen_hw.physics.scenes.initial_state import Lagging
 from galen_hw.spatial import Array
-
-KELVIN = 7
-"""Elements by which a spectrum of constants is made up: over three decades two to a decade."""
-
-
-@dataclass(frozen=True)
-class Creep(Effect):
-    """Slow settling after a change of load.
-
-    T dz/dt = x - z; r = a z ("more" to come after the load, a Kelvin element in series with what the model has) or
-    r = a (z - x) ("less" at first, as relaxation is seen by a calibrated sensor).
-
-    x is a channel's simulated load (sensor), or the load of a joint (pose: the joint gives by a z), with `friction` F what the
-    bearing lets through of it, P_F[x]. Settled at the start, or `rested`: the load comes on with the first row. What settles
-    within a third of a second does not creep: that is a filter. With `spread` D it settles in no single time, as most matter
-    does: z is the mean over constants from T / D to T D, evenly in their logarithm (the box spectrum of Nowick and Berry,
-    Anelastic Relaxation, 1972, ch. 4, as `KELVIN` elements).
-    Visible in rests of a few T after a change of load. Confused with lag (short T), compliance or gain (T below the rests) and
-    drift.
-    """
-
-    KEY = "creep"
-    FLEXIBLE = True
-    ROUGH = True
-    SEARCHED: ClassVar = {
-        "constant": Searched(0.3, 1e4, "s"),
-        "friction": Searched(1e-9, 1e6, "N m or N"),
-        "spread": Searched(1.2, 1e3, "1"),
-    }
-    NEEDS_CLOCK = True
-    constant: float
-    channel: str = ""
-    joint: str = ""
-    form: str = "more"
-    longest: float = np.inf
-    rested: bool = False
-    friction: float | None = None
-    spread: float | None = None
-
-    @classmethod
-    def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Time constants from half a second to a third of the recording; rested too where there is a load at the start."""
-        longest = duration(scene) / 3.0
-        if not scene.clock or longest <= 0.6:
-            return
-        for constant in log_grid(0.5, longest, 7):
-            for form in ("more", "less"):
-                for channel, joint in _bearing(scene):
-                    yield cls(constant, channel, joint, form, longest)
-                    if scene.observations.predict != "position" and _begun(scene, channel, joint):
-                        yield cls(constant, channel, joint, form, longest, rested=True)
-
-    @property
-    def remark(self) -> str:
-        """Where it began."""
-        return "Its load came on as the recording began: nothing had settled." if self.rested else ""
-
-    def at_work(self, scene: Scene, *, least: float = 1.05) -> bool:
-        """Return whether it is slower than a filter: at the shortest constant it stands for something quicker.
-
-        Args:
-            least: times its shortest constant from which creep is creep.
-        """
-        return self.constant > least * self.SEARCHED["constant"].low
-
-    def with_searched(self, values: Mapping[str, float]) -> Self:
-        """Another constant, not above the longest of which this recording sees enough to tell it from a give."""
-        constant = min(values.get("constant", self.constant), self.longest)
-        return replace(super().with_searched(values), constant=constant)
-
-    def richer(self, scene: Scene) -> Iterator[Self]:
-        """Many constants for one: over a decade, or over several."""
-        if self.spread is None:
-            yield from (replace(self, spread=ratio) for ratio in log_grid(3.0, 30.0, 3))
-
-    def otherwise(self) -> Self:
-        """What comes later or what is missing at first: a load that was read wrong all along makes one of the other."""
-        return replace(self, form="less" if self.form == "more" else "more")
-
-    def lags(self, scene: Scene) -> tuple[Lagging, ...]:
-        """What may still have been settling: its one time constant, and where there are many the shortest and the longest too."""
-        spread = (1.0,) if self.spread is None else (1.0 / self.spread, 1.0, self.spread)
-        places = () if self.joint else tuple(i for i, name in enumerate(scene.channels) if self.channel in ("", name))
-        return tuple(Lagging(places, self.constant * ratio, self.joint) for ratio in spread)
-
-    def unlimited(self) -> Self:
-        """Any constant: what never settles in this recording is a give to it, but it may be there."""
-        return replace(self, longest=np.inf)
-
-    def reads(self, scene: Scene) -> bool:
-        """Where it is the sensor's own."""
-        return not self.joint and scene.observations.predict in LOADS
-
-    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Settled share of the load, or give of the joint."""
-        if self.joint and scene.observations.predict != "position":
-            return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
-        # What is missing at first by more than that is behind a filter: matter that gives so much is no part of a machine.
-        return (Parameter("share", "1", furthest=FARTHEST_SCALE),)
-
-    def columns(self, scene: Scene) -> Columns:
-        """The load's slow part through its port."""
-        if self.channel:
-            place = scene.channels.index(self.channel)
-            return in_channel(place, [self._slow(scene, scene.simulated[:, place])])
-        if not self.joint:
-            slow = self._settling(scene, scene.simulated)
-            return in_all([slow if self.form == "more" else slow - scene.simulated], len(scene.channels))
-        load = scene.load(self.joint)
-        if load is None or scene.observations.predict == "position":
-            load = scene.q[:, scene.joint_index(self.joint)]
-        if self.friction is not None:
-            load = let_through(scene, load, self.friction)
-        return through(scene, self.joint, [self._slow(scene, load)])
-
-    def _slow(self, scene: Scene, x: Array) -> Array:
-        slow = self._settling(scene, x[:, None])[:, 0]
-        return slow if self.form == "more" else slow - x
-
-    def _settling(self, scene: Scene, x: Array) -> Array:
-        """(N, m) what has settled of loads (N, m)."""
-        if self.spread is None:
-            return scene.lag("creep", x, self.constant, empty=self.rested)
-        each = self.constant * self.spread ** np.linspace(-1.0, 1.0, KELVIN)
-        slow = [scene.lag(("creep", k), x, T, empty=self.rested) for k, T in enumerate(each.tolist())]
-        return np.asarray(np.mean(slow, axis=0))
-
-
-def let_through(scene: Scene, load: Array, friction: float) -> Array:
-    """(N,) what a bearing with dry friction lets through of a load (N,), all in N or N m: a play of it as wide as that."""
-    return scene.play("bearing", load[:, None], friction)[:, 0]
-
-
-def _begun(scene: Scene, channel: str, joint: str, *, share: float = 0.1) -> bool:
-    """Return whether what bears has a load at the start.
-
-    Args:
-        share: of its spread that a load is at the start, from which it matters whether it has settled.
-    """
-    load = scene.load(joint) if joint else scene.simulated[:, scene.channels.index(channel) if channel else slice(None)]
-    return load is not None and bool(np.any(np.abs(load[0]) > share * np.nanstd(load, axis=0)))
-
-
-def _bearing(scene: Scene) -> Iterator[tuple[str, str]]:
-    """(channel, "") of what bears load itself, ("", "") for a sensor's body as a whole, or ("", joint)."""
-    if scene.observations.predict in ("pose", "targets"):
-        yield from (("", joint) for joint in scene.joint_names if scene.load(joint) is not None)
-    elif scene.observations.predict in ("wrench", "effort"):
-        spread = np.nanstd(scene.simulated, axis=0)
-        yield from ((name, "") for name, s in zip(scene.channels, spread, strict=True) if s > 0.0)
-        if scene.observations.predict == "wrench" and np.all(spread > 0.0):
-            yield "", ""
-    else:
-        yield from (("", joint_of(name)) for name in scene.channels)
 
 
 @dataclass(frozen=True)
@@ -190,6 +36,18 @@ class Hysteresis(Effect):
     """
 
     KEY = "hysteresis"
+    SAYS = "it remembers past load or motion, whatever the speed"
+    KNOWN_BY = "it depends on where the motion turned round and not on how quick it was"
+    CONFIRMED_BY = "sweep one joint slowly to and fro with small and with large reversals"
+    RMS_TOLD = True
+    ALIKE: ClassVar = {
+        "backlash": "play is one element of a hysteresis",
+        "friction": "friction with presliding is a hysteresis of motion",
+    }
+    TOLD_APART: ClassVar = {
+        "friction": "sweep the joint slowly to and fro with ever smaller reversals, the servo off",
+        "backlash": "sweep the joint slowly to and fro with ever smaller reversals",
+    }
     FLEXIBLE = True
     ROUGH = True
     SEARCHED: ClassVar = {
@@ -206,6 +64,11 @@ class Hysteresis(Effect):
     gap: float | None = None
     form: str = "less"
     wear: float | None = None
+
+    @classmethod
+    def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
+        """What holds a servo back at a reversal."""
+        return ["friction", "backlash"] if scene.observations.predict == "position" else []
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -261,6 +124,15 @@ class Hysteresis(Effect):
         if name == "reach" and not self.driver.startswith("joint"):
             return "N m or N"
         return super().searched_unit(name)
+
+    def follows(self, scene: Scene, channel: int) -> Follows:
+        """What drives it, another way back."""
+        kind, _, joint = self.driver.partition(":")
+        if kind == "load" and scene.load(joint) is not None:
+            return Follows("load", joint, memory=True)
+        if joint in scene.joint_names:
+            return Follows("position", joint, memory=True)
+        return Follows("signal", memory=True)
 
     def rubs_in(self, joint: str) -> bool:
         """Return whether it is a joint's friction beside its spring."""

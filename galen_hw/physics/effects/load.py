@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -29,6 +29,14 @@ class Payload(Effect):
     """
 
     KEY = "payload"
+    SAYS = "the carried body's mass or centre of mass differs from what is believed"
+    KNOWN_BY = "it turns with gravity in the sensor as a weight does"
+    CONFIRMED_BY = "repeat the poses with a second, known mass"
+    HEAD = ("mass", "moment_.")
+    ALIKE: ClassVar = {
+        "sensor_mounting": "a shifted sensor changes the torque as a moved centre of mass does",
+        "cable_drag": "over these poses the cable pulls much as a weight does",
+    }
     COMPLEXITY = 1
     RIGID = True
     part: str = "body"
@@ -148,6 +156,18 @@ class BaseTilt(Effect):
     """
 
     KEY = "base_tilt"
+    SAYS = "gravity does not point where the model says"
+    KNOWN_BY = "it is what a turned gravity gives in all channels at once"
+    CONFIRMED_BY = "put a level on the base, or turn the arm about a second axis"
+    HEAD = ("tilt_.",)
+    ALIKE: ClassVar = {
+        "joint_offset": "the first joint turns about a level axis, as a tilt of the base does",
+        "link_geometry": "a tilt before the first axis is the base's",
+    }
+    TOLD_APART: ClassVar = {
+        "joint_offset": "put a level on the base; no motion of the arm can",
+        "link_geometry": "put a level on the base; no motion of the arm can",
+    }
     COMPLEXITY = 1
     RIGID = True
     axis: str = "xy"
@@ -197,6 +217,9 @@ class Inertial(Effect):
     """
 
     KEY = "inertial"
+    SAYS = "forces of acceleration that the static model leaves out"
+    KNOWN_BY = "it follows the accelerations by the known masses"
+    HEAD = ("share", "lever_.")
     NEEDS_CLOCK = True
     lever: str = ""
 

@@ -6,20 +6,21 @@ from typing import Any, Final
 
 from galen_hw.errors import UsageError
 from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.clocks import Shift, Timing
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
 
 EFFECTS: Final[dict[str, str]] = {
     "bias": "galen_hw.physics.effects.sensor:Bias",
     "step": "galen_hw.physics.effects.events:Step",
-    "drift": "galen_hw.physics.effects.sensor:Drift",
-    "temperature": "galen_hw.physics.effects.sensor:Temperature",
+    "drift": "galen_hw.physics.effects.drift:Drift",
+    "temperature": "galen_hw.physics.effects.drift:Temperature",
     "gain": "galen_hw.physics.effects.sensor:Gain",
     "cross_talk": "galen_hw.physics.effects.sensor:CrossTalk",
     "saturation": "galen_hw.physics.effects.sensor:Saturation",
     "time_delay": "galen_hw.physics.effects.timing:TimeDelay",
     "lag": "galen_hw.physics.effects.timing:Lag",
-    "creep": "galen_hw.physics.effects.hysteresis:Creep",
+    "creep": "galen_hw.physics.effects.creep:Creep",
     "hysteresis": "galen_hw.physics.effects.hysteresis:Hysteresis",
     "backlash": "galen_hw.physics.effects.backlash:Backlash",
     "vibration": "galen_hw.physics.effects.events:Vibration",
@@ -63,6 +64,26 @@ def effect_class(key: str) -> type[Effect]:
     if key not in EFFECTS:
         raise UsageError(f"no effect {key!r}", where="terms", todo=f"one of: {', '.join(EFFECTS)}")
     return _load(EFFECTS[key])  # type: ignore[no-any-return]
+
+
+def kinds() -> list[type[Effect]]:
+    """Return the classes of all keys, in the order of the table."""
+    return [effect_class(key) for key in EFFECTS]
+
+
+def shifts(scene: Scene) -> list[Shift]:
+    """Return the clocks that a scene allows and that deliver all as it was, and later."""
+    return [one for kind in kinds() if issubclass(kind, Shift) for one in kind.propose(scene)]
+
+
+def clocks(scene: Scene) -> list[Timing]:
+    """Return all clocks that a scene allows."""
+    return [one for kind in kinds() if issubclass(kind, Timing) for one in kind.propose(scene)]
+
+
+def constant_of(channel: str, predict: str) -> Effect:
+    """Return what the constant of a channel of a group is where the baseline may have none."""
+    return next(one for kind in kinds() if (one := kind.fitted_as(channel, predict)) is not None)
 
 
 def scene_of(observations: Observations, **options: Any) -> Scene:

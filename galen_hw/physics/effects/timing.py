@@ -1,69 +1,24 @@
 """Effects of the clock: one stream late against the other, and slow filters."""
 
-from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
 
 from galen_hw.physics.channels import joint_of
-from galen_hw.physics.effects.base import Downstream
+from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.clocks import Filter, Shift
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.parameters import Parameter, Searched, log_grid, spacing
+from galen_hw.physics.effects.traits import Averages
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import Beginning, Lagging
 from galen_hw.spatial import Array
 
-BETWEEN = ("lines", "bows", "steps")
-"""What the simulated does between two rows: runs straight, along a parabola, or has the later one's value all the way."""
-
-
-class Timing(Downstream):
-    """An effect of the clock."""
-
-    CLOCK = True
-
-    NEEDS_CLOCK = True
-    joint: str
-    between: str
-
-    def __post_init__(self) -> None:
-        """Refuses what it does not know: TypeError."""
-        if self.between not in BETWEEN:
-            raise TypeError(f"between two rows are {', '.join(BETWEEN)}, not {self.between}")
-
-    @property
-    def bowed(self) -> bool:
-        """Return whether the simulated runs along parabolas between two rows."""
-        return self.between == "bows"
-
-    @abstractmethod
-    def beginning(self, scene: Scene, theta: Array) -> Beginning:
-        """What it leaves open, with parameters theta (k,), at the beginning of a recording: it answers to what came before."""
-
-    @abstractmethod
-    def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
-        """(N, m) signals as this stream delivers them, whatever they are."""
-
-    def places(self, scene: Scene) -> tuple[int, ...]:
-        """The channels that it makes late: the named joint's, or all."""
-        return tuple(i for i, name in enumerate(scene.channels) if self.joint in ("", joint_of(name)))
-
-    def delivered(self, scene: Scene, columns: Columns, theta: Array) -> Columns:
-        """What another effect does, as it arrives through this stream: the channels of `joint` alone where one is named."""
-        places = self.places(scene)
-        mine = [i for i, c in enumerate(columns.channels) if c in places]
-        if not mine or not columns.count:
-            return columns
-        values = columns.values.copy()
-        flat = values[:, mine].reshape(len(values), -1)
-        values[:, mine] = self.retimed(scene, flat, theta).reshape(len(values), len(mine), columns.count)
-        return Columns(columns.channels, values)
-
 
 @dataclass(frozen=True)
-class TimeDelay(Timing):
+class TimeDelay(Shift):
     """One stream is late: y(t) = w(t - d), one number for all channels; its slope at zero is -dw/dt.
 
     `joint` restricts it to one joint's reading; `between`: see `BETWEEN`; steps are lines to it. Visible where the channels move.
@@ -71,6 +26,14 @@ class TimeDelay(Timing):
     """
 
     KEY = "time_delay"
+    SAYS = "the recording is late against the simulation"
+    KNOWN_BY = "it is proportional to the rate of change and the same everywhere"
+    CONFIRMED_BY = "move one joint at two speeds, with quick starts"
+    HEAD = ("delay",)
+    ALIKE: ClassVar = {
+        "lag": "for motion this slow a delay and a first-order lag are the same",
+        "friction": "for motion at nearly one speed a delay shifts as friction does",
+    }
     COMPLEXITY = 0
     joint: str = ""
     between: str = "lines"
@@ -83,6 +46,10 @@ class TimeDelay(Timing):
         yield cls()
         if scene.observations.predict == "position" and len(scene.channels) > 1:
             yield from (cls(joint_of(name)) for name in scene.channels)
+
+    def lagging(self, constant: float, shortest: float, damping: float | None = None) -> "Lag":
+        """What answers slowly where this one is late, all of it."""
+        return Lag(constant, self.joint, shortest, whole=True, damping=damping, between=self.between)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """The delay, positive when the recording is late against the simulation."""
@@ -97,7 +64,7 @@ class TimeDelay(Timing):
         """A shift is not its slope."""
         return True
 
-    def beginning(self, scene: Scene, theta: Array) -> Beginning:
+    def beginning(self, scene: Scene, theta: Array, others: Sequence[Effect]) -> Beginning:
         """As many seconds as it is late, or at the end as it is early."""
         late = float(theta[0])
         return Beginning(max(late, 0.0), max(-late, 0.0))
@@ -113,9 +80,33 @@ class TimeDelay(Timing):
         """(N, m) signals as this stream delivers them."""
         return scene.delay("delay", x, float(theta[0]), bowed=self.bowed)
 
+    def delivered_on(self, rows: Averages, scene: Scene, columns: Columns, theta: Array) -> Columns:
+        """Averages of what is late are late averages."""
+        if not columns.count:
+            return super().delivered_on(rows, scene, columns, theta)
+        places, late = self.places(scene), float(theta[0])
+        mine = [i for i, c in enumerate(columns.channels) if c in places]
+        if not mine:
+            return Columns(columns.channels, rows.average(columns.values))
+        if len(mine) == len(columns.channels):
+            return Columns(columns.channels, rows.late(columns.values, late, bowed=self.bowed))
+        out = np.empty((len(rows.simulated), *columns.values.shape[1:]))
+        rest = [i for i in range(len(columns.channels)) if i not in mine]
+        out[:, rest] = rows.average(columns.values[:, rest])
+        out[:, mine] = rows.late(columns.values[:, mine], late, bowed=self.bowed)
+        return Columns(columns.channels, out)
+
+    def shifted(self, rows: Averages, scene: Scene, theta: Array) -> Array:
+        """Nothing delivers it, and a joint's own changes no other channel."""
+        places, simulated = list(self.places(scene)), scene.simulated
+        mine = simulated if len(places) == simulated.shape[1] else simulated[:, places]
+        out = np.zeros_like(rows.simulated)
+        out[:, places] = rows.late(mine, float(theta[0]), bowed=self.bowed) - rows.simulated[:, places]
+        return out
+
 
 @dataclass(frozen=True)
-class Lag(Timing):
+class Lag(Filter):
     """A first-order response: T dy/dt = w - y; y - w is `share` times that (1 for a plain first order).
 
     With `damping` z one of second order: T^2 y'' + 2 z T y' + y = w, of a servo or a filter of two poles (0.71: Butterworth).
@@ -126,6 +117,14 @@ class Lag(Timing):
     """
 
     KEY = "lag"
+    SAYS = "the recording follows the simulation like a filter of the first order, or of the second where a damping is given"
+    KNOWN_BY = "it is large where the signal moves quickly and dies away where it rests"
+    CONFIRMED_BY = "move one joint at two speeds, with quick starts"
+    HEAD = ("constant", "damping")
+    ALIKE: ClassVar = {
+        "friction": "a lag and viscous friction both follow the speed",
+        "creep": "creep is a lag with a long time constant",
+    }
     COMPLEXITY = 2
     BEHIND = ("time_delay",)
     """s + D (L s - s) + (D s - s) = D L s: a late clock delivers what the filter gives."""
@@ -158,7 +157,7 @@ class Lag(Timing):
         constant = max(values.get("constant", self.constant), self.shortest)
         return replace(self, constant=constant, damping=values.get("damping", self.damping))
 
-    def beginning(self, scene: Scene, theta: Array) -> Beginning:
+    def beginning(self, scene: Scene, theta: Array, others: Sequence[Effect]) -> Beginning:
         """What the filter held. Of second order two numbers a channel would be free: enough to make one of a delay."""
         first = self.damping is None
         return Beginning(lags=(Lagging(self.places(scene), self.constant),) if first else ())
@@ -185,13 +184,14 @@ class Lag(Timing):
         """Lagged less simulated."""
         places = self.places(scene)
         mine = scene.simulated[:, places]
-        return Columns(places, (self._lagged(scene, mine) - mine)[:, :, None])
+        return Columns(places, (self.filtered(scene, mine) - mine)[:, :, None])
 
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
         """(N, m) signals as this stream delivers them."""
-        return x + float(theta[0]) * (self._lagged(scene, x) - x)
+        return x + float(theta[0]) * (self.filtered(scene, x) - x)
 
-    def _lagged(self, scene: Scene, x: Array) -> Array:
+    def filtered(self, scene: Scene, x: Array) -> Array:
+        """(N, m) signals behind it."""
         if self.damping is not None:
             return second_order(scene, x, self.constant, self.damping, self.between)
         return first_order(scene, x, self.constant, self.between)

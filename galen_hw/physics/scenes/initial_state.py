@@ -32,6 +32,11 @@ class Lagging:
     constant: float
     joint: str = ""
 
+    @property
+    def places(self) -> tuple[int | str, ...]:
+        """The channels, or the joint."""
+        return self.channels or (self.joint,)
+
 
 @dataclass(frozen=True)
 class Beginning:

@@ -5,15 +5,15 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from galen_hw.diagnosis.selection.moves.add import added
-from galen_hw.diagnosis.selection.moves.cable import tightened
+from galen_hw.diagnosis.selection.moves.alternatives import replaced
 from galen_hw.diagnosis.selection.moves.clipping import clipped
-from galen_hw.diagnosis.selection.moves.creep_friction import behind_friction
 from galen_hw.diagnosis.selection.moves.drop import dropped
 from galen_hw.diagnosis.selection.moves.exchange import regrouped
 from galen_hw.diagnosis.selection.moves.pairs import hidden
 from galen_hw.diagnosis.selection.moves.refine import refined
 from galen_hw.diagnosis.selection.moves.split import split
 from galen_hw.diagnosis.selection.moves.swap import swapped, swapped_again
+from galen_hw.diagnosis.selection.moves.tighten import tightened
 from galen_hw.diagnosis.selection.moves.timing import one_clock, reclocked
 from galen_hw.diagnosis.selection.search_state import Selection
 
@@ -38,7 +38,7 @@ MOVES: Final = (
     Move("exchange", clipped),
     Move("exchange", split),
     Move("exchange", tightened),
-    Move("exchange", behind_friction),
+    Move("exchange", replaced),
     Move("exchange", regrouped),
     Move("timing", one_clock),
     Move("timing", reclocked),

@@ -10,10 +10,10 @@ from galen_hw.diagnosis.selection.acceptance import pays, plausible
 from galen_hw.diagnosis.selection.comparison import bent, polished
 from galen_hw.diagnosis.selection.kinds import kind_first
 from galen_hw.diagnosis.selection.limits import LIMITS
-from galen_hw.diagnosis.selection.moves.cable import tightened
 from galen_hw.diagnosis.selection.moves.clock_offset import clock_offset
-from galen_hw.diagnosis.selection.moves.contact_profile import finest
+from galen_hw.diagnosis.selection.moves.course import finest
 from galen_hw.diagnosis.selection.moves.step_times import parted
+from galen_hw.diagnosis.selection.moves.tighten import tightened
 from galen_hw.diagnosis.selection.moves.timing import own_clocks
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import plainest

@@ -5,8 +5,6 @@ other. A touch with a level and a bow an episode does about what all the limits 
 itself; beside it none of them is worth anything.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
@@ -16,17 +14,15 @@ from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import left_out, no_worse
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.stats.criteria import CRITERIA
-from galen_hw.physics.effects.events import Contact
-from galen_hw.physics.effects.sensor import Saturation
 
 
 def clipped(out: Selection) -> bool:
     """Whether limits at which readings pile up took the place of a chosen touch, and of limits that were found beside it."""
     bench, scorer = out.bench, out.scorer
-    piles = [j for j, h in enumerate(scorer.library) if isinstance(h.effect, Saturation) and h.looked == 1]
-    touches = [i for i in out.chosen if isinstance(scorer.library[i].effect, Contact)]
+    piles = [j for j, h in enumerate(scorer.library) if h.effect is not None and h.effect.clips and h.looked == 1]
+    touches = [i for i in out.chosen if (e := scorer.library[i].effect) is not None and e.touches]
     for i in touches if piles else ():
-        kept = [j for j in out.chosen if j != i and not isinstance(scorer.library[j].effect, Saturation)]
+        kept = [j for j in out.chosen if j != i and ((e := scorer.library[j].effect) is None or not e.clips)]
         with as_if(scorer, kept):
             trial = _with_limits(scorer, out, kept, piles)
             cost = scorer.solve(trial)[2] + _price(bench, scorer, trial)
@@ -48,12 +44,13 @@ def levelled(out: Selection) -> None:
     measured = bench.whole + bench.rows.average(bench.scene.simulated)
     for i in list(out.chosen):
         effect = scorer.library[i].effect
-        if not isinstance(effect, Saturation) or scorer.library[i].looked == 1:
+        if effect is None or not effect.clips or scorer.library[i].looked == 1:
             continue
-        c = bench.scene.channels.index(effect.channel)
-        beyond = bench.train & (bench.rows.average(effect.clipped(bench.stream).astype(float)) > 0.5)
-        level = replace(effect, limit=float(measured[beyond, c].mean())) if beyond.any() else effect
-        off = abs(level.limit - effect.limit) * np.sqrt(beyond.sum()) / bench.noise.sigma[c]
+        name, limit = effect.clips
+        c = bench.scene.channels.index(name)
+        beyond = bench.train & (bench.rows.average(effect.at_limit(bench.stream).astype(float)) > 0.5)
+        mean = float(measured[beyond, c].mean()) if beyond.any() else limit
+        off, level = abs(mean - limit) * np.sqrt(beyond.sum()) / bench.noise.sigma[c], effect.levelled(mean)
         if off < CRITERIA.standard_errors() or any(h.effect == level for h in scorer.library):
             continue
         before, cost = list(out.chosen), scorer.solve(out.chosen)[2]

@@ -17,7 +17,7 @@ from galen_hw.diagnosis.selection.kinds import in_each_joint
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns
-from galen_hw.physics.effects.timing import TimeDelay
+from galen_hw.physics.effects.registry import shifts
 from galen_hw.spatial import Array
 
 LEAST_ROWS = 200
@@ -41,15 +41,16 @@ def clock_offset(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[i
         scores: of all hypotheses beside the chosen ones; the delay joins the library, settled where it is.
     """
     own = next((i for i in scores if _whole(scorer.library[i].effect)), None)
-    if own is None or any(isinstance(scorer.library[i].effect, TimeDelay) for i in chosen):
+    if own is None or any((e := scorer.library[i].effect) is not None and e.SHIFT for i in chosen):
         return None
     shift = _shift(bench)
     if shift is None:
         return None
+    plain = next(iter(shifts(bench.scene)))
     h, beside, everywhere = scorer.library[own], Beside(bench, scorer, chosen), tuple(range(bench.width))
 
     def cost(late: float) -> float:
-        change = does(bench, TimeDelay(), np.array([late]))
+        change = does(bench, plain, np.array([late]))
         return -beside.whole(bench.made(None, Columns(everywhere, change[:, :, None])))
 
     seconds, step = shift
@@ -75,9 +76,9 @@ def far_off(model: Model) -> list[Columns]:
     return out
 
 
-def _whole(effect: Effect | None) -> TypeGuard[TimeDelay]:
+def _whole(effect: Effect | None) -> TypeGuard[Effect]:
     """Return whether it is a delay of the whole stream."""
-    return isinstance(effect, TimeDelay) and not effect.joint
+    return effect is not None and effect.SHIFT and not effect.joints
 
 
 def _shift(bench: Bench) -> tuple[float, float] | None:

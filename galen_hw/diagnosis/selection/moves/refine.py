@@ -5,7 +5,7 @@ from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import pays, plausible
 from galen_hw.diagnosis.selection.comparison import polished
 from galen_hw.diagnosis.selection.limits import LIMITS
-from galen_hw.diagnosis.selection.moves.contact_profile import followed
+from galen_hw.diagnosis.selection.moves.course import followed
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Effect

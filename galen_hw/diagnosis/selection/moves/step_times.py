@@ -5,7 +5,6 @@ from galen_hw.diagnosis.estimation.interactions import load
 from galen_hw.diagnosis.estimation.least_squares import rests
 from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.search_state import Selection
-from galen_hw.physics.effects.events import Step
 
 
 def timed(out: Selection) -> bool:
@@ -14,7 +13,7 @@ def timed(out: Selection) -> bool:
     moved = False
     for place, i in enumerate(out.chosen):
         step = scorer.library[i].effect
-        if not isinstance(step, Step) or step.carried:
+        if not steps.is_seen_by_itself(step):
             continue
         load(bench, scorer, out.chosen)
         others = [j for j in out.chosen if j != i]

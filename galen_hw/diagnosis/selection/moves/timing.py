@@ -24,8 +24,9 @@ from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.paired_test import paired
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Effect
-from galen_hw.physics.effects.friction import Friction
-from galen_hw.physics.effects.timing import Lag, TimeDelay
+from galen_hw.physics.effects.clocks import Shift
+from galen_hw.physics.effects.registry import clocks as clocks_of
+from galen_hw.physics.effects.registry import effect_class, shifts
 from galen_hw.spatial import Array
 
 RICHER = 0.05
@@ -44,7 +45,7 @@ def reclocked(out: Selection) -> bool:
     # Not for ever: what the search takes back of an exchange, it would take back again.
     model = frozenset(scorer.library[i].family for i in out.chosen)
     again = _ends(scorer, out.chosen) and out.clocked[model] < OFTEN
-    proposed = list(TimeDelay.propose(bench.scene)) if again else []
+    proposed = shifts(bench.scene) if again else []
     out.clocked[model] += 1
     if not proposed:
         return False
@@ -61,7 +62,7 @@ def own_clocks(out: Selection) -> bool:
     Before anything else is chosen: of servos that answer each in its own time it would take the rest of their lateness.
     """
     bench, scorer = out.bench, out.scorer
-    proposed = list(TimeDelay.propose(bench.scene))
+    proposed = shifts(bench.scene)
     ends = [e for e in proposed if e.joint]
     if not ends or len(out.chosen) != 1 or not _ends(scorer, out.chosen):
         return False
@@ -84,7 +85,7 @@ def _ends(scorer: Scorer, chosen: list[int]) -> list[int]:
 
 
 def _sought(
-    bench: Bench, scorer: Scorer, chosen: list[int], groups: Sequence[list[TimeDelay]]
+    bench: Bench, scorer: Scorer, chosen: list[int], groups: Sequence[list[Shift]]
 ) -> Iterator[tuple[Clocks, dict[Effect, Effect]]]:
     """For each group of ends the best clocks where these act, instead of the chosen ones, once it is asked for.
 
@@ -92,7 +93,7 @@ def _sought(
     """
     old = _ends(scorer, chosen)
     # Friction of a servo has the servo's lag in it: it goes where that goes.
-    within = [e for i in chosen if (e := scorer.library[i].effect) is not None and Lag.KEY in e.contains]
+    within = [e for i in chosen if (e := scorer.library[i].effect) is not None and _has_clock(e)]
     others = [i for i in chosen if i not in old and scorer.library[i].effect not in within]
     swings = any("damping" in e.searched() for i in old if (e := scorer.library[i].effect) is not None)
     none = bench.y + sum((b for i in old if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
@@ -111,12 +112,12 @@ def one_clock(out: Selection) -> bool:
     A servo with a viscous part c follows by c later. The search finds friction joint by joint, each with the lateness of all.
     """
     bench, scorer = out.bench, out.scorer
-    late = [i for i in out.chosen if _without_viscous(scorer.library[i].effect) is not None]
-    proposed = [e for e in (*TimeDelay.propose(bench.scene), *Lag.propose(bench.scene)) if not e.joint]
+    sooner = {i: e.timely() for i in out.chosen if (e := scorer.library[i].effect) is not None}
+    late = [i for i, effect in sooner.items() if effect is not None]
+    proposed = [e for e in clocks_of(bench.scene) if not e.joint]
     if len(late) < 2 or not proposed or _ends(scorer, out.chosen):
         return False
-    dry = [(_without_viscous(h.effect), h.looked) for h in (scorer.library[i] for i in late)]
-    plain = [bench.add(effect, looked) for effect, looked in dry if effect is not None]
+    plain = [bench.add(effect, scorer.library[i].looked) for i, effect in sooner.items() if effect is not None]
     first = len(scorer.library)
     scorer.append([*plain, *(bench.add(end) for end in proposed)])
     kept = [*(i for i in out.chosen if i not in late), *range(first, first + len(plain))]
@@ -131,11 +132,9 @@ def one_clock(out: Selection) -> bool:
     return True
 
 
-def _without_viscous(effect: Effect | None) -> Friction | None:
-    """Friction of a servo without its viscous part; None where there is none."""
-    if isinstance(effect, Friction) and effect.form.endswith("servo_viscous"):
-        return replace(effect, form=effect.form.removesuffix("_viscous"))
-    return None
+def _has_clock(effect: Effect) -> bool:
+    """Return whether a clock is part of what an effect describes, as the lag of a servo that sticks is."""
+    return any(effect_class(key).CLOCK for key in effect.contains)
 
 
 def _exchanged(
@@ -155,7 +154,7 @@ def _exchanged(
     gone = [one for i in old if (one := scorer.library[i].effect) is not None]
     price = (numbers([one for one, _ in clocks]) - numbers(gone)) * float(np.log(bench.noise.effective))
     # What lies between two rows is no number more.
-    told = {one.between for one in gone if isinstance(one, TimeDelay | Lag)} != {one.between for one, _ in clocks}
+    told = {one.interpolation for one in gone} != {one.interpolation for one, _ in clocks}
     plainer = numbers([one for one, _ in clocks]) < numbers(gone) + told
     with out.attempt() as attempt:
         out.chosen = trial = _through(bench, scorer, [i for i in out.chosen if i not in old], clocks, instead)
@@ -171,13 +170,13 @@ def _through(
 ) -> list[int]:
     """A model of other effects as they arrive through these clocks, settled, and the clocks."""
     kept = [(end, theta) for end, theta in bench.timing if not end.CLOCK]
-    ends = [(effect, np.array([1.0 if isinstance(effect, Lag) else size])) for effect, size in clocks]
+    ends = [(effect, np.array([size]) if effect.held is None else effect.held) for effect, size in clocks]
     # For a while: the search brings all columns to the clocks that it finds chosen.
     with bench.delivering([*kept, *ends]):
         fresh = [scorer.retimed(_in_place_of(bench, scorer.library[i], instead)) for i in others]
         for effect, size in clocks:
             h = bench.add(effect)
-            fresh.append(tangent(bench, h, np.array([size])) if isinstance(effect, TimeDelay) else h)
+            fresh.append(tangent(bench, h, np.array([size])) if effect.SHIFT else h)
         bends = sum((h.bend for h in fresh if h.bend is not None), np.zeros_like(bench.y))
         bench.stand(y=bench.whole - bench.state.interaction - bends)
         scorer.append(fresh)
@@ -189,11 +188,11 @@ def _through(
 
 def _as_told(scorer: Scorer, clocks: Clocks) -> None:
     """What lies between two rows is one thing to all clocks of a stream: those that were not chosen are made anew by it."""
-    told = {end.joint: end.between for end, _ in clocks}
+    told = {end.joints: end.interpolation for end, _ in clocks}
     for i, h in enumerate(scorer.library):
         end = h.effect
-        if isinstance(end, (TimeDelay, Lag)) and end.between != told.get(end.joint, end.between):
-            scorer.library[i] = replace(h, effect=replace(end, between=told[end.joint]))
+        if end is not None and end.CLOCK and end.interpolation != told.get(end.joints, end.interpolation):
+            scorer.library[i] = replace(h, effect=end.interpolated(told[end.joints]))
 
 
 def _in_place_of(bench: Bench, h: Hypothesis, instead: dict[Effect, Effect]) -> Hypothesis:

@@ -11,9 +11,9 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.clocks import BETWEEN, Shift, Timing
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.parameters import log_grid, spacing
-from galen_hw.physics.effects.timing import BETWEEN, Lag, TimeDelay, first_order, second_order
 from galen_hw.spatial import Array
 
 CONSTANTS = 6
@@ -33,7 +33,7 @@ LN2 = float(np.log(2.0))
 NEAR = 10.0
 """Log likelihood by which the last steps to an optimum may still matter, at most, once a step is no more than `FINE`."""
 
-Clocks = list[tuple[TimeDelay | Lag, float]]
+Clocks = list[tuple[Timing, float]]
 """With their delay or constant, s."""
 
 
@@ -47,7 +47,7 @@ class ClockSearch:
 
     bench: Bench
     beside: Beside
-    delay: TimeDelay
+    delay: Shift
     within: tuple[Effect, ...]
     swings: bool
 
@@ -58,6 +58,7 @@ class ClockSearch:
         self.behind: dict[object, Array] = {}
         self.instead: dict[Effect, Effect] = {}
         self.price = float(np.log(self.bench.noise.effective))
+        self.shortest = 0.5 * spacing(self.bench.scene)
 
     def either(self) -> Clocks:
         """The clocks that are there, by what lies `BETWEEN` two rows as the recording is nearest to it.
@@ -70,7 +71,7 @@ class ClockSearch:
             return clocks
         for between in BETWEEN:
             if between != self.delay.between and self._differs(clocks, between) >= LOG_ODDS:
-                other = replace(self, delay=replace(self.delay, between=between))
+                other = replace(self, delay=self.delay.interpolated(between))
                 if other.worth(found := other.best()) > search.worth(clocks):
                     clocks, search = found, other
         return clocks
@@ -78,8 +79,8 @@ class ClockSearch:
     def _differs(self, clocks: Clocks, between: str) -> float:
         """Whitened sum of squares of what it changes about clocks that are as late as before: without any, nothing could tell."""
         late, constant, damping = _read(clocks)
-        sooner = 0.5 * spacing(self.bench.scene) if between == "steps" and constant > 0.0 else 0.0
-        other = replace(self, delay=replace(self.delay, between=between))
+        sooner = self.shortest if between == "steps" and constant > 0.0 else 0.0
+        other = replace(self, delay=self.delay.interpolated(between))
         change = other.arriving(late + sooner, constant, 1.0, (), damping) - self.arriving(
             late, constant, 1.0, (), damping
         )
@@ -95,9 +96,8 @@ class ClockSearch:
             (self._gain(0.0, 0.0), []),
             (most - self.price, [(self.delay, all_late)]),
         ]
-        shortest = 0.5 * step
-        for constant in log_grid(shortest, 2.0 * all_late, CONSTANTS):
-            lag = Lag(constant, self.delay.joint, shortest, whole=True, between=self.delay.between)
+        for constant in log_grid(self.shortest, 2.0 * all_late, CONSTANTS):
+            lag = self.delay.lagging(constant, self.shortest)
             ways.append((self._gain(0.0, constant) - self.price, [(lag, constant)]))
             most, late = self._latest(constant, (0.0, all_late))
             ways.append((most - 2.0 * self.price - LOG_ODDS, [(self.delay, late), (lag, constant)]))
@@ -107,16 +107,16 @@ class ClockSearch:
         if self.within or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
             return clocks
         wanted = self.worth(clocks) + (0.0 if self.swings else LOG_ODDS)
-        swinging = self._swinging(shortest, all_late, wanted)
+        swinging = self._swinging(all_late, wanted)
         return swinging if self.worth(swinging) > wanted else clocks
 
     def _plainer(self, clocks: Clocks, all_late: float) -> Clocks:
         """A lag alone for a delay of what lags, where it does as well: on a grid it stands beside its optimum, and is late."""
         if len(clocks) < 2 or self.within:
             return clocks
-        (_, late), (lag, constant) = clocks
-        assert isinstance(lag, Lag), "a delay of what lags"
-        alone = self._refined([(replace(lag, constant=constant + late), constant + late)], all_late)
+        (_, late), (_, constant) = clocks
+        lag = self.delay.lagging(constant + late, self.shortest)
+        alone = self._refined([(lag, constant + late)], all_late)
         return alone if self.worth(alone) + LOG_ODDS >= self.worth(clocks) else clocks
 
     def worth(self, clocks: Clocks) -> float:
@@ -126,12 +126,11 @@ class ClockSearch:
 
     def _refined(self, clocks: Clocks, all_late: float) -> Clocks:
         """The same with a lag, the delay with it, and the bands of friction within it at their common optimum."""
-        lag, constant = clocks[-1] if clocks else (None, 0.0)
-        if not isinstance(lag, Lag):
+        if not clocks or clocks[-1][0].SHIFT:
             return clocks
-        delays = clocks[:-1]
+        delays, constant = clocks[:-1], clocks[-1][1]
         begun = np.array([0.0, *(late / all_late for _, late in delays), *(bool(self.within) * [0.0])])
-        limits = [(np.log(min(lag.shortest / constant, 1.0)), LN2), *(len(delays) * [(0.0, 1.0)]), (-LN2, LN2)]
+        limits = [(np.log(min(self.shortest / constant, 1.0)), LN2), *(len(delays) * [(0.0, 1.0)]), (-LN2, LN2)]
 
         def read(at: Array) -> tuple[float, float, float]:
             late = all_late * float(at[1]) if delays else 0.0
@@ -150,17 +149,17 @@ class ClockSearch:
                 best, least = read(at), cost
                 self.instead = dict(zip(self.within, (_with_lag(one, *best[1:]) for one in within), strict=True))
         late, constant, _ = best
-        if delays and not self.within and constant <= SHORTEST * lag.shortest:
+        if delays and not self.within and constant <= SHORTEST * self.shortest:
             # At its shortest it is none, but a part of the delay.
             return [(self.delay, self._latest(0.0, (0.0, 2.0 * all_late))[1])] if all_late > 0.0 else clocks[:-1]
-        return [*((end, late) for end, _ in delays), (replace(lag, constant=constant), constant)]
+        return [*((end, late) for end, _ in delays), (self.delay.lagging(constant, self.shortest), constant)]
 
-    def _swinging(self, shortest: float, all_late: float, wanted: float) -> Clocks:
+    def _swinging(self, all_late: float, wanted: float) -> Clocks:
         """The best lag of second order: damping and constant make up for each other, and are sought together.
 
         Roughly, where it stays far from being worth what is wanted.
         """
-        bound = Lag.SEARCHED["damping"]
+        bound = self.delay.lagging(all_late, self.shortest).SEARCHED["damping"]
         starts = [np.log([0.5 * all_late / damping, damping]) for damping in DAMPINGS]
 
         def cost(at: Array) -> float:
@@ -169,15 +168,14 @@ class ClockSearch:
 
         begun = min(starts, key=cost)
         limits = [
-            (np.log(shortest), np.log(max(8.0 * all_late, 2.0 * shortest))),
+            (np.log(self.shortest), np.log(max(8.0 * all_late, 2.0 * self.shortest))),
             (np.log(bound.low), np.log(bound.high)),
         ]
         at, least = _lowest(cost, np.clip(begun, *np.transpose(limits)), limits)
         if -least - 2.0 * self.price > wanted - NEAR:
             at, _ = _lowest(cost, at, limits, FINEST, FINE)
         constant, damping = np.exp(at).tolist()
-        lag = Lag(constant, self.delay.joint, shortest, whole=True, damping=damping, between=self.delay.between)
-        return [(lag, constant)]
+        return [(self.delay.lagging(constant, self.shortest, damping), constant)]
 
     def _latest(self, constant: float, bounds: tuple[float, float]) -> tuple[float, float]:
         """The most that a delay of what lags with this constant (s) takes, and the delay, s."""
@@ -209,10 +207,10 @@ class ClockSearch:
         """(N, m) what servos with this constant (s) make of the simulated; kept, for it comes again with other delays."""
         x, stream = self.simulated, self.bench.stream
         if damping is not None:
-            return second_order(stream, x, constant, damping, self.delay.between)
+            return self.delay.lagging(constant, self.shortest, damping).filtered(stream, x)
         key = (constant, wide, within)
         if key not in self.behind:
-            y = first_order(stream, x, constant, self.delay.between) if constant > 0.0 else x
+            y = self.delay.lagging(constant, self.shortest).filtered(stream, x) if constant > 0.0 else x
             for one in within:
                 stands = _with_lag(one, constant, wide).columns(self.bench.scene)
                 y = y + Columns(stands.channels, stands.values[:, :, :1]).full(self.bench.width)[:, self.places, 0]
@@ -228,9 +226,9 @@ class ClockSearch:
 
 def _read(clocks: Clocks) -> tuple[float, float, float | None]:
     """Delay and constant, s, and damping of a delay, a lag or both; 0 and None for what is not there."""
-    late = sum(size for end, size in clocks if isinstance(end, TimeDelay))
-    lag = next((end for end, _ in clocks if isinstance(end, Lag)), None)
-    return (late, 0.0, None) if lag is None else (late, lag.constant, lag.damping)
+    late = sum(size for end, size in clocks if end.SHIFT)
+    slow = next((end.searched() for end, _ in clocks if not end.SHIFT), None)
+    return (late, 0.0, None) if slow is None else (late, slow["constant"], slow.get("damping"))
 
 
 def _lowest(

@@ -1,6 +1,4 @@
-"""A tendon in the place of a spring: what the spring's many parameters took from others must be said by these."""
-
-from dataclasses import replace
+"""Physics in the place of what stands for it, a tendon of a spring: what many parameters took from others these must say."""
 
 import numpy as np
 
@@ -13,13 +11,13 @@ from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import left_out, no_worse
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
-from galen_hw.physics.effects.cable import TENDON, CableDrag
+from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
 
 FIRST_STEPS = 6
 OFTEN = 3
 """Times that a search asks for its tendon: where physics is missing its models never settle."""
-Start = tuple[CableDrag, Array]
+Start = tuple[Effect, Array]
 """A tendon, and parameters (k,) from which it is sought."""
 MOST_BESIDE = 3
 """Effects that may come to light beside a tendon before it is compared with the spring."""
@@ -37,7 +35,7 @@ def tightened(out: Selection, just: int | None = None) -> bool:
     model = frozenset((just is None, *(scorer.library[i].family for i in out.chosen)))
     for i in out.chosen if just is None else [just]:
         effect = scorer.library[i].effect
-        if not isinstance(effect, CableDrag) or model in out.tightened or len(out.tightened) == OFTEN:
+        if effect is None or model in out.tightened or len(out.tightened) == OFTEN:
             continue
         if effect.loose or (effect.curved and just is None):
             out.tightened.add(model)
@@ -66,20 +64,21 @@ def _instead(out: Selection, i: int, most: int) -> bool:
 def _starts(bench: Bench, scorer: Scorer, others: list[int], i: int) -> list[Start]:
     """Tendons that pull as a spring does in the place of the cable i, wherever it is tied; and as that one does if it is one."""
     h, out = scorer.library[i], list[Start]()
+    kind = None if h.effect is None else h.effect.KEY
     with as_if(scorer, others):
         for j, one in enumerate(scorer.library):
-            spring = one.effect
-            if isinstance(spring, CableDrag) and spring.form == "spring":
+            if one.effect is not None and kind == one.effect.KEY and one.effect.loose:
                 theta = scorer.solve([*others, j])[0][-one.count :]
-                out += [(replace(spring, form="tendon"), start) for start in spring.tendons(bench.scene, theta)]
-    return out if h.theta is None else [*out, _start(h)]
+                out += one.effect.starts(bench.scene, theta)
+    return out if h.theta is None else [*out, _start(bench, h)]
 
 
-def _start(h: Hypothesis) -> Start:
+def _start(bench: Bench, h: Hypothesis) -> Start:
     """To begin with what is a tendon already."""
-    assert isinstance(h.effect, CableDrag), "a tendon is asked for"
+    assert h.effect is not None, "a tendon is asked for"
     assert h.theta is not None, "a tangent has one"
-    return replace(h.effect, form="tendon"), h.theta[: len(TENDON)]
+    (start,) = h.effect.starts(bench.scene, h.theta)
+    return start
 
 
 def _with_tendon(
@@ -96,7 +95,7 @@ def _with_tendon(
         if best is None:
             return trial
         # The tendon is sought anew beside it: what it had done in its place may be far from what it is.
-        others, starts, most = [*trial[:-1], best], [_start(found)], most - 1
+        others, starts, most = [*trial[:-1], best], [_start(bench, found)], most - 1
         rebase(scorer, others)
 
 
@@ -122,14 +121,11 @@ def _numbers(scorer: Scorer, i: int) -> int:
 def _best(bench: Bench, beside: Beside, starts: list[Start]) -> Hypothesis:
     """The tendon that explains most beside a model, from tendons to begin with; one that rubs where that pays."""
     cost, found = _least(bench, beside, starts)
-    effect, theta = _start(found)
-    forms = effect.rubbing(bench.scene, theta) if bench.scene.clock else {}
+    effect, theta = _start(bench, found)
     best = found
-    for form, rubbing in forms.items():
-        if not rubbing:
-            continue
-        less, other = _least(bench, beside, [(replace(effect, form=form), start) for start in rubbing])
-        price = (len(rubbing[0]) - len(theta)) * np.log(bench.noise.effective) + LOG_ODDS
+    for starts_of_form in effect.richer_starts(bench.scene, theta):
+        less, other = _least(bench, beside, starts_of_form)
+        price = (len(starts_of_form[0][1]) - len(theta)) * np.log(bench.noise.effective) + LOG_ODDS
         if less + price < cost:
             cost, best = less + price, other
     return best

@@ -1,8 +1,5 @@
 """The course of a touch: followed more finely where a level and a few half waves leave much of it."""
 
-from collections.abc import Iterator
-from dataclasses import replace
-
 import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
@@ -10,16 +7,7 @@ from galen_hw.diagnosis.estimation.least_squares import PROVED, rests
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
-from galen_hw.physics.effects.events import Contact
-
-HAND = 5
-"""Half waves that a hand which swells and turns asks for at first, where a knock is a level and a bow."""
-FINEST = 96
-"""Half waves of an episode at most."""
-ROWS_A_WAVE = 4
-"""Rows of the shortest episode that a half wave has at least."""
-MOST = 1000
-"""Columns that a touch may have, level and waves of all episodes and channels."""
+from galen_hw.physics.effects.traits import Span
 
 
 def followed(out: Selection) -> bool:
@@ -41,13 +29,13 @@ def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
     So it does where more than noise is left at all other times: what other physics does in an episode would pass for its course.
     """
     effect = scorer.library[i].effect
-    if not isinstance(effect, Contact) or not _quiet_else(bench, scorer, [*others, i], effect):
+    if effect is None or not effect.touches or not _quiet_else(bench, scorer, [*others, i], effect.touches):
         return i
     found, looked = None, scorer.library[i].looked
     best = scorer.scores(others, [i])[0].get(i)
     rank = -np.inf if best is None else best.rank
-    for waves in _counts(bench, effect):
-        new = bench.add(replace(effect, waves=waves), looked)
+    for finer in effect.finer(bench.rows.average(bench.scene.time)):
+        new = bench.add(finer, looked)
         with scorer.trying([new]):
             score = scorer.scores(others, [len(scorer.library) - 1])[0].get(len(scorer.library) - 1)
         if score is None or score.rank <= rank + LOG_ODDS:
@@ -59,20 +47,9 @@ def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
     return len(scorer.library) - 1
 
 
-def _counts(bench: Bench, effect: Contact) -> Iterator[int]:
-    """Numbers of half waves to try one after another: more than it has, and no more than its episodes and memory can bear."""
-    time = bench.rows.average(bench.scene.time)
-    shortest = min(int(np.sum((time >= start) & (time <= end))) for start, end in effect.episodes)
-    places = len(effect.episodes) * len(effect.channels)
-    waves = max(2 * effect.waves, HAND)
-    while waves <= min(FINEST, shortest // ROWS_A_WAVE, MOST // places):
-        yield waves
-        waves *= 2
-
-
-def _quiet_else(bench: Bench, scorer: Scorer, model: list[int], effect: Contact) -> bool:
+def _quiet_else(bench: Bench, scorer: Scorer, model: list[int], touches: tuple[Span, ...]) -> bool:
     """Return whether a model leaves hardly more than noise on the rows outside a touch's episodes."""
     time = bench.rows.average(bench.scene.time)
-    outside = bench.train & ~np.any([(time >= start) & (time <= end) for start, end in effect.episodes], axis=0)
+    outside = bench.train & ~np.any([(time >= start) & (time <= end) for start, end in touches], axis=0)
     rest = rests(bench, scorer, model)[0][outside]
     return len(rest) > 0 and float(np.mean((rest / bench.noise.sigma) ** 2)) < PROVED
