@@ -13,9 +13,9 @@ import pytest
 
 import galen_hw
 
-CONSTANTS = {"diagnosis": 110, "physics": 32}
+CONSTANTS = {"diagnosis": 48, "physics": 32}
 """Capitals at module level that are bound to numbers."""
-SETTINGS = {"diagnosis": 174, "physics": 113}
+SETTINGS = {"diagnosis": 191, "physics": 124}
 """Fields of classes and arguments whose default is a number."""
 
 

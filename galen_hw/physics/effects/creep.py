@@ -9,7 +9,7 @@ import numpy as np
 
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import LOADS, Effect
-from galen_hw.physics.effects.bearing import FIRST_STEPS, begun, let_through
+from galen_hw.physics.effects.bearing import begun, let_through
 from galen_hw.physics.effects.columns import Columns, in_all, in_channel, through
 from galen_hw.physics.effects.compliance import Compliance
 from galen_hw.physics.effects.drift import Drift
@@ -123,8 +123,8 @@ class Creep(Effect):
         gives = tuple(k for k, e in enumerate(model) if isinstance(e, Compliance) and e.gives_in(self.joint))
         for k, loop in enumerate(model):
             if isinstance(loop, Hysteresis) and loop.rubs_in(self.joint):
-                values = begun(loop.scale, self.constant)
-                yield Alternative((k,), gives, partial(self._behind, loop), ((0, 2), (1, 2)), values, FIRST_STEPS, 1)
+                values, steps = begun(loop.scale, self.constant)
+                yield Alternative((k,), gives, partial(self._behind, loop), ((0, 2), (1, 2)), values, steps, 1)
 
     def _behind(self, loop: "Hysteresis", at: Array) -> list[Effect]:
         """Creep from either end, and the friction, at the logarithms of friction and constant."""

@@ -13,8 +13,6 @@ from galen_hw.physics.effects.traits import Follows
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
-QUICKEST = 5.0
-"""Time constant (s) of the quickest drift: what warms in a sensor takes tens of seconds, and nothing else drifts quicker."""
 WALK = 14
 """Of one that wanders as a walk does: down to what can be told from noise."""
 WALKING = 6
@@ -66,15 +64,19 @@ class Drift(Effect):
     waves: int = 5
 
     @classmethod
-    def propose(cls, scene: Scene) -> Iterator[Self]:
+    def propose(cls, scene: Scene, *, quickest: float = 5.0) -> Iterator[Self]:
         """Straight, warm-up and wander in every channel, none quicker than sensors are; over the row number without a clock.
 
         None over recordings laid end to end: the clock between them is made up.
+
+        Args:
+            quickest: time constant (s) of the quickest drift: what warms in a sensor takes tens of seconds, and nothing
+                else drifts quicker.
         """
         start, length = float(scene.time[0]), duration(scene)
         if length <= 0.0 or len(scene) < 12 or scene.observations.apart:
             return
-        quickest = QUICKEST if scene.clock else 0.0
+        quickest = quickest if scene.clock else 0.0
         for name in scene.channels if length >= quickest else ():
             yield cls(name, "linear", None, start, length)
             for constant in log_grid(max(length / 30.0, quickest), length / 1.5, 5):
