@@ -92,8 +92,9 @@ class Publisher(_Socket):
 
     def publish(self, topic: str, message: Message) -> None:
         """Send one message to whoever listens."""
+        payload = encode(message)
         self._send(TOPIC_BYTES[topic], _FIRST)
-        self._send(encode(message), _LAST)
+        self._send(payload, _LAST)
 
     def publish_bytes(self, topic: bytes, payload: bytes) -> None:
         """Send one message that is encoded already."""

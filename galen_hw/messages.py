@@ -4,6 +4,7 @@ Every message starts with the same header. Numbers are SI. `valid` is false unle
 Encoding is a msgpack map with stable keys, so that PlotJuggler's ZeroMQ plug-in reads it without a bridge.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -12,7 +13,7 @@ import msgspec
 from galen_hw.errors import CommandRejectedError
 
 
-class Vector3(msgspec.Struct, frozen=True):
+class Vector3(msgspec.Struct, frozen=True, gc=False):
     """Three components along x, y, z."""
 
     x: float = 0.0
@@ -20,7 +21,7 @@ class Vector3(msgspec.Struct, frozen=True):
     z: float = 0.0
 
 
-class Quaternion(msgspec.Struct, frozen=True):
+class Quaternion(msgspec.Struct, frozen=True, gc=False):
     """A unit quaternion."""
 
     x: float = 0.0
@@ -50,7 +51,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
     virtual: bool = False
 
 
-class WrenchRaw(Message, frozen=True, kw_only=True):
+class WrenchRaw(Message, frozen=True, kw_only=True, gc=False):
     """`wrench/raw`: what the sensor reports, in the sensor frame about its origin, never altered (N, N m).
 
     Args:
@@ -69,7 +70,7 @@ class WrenchRaw(Message, frozen=True, kw_only=True):
     zeroings: int = -1
 
 
-class WrenchCompensated(Message, frozen=True, kw_only=True):
+class WrenchCompensated(Message, frozen=True, kw_only=True, gc=False):
     """`wrench/compensated` and `wrench/contact`: measured minus predicted (report, equation 12), N and N m.
 
     Args:
@@ -406,9 +407,5 @@ def too_old(topic: str, t_ns: int, now_ns: int) -> bool:
     return now_ns - t_ns > MAX_AGE_NS[topic]
 
 
-def encode(message: msgspec.Struct) -> bytes:
-    """Msgpack map of a message, keys in the order of its declaration."""
-    return _ENCODER.encode(message)
-
-
-_ENCODER: Final = msgspec.msgpack.Encoder()
+encode: Final[Callable[[msgspec.Struct], bytes]] = msgspec.msgpack.Encoder().encode
+"""Msgpack map of a message, keys in the order of its declaration."""

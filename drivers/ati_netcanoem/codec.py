@@ -19,6 +19,8 @@ FIRST: Final = struct.Struct(">H3h")
 """Opcode 0: status, then the gauges 0, 2, 4."""
 SECOND: Final = struct.Struct(">3h")
 """Opcode 1: the gauges 1, 3, 5."""
+BOTH: Final = struct.Struct(">H6h")
+"""The data of both frames: status, then the gauges in the order of `WIRE_ORDER`."""
 WIRE_ORDER: Final = (0, 2, 4, 1, 3, 5)
 """The gauges in the order in which the two frames bring them."""
 SATURATED_COUNTS: Final = 32767

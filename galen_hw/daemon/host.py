@@ -192,11 +192,11 @@ class Host:
         if age_ns > route.limit_ns and message.valid:
             message = msgspec.structs.replace(message, valid=False)
             self.old[topic] = self.old.get(topic, 0) + 1
-        if route.ages is not None:
-            route.ages.add(age_ns)
         for service in route.consumers:
             self.take(service.handle(topic, message, now), service)
         self._link.publish(topic, message)
+        if route.ages is not None:
+            route.ages.add(age_ns)
         self.published[topic] = self.published.get(topic, 0) + 1
         if route.is_noted:
             self._note(topic, message)

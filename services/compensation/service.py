@@ -113,17 +113,17 @@ class CompensationService(Service):
         if raw.serial_number != self._commands.serial:
             self._commands.check_serial(raw.serial_number)
         predicted = ZERO if joints is None else correction.predict(joints[0], raw)
-        seen = self._looks_like_tool(raw, joints, predicted)
-        if correction.changed or seen:
+        if correction.changed or (correction.awaited and self._looks_like_tool(raw, joints, predicted)):
             if correction.changed:
                 correction.begin(raw.t_ns, predicted)
             outputs.append(("compensation/state", self._state()))
         (a, b, c, d, e, f, *point), progress = correction.apply(raw.t_ns, predicted)
         force, torque = raw.force, raw.torque
         wrench = (force.x - a, force.y - b, force.z - c, torque.x - d, torque.y - e, torque.z - f)
-        usable = self._judge(raw, joints, wrench)
+        fresh = joints is not None and joints[2]
+        usable = self._judge(raw, joints, wrench, fresh=fresh)
         # Before the tare: one that ends with this sample is taken off from the next one on.
-        flags = self._flags(raw, usable=usable, fresh=joints is not None and joints[2])
+        flags = self._flags(raw, usable=usable, fresh=fresh)
         if self._commands.tare is not None and usable:
             outputs += self._commands.feed_tare(self._commands.tare, raw, predicted)
         return outputs + self._messages(raw, wrench, point, progress, flags)
@@ -143,43 +143,47 @@ class CompensationService(Service):
         self, raw: WrenchRaw, joints: tuple[tuple[float, ...], int, bool] | None, predicted: Six
     ) -> bool:
         """The first usable sample after a zeroing that reads as the tool does; `predicted` holds it only with joints."""
-        if not self._correction.awaited:
-            return False
         usable = raw.valid and not raw.saturated and joints is not None and joints[2]
         return usable and self._correction.look_for_tool(raw, predicted)
 
-    def _judge(self, raw: WrenchRaw, joints: tuple[tuple[float, ...], int, bool] | None, wrench: Six) -> bool:
+    def _judge(
+        self, raw: WrenchRaw, joints: tuple[tuple[float, ...], int, bool] | None, wrench: Six, *, fresh: bool
+    ) -> bool:
         """Return whether the sample may be used as far as wire, joints and calibration go, with its counters."""
         self._age_s = nan if joints is None else joints[1] / NS_PER_S
-        fresh = joints is not None and joints[2]
         good = raw.valid and not raw.saturated and not self._commands.problem and isfinite(sum(wrench))
         counters = self._counters
         counters["samples"] += 1
         counters["old_joints"] += not fresh
         return good and (fresh or not self._correction.active)
 
-    def _flags(self, raw: WrenchRaw, *, usable: bool, fresh: bool) -> dict[str, bool]:
-        """Return whether the wrench is vouched for: not with the sensor's own offset in it, with a tool or without one."""
-        unzeroed = self._correction.unzeroed(raw)
-        self._offset = unzeroed and self._correction.holds_offset(raw)
-        unseen = self._correction.unseen
+    def _flags(self, raw: WrenchRaw, *, usable: bool, fresh: bool) -> tuple[bool, bool, bool, bool]:
+        """Return whether the wrench is vouched for: not with the sensor's own offset in it, with a tool or without one.
+
+        And why not: (valid, unzeroed, tool unseen, joints extrapolated beyond their bound).
+        """
+        correction, counters = self._correction, self._counters
+        unzeroed = correction.unzeroed(raw)
+        self._offset = unzeroed and correction.holds_offset(raw)
+        unseen = correction.unseen
         valid = usable and not unseen and not self._offset
-        self._counters["unzeroed"] += unzeroed
-        self._counters["tool_unseen"] += unseen
-        self._counters["invalid_samples"] += not valid
-        old = self._correction.active and not fresh
-        return {"valid": valid, "unzeroed": unzeroed, "tool_unseen": unseen, "joints_extrapolated": old}
+        counters["unzeroed"] += unzeroed
+        counters["tool_unseen"] += unseen
+        counters["invalid_samples"] += not valid
+        return valid, unzeroed, unseen, not fresh and correction.active
 
     def _messages(
-        self, raw: WrenchRaw, wrench: Six, point: list[float], progress: float, flags: dict[str, Any]
+        self, raw: WrenchRaw, wrench: Six, point: list[float], progress: float, flags: tuple[bool, ...]
     ) -> list[Output]:
         fx, fy, fz, tx, ty, tz = wrench
         px, py, pz = point
+        valid, unzeroed, unseen, extrapolated = flags
         model = self._correction.model if self._correction.enabled else None
         sample = WrenchCompensated(
             timestamp=raw.timestamp,
             t_ns=raw.t_ns,
             seq=self._seq,
+            valid=valid,
             source=self.name,
             force=Vector3(fx, fy, fz),
             torque=Vector3(tx, ty, tz),
@@ -187,9 +191,11 @@ class CompensationService(Service):
             calibration="" if model is None else model.calibration,
             enabled=model is not None,
             joints_age_s=self._age_s,
+            joints_extrapolated=extrapolated,
             blend=progress,
             terms=0 if model is None else model.terms,
-            **flags,
+            unzeroed=unzeroed,
+            tool_unseen=unseen,
         )
         self._seq += 1
         moved = Vector3(tx - (py * fz - pz * fy), ty - (pz * fx - px * fz), tz - (px * fy - py * fx))

@@ -18,12 +18,14 @@ class Gain:
 
     Args:
         fall: mean over the rows of the squared error without it less that with it; error: its standard error.
+        sure: by how many standard errors what is there without it matches what it says.
         excess: the same of the baseline's squared error above the noise, not below 0 or what falls.
     """
 
     fall: float
     error: float
     excess: float
+    sure: float
 
     @property
     def share(self) -> float:
@@ -55,7 +57,7 @@ class Gain:
         """
         least = criteria.exact_share + (criteria.least_share - criteria.exact_share) * min(rough, 1.0)
         least = max(least, (moments or criteria.beside_unexplained) * unexplained)
-        return bool(self.fall > criteria.standard_errors(questions) * self.error and self.share >= least)
+        return bool(self.fall > 0.0 and self.sure > criteria.standard_errors(questions) and self.share >= least)
 
     def contrary(self, criteria: Criteria = CRITERIA, *, questions: int = 1) -> bool:
         """Return whether the error rises with it beyond luck, and by more than a law that is right may miss."""
@@ -67,9 +69,11 @@ class Gain:
 def paired(without: Array, rest: Array, excess: Array, *, parameters: int = 0) -> Gain:
     """Compare the errors (n, C) without an effect and with it on the same rows, in units of the noise.
 
-    Of the fall w^2 - r^2 = d^2 + 2 r d with d = w - r the square is there whatever the noise does, and luck is in r d alone: an
-    effect that acts in one piece of many is no less sure for that. Where physics is missing r d is large, but a fall in nearly
-    every piece is no luck either: the less of the two spreads counts.
+    With w without it, r with it and d = w - r what it says, the error falls by d^2 + 2 r d, and what is there matches that by
+    w d = d^2 + r d: a match is there before the fall is sure, for a law that is not there at all raises the error by d^2. The
+    square is there whatever the noise does, and luck is in r d alone: for an effect that acts in one piece of many it is no less
+    sure for that. Where physics is missing r d is large, but a fall in nearly every piece is no luck either: the less of the two
+    spreads counts.
 
     Args:
         excess: (C,) of the baseline.
@@ -77,11 +81,16 @@ def paired(without: Array, rest: Array, excess: Array, *, parameters: int = 0) -
     """
     effect, n = without - rest, max(len(rest), 1)
     count = max(min(PIECES, len(rest)), 1)
-    falls, lucky = (
-        np.array([piece.sum() for piece in np.array_split(x, count)])
-        for x in (without**2 - rest**2, 2.0 * rest * effect)
-    )
-    spread = float(np.std(falls, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
-    error = min(float(np.sqrt(np.sum(lucky**2))), spread)
-    fall = float(falls.sum() - 2.0 * parameters) / n
-    return Gain(fall, error / n, max(float(np.sum(np.maximum(excess, 0.0))), fall))
+    luck = np.sum(rest * effect, axis=1)
+    match = np.sum(effect**2, axis=1) + luck
+    fall, error = _sum(match + luck, 2.0 * luck, count)
+    matched, its = _sum(match, luck, count)
+    fall = (fall - 2.0 * parameters) / n
+    return Gain(fall, error / n, max(float(np.sum(np.maximum(excess, 0.0))), fall), matched / max(its, 1e-300))
+
+
+def _sum(x: Array, lucky: Array, count: int) -> tuple[float, float]:
+    """Sum of x (n,) and its standard error by sums over so many pieces: of what is luck in it, or their spread if that is less."""
+    each, luck = (np.array([piece.sum() for piece in np.array_split(one, count)]) for one in (x, lucky))
+    spread = float(np.std(each, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
+    return float(each.sum()), min(float(np.sqrt(np.sum(luck**2))), spread)
