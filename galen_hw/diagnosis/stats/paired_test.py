@@ -90,7 +90,7 @@ def paired(without: Array, rest: Array, excess: Array, *, parameters: int = 0) -
 
 
 def _sum(x: Array, lucky: Array, count: int) -> tuple[float, float]:
-    """Sum of x (n,) and its standard error by sums over so many pieces: of what is luck in it, or their spread if that is less."""
+    """Sum of x (n,) and its standard error by sums over so many pieces: of its luck, or their spread if less."""
     each, luck = (np.array([piece.sum() for piece in np.array_split(one, count)]) for one in (x, lucky))
     spread = float(np.std(each, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
     return float(each.sum()), min(float(np.sqrt(np.sum(luck**2))), spread)
