@@ -2,27 +2,37 @@
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.candidate import with_parameters
+from galen_hw.diagnosis.estimation.candidate import Hypothesis, with_parameters
 from galen_hw.diagnosis.estimation.cross_validation import errors
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.paired_test import Gain, paired
+from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.spatial import Array
 
 UNDONE = 0.1
 """Share of either of two effects that their sum must reach: what they do is not to cancel."""
 
 
-def improvement(out: Selection, trial: list[int], *, fine: bool = False, whitened: bool = False) -> tuple[Gain, float]:
+def improvement(
+    out: Selection, trial: list[int], i: int | None = None, *, whitened: bool = False
+) -> tuple[Gain, float]:
     """Compare a trial with the chosen model on training blocks, each predicted from the others.
 
+    Args:
+        i: the effect that is asked for, None: several.
+
     Returns:
-        What falls of the excess that there was before anything was chosen, and the share of it that the trial leaves.
+        What falls of the excess that there was before anything was chosen, and the share of it that the trial leaves where the
+        effect acts: in its channels, and of a touch that stands out from all other times while it lasts.
     """
     bench, scorer = out.bench, out.scorer
     sigma = np.ones(bench.width) if whitened else bench.noise.sigma
+    h = None if i is None else scorer.library[i]
+    fine = h is not None and h.effect is not None and not h.effect.lasting()
     without, rest = (
         errors(bench, scorer, model, fine=fine, whitened=whitened) / sigma for model in (out.chosen, trial)
     )
@@ -30,9 +40,23 @@ def improvement(out: Selection, trial: list[int], *, fine: bool = False, whitene
         out.begun = errors(bench, scorer, out.chosen) ** 2
     begun = np.mean(errors(bench, scorer, [], whitened=True) ** 2, axis=0) if whitened else out.start
     gain = paired(without, rest, begun / sigma**2 - 1.0)
-    square = np.mean(rest**2, axis=0)
-    left = float(np.sum(square[square > PROVED] - 1.0))
+    own = list(range(bench.width)) if h is None else list(h.raw.channels)
+    rows = _moments(h, bench, without[:, own])
+    square = np.mean(rest[rows][:, own] ** 2, axis=0)
+    left = float(np.sum(square[square > PROVED] - 1.0) * np.mean(rows))
     return gain, min(left / gain.excess, 1.0) if gain.excess > 0.0 else 0.0
+
+
+def _moments(h: Hypothesis | None, bench: Bench, without: Array) -> Mask:
+    """(n,) training rows of a touch if errors (n, c) without it are far larger then than at all other times; else all."""
+    every = np.ones(len(without), dtype=bool)
+    if h is None or h.effect is None or not h.effect.touches:
+        return every
+    during = np.asarray(h.raw.values[bench.train].any(axis=(1, 2)))
+    if during.all() or not during.any():
+        return every
+    inside, outside = (np.sum(np.mean(without[rows] ** 2, axis=0)) for rows in (during, ~during))
+    return during if inside >= CRITERIA.outstanding * outside else every
 
 
 def pays(out: Selection, trial: list[int], i: int | None = None) -> tuple[bool, float]:
@@ -46,15 +70,23 @@ def pays(out: Selection, trial: list[int], i: int | None = None) -> tuple[bool, 
     """
     effect = None if i is None else out.scorer.library[i].effect
     lasting = effect is None or effect.lasting()
-    moments = len(effect.single) or 1 if effect is not None and effect.EPISODIC else 0
-    gain, left = improvement(out, trial, fine=not lasting)
+    moments = len(effect.single) or 1 if effect is not None and effect.EPISODIC and not effect.THROUGHOUT else 0
+    gain, left = improvement(out, trial, i)
     if gain.credible(rough=_rough(out, trial, gain) + left, unexplained=left, moments=moments):
         return True, gain.share
     if not (lasting and gain.tolerable and out.bench.scene.clock) or out.scorer.misfit(trial) >= PROVED:
         return False, gain.share
-    white, left = improvement(out, trial, whitened=True)
+    white, left = improvement(out, trial, i, whitened=True)
     rough = _rough(out, trial, white, whitened=True) + left
     return white.credible(rough=rough, unexplained=left), gain.share
+
+
+def improves(out: Selection, before: Array, after: Array, trial: list[int]) -> bool:
+    """Return whether errors (n, C) on blocks left out, in units of the noise, fall with a trial as a finding's have to."""
+    gain = paired(before, after, out.start / out.bench.noise.sigma**2 - 1.0)
+    square = np.mean(after**2, axis=0)
+    left = float(np.sum(square[square > PROVED] - 1.0)) / max(gain.excess, 1e-300)
+    return gain.credible(rough=_rough(out, trial, gain) + left, unexplained=min(left, 1.0))
 
 
 def _rough(out: Selection, trial: list[int], gain: Gain, *, whitened: bool = False) -> float:

@@ -21,6 +21,8 @@ class Criteria:
         beside_unexplained: of what the whole model leaves of the excess: physics that is missing has a part along any regressor,
             and what takes less than a quarter of it may be that part, as may a difference between two models (the discrepancy's
             variance of Kennedy and O'Hagan). What belongs to moments fits nearly anything, and has to take all of it.
+        outstanding: mean square during a touch over that at all other times, from which it is judged by its own moments, and is
+            an event: three times as large.
     """
 
     chance: float = 0.002
@@ -28,6 +30,7 @@ class Criteria:
     least_share: float = 0.02
     exact_share: float = 1e-5
     beside_unexplained: float = 0.25
+    outstanding: float = 9.0
 
     def standard_errors(self, questions: int = 1) -> float:
         """Return by how many standard errors an answer must stand out where so many are asked for (Bonferroni, one side)."""

@@ -13,13 +13,12 @@ from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit import trees
 from galen_hw.diagnosis.lack_of_fit.basis_functions import POSITION, Inputs
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.diagnosis.validation.judgement import Judged, touched
 
 FORETOLD: Final = 0.4
 """Share of what touches take, in the moments of each, that must follow from the positions of the others."""
-OUT: Final = 3.0
-"""Rms of a touch while it lasts over that of what physics leaves on other data, from which it is an event."""
 AROUND: Final = 0.5
 """Of a touch's length: how long before and after it nothing is learnt about it either."""
 
@@ -47,7 +46,7 @@ def outstanding(model: Model, judged: Judged, rest: Sequence[Left]) -> Model:
         for start, end in h.effect.touches:
             taken = np.mean(does[(time >= start) & (time <= end)] ** 2, axis=0)
             most = int(np.argmax(taken / judged.floor[channels]))
-            if channels[most] not in more or taken[most] >= OUT**2 * left[channels[most]]:
+            if channels[most] not in more or taken[most] >= CRITERIA.outstanding * left[channels[most]]:
                 episodes.append((start, end))
         if len(episodes) == len(h.effect.touches):
             kept.append(h)

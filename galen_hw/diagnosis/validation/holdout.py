@@ -142,6 +142,12 @@ def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remaind
     return replace(judged, unnamed=unnamed) if np.any(unnamed != judged.after) else judged
 
 
+def _beside(model: Model, key: str) -> list[int]:
+    """Channels in which it counts what the model leaves: of touches none, which are compared with it moment by moment."""
+    touching = any(h.effect is not None and key == h.effect.KEY and h.effect.touches for h in model.effects)
+    return [] if touching else _channels(model, key)
+
+
 def _channels(model: Model, key: str) -> list[int]:
     return sorted({c for h in model.effects if h.effect is not None and key == h.effect.KEY for c in h.raw.channels})
 
@@ -176,12 +182,12 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
         weak = [
             (judged.gains[key].share, key)
             for key, tests in judged.tests.items()
-            if key in judged.refused or not _supported(judged, tests, asked)
+            if key in judged.refused or not _supported(judged, tests, _beside(model, key), asked)
         ]
         places = [
             (max(one.share for one in tests), k)
             for k, tests in judged.places.items()
-            if not _supported(judged, tests, asked)
+            if not _supported(judged, tests, model.effects[k].raw.channels, asked)
         ]
         vague = _vague(model)
         if vague:
@@ -196,9 +202,11 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
         model = model.without(out)
 
 
-def _supported(judged: Judged, tests: Sequence[Gain], questions: int) -> bool:
+def _supported(judged: Judged, tests: Sequence[Gain], channels: Sequence[int], questions: int) -> bool:
     """Return whether one of the tests is credible beside all else that the model has and leaves."""
-    return any(one.credible(rough=judged.rough, unexplained=judged.unexplained, questions=questions) for one in tests)
+    return any(
+        one.credible(rough=judged.rough, unexplained=judged.unexplained(channels), questions=questions) for one in tests
+    )
 
 
 def _vague(model: Model) -> list[Hypothesis]:

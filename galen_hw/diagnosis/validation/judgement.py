@@ -1,5 +1,6 @@
 """What data not learnt from say of a model."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -74,10 +75,9 @@ class Judged:
         ]
         return float(np.clip(1.0 - sum(exact), 0.0, 1.0))
 
-    @property
-    def unexplained(self) -> float:
-        """Share of the excess that is left with all effects, in channels that hold more than noise."""
-        more = self.after > PROVED * self.floor
+    def unexplained(self, channels: Sequence[int]) -> float:
+        """Share of the excess that is left with all effects, in those of some channels that hold more than noise."""
+        more = np.isin(np.arange(len(self.after)), channels) & (self.after > PROVED * self.floor)
         return max(self.share(np.where(more, self.after - self.floor, 0.0)), 0.0)
 
     def unnamed_gain(self) -> float:

@@ -57,7 +57,8 @@ def beyond(judged: Judged, model: Model, *, untouched: bool = False) -> list[Lef
     rows = int(bench.judged.sum() or bench.train.sum())
     # Slow noise has few independent values.
     luck = CRITERIA.standard_errors(bench.width) * np.sqrt(2.0 / bench.noise.independent(rows))
-    enough = np.maximum(PROVED, 1.0 + luck)
+    # The level of the noise was learnt, and may be as far off as what it is compared with.
+    enough = 1.0 + 2.0 * np.maximum(PROVED - 1.0, luck)
     none = np.zeros((len(bench.rows), 0))
     return [
         Left(
