@@ -67,6 +67,7 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
     for key, part in smaller.items():
         judged.without[key] = np.mean(test.raw(part) ** 2, axis=0)
         _ask(judged, key, test, (model, part, baseline), len(smaller), elsewhere=holdout is not None)
+    judged.rough = _rough(model, judged)
     judged.places = _places(model, test, len(smaller))
     return judged
 
@@ -140,6 +141,17 @@ def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remaind
         if gain.credible(questions=len(remainder.parts)):
             unnamed[c] = better
     return replace(judged, unnamed=unnamed) if np.any(unnamed != judged.after) else judged
+
+
+def _rough(model: Model, judged: Judged) -> float:
+    """Share of the excess that rough laws of a model speak of, or nothing that has a name."""
+    excess = float(np.sum(np.maximum(judged.before - judged.floor, 0.0) / judged.floor))
+    energy = 0.0
+    for h, s in zip(model.parts, model.slices(), strict=True):
+        if h.effect is not None and (h.effect.ROUGH or h.effect.THROUGHOUT):
+            size = model.bench.noise.sigma[list(h.raw.channels)]
+            energy += float(np.sum(np.var(h.does(model.final[s]) / size, axis=0)))
+    return min(energy / max(excess, 1e-300) + judged.unexplained(range(model.bench.width)), 1.0)
 
 
 def _beside(model: Model, key: str) -> list[int]:

@@ -11,7 +11,6 @@ from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.stats.paired_test import Gain
 from galen_hw.diagnosis.stats.sampling import Mask
-from galen_hw.physics.effects.registry import effect_class
 from galen_hw.spatial import Array
 
 ELSEWHERE = "another recording"
@@ -25,6 +24,7 @@ class Judged:
         name: of what was held out.
         before: of the baseline; after: with all effects; without: per effect's key, with that one left out.
         floor: of the noise.
+        rough: share of the excess that rough laws of the model speak of, or nothing that has a name: they may miss a part of it.
         untouched: `after` on the rows of no contact that the model believes in, None: there is none or no such row; how a touch
             swells and lets go is no law of the arm, and fitted no better than its few shapes allow.
         gains: per effect's key, what falls of the held-out excess with it. Of what belongs to moments, which are no other data's,
@@ -48,6 +48,7 @@ class Judged:
     refused: set[str] = field(default_factory=set)
     places: dict[int, list[Gain]] = field(default_factory=dict)
     at_home: set[str] = field(default_factory=set)
+    rough: float = 1.0
     episodes: tuple[tuple[float, float], ...] = ()
     good: Mask | None = None
     untouched: Array | None = None
@@ -66,14 +67,6 @@ class Judged:
     def gain(self, key: str) -> float:
         """Share of the excess, channels weighed by their noise, that an effect removes."""
         return self.gains[key].share
-
-    @property
-    def rough(self) -> float:
-        """Share of the excess that no exact law explains: a rough one does, or nothing that has a name."""
-        exact = [
-            g.share for key, g in self.gains.items() if not (effect_class(key).ROUGH or effect_class(key).THROUGHOUT)
-        ]
-        return float(np.clip(1.0 - sum(exact), 0.0, 1.0))
 
     def unexplained(self, channels: Sequence[int]) -> float:
         """Share of the excess that is left with all effects, in those of some channels that hold more than noise."""
