@@ -14,6 +14,7 @@ from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
 from galen_hw.diagnosis.estimation.linearisation import tangent, unbent
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.limits import LIMITS
+from galen_hw.diagnosis.stats.paired_test import paired
 from galen_hw.physics.effects.base import DOUBT, Effect
 from galen_hw.spatial import Array
 
@@ -135,13 +136,11 @@ def ahead(bench: Bench, scorer: Scorer, others: list[int], i: int, j: int) -> fl
     """By how many standard errors hypothesis i explains the training blocks better than j, both beside the others.
 
     Source: Vuong 1989, the likelihood ratio of models that are not nested, over blocks since rows depend on each other.
-    Beside its own spread from block to block a likelihood ratio shows whether it is evidence, or what both miss.
+    Beside its own spread a likelihood ratio shows whether it is evidence, or what both miss.
     """
-    fall = np.sum(_best_rest(bench, scorer, others, j) ** 2 - _best_rest(bench, scorer, others, i) ** 2, axis=1)
-    _, block = np.unique(bench.block[bench.train], return_inverse=True)
-    each = np.bincount(block, weights=fall)
-    spread = float(each.std(ddof=1) * np.sqrt(len(each))) if len(each) > 1 else np.inf
-    return float(each.sum() / max(spread, 1e-300))
+    worse, better = (_best_rest(bench, scorer, others, k) for k in (j, i))
+    gain = paired(worse, better, np.zeros(1))
+    return gain.fall / max(gain.error, 1e-300)
 
 
 def _best_rest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> Array:

@@ -25,6 +25,7 @@ def select(bench: Bench, scorer: Scorer, moves: Sequence[Move] | None = None) ->
         moves: that are tried, in their order; None: all of the table.
     """
     every, out = MOVES if moves is None else moves, Selection(scorer)
+    seen: set[frozenset[object]] = set()
     finding, tidying = ([one.make for one in every if one.tidies is tidies] for tidies in (False, True))
     for _ in range(LIMITS.turns):
         _look(out)
@@ -36,6 +37,11 @@ def select(bench: Bench, scorer: Scorer, moves: Sequence[Move] | None = None) ->
                 settle_together(bench, scorer, out.chosen)
         retime(bench, scorer, out.chosen)
         out.turn.failed.clear()
+        # What was added only to be exchanged again would be added again.
+        model = frozenset(scorer.library[i].family for i in out.chosen)
+        if model in seen:
+            break
+        seen.add(model)
     _conclude(out)
     return out
 
