@@ -15,8 +15,9 @@ from diagnosis_cases import Array, Bench, Servo, cable_drag, lagged
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.validation.support import HoldoutTest
-from galen_hw.diagnosis.validation.verdict import FORM, strong, tolerated, trifles
+from galen_hw.diagnosis.validation.verdict import strong, tolerated
 from galen_hw.physics.effects.events import Contact, Vibration
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.effects.sensor import Gain
@@ -71,17 +72,10 @@ TOUCH = Contact(("wrench.force.x",), ((20.0, 40.0),), 1)
 
 
 @pytest.mark.inject
-def test_what_is_within_the_error_of_a_rough_law_is_a_part_of_it() -> None:
-    """A touch of a thirtieth of a hum goes; of a third it stays; no rough law hides what is exact, and no law is perfect."""
-    assert [h.effect for h in trifles(modelled((HUM, 0.3), (TOUCH, 0.01)))] == [TOUCH]
-    assert trifles(modelled((HUM, 0.3), (TOUCH, 0.1))) == []
-    brief = Contact(("wrench.force.x",), ((20.0, 20.5),), 1)
-    assert trifles(modelled((HUM, 0.3), (brief, 0.02))) == [], "as large as the hum while it lasts"
-    assert trifles(modelled((TOUCH, 0.3), (HUM, 0.02))) == [], "a touch that is told wrongly does not hum"
-    assert trifles(modelled((HUM, 0.3), (Gain("wrench.force.x"), 0.001))) == []
-    assert trifles(modelled((Gain("wrench.force.x"), 0.3), (TOUCH, 0.003))) == []
-    assert [h.effect for h in trifles(modelled((Gain("wrench.force.x"), 0.3), (TOUCH, 0.0003)))] == [TOUCH]
-    np.testing.assert_allclose(tolerated(modelled((HUM, 0.3)))[0], FORM * 0.3**2, rtol=0.02)
+def test_a_rough_law_may_miss_a_part_of_what_it_speaks_of() -> None:
+    """Of a hum a seventh of its size; of what is exact nothing."""
+    hum = tolerated(modelled((HUM, 0.3)))[0]
+    np.testing.assert_allclose(hum, CRITERIA.least_share * 0.3**2, rtol=0.02)
     assert not tolerated(modelled((Gain("wrench.force.x"), 0.3))).any()
 
 
@@ -109,14 +103,14 @@ def test_what_completes_a_loud_recording_is_named_though_it_belongs_to_moments(
 
 
 @pytest.mark.parametrize(
-    ("share", "size", "worth_saying"), [(0.004, 0.2, False), (0.006, 0.2, True), (0.004, 0.4, True), (0.5, 0.1, False)]
+    ("before", "size", "worth_saying"), [(1.0, 0.2, True), (1.0, 0.1, False), (10.0, 0.4, False), (10.0, 0.5, True)]
 )
-def test_structure_is_said_that_is_large_enough_to_matter(share: float, size: float, *, worth_saying: bool) -> None:
-    """A share of what is left, whitened, and an rms over the noise's."""
+def test_structure_is_said_that_is_large_enough_to_matter(before: float, size: float, *, worth_saying: bool) -> None:
+    """A seventh of the noise's size, or of what there was at first above it if that is more."""
     work = diagnose(scene_of(Bench().observations()))
     sigma = work.bench.noise.sigma
-    judged = replace(work.judged, before=sigma**2)
-    left = [Left(0, "speeds", 9.0, share, size * float(sigma[0]), np.zeros((1, 1)))]
+    judged = replace(work.judged, before=(1.0 + before) * sigma**2)
+    left = [Left(0, "speeds", 9.0, 0.5, size * float(sigma[0]), np.zeros((1, 1)))]
     assert strong(left, judged, work.bench) == left * worth_saying
 
 
