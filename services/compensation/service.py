@@ -113,7 +113,8 @@ class CompensationService(Service):
         if raw.serial_number != self._commands.serial:
             self._commands.check_serial(raw.serial_number)
         predicted = ZERO if joints is None else correction.predict(joints[0], raw)
-        if correction.changed or (correction.awaited and self._looks_like_tool(raw, joints, predicted)):
+        seen = correction.awaited and self._looks_like_tool(raw, joints, predicted)
+        if correction.changed or seen:
             if correction.changed:
                 correction.begin(raw.t_ns, predicted)
             outputs.append(("compensation/state", self._state()))
