@@ -1,7 +1,7 @@
 """The pages of calibration, deflection and diagnosis: one base with its colours (light, dark, print) and small screens."""
 
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 BASE = "report_base.html.j2"
 
 
-def page_template(package: str, name: str, filters: "Mapping[str, Callable[..., str]] | None" = None) -> "Template":
+def page_template(package: str, name: str, filters: "Mapping[str, Callable[..., Any]] | None" = None) -> "Template":
     """Return a page's template, which extends the base; a name that it does not know is an error when it is rendered.
 
     Args:

@@ -149,18 +149,7 @@ class SlcanWire(CanWire):
             self.counters["malformed"] += 1
             rest = b""
         self._rest = rest
-        frames = []
-        for line in lines:
-            # Inline for what nearly all lines are, a data frame without a stamp; the rest is looked at closely.
-            head = _head(line[:_HEAD_LENGTH])
-            if head is not None and len(line) == head[1] + _HEAD_LENGTH:
-                try:
-                    frames.append(CanFrame(head[0], unhexlify(line[_HEAD_LENGTH:])))
-                except ValueError:
-                    self.counters["malformed"] += 1
-            elif line and line != _SENT and (frame := self._frame(line)) is not None:
-                frames.append(frame)
-        return frames
+        return [frame for line in lines if line and (frame := self._frame(line)) is not None]
 
     def _frame(self, line: bytes) -> CanFrame | None:
         try:

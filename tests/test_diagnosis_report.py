@@ -15,7 +15,7 @@ from galen_hw.diagnosis.findings.quantities import headline, quantity, text
 from galen_hw.diagnosis.report.collect import traces_of
 from galen_hw.diagnosis.report.page import write_page
 from galen_hw.diagnosis.report.plot_data import Curve, Traces
-from galen_hw.diagnosis.report.summary import lines, summary, times_words
+from galen_hw.diagnosis.report.summary import in_one_unit, lines, summary, times_words
 from galen_hw.diagnosis.result import Diagnosis, Finding, Value
 from galen_hw.tools.diagnose_screen import counting, show, table, working
 from tests import diagnosis_parts as parts
@@ -91,6 +91,11 @@ def test_a_quantity_has_the_digits_that_its_error_allows(value: float, std: floa
     assert quantity(value, std, unit) == said
 
 
+def test_two_numbers_stand_in_one_unit() -> None:
+    assert in_one_unit(6.4e-4, 2.53e-4, "N m") == ("0.64", "0.253 N mm")
+    assert in_one_unit(0.0, 0.0, "N") == ("0", "0 N")
+
+
 def test_numbers_are_told_in_units_that_people_read() -> None:
     """SI in the answer; milliseconds, millimetres, degrees and grams for people, and no change of the number."""
     assert text("delay", Value(0.008, 0.0001, "s")) == "8.00 ± 0.10 ms"
@@ -110,6 +115,11 @@ def test_the_page_stands_alone_and_says_what_the_answer_says(kind: str, tmp_path
     assert page.sources
     assert all(source.startswith("data:image/svg+xml;base64,") for source in page.sources)
     assert work.diagnosis.next_experiment in page.words
+    if work.diagnosis.findings:
+        first = work.diagnosis.channels[0]
+        before, floor = in_one_unit(first["rmse"], first["noise_floor"], work.diagnosis.units.get(first["channel"], ""))
+        assert before in page.words
+        assert floor in page.words
     assert all(finding.says in page.words for finding in work.diagnosis.findings)
     assert list(tmp_path.iterdir()) == [tmp_path / "page.html"]
 

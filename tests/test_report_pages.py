@@ -12,7 +12,7 @@ PAGES = {
     "galen_hw.tools.calibration": "report.html.j2",
     "galen_hw.tools.deflection": "report.html.j2",
 }
-FILTERS = dict.fromkeys(("plain", "short", "parameter", "size", "moment", "chance", "number"), str)
+FILTERS = dict.fromkeys(("plain", "short", "parameter", "size", "moment", "chance", "number", "beside_noise"), str)
 
 
 @pytest.mark.parametrize("package", PAGES)

@@ -159,10 +159,11 @@ class Worker:
         alive_ns = time.monotonic_ns()  # the machine's clock, which the supervisor has too
         self._board.beat(self._orders.name, LOOP, alive_ns)
         published = self.host.published
-        if (wrenches := published.get("wrench/raw", 0)) != self._wrenches:
+        wrenches, joints = published.get("wrench/raw", 0), published.get("joints/state", 0)
+        if wrenches != self._wrenches:
             self._wrenches = wrenches
             self._board.beat(self._orders.name, WRENCH, alive_ns)
-        if self._guard is None or (joints := published.get("joints/state", 0)) == self._joints:
+        if self._guard is None or joints == self._joints:
             return
         self._joints = joints
         self._guard.heard(now)

@@ -54,7 +54,7 @@ def _ask(case: Path, *, second_run: bool) -> dict[str, Any]:
 
 
 def asked(command: list[str], answer: Path) -> dict[str, Any]:
-    """What a module with its arguments says, and writes to `answer`: {"exit", "said", "seconds", "json"}."""
+    """Return what a module with its arguments says, and writes to `answer`: {"exit", "said", "seconds", "json"}."""
     # Of a run before that was cut off.
     answer.unlink(missing_ok=True)
     start = time.monotonic()
@@ -71,5 +71,5 @@ def asked(command: list[str], answer: Path) -> dict[str, Any]:
 
 
 def second_run(case: Case) -> bool:
-    """Persistent effects are judged on a second run; those of a moment or of the clock on blocks of the first."""
+    """Return whether a second run judges: effects of a moment or of the clock are judged on blocks of the first."""
     return case.share != "premise" and not ({e.key for e in case.effects} & ONE_RUN)

@@ -9,7 +9,7 @@ from galen_hw.diagnosis.findings.quantities import headline, quantity, text
 from galen_hw.diagnosis.report import plots
 from galen_hw.diagnosis.report.caps import CAPS
 from galen_hw.diagnosis.report.plot_data import Curve, Traces
-from galen_hw.diagnosis.report.summary import VERDICTS, channel_words, lines, moment
+from galen_hw.diagnosis.report.summary import VERDICTS, channel_words, in_one_unit, lines, moment
 from galen_hw.diagnosis.result import Diagnosis, Value
 from galen_hw.version import VERSION
 
@@ -23,14 +23,14 @@ def write_page(path: Path, answer: Diagnosis, traces: Traces) -> None:
     Args:
         path: of the HTML file; answer: of the diagnosis; traces: what is drawn.
     """
-    filters: dict[str, Callable[..., str]] = {
+    filters: dict[str, Callable[..., Any]] = {
         "plain": lambda key: key.replace("_", " "),
         "short": channel_words,
         "parameter": _parameter,
         "size": headline,
         "moment": lambda w: moment(w[0], w[1], answer.clock),
         "chance": lambda p: f"{p:.0e}" if p >= CAPS.chance else f"< {CAPS.chance:.0e}",
-        "number": lambda x: f"{x:.3g}",
+        "beside_noise": lambda c: in_one_unit(c["rmse"], c["noise_floor"], answer.units.get(c["channel"], "")),
     }
     template = page_template("galen_hw.diagnosis.report", "page.html.j2", filters)
     whole = path.with_name(path.name + ".part")

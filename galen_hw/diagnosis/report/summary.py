@@ -47,8 +47,8 @@ def channel_words(channel: str) -> str:
     return " ".join(parts[1:]) if len(parts) > 1 else channel
 
 
-def _pair(a: float, b: float, unit: str) -> tuple[str, str]:
-    """Two values in one readable unit."""
+def in_one_unit(a: float, b: float, unit: str) -> tuple[str, str]:
+    """Return two values in one readable unit, which stands behind the second."""
     shown = readable(max(a, b), 0.0, unit)
     factor = shown.value / max(a, b) if max(a, b) > 0.0 else 1.0
     return f"{factor * a:.3g}", f"{factor * b:.3g} {shown.unit}".strip()
@@ -64,7 +64,7 @@ def _what(d: Diagnosis) -> str:
     if worst is None:
         return "nothing was compared"
     name, off, floor = worst["channel"], worst["rmse"], worst["noise_floor"]
-    a, b = _pair(off, floor, d.units.get(name, ""))
+    a, b = in_one_unit(off, floor, d.units.get(name, ""))
     if d.verdict == "agrees":
         count = "in its one channel" if len(d.channels) == 1 else f"in all {len(d.channels)} channels"
         return f"what is left {count} is noise, {b} rms in {channel_words(name)}"
@@ -124,7 +124,7 @@ def _fit(d: Diagnosis) -> str:
     rest = f"{most:.2f} times the noise" if len(spread) == 1 else f"{middle:.2f} times the noise (worst {most:.2f})"
     if d.verdict == "agrees":
         return f"error on held-out data {rest}; {judged}"
-    a, b = _pair(before[name], after[name], d.units.get(name, ""))
+    a, b = in_one_unit(before[name], after[name], d.units.get(name, ""))
     out = f"error on held-out data {a} to {b} in {channel_words(name)}; what is left is {rest}"
     ceiling = d.fit.get("ceiling", {})
     least = min((ceiling[c] / after[c] for c in ceiling if after.get(c)), default=1.0)

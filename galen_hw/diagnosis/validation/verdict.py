@@ -112,17 +112,18 @@ def outlying(model: Model) -> list[Left]:
 
 PIECES, OUTER = 20, 4
 """Of a recording, and of these so many at either end of the order by size."""
-AT_ONCE = 100
-"""Recordings of the noise alone that are drawn at a time: one of the first hundred settles it where there is nothing."""
 
 
-def unsteady(model: Model) -> list[Left]:
-    """Channels of a machine that is told to stand whose error comes and goes as no steady noise does.
+def unsteady(model: Model, at_once: int = 100) -> list[Left]:
+    """Find channels of a machine that is told to stand whose error comes and goes as no steady noise does.
 
     Nothing that is simulated moves, so no function of it can tell; but noise of one kind has one size. z is the ratio of mean
     squares, about each piece's mean, of the loudest fifth of the pieces over the quietest; in none of so many recordings
     drawn from the noise's own spectrum that all channels together call noise unsteady by `Criteria.chance` is it as
     large (Besag and Clifford 1991: drawing ends with the first that is). Share: of the mean square, what is above the quietest.
+
+    Args:
+        at_once: recordings that are drawn at a time; one of the first settles it where there is nothing.
     """
     bench = model.bench
     if bench.scene.moved or np.any(np.ptp(bench.scene.simulated, axis=0) > 0.0) or len(bench.rows) < 8 * PIECES:
@@ -133,8 +134,8 @@ def unsteady(model: Model) -> list[Left]:
         least = bench.steps[c] ** 2 / 12.0 + 1e-6 * bench.noise.sigma[c] ** 2
         found = float(_loudest(rest[good, c, None], float(least))[0])
         draws = (
-            bench.noise.colour(rng.standard_normal((len(rest), AT_ONCE)), c)[good]
-            for _ in range(math.ceil(bench.width / CRITERIA.chance / AT_ONCE))
+            bench.noise.colour(rng.standard_normal((len(rest), at_once)), c)[good]
+            for _ in range(math.ceil(bench.width / CRITERIA.chance / at_once))
         )
         if all(np.max(_loudest(drawn, float(least))) < found for drawn in draws):
             size = float(np.std(rest[good, c]))
