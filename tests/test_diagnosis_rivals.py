@@ -2,6 +2,7 @@
 
 import dataclasses
 import sys
+from functools import partialmethod
 from pathlib import Path
 
 import numpy as np
@@ -252,8 +253,9 @@ def test_a_lead_that_the_blocks_do_not_agree_on_is_none(monkeypatch: pytest.Monk
     near = [r for r in rivals.rivals(work.selection, finding, everyone=True) if np.isfinite(r.agreed)]
     assert near, "some rival is so near that the blocks are asked"
     key = max(near, key=lambda r: r.agreed).key
+    asked = rivals.Rival.undecided
     for clear, stated in ((-10.0, False), (100.0, True)):
-        monkeypatch.setattr(rivals, "CLEAR", clear)
+        monkeypatch.setattr(rivals.Rival, "undecided", partialmethod(asked, clear=clear))
         assert (key in [c.effect for c in rivals.confusions(work.model, work.selection, finding)]) == stated
 
 

@@ -71,12 +71,10 @@ HUM = Vibration(("wrench.force.x",), 3.1)
 TOUCH = Contact(("wrench.force.x",), ((20.0, 40.0),), 1)
 
 
-@pytest.mark.inject
-def test_a_rough_law_may_miss_a_part_of_what_it_speaks_of() -> None:
-    """Of a hum a seventh of its size; of what is exact nothing."""
-    hum = tolerated(modelled((HUM, 0.3)))[0]
-    np.testing.assert_allclose(hum, CRITERIA.least_share * 0.3**2, rtol=0.02)
-    assert not tolerated(modelled((Gain("wrench.force.x"), 0.3))).any()
+def test_laws_may_miss_a_part_of_what_they_speak_of() -> None:
+    """A seventh of the size of what was missed at first, above the noise."""
+    judged = Judged("", np.array([4.0, 1.0]), np.ones(2), {}, np.ones(2))
+    np.testing.assert_allclose(tolerated(judged), [3.0 * CRITERIA.least_share, 0.0])
 
 
 def hums(run: Bench, seed: int) -> None:
@@ -89,17 +87,20 @@ def jumps(run: Bench, seed: int) -> None:
 
 @pytest.mark.inject
 @pytest.mark.parametrize(("concealed", "name"), [(hums, "vibration"), (jumps, "step")])
-def test_what_completes_a_loud_recording_is_named_though_it_belongs_to_moments(
-    concealed: Callable[[Bench, int], None], name: str
+@pytest.mark.parametrize("size", [1.0, 6.0])
+def test_what_completes_a_loud_recording_is_named_if_it_is_no_trifle_of_it(
+    concealed: Callable[[Bench, int], None], name: str, size: float
 ) -> None:
-    """A cable of thirty times the noise, and beside it a hundredth of that which is all that else would be left."""
+    """Beside a cable of thirty times the noise: a fiftieth of what was missed is named, less may be the cable's own law."""
     runs = [Bench(seed, rows=4000) for seed in (115, 315)]
     for seed, run in enumerate(runs):
         cable_drag(run)
+        before = run.wrench.copy()
         concealed(run, seed)
+        run.wrench = before + size * (run.wrench - before)
     work = diagnose(scene_of(runs[0].observations()), holdout=scene_of(runs[1].observations()))
     assert work.diagnosis.verdict == "explained"
-    assert {f.effect for f in work.diagnosis.findings} == {"cable_drag", name}
+    assert {f.effect for f in work.diagnosis.findings} == {"cable_drag", *([name] if size > 1.0 else [])}
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside, descended
 from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.stats.paired_test import Gain
 from galen_hw.diagnosis.validation.holdout import earned
 from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.diagnosis.work import Work
@@ -207,7 +208,8 @@ def test_a_tendon_whose_stiffness_is_not_known_is_no_cable(stiffness: float, mon
     def wanted(asked: Model, *_: object) -> Judged:
         keys, floor = [h.effect.KEY for h in asked.effects if h.effect is not None], bench.noise.sigma**2
         without = dict.fromkeys(keys, floor)
-        return Judged("", floor, floor, without, floor, dict.fromkeys(keys, 0.9), dict.fromkeys(keys, 100.0))
+        surely = Gain(1.0, 0.01, 1.0, 100.0)
+        return Judged("", floor, floor, without, floor, dict.fromkeys(keys, surely), {key: [surely] for key in keys})
 
     monkeypatch.setattr("galen_hw.diagnosis.validation.holdout.judge", wanted)
     assert earned(model, None)[0].effects == ([tendon] if stiffness else [])

@@ -26,8 +26,8 @@ def improvement(
         i: the effect that is asked for, None: several.
 
     Returns:
-        What falls of the excess that there was before anything was chosen, and the share of it that the trial leaves where the
-        effect acts: in its channels, and of a touch that stands out from all other times while it lasts.
+        What falls of the excess that there was before anything was chosen, in the channels in which the effect acts, and the
+        share of it that the trial leaves there; of a touch that stands out from all other times, while it lasts.
     """
     bench, scorer = out.bench, out.scorer
     sigma = np.ones(bench.width) if whitened else bench.noise.sigma
@@ -39,8 +39,8 @@ def improvement(
     if not len(out.begun):
         out.begun = errors(bench, scorer, out.chosen) ** 2
     begun = np.mean(errors(bench, scorer, [], whitened=True) ** 2, axis=0) if whitened else out.start
-    gain = paired(without, rest, begun / sigma**2 - 1.0)
     own = list(range(bench.width)) if h is None else list(h.raw.channels)
+    gain = paired(without[:, own], rest[:, own], (begun / sigma**2 - 1.0)[own])
     rows = _moments(h, bench, without[:, own])
     square = np.mean(rest[rows][:, own] ** 2, axis=0)
     left = float(np.sum(square[square > PROVED] - 1.0) * np.mean(rows))
@@ -72,33 +72,20 @@ def pays(out: Selection, trial: list[int], i: int | None = None) -> tuple[bool, 
     lasting = effect is None or effect.lasting()
     moments = len(effect.single) or 1 if effect is not None and effect.EPISODIC and not effect.THROUGHOUT else 0
     gain, left = improvement(out, trial, i)
-    if gain.credible(rough=_rough(out, trial, gain) + left, unexplained=left, moments=moments):
+    if gain.present(unexplained=left, moments=moments):
         return True, gain.share
     if not (lasting and gain.tolerable and out.bench.scene.clock) or out.scorer.misfit(trial) >= PROVED:
         return False, gain.share
     white, left = improvement(out, trial, i, whitened=True)
-    rough = _rough(out, trial, white, whitened=True) + left
-    return white.credible(rough=rough, unexplained=left), gain.share
+    return white.present(unexplained=left), gain.share
 
 
-def improves(out: Selection, before: Array, after: Array, trial: list[int]) -> bool:
+def improves(out: Selection, before: Array, after: Array) -> bool:
     """Return whether errors (n, C) on blocks left out, in units of the noise, fall with a trial as a finding's have to."""
     gain = paired(before, after, out.start / out.bench.noise.sigma**2 - 1.0)
     square = np.mean(after**2, axis=0)
     left = float(np.sum(square[square > PROVED] - 1.0)) / max(gain.excess, 1e-300)
-    return gain.credible(rough=_rough(out, trial, gain) + left, unexplained=min(left, 1.0))
-
-
-def _rough(out: Selection, trial: list[int], gain: Gain, *, whitened: bool = False) -> float:
-    """Share of the excess that the rough laws of a trial speak of: they may miss a part of that themselves."""
-    bench, scorer = out.bench, out.scorer
-    energy = 0.0
-    for h, theta in with_parameters(scorer.parts(trial), scorer.solve(trial)[0]):
-        if h.effect is not None and (h.effect.ROUGH or h.effect.THROUGHOUT):
-            columns, size = (h.white, np.ones(bench.width)) if whitened else (h.raw, bench.noise.sigma)
-            does = columns.values @ theta / size[list(columns.channels)]
-            energy += float(np.sum(np.var(does, axis=0)))
-    return min(energy / max(gain.excess, 1e-300), 1.0)
+    return gain.present(unexplained=min(left, 1.0))
 
 
 def left_out(out: Selection, model: list[int]) -> Array:

@@ -14,10 +14,9 @@ class Criteria:
         chance: probability that noise passes for an effect: one budget a recording, shared among all that is asked of it.
         log_odds: twice the log of the odds, beyond the prices of the parameters, from which the other of two models is taken
             (Kass and Raftery, JASA 90, 1995: 6 to 10 is strong evidence).
-        least_share: of the held-out excess over the noise that must fall away, as mean square, beside laws that are rough
-            (friction, play, creep, drift) or where physics is missing: at 0.02 an effect is a seventh of what is missed.
-        exact_share: the same beside laws that are exact (a body, a delay, a scale): three thousandths of their size, which is
-            how well machines and their clocks are known (Kennedy and O'Hagan 2001: a law's own error is part of the noise).
+        least_share: of the held-out excess over the noise, in the channels in which it acts, that a finding takes at least, as
+            mean square: at 0.02 it is a seventh of what is missed there, and the laws beside it may miss as much of what they
+            speak of themselves (Kennedy and O'Hagan 2001: a law's own error is part of the noise).
         beside_unexplained: of what the whole model leaves of the excess: physics that is missing has a part along any regressor,
             and what takes less than a quarter of it may be that part, as may a difference between two models (the discrepancy's
             variance of Kennedy and O'Hagan). What belongs to moments fits nearly anything, and has to take all of it.
@@ -28,7 +27,6 @@ class Criteria:
     chance: float = 0.002
     log_odds: float = 6.0
     least_share: float = 0.02
-    exact_share: float = 1e-5
     beside_unexplained: float = 0.25
     outstanding: float = 9.0
 

@@ -37,27 +37,26 @@ class Gain:
         """Return whether the error does not rise by more than a standard error (Breiman et al. 1984: their rule)."""
         return self.fall >= -self.error
 
-    def credible(
-        self,
-        criteria: Criteria = CRITERIA,
-        *,
-        rough: float = 1.0,
-        unexplained: float = 0.0,
-        questions: int = 1,
-        moments: int = 0,
+    def present(
+        self, criteria: Criteria = CRITERIA, *, unexplained: float = 0.0, questions: int = 1, moments: int = 0
     ) -> bool:
-        """Return whether it is there beyond luck, and larger than what the laws beside it may miss themselves.
+        """Return whether it is there beyond luck, and more than a part along it of physics that is missing.
 
         Args:
             criteria: the levels.
-            rough: share of the excess, 0 to 1, that no exact law explains.
             unexplained: share of the excess, 0 to 1, that the whole model leaves.
             questions: how many effects are asked about at once.
             moments: how many it belongs to, each of which has to take as much as all leave; 0: it lasts.
         """
-        least = criteria.exact_share + (criteria.least_share - criteria.exact_share) * min(rough, 1.0)
-        least = max(least, (moments or criteria.beside_unexplained) * unexplained)
+        least = (moments or criteria.beside_unexplained) * unexplained
         return bool(self.fall > 0.0 and self.sure > criteria.standard_errors(questions) and self.share >= least)
+
+    def credible(
+        self, criteria: Criteria = CRITERIA, *, unexplained: float = 0.0, questions: int = 1, moments: int = 0
+    ) -> bool:
+        """Return whether it is there, and larger than what the laws beside it may miss themselves."""
+        there = self.present(criteria, unexplained=unexplained, questions=questions, moments=moments)
+        return there and self.share >= criteria.least_share
 
     def contrary(self, criteria: Criteria = CRITERIA, *, questions: int = 1) -> bool:
         """Return whether the error rises with it beyond luck, and by more than a law that is right may miss."""

@@ -67,7 +67,6 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
     for key, part in smaller.items():
         judged.without[key] = np.mean(test.raw(part) ** 2, axis=0)
         _ask(judged, key, test, (model, part, baseline), len(smaller), elsewhere=holdout is not None)
-    judged.rough = _rough(model, judged)
     judged.places = _places(model, test, len(smaller))
     return judged
 
@@ -85,7 +84,7 @@ def _ask(
     model, part, baseline = models
     told = test.could_tell(part, questions)
     judged.gains[key] = test.gain(part)
-    judged.tests[key] = test.gains(part)
+    judged.tests[key] = test.gains(part, _channels(model, key))
     if not effect_class(key).lasting():
         judged.gains[key] = _at_moments(model, part, baseline)
         judged.tests[key] = [judged.gains[key]]
@@ -141,17 +140,6 @@ def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remaind
         if gain.credible(questions=len(remainder.parts)):
             unnamed[c] = better
     return replace(judged, unnamed=unnamed) if np.any(unnamed != judged.after) else judged
-
-
-def _rough(model: Model, judged: Judged) -> float:
-    """Share of the excess that rough laws of a model speak of, or nothing that has a name."""
-    excess = float(np.sum(np.maximum(judged.before - judged.floor, 0.0) / judged.floor))
-    energy = 0.0
-    for h, s in zip(model.parts, model.slices(), strict=True):
-        if h.effect is not None and (h.effect.ROUGH or h.effect.THROUGHOUT):
-            size = model.bench.noise.sigma[list(h.raw.channels)]
-            energy += float(np.sum(np.var(h.does(model.final[s]) / size, axis=0)))
-    return min(energy / max(excess, 1e-300) + judged.unexplained(range(model.bench.width)), 1.0)
 
 
 def _beside(model: Model, key: str) -> list[int]:
@@ -216,9 +204,7 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
 
 def _supported(judged: Judged, tests: Sequence[Gain], channels: Sequence[int], questions: int) -> bool:
     """Return whether one of the tests is credible beside all else that the model has and leaves."""
-    return any(
-        one.credible(rough=judged.rough, unexplained=judged.unexplained(channels), questions=questions) for one in tests
-    )
+    return any(one.credible(unexplained=judged.unexplained(channels), questions=questions) for one in tests)
 
 
 def _vague(model: Model) -> list[Hypothesis]:

@@ -24,7 +24,6 @@ class Judged:
         name: of what was held out.
         before: of the baseline; after: with all effects; without: per effect's key, with that one left out.
         floor: of the noise.
-        rough: share of the excess that rough laws of the model speak of, or nothing that has a name: they may miss a part of it.
         untouched: `after` on the rows of no contact that the model believes in, None: there is none or no such row; how a touch
             swells and lets go is no law of the arm, and fitted no better than its few shapes allow.
         gains: per effect's key, what falls of the held-out excess with it. Of what belongs to moments, which are no other data's,
@@ -48,7 +47,6 @@ class Judged:
     refused: set[str] = field(default_factory=set)
     places: dict[int, list[Gain]] = field(default_factory=dict)
     at_home: set[str] = field(default_factory=set)
-    rough: float = 1.0
     episodes: tuple[tuple[float, float], ...] = ()
     good: Mask | None = None
     untouched: Array | None = None
@@ -69,9 +67,15 @@ class Judged:
         return self.gains[key].share
 
     def unexplained(self, channels: Sequence[int]) -> float:
-        """Share of the excess that is left with all effects, in those of some channels that hold more than noise."""
-        more = np.isin(np.arange(len(self.after)), channels) & (self.after > PROVED * self.floor)
-        return max(self.share(np.where(more, self.after - self.floor, 0.0)), 0.0)
+        """Share of the excess of some channels that is left with all effects, in those of them that hold more than noise."""
+        own = np.isin(np.arange(len(self.after)), channels)
+        more = own & (self.after > PROVED * self.floor)
+        excess = float(np.sum(np.maximum(self.before - self.floor, 0.0)[own] / self.floor[own]))
+        return (
+            min(float(np.sum((self.after - self.floor)[more] / self.floor[more])) / excess, 1.0)
+            if excess > 0.0
+            else 0.0
+        )
 
     def unnamed_gain(self) -> float:
         """The same of what is predicted without a name."""

@@ -13,7 +13,6 @@ from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.result import Finding, Verdict
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, touched
-from galen_hw.physics.effects.registry import effect_class
 from galen_hw.spatial import Array
 
 NOTHING_RECORDED = "nothing that was recorded"
@@ -23,25 +22,9 @@ COMES_AND_GOES = "comes and goes"
 """Words for structure that no function caught."""
 
 
-def tolerated(model: Model) -> Array:
-    """(C,) mean squares that the laws of a model, rough as they are, may miss of what they are the laws of."""
-    rough = [_swings(x) for key, x in _does(model).items() if effect_class(key).ROUGH]
-    return np.asarray(CRITERIA.least_share * np.sum([np.zeros(model.bench.width), *rough], axis=0))
-
-
-def _does(model: Model) -> dict[str, Array]:
-    """(M, C) what each kind of effect does."""
-    does: dict[str, Array] = {}
-    for h, s in zip(model.parts, model.slices(), strict=True):
-        if h.effect is not None:
-            total = does.setdefault(h.effect.KEY, np.zeros((len(model.bench.rows), model.bench.width)))
-            total[:, list(h.raw.channels)] += h.does(model.final[s])
-    return does
-
-
-def _swings(x: Array) -> Array:
-    """(C,) mean square of x (M, C) about its mean: a constant hides nothing."""
-    return np.asarray(np.var(x, axis=0))
+def tolerated(judged: Judged) -> Array:
+    """(C,) mean squares that the laws of a model may miss of what they are the laws of: as much as needs no name."""
+    return np.asarray(CRITERIA.least_share * np.maximum(judged.before - judged.floor, 0.0))
 
 
 def beyond(judged: Judged, model: Model, *, untouched: bool = False) -> list[Left]:
@@ -53,7 +36,7 @@ def beyond(judged: Judged, model: Model, *, untouched: bool = False) -> list[Lef
     after = judged.untouched if untouched and judged.untouched is not None else judged.after
     # Of noise that grows ever slower a recording holds more than a single sample's variance shows.
     ratio = after / judged.floor / bench.noise.slower
-    believed = np.maximum(after - tolerated(model), judged.floor) / judged.floor / bench.noise.slower
+    believed = np.maximum(after - tolerated(judged), judged.floor) / judged.floor / bench.noise.slower
     rows = int(bench.judged.sum() or bench.train.sum())
     # Slow noise has few independent values.
     luck = CRITERIA.standard_errors(bench.width) * np.sqrt(2.0 / bench.noise.independent(rows))

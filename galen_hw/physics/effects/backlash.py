@@ -60,7 +60,6 @@ class Backlash(Effect):
         "friction": "push the stopped joint lightly by hand in both directions: play gives, friction does not"
     }
     COMPLEXITY = 2
-    ROUGH = True
     SEARCHED: ClassVar = {
         "half_width": Searched(1e-7, 10.0, "rad or m"),
         "transition": Searched(1e-9, 1e6, "N m or N"),

@@ -56,7 +56,6 @@ class CableDrag(Effect):
     REMOVED_BY = "repeat the motion with the cable unplugged or held slack"
     MIMICS_RIGID = True
     FLEXIBLE = True
-    ROUGH = True
     PROVES = True
     form: str
     channel: str = ""

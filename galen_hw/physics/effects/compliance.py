@@ -158,7 +158,6 @@ class Hardening(Effect):
     SAYS = "stiffness changes with load"
     KNOWN_BY = "it grows faster than the load"
     CONFIRMED_BY = "load the tip with three known weights, the heaviest near the limit"
-    ROUGH = True
     LOAD_POWER = True
     SEARCHED: ClassVar = {"knee": Searched(1e-9, 1e6, "N m or N")}
     joint: str

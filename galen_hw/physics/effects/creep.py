@@ -50,7 +50,6 @@ class Creep(Effect):
         "compliance": "nearly all rests are longer than the settling",
     }
     FLEXIBLE = True
-    ROUGH = True
     SEARCHED: ClassVar = {
         "constant": Searched(0.3, 1e4, "s"),
         "friction": Searched(1e-9, 1e6, "N m or N"),

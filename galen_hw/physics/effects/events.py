@@ -132,7 +132,6 @@ class Contact(_Shaped):
     RMS_TOLD = True
     REMOVED_BY = "repeat the motion in free air, nothing near the arm"
     SIDE_BY_SIDE = True
-    ROUGH = True
     channels: tuple[str, ...]
     episodes: tuple[Span, ...]
     waves: int = 1
@@ -222,7 +221,6 @@ class Vibration(_Shaped):
     REMOVED_BY = "repeat the motion with the source of the vibration switched off"
     SIDE_BY_SIDE = True
     THROUGHOUT = True
-    ROUGH = True
     SEARCHED: ClassVar = {"frequency": Searched(1e-2, 1e5, "Hz")}
     NEEDS_CLOCK = True
     channels: tuple[str, ...]

@@ -46,7 +46,6 @@ class Friction(Effect):
     CONFIRMED_BY = "sweep each joint both ways at three speeds"
     HEAD = ("coulomb", "coulomb_forward", "coulomb_backward", "viscous.*", "stiction")
     COMPLEXITY = 1
-    ROUGH = True
     SEARCHED: ClassVar = {
         "transition": Searched(1e-6, 10.0, "rad/s or m/s"),
         "stribeck": Searched(1e-5, 10.0, "rad/s or m/s"),

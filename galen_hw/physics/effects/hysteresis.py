@@ -49,7 +49,6 @@ class Hysteresis(Effect):
         "backlash": "sweep the joint slowly to and fro with ever smaller reversals",
     }
     FLEXIBLE = True
-    ROUGH = True
     SEARCHED: ClassVar = {
         "reach": Searched(1e-7, 10.0, "rad or m"),
         "gap": Searched(0.02, 0.95, "1"),

@@ -132,8 +132,6 @@ class Traits(Words):
     """Of episodic effects: it is there all through its recording."""
     BRIEF: ClassVar[bool] = False
     """It acts in few rows only, which may all lie in one block."""
-    ROUGH: ClassVar[bool] = False
-    """A law of matter, or a shape: an idea of what happens, never the whole of it. Geometry and weight are no ideas."""
     COMPLEXITY: ClassVar[int] = 3
     """Of look-alikes that do nearly as well while the model still misses much, that with less goes first."""
     RIGID: ClassVar[bool] = False

@@ -159,7 +159,7 @@ def _exchanged(
     with out.attempt() as attempt:
         out.chosen = trial = _through(bench, scorer, [i for i in out.chosen if i not in old], clocks, instead)
         better = before - scorer.solve(trial)[2] - price > LOG_ODDS
-        attempt.kept = better and _pays(out, missed, left_out(out, trial), trial, nearly=nearly, plainer=plainer)
+        attempt.kept = better and _pays(out, missed, left_out(out, trial), nearly=nearly, plainer=plainer)
     if attempt.kept:
         _as_told(scorer, clocks)
     return attempt.kept
@@ -200,7 +200,7 @@ def _in_place_of(bench: Bench, h: Hypothesis, instead: dict[Effect, Effect]) -> 
     return h if h.effect is None or h.effect not in instead else bench.add(instead[h.effect], h.looked)
 
 
-def _pays(out: Selection, before: Array, after: Array, trial: list[int], *, nearly: int, plainer: bool) -> bool:
+def _pays(out: Selection, before: Array, after: Array, *, nearly: int, plainer: bool) -> bool:
     """Return whether errors (n, C) on blocks left out fall as a finding's have to; of fewer clocks, do not rise.
 
     `nearly`: by nearly all of the excess wherever they fall, in so many channels at least.
@@ -211,4 +211,4 @@ def _pays(out: Selection, before: Array, after: Array, trial: list[int], *, near
         fallen = (old - new) / np.maximum(old, NOTHING)
         fallen = fallen[fallen >= RICHER]
         return len(fallen) >= nearly and bool(np.min(fallen) >= COMPLETE) and gain.fall > 0.0
-    return gain.tolerable if plainer else improves(out, before, after, trial)
+    return gain.tolerable if plainer else improves(out, before, after)
