@@ -16,9 +16,9 @@ from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.stats.criteria import CRITERIA
+from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.diagnosis.validation.support import HoldoutTest
 from galen_hw.diagnosis.validation.verdict import strong, tolerated
-from galen_hw.physics.effects.events import Contact, Vibration
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.effects.sensor import Gain
 from galen_hw.physics.observations import Observations
@@ -65,10 +65,6 @@ def modelled(*placed: tuple[object, float]) -> Model:
         one = np.ones(h.count)
         model.final[s] = one * rms / np.sqrt(np.mean(h.does(one) ** 2))
     return model
-
-
-HUM = Vibration(("wrench.force.x",), 3.1)
-TOUCH = Contact(("wrench.force.x",), ((20.0, 40.0),), 1)
 
 
 def test_laws_may_miss_a_part_of_what_they_speak_of() -> None:
