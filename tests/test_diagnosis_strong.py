@@ -83,20 +83,17 @@ def jumps(run: Bench, seed: int) -> None:
 
 @pytest.mark.inject
 @pytest.mark.parametrize(("concealed", "name"), [(hums, "vibration"), (jumps, "step")])
-@pytest.mark.parametrize("size", [1.0, 6.0])
-def test_what_completes_a_loud_recording_is_named_if_it_is_no_trifle_of_it(
-    concealed: Callable[[Bench, int], None], name: str, size: float
+def test_what_completes_a_loud_recording_is_named_though_it_belongs_to_moments(
+    concealed: Callable[[Bench, int], None], name: str
 ) -> None:
-    """Beside a cable of thirty times the noise: a fiftieth of what was missed is named, less may be the cable's own law."""
+    """A cable of thirty times the noise, and beside it a hundredth of that which is all that else would be left."""
     runs = [Bench(seed, rows=4000) for seed in (115, 315)]
     for seed, run in enumerate(runs):
         cable_drag(run)
-        before = run.wrench.copy()
         concealed(run, seed)
-        run.wrench = before + size * (run.wrench - before)
     work = diagnose(scene_of(runs[0].observations()), holdout=scene_of(runs[1].observations()))
     assert work.diagnosis.verdict == "explained"
-    assert {f.effect for f in work.diagnosis.findings} == {"cable_drag", *([name] if size > 1.0 else [])}
+    assert {f.effect for f in work.diagnosis.findings} == {"cable_drag", name}
 
 
 @pytest.mark.parametrize(
@@ -121,5 +118,7 @@ def test_nothing_supports_what_makes_raw_errors_larger() -> None:
     white = {True: quiet, False: quiet + 0.5 * np.roll(quiet, 1, axis=0)}
     for raw, supported in ((quiet, True), (quiet + slow, False)):
         rests = {True: raw, False: quiet + 0.5 * np.roll(quiet, 1, axis=0)}
-        test = HoldoutTest(np.ones(6), lambda m, r=rests: r[bool(m.effects)], lambda m: white[bool(m.effects)], model, other)
+        test = HoldoutTest(
+            np.ones(6), lambda m, r=rests: r[bool(m.effects)], lambda m: white[bool(m.effects)], model, other
+        )
         assert any(one.credible() for one in test.gains(other)) == supported

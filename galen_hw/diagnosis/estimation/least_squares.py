@@ -9,9 +9,6 @@ from galen_hw.diagnosis.stats.linear_algebra import pinned_at
 from galen_hw.diagnosis.stats.sampling import Chosen
 from galen_hw.spatial import Array
 
-PROVED = 1.25
-"""Whitened mean square below which a model leaves hardly more than noise."""
-
 
 def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int, stays: Array | None = None) -> Array:
     """Generalised least squares of a model on some rows; `stays`: (k,) values that parameters keep besides, else nan."""

@@ -5,7 +5,6 @@ import numpy as np
 from galen_hw.diagnosis.estimation.candidate import Hypothesis, with_parameters
 from galen_hw.diagnosis.estimation.cross_validation import errors
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
@@ -43,7 +42,7 @@ def improvement(
     gain = paired(without[:, own], rest[:, own], (begun / sigma**2 - 1.0)[own])
     rows = _moments(h, bench, without[:, own])
     square = np.mean(rest[rows][:, own] ** 2, axis=0)
-    left = float(np.sum(square[square > PROVED] - 1.0) * np.mean(rows))
+    left = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0) * np.mean(rows))
     return gain, min(left / gain.excess, 1.0) if gain.excess > 0.0 else 0.0
 
 
@@ -72,20 +71,20 @@ def pays(out: Selection, trial: list[int], i: int | None = None) -> tuple[bool, 
     lasting = effect is None or effect.lasting()
     moments = len(effect.single) or 1 if effect is not None and effect.EPISODIC and not effect.THROUGHOUT else 0
     gain, left = improvement(out, trial, i)
-    if gain.present(unexplained=left, moments=moments):
+    if gain.credible(unexplained=left, moments=moments):
         return True, gain.share
-    if not (lasting and gain.tolerable and out.bench.scene.clock) or out.scorer.misfit(trial) >= PROVED:
+    if not (lasting and gain.tolerable and out.bench.scene.clock) or out.scorer.misfit(trial) >= CRITERIA.noise_alone:
         return False, gain.share
     white, left = improvement(out, trial, i, whitened=True)
-    return white.present(unexplained=left), gain.share
+    return white.credible(unexplained=left), gain.share
 
 
 def improves(out: Selection, before: Array, after: Array) -> bool:
     """Return whether errors (n, C) on blocks left out, in units of the noise, fall with a trial as a finding's have to."""
     gain = paired(before, after, out.start / out.bench.noise.sigma**2 - 1.0)
     square = np.mean(after**2, axis=0)
-    left = float(np.sum(square[square > PROVED] - 1.0)) / max(gain.excess, 1e-300)
-    return gain.present(unexplained=min(left, 1.0))
+    left = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0)) / max(gain.excess, 1e-300)
+    return gain.credible(unexplained=min(left, 1.0))
 
 
 def left_out(out: Selection, model: list[int]) -> Array:
@@ -107,7 +106,7 @@ def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
     spread = scorer.spread(at)[-h.count :] * np.sqrt(misfit)
     named = list(zip(h.effect.parameters(bench.scene), theta[-h.count :], spread, strict=True))
     # A lag of a twentieth is no lag. Bounds matter where physics is missing: else the shape has proved it, whatever its size.
-    named_so = all(p.near(t, s) and (misfit < PROVED or p.plausible(t, s)) for p, t, s in named)
+    named_so = all(p.near(t, s) and (misfit < CRITERIA.noise_alone or p.plausible(t, s)) for p, t, s in named)
     real = named_so and h.effect.at_work(bench.scene) and h.effect.possible(bench.scene, theta[-h.count :], spread)
     return real and not _undone(bench, scorer, [*chosen, i], theta)
 

@@ -7,7 +7,6 @@ import numpy as np
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.cross_validation import of_parts
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.model import Model, together
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
@@ -45,7 +44,7 @@ def weighed(model: Model) -> Model:
     frequencies at which the model is wrong.
     """
     bench = model.bench
-    if not model.effects or float(np.mean(model.rest(white=True)[bench.train] ** 2)) < PROVED:
+    if not model.effects or float(np.mean(model.rest(white=True)[bench.train] ** 2)) < CRITERIA.noise_alone:
         return model
     parts, y = model.flat()
     ours, plain = (of_parts(bench, *one) / bench.noise.sigma for one in ((model.parts, model.white), (parts, y)))

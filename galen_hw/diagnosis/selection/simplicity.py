@@ -1,7 +1,7 @@
 """Which of two look-alikes goes first: the plainer one, where the recording does not say otherwise."""
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import PROVED, missed
+from galen_hw.diagnosis.estimation.least_squares import missed
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.comparison import ahead
 from galen_hw.diagnosis.selection.limits import LIMITS
@@ -37,7 +37,11 @@ def plainest(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, 
 def undecided(bench: Bench, scorer: Scorer, model: list[int]) -> float:
     """Difference of rank that says nothing between models: a part of what the better one leaves above the noise."""
     over = missed(bench, scorer, model)
-    return CRITERIA.beside_unexplained * (over - 1.0) * bench.train.sum() * bench.width if over > PROVED else 0.0
+    return (
+        CRITERIA.beside_unexplained * (over - 1.0) * bench.train.sum() * bench.width
+        if over > CRITERIA.noise_alone
+        else 0.0
+    )
 
 
 def _cost(scorer: Scorer, scores: dict[int, Score], i: int) -> tuple[int, int]:

@@ -15,13 +15,15 @@ class Criteria:
         log_odds: twice the log of the odds, beyond the prices of the parameters, from which the other of two models is taken
             (Kass and Raftery, JASA 90, 1995: 6 to 10 is strong evidence).
         least_share: of the held-out excess over the noise, in the channels in which it acts, that a finding takes at least, as
-            mean square: at 0.02 it is a seventh of what is missed there, and the laws beside it may miss as much of what they
-            speak of themselves (Kennedy and O'Hagan 2001: a law's own error is part of the noise).
+            mean square, unless noise alone is left with it and more without it: at 0.02 it is a seventh of what is missed there,
+            and the laws beside it may miss as much of what they speak of (Kennedy and O'Hagan 2001: a law's own error is part
+            of the noise) as long as nothing shows that they do not.
         beside_unexplained: of what the whole model leaves of the excess: physics that is missing has a part along any regressor,
             and what takes less than a quarter of it may be that part, as may a difference between two models (the discrepancy's
             variance of Kennedy and O'Hagan). What belongs to moments fits nearly anything, and has to take all of it.
         outstanding: mean square during a touch over that at all other times, from which it is judged by its own moments, and is
             an event: three times as large.
+        noise_alone: mean square over that of the noise up to which noise alone is left: its level is learnt, and no better known.
     """
 
     chance: float = 0.002
@@ -29,6 +31,12 @@ class Criteria:
     least_share: float = 0.02
     beside_unexplained: float = 0.25
     outstanding: float = 9.0
+    noise_alone: float = 1.25
+
+    @property
+    def more(self) -> float:
+        """Mean square over that of the noise from which surely more is left: the two that are compared may both be off."""
+        return 1.0 + 2.0 * (self.noise_alone - 1.0)
 
     def standard_errors(self, questions: int = 1) -> float:
         """Return by how many standard errors an answer must stand out where so many are asked for (Bonferroni, one side)."""

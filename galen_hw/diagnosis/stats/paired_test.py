@@ -20,12 +20,14 @@ class Gain:
         fall: mean over the rows of the squared error without it less that with it; error: its standard error.
         sure: by how many standard errors what is there without it matches what it says.
         excess: the same of the baseline's squared error above the noise, not below 0 or what falls.
+        completes: in some channel noise alone is left with it, and more without it: laws that leave nothing are not rough.
     """
 
     fall: float
     error: float
     excess: float
     sure: float
+    completes: bool = False
 
     @property
     def share(self) -> float:
@@ -37,10 +39,15 @@ class Gain:
         """Return whether the error does not rise by more than a standard error (Breiman et al. 1984: their rule)."""
         return self.fall >= -self.error
 
-    def present(
-        self, criteria: Criteria = CRITERIA, *, unexplained: float = 0.0, questions: int = 1, moments: int = 0
+    def credible(
+        self,
+        criteria: Criteria = CRITERIA,
+        *,
+        unexplained: float = 0.0,
+        questions: int = 1,
+        moments: int = 0,
     ) -> bool:
-        """Return whether it is there beyond luck, and more than a part along it of physics that is missing.
+        """Return whether it is there beyond luck, and more than what laws that are rough or missing leave along it.
 
         Args:
             criteria: the levels.
@@ -48,15 +55,10 @@ class Gain:
             questions: how many effects are asked about at once.
             moments: how many it belongs to, each of which has to take as much as all leave; 0: it lasts.
         """
-        least = (moments or criteria.beside_unexplained) * unexplained
+        least = max(
+            0.0 if self.completes else criteria.least_share, (moments or criteria.beside_unexplained) * unexplained
+        )
         return bool(self.fall > 0.0 and self.sure > criteria.standard_errors(questions) and self.share >= least)
-
-    def credible(
-        self, criteria: Criteria = CRITERIA, *, unexplained: float = 0.0, questions: int = 1, moments: int = 0
-    ) -> bool:
-        """Return whether it is there, and larger than what the laws beside it may miss themselves."""
-        there = self.present(criteria, unexplained=unexplained, questions=questions, moments=moments)
-        return there and self.share >= criteria.least_share
 
     def contrary(self, criteria: Criteria = CRITERIA, *, questions: int = 1) -> bool:
         """Return whether the error rises with it beyond luck, and by more than a law that is right may miss."""
@@ -85,7 +87,9 @@ def paired(without: Array, rest: Array, excess: Array, *, parameters: int = 0) -
     fall, error = _sum(match + luck, 2.0 * luck, count)
     matched, its = _sum(match, luck, count)
     fall = (fall - 2.0 * parameters) / n
-    return Gain(fall, error / n, max(float(np.sum(np.maximum(excess, 0.0))), fall), matched / max(its, 1e-300))
+    old, new = (np.mean(x**2, axis=0) for x in (without, rest))
+    whole = bool(np.any((old > CRITERIA.more) & (new <= CRITERIA.noise_alone)))
+    return Gain(fall, error / n, max(float(np.sum(np.maximum(excess, 0.0))), fall), matched / max(its, 1e-300), whole)
 
 
 def _sum(x: Array, lucky: Array, count: int) -> tuple[float, float]:

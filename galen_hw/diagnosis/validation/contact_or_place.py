@@ -17,8 +17,6 @@ from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.diagnosis.validation.judgement import Judged, touched
 
-FORETOLD: Final = 0.4
-"""Share of what touches take, in the moments of each, that must follow from the positions of the others."""
 AROUND: Final = 0.5
 """Of a touch's length: how long before and after it nothing is learnt about it either."""
 
@@ -82,7 +80,7 @@ def foretold(whole: Model, less: Model) -> list[Left]:
             predicted[asked, c] = trees.new().fit(position[others], missed[others, c]).predict(position[asked])
     gain = np.sum(predicted * (2.0 * missed - predicted), axis=0)
     taken = np.sum(missed[during] ** 2 - kept[during] ** 2)
-    if taken <= 0.0 or gain.sum() < FORETOLD * taken:
+    if taken <= 0.0 or gain.sum() < CRITERIA.beside_unexplained * taken:
         return []
     share = gain / np.sum(missed[good] ** 2, axis=0)
     size = sigma * np.sqrt(np.sum(predicted**2, axis=0) / good.sum())

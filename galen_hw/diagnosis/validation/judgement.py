@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import PROVED, predicted
+from galen_hw.diagnosis.estimation.least_squares import predicted
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.paired_test import Gain
 from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.spatial import Array
@@ -69,7 +70,7 @@ class Judged:
     def unexplained(self, channels: Sequence[int]) -> float:
         """Share of the excess of some channels that is left with all effects, in those of them that hold more than noise."""
         own = np.isin(np.arange(len(self.after)), channels)
-        more = own & (self.after > PROVED * self.floor)
+        more = own & (self.after > CRITERIA.noise_alone * self.floor)
         excess = float(np.sum(np.maximum(self.before - self.floor, 0.0)[own] / self.floor[own]))
         return (
             min(float(np.sum((self.after - self.floor)[more] / self.floor[more])) / excess, 1.0)

@@ -10,7 +10,6 @@ from galen_hw.diagnosis.detection.stuck_samples import repeated
 from galen_hw.diagnosis.estimation import signal_chain
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit import structure_test
@@ -35,7 +34,7 @@ def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure
     """
     effects = [(h, h.effect) for h in model.effects if h.effect is not None]
     ratio, excess = judged.after / judged.floor, judged.before - judged.floor
-    if ratio.max() <= PROVED or any(_anew(effect) for _, effect in effects):
+    if ratio.max() <= CRITERIA.noise_alone or any(_anew(effect) for _, effect in effects):
         return []
     here = _bench(model, scene, judged)
     if here is None:
@@ -53,7 +52,7 @@ def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure
     return [
         replace(one, elsewhere=True)
         for one in left
-        if ratio[one.channel] > PROVED and one.size**2 > CRITERIA.least_share * excess[one.channel]
+        if ratio[one.channel] > CRITERIA.noise_alone and one.size**2 > CRITERIA.least_share * excess[one.channel]
     ]
 
 

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.paired_test import Gain, paired
@@ -37,7 +36,7 @@ class HoldoutTest:
         self._excess = np.mean((raw(baseline) / self._size) ** 2, axis=0) - 1.0
         self._white_rest: Array | None = None
         whitened = white(model)
-        if model.bench.scene.clock and float(np.mean(whitened**2)) < PROVED:
+        if model.bench.scene.clock and float(np.mean(whitened**2)) < CRITERIA.noise_alone:
             self._white_rest = whitened
             # Plain least squares, as anybody would fit the baseline, have no errors in whitened units.
             self._white_excess = np.mean(white(model.without(model.effects)) ** 2, axis=0) - 1.0

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.preprocessing.data_quality import Premise
@@ -41,7 +40,7 @@ def beyond(judged: Judged, model: Model, *, untouched: bool = False) -> list[Lef
     # Slow noise has few independent values.
     luck = CRITERIA.standard_errors(bench.width) * np.sqrt(2.0 / bench.noise.independent(rows))
     # The level of the noise was learnt, and may be as far off as what it is compared with.
-    enough = 1.0 + 2.0 * np.maximum(PROVED - 1.0, luck)
+    enough = np.maximum(CRITERIA.more, 1.0 + 2.0 * luck)
     none = np.zeros((len(bench.rows), 0))
     return [
         Left(

@@ -3,9 +3,10 @@
 import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import PROVED, rests
+from galen_hw.diagnosis.estimation.least_squares import rests
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.traits import Span
 
@@ -52,4 +53,4 @@ def _quiet_else(bench: Bench, scorer: Scorer, model: list[int], touches: tuple[S
     time = bench.rows.average(bench.scene.time)
     outside = bench.train & ~np.any([(time >= start) & (time <= end) for start, end in touches], axis=0)
     rest = rests(bench, scorer, model)[0][outside]
-    return len(rest) > 0 and float(np.mean((rest / bench.noise.sigma) ** 2)) < PROVED
+    return len(rest) > 0 and float(np.mean((rest / bench.noise.sigma) ** 2)) < CRITERIA.noise_alone

@@ -1,10 +1,10 @@
 """Two effects that hide each other: neither is worth its place alone, both are together."""
 
-from galen_hw.diagnosis.estimation.least_squares import PROVED
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import pays, plausible
 from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 
 
 def hidden(out: Selection) -> bool:
@@ -14,7 +14,7 @@ def hidden(out: Selection) -> bool:
     rest is hardly smaller for it on blocks left out.
     """
     bench, scorer = out.bench, out.scorer
-    if scorer.misfit(out.chosen) < PROVED:
+    if scorer.misfit(out.chosen) < CRITERIA.noise_alone:
         return False
     leaders: dict[str, int] = {}
     for i in out.turn.able:
