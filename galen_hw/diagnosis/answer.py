@@ -64,11 +64,7 @@ def answer(
         fit=judged.fit(bench, left),
         next_experiment=advice,
         notes=notes,
-        terms=[
-            h.effect.to_term(bench.scene, model.final[s])
-            for h, s in zip(model.parts, model.slices(), strict=True)
-            if h.effect is not None
-        ],
+        terms=[effect.to_term(bench.scene, theta) for effect, theta in model.placed()],
     )
 
 

@@ -107,9 +107,9 @@ def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list
         rest = model.rest()
         plain = structure_test.Fitted([h.raw for h in model.parts], rest, rest / coarse.noise.sigma)
         (left,) = structure_test.leftovers(coarse, generic, [plain])
-    parts = zip(model.parts, model.slices(), strict=True)
-    chosen = [(h.effect, model.final[s]) for h, s in parts if h.effect is not None]
-    return Known(chosen, {x.channel: x.kind for x in reversed(left)}, coarse.spacing, coarse.timing, coarse.stream)
+    return Known(
+        model.placed(), {x.channel: x.kind for x in reversed(left)}, coarse.spacing, coarse.timing, coarse.stream
+    )
 
 
 def begun(bench: Bench, known: Known, holdout: Scene | None) -> Scene | None:

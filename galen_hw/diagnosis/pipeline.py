@@ -74,15 +74,17 @@ def diagnose(
     generic = structure_test.families(bench)
     bench.learn_noise((), known.columns(bench, generic))
     tell("choosing effects", 0.5)
-    searches, left = searched(bench, effects, columns, generic, blind=bool(premise.wrong))
+    searches, left = searched(bench, effects, columns, generic, blind=bool(premise.wrong), start=known.effects)
     if not left and not premise.wrong and (faint := outliers.faint(searches[0][1])) is not None:
         glitch = outliers.marked(searches[0][1].bench, faint)
-        searches, left = searched_again(searches[0][1].bench, effects, columns, generic, known.columns)
+        before = searches[0][1]
+        searches, left = searched_again(before.bench, effects, columns, generic, known.columns, start=before.placed())
     if not left and not premise.wrong and (passed := trees.hidden(searches[0][1])):
         # What passed for slow noise hides others too: all is asked again beside it.
         generic += [structure_test.Family(one.kind, one.basis, local=False) for one in passed]
         also = [Columns((one.channel,), one.basis[:, None, 1:]) for one in passed]
-        searches, left = searched_again(searches[0][1].bench, effects, columns, generic, known.columns, also)
+        before = searches[0][1]
+        searches, left = searched_again(before.bench, effects, columns, generic, known.columns, also, before.placed())
         left = left or trees.hidden(searches[0][1])
     tell("judging on held-out data", 0.9)
     selection, chosen, model, judged = held_up(searches, holdout, nothing=bool(premise.wrong))

@@ -1,6 +1,6 @@
 """The searches under one noise, and what held-out data leave of the better model."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 
 from joblib import Parallel, delayed
@@ -13,7 +13,8 @@ from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.lack_of_fit import structure_test
 from galen_hw.diagnosis.selection.criterion import merit
 from galen_hw.diagnosis.selection.finalise import offsets, settle_model, weighed
-from galen_hw.diagnosis.selection.search import select
+from galen_hw.diagnosis.selection.moves import Move
+from galen_hw.diagnosis.selection.search import Start, select
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.diagnosis.validation.flexible_effects import left_by
@@ -28,12 +29,22 @@ Search = tuple[Selection, Model]
 
 
 def searched(
-    bench: Bench, effects: list[Effect], columns: list[Columns], generic: list[structure_test.Family], *, blind: bool
+    bench: Bench,
+    effects: list[Effect],
+    columns: list[Columns],
+    generic: list[structure_test.Family],
+    *,
+    blind: bool,
+    start: Start = (),
 ) -> tuple[list[Search], list[structure_test.Left]]:
-    """What was searched under the present noise, the better model first, and what that leaves."""
+    """What was searched under the present noise, the better model first, and what that leaves.
+
+    Args:
+        start: a model that another search has found; where it is better than what was found without it, one begins there too.
+    """
     hypotheses = [bench.made(e, raw) for e, raw in supposable(bench.scene, effects, columns)]
     bench.know(hypotheses)
-    searches = _models(bench, hypotheses, blind=blind)
+    searches = _models(bench, hypotheses, blind=blind, start=start)
     return searches, left_by([searches[0][1]], generic)[0]
 
 
@@ -44,14 +55,15 @@ def searched_again(
     generic: list[structure_test.Family],
     known: Callable[[Bench, list[structure_test.Family]], list[Columns]],
     also: Sequence[Columns] = (),
+    start: Start = (),
 ) -> tuple[list[Search], list[structure_test.Left]]:
     """Learn the noise anew beside what is known and what showed `also`, and search again."""
     bench.begin()
     bench.learn_noise((), [*known(bench, generic), *also])
-    return searched(bench, effects, columns, generic, blind=False)
+    return searched(bench, effects, columns, generic, blind=False, start=start)
 
 
-def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> list[Search]:
+def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: Start) -> list[Search]:
     """One search or two, the better model first; of two each has a bench of its own, as it left it.
 
     With offsets always in the model and judged at the end (a drift is not called an offset), and with offsets among the
@@ -61,13 +73,25 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> list[
         nothing = Selection(Scorer(bench, hypotheses))
         return [(nothing, settle_model(bench, nothing.scorer, nothing))]
 
-    def one(on: Bench, own: list[Hypothesis]) -> Search:
-        selection = select(on, Scorer(on, [*own, *hypotheses], free=not own))
+    def one(on: Bench, own: list[Hypothesis], moves: Sequence[Move] | None = None, start: Start = ()) -> Search:
+        selection = select(on, Scorer(on, [*own, *hypotheses], free=not own), moves, start=start)
         return selection, settle_model(on, selection.scorer, selection)
 
-    own = offsets(bench)
+    def better_from(found: Search, own: list[Hypothesis]) -> Search:
+        """What a search finds from the start, if that is better as it stands than what was found."""
+        constants = set() if own else _families(h.effect for h in offsets(bench))
+        begun = [(effect, theta) for effect, theta in start if effect.family not in constants]
+        if not begun or _families(effect for effect, _ in begun) == _families(h.effect for h in found[1].effects):
+            return found
+        enough = merit(found[1]) + LOG_ODDS
+        if merit(one(copy(fresh), own, (), begun)[1]) <= enough:
+            return found
+        again = one(copy(fresh), own, None, begun)
+        return again if merit(again[1]) > enough else found
+
+    own, fresh = offsets(bench), copy(bench)
     if not own:
-        return [one(bench, own)]
+        return [better_from(one(bench, own), own)]
     # Each has what the search changes (the residual without bends, the late stream) to itself, and a core if there are two.
     first, other = Parallel(n_jobs=2, require="sharedmem")(
         delayed(one)(*each) for each in ((copy(bench), []), (copy(bench), own))
@@ -76,7 +100,11 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool) -> list[
     # A constant that something else accounts for as well is an effect too many.
     if better > LOG_ODDS or (better > 0.0 and len(other[1].effects) < len(first[1].effects)):
         first, other = other, first
-    return [first, other]
+    return [better_from(first, [] if first[0].scorer.free else own), other]
+
+
+def _families(effects: Iterable[Effect | None]) -> set[object]:
+    return {effect.family for effect in effects if effect is not None}
 
 
 def held_up(searches: list[Search], holdout: Scene | None, *, nothing: bool) -> tuple[Selection, Model, Model, Judged]:

@@ -17,6 +17,7 @@ from galen_hw.diagnosis.stats.linear_algebra import solve_sym
 from galen_hw.diagnosis.stats.sampling import Chosen
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.lazy import cached_property
+from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.spatial import Array
 
@@ -188,6 +189,11 @@ class Model:
         """Where each part's parameters stand."""
         ends = np.cumsum([0, *(h.count for h in self.parts)])
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+
+    def placed(self) -> list[tuple[Effect, Array]]:
+        """Return the effects with their parameters (k,)."""
+        parts = zip(self.parts, self.slices(), strict=True)
+        return [(h.effect, self.final[s]) for h, s in parts if h.effect is not None]
 
     def without(self, out: list[Hypothesis]) -> "Model":
         """The same with some effects left out, fitted again; without a limit the others show where the readings clipped."""

@@ -2,9 +2,13 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.cross_validation import errors
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import retime, settle_together
-from galen_hw.diagnosis.estimation.linearisation import rebase
+from galen_hw.diagnosis.estimation.linearisation import rebase, tangent
 from galen_hw.diagnosis.estimation.normal_equations import Scorer, threshold
 from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves import MOVES, Move
@@ -14,19 +18,27 @@ from galen_hw.diagnosis.selection.moves.step_times import timed
 from galen_hw.diagnosis.selection.proposals import known, sought
 from galen_hw.diagnosis.selection.search_state import Selection, Turn
 from galen_hw.diagnosis.stats.significance import CHANCE
+from galen_hw.physics.effects.base import Effect
+from galen_hw.spatial import Array
+
+Start = Sequence[tuple[Effect, Array]]
+"""Effects with their parameters (k,), from which a search may begin."""
 
 
-def select(bench: Bench, scorer: Scorer, moves: Sequence[Move] | None = None) -> Selection:
+def select(bench: Bench, scorer: Scorer, moves: Sequence[Move] | None = None, *, start: Start = ()) -> Selection:
     """Search for the effects: in each turn the first move that finds a better model, then those that tidy it.
 
     Args:
         bench: the data; is left in the state of the model found.
         scorer: with all hypotheses.
         moves: that are tried, in their order; None: all of the table.
+        start: the model to begin with.
     """
     every, out = MOVES if moves is None else moves, Selection(scorer)
     seen: set[frozenset[object]] = set()
     finding, tidying = ([one.make for one in every if one.tidies is tidies] for tidies in (False, True))
+    if start:
+        _begin(out, start)
     for _ in range(LIMITS.turns):
         _look(out)
         if not any(make(out) for make in finding):
@@ -44,6 +56,26 @@ def select(bench: Bench, scorer: Scorer, moves: Sequence[Move] | None = None) ->
         seen.add(model)
     _conclude(out)
     return out
+
+
+def _begin(out: Selection, start: Start) -> None:
+    """Put the effects of a start into a model that has none, and let them settle."""
+    bench, scorer = out.bench, out.scorer
+    _look(out)
+    out.begun = errors(bench, scorer, []) ** 2
+    looked = {h.effect.family: h.looked for h in scorer.library if h.effect is not None}
+    first = len(scorer.library)
+    scorer.append([_placed(bench, effect, theta, looked.get(effect.family, 1)) for effect, theta in start])
+    out.chosen = list(range(first, first + len(start)))
+    rebase(scorer, out.chosen)
+    settle_together(bench, scorer, out.chosen)
+    retime(bench, scorer, out.chosen)
+
+
+def _placed(bench: Bench, effect: Effect, theta: Array, looked: int) -> Hypothesis:
+    """An effect as a hypothesis that stands where its parameters (k,) are."""
+    h = bench.add(effect, looked)
+    return tangent(bench, h, theta) if effect.bends(bench.scene, np.zeros(h.count)) else h
 
 
 def _look(out: Selection) -> None:

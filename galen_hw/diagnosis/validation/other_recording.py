@@ -125,11 +125,7 @@ def apply(model: Model, scene: Scene, good: Mask | None = None, besides: Array |
     rows = bench.rows.of(scene.segments)
     seen = np.ones(len(rows), dtype=bool) if good is None else good
     refit = [h for h in model.parts if h.effect is None]
-    lasting = [
-        (h.effect, model.final[s])
-        for h, s in zip(model.parts, model.slices(), strict=True)
-        if h.effect is not None and not h.effect.EPISODIC
-    ]
+    lasting = [(effect, theta) for effect, theta in model.placed() if not effect.EPISODIC]
     rest = rows.average(scene.residual - signal_chain.added(scene, lasting, bench.timing))
     rest = rest - (0.0 if besides is None else besides)
     columns = [_nuisances(refit, scene, rows, bench)] if refit else []
