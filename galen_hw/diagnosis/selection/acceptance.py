@@ -39,7 +39,7 @@ def improvement(
         out.begun = errors(bench, scorer, out.chosen) ** 2
     begun = np.mean(errors(bench, scorer, [], whitened=True) ** 2, axis=0) if whitened else out.start
     own = list(range(bench.width)) if h is None else list(h.raw.channels)
-    gain = paired(without[:, own], rest[:, own], (begun / sigma**2 - 1.0)[own])
+    gain = paired(without, rest, begun / sigma**2 - 1.0, own=own)
     rows = _moments(h, bench, without[:, own])
     square = np.mean(rest[rows][:, own] ** 2, axis=0)
     left = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0) * np.mean(rows))

@@ -1,5 +1,6 @@
 """The paired test on held-out errors, block by block: what an effect takes of the excess, and how surely."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -20,7 +21,7 @@ class Gain:
         fall: mean over the rows of the squared error without it less that with it; error: its standard error.
         sure: by how many standard errors what is there without it matches what it says.
         excess: the same of the baseline's squared error above the noise, not below 0 or what falls.
-        completes: in some channel noise alone is left with it, and more without it: laws that leave nothing are not rough.
+        completes: noise alone is left with it, and more without it: laws that leave nothing are not rough.
     """
 
     fall: float
@@ -67,7 +68,9 @@ class Gain:
         )
 
 
-def paired(without: Array, rest: Array, excess: Array, *, parameters: int = 0) -> Gain:
+def paired(
+    without: Array, rest: Array, excess: Array, *, own: Sequence[int] | slice = slice(None), parameters: int = 0
+) -> Gain:
     """Compare the errors (n, C) without an effect and with it on the same rows, in units of the noise.
 
     With w without it, r with it and d = w - r what it says, the error falls by d^2 + 2 r d, and what is there matches that by
@@ -78,8 +81,12 @@ def paired(without: Array, rest: Array, excess: Array, *, parameters: int = 0) -
 
     Args:
         excess: (C,) of the baseline.
+        own: channels that are compared; all have to be noise alone where the effect completes the model.
         parameters: that were learnt on these very rows: each takes as much of the noise as it adds elsewhere (Akaike 1974).
     """
+    old, new = (np.mean(x**2, axis=0) for x in (without, rest))
+    whole = bool(np.any(old > CRITERIA.more) and np.all(new <= CRITERIA.noise_alone))
+    without, rest, excess = without[:, own], rest[:, own], excess[own]
     effect, n = without - rest, max(len(rest), 1)
     count = max(min(PIECES, len(rest)), 1)
     luck = np.sum(rest * effect, axis=1)
@@ -87,8 +94,6 @@ def paired(without: Array, rest: Array, excess: Array, *, parameters: int = 0) -
     fall, error = _sum(match + luck, 2.0 * luck, count)
     matched, its = _sum(match, luck, count)
     fall = (fall - 2.0 * parameters) / n
-    old, new = (np.mean(x**2, axis=0) for x in (without, rest))
-    whole = bool(np.any((old > CRITERIA.more) & (new <= CRITERIA.noise_alone)))
     return Gain(fall, error / n, max(float(np.sum(np.maximum(excess, 0.0))), fall), matched / max(its, 1e-300), whole)
 
 

@@ -50,14 +50,14 @@ class HoldoutTest:
     def gain(self, part: Model, own: Sequence[int] | None = None) -> Gain:
         """Compare raw errors; `own`: in these channels alone."""
         at = slice(None) if own is None else list(own)
-        return paired((self.raw(part) / self._size)[:, at], self._rest[:, at], self._excess[at])
+        return paired(self.raw(part) / self._size, self._rest, self._excess, own=at)
 
     def gains(self, part: Model, own: Sequence[int] | None = None) -> list[Gain]:
         """Compare errors in each of the units that can tell: one of them has to be credible."""
         out = [self.gain(part, own)]
         if self._white_rest is not None and out[0].tolerable:
             at = slice(None) if own is None else list(own)
-            out.append(paired(self._white(part)[:, at], self._white_rest[:, at], self._white_excess[at]))
+            out.append(paired(self._white(part), self._white_rest, self._white_excess, own=at))
         return out
 
     def belied(self, part: Model, own: Sequence[int], questions: int) -> bool:

@@ -130,12 +130,12 @@ class Friction(Effect):
         if self.form == "asymmetric":
             return (
                 Parameter("coulomb_forward", unit, low, high),
-                Parameter("viscous_forward", v.unit),
+                Parameter("viscous_forward", v.unit, low, high),
                 Parameter("coulomb_backward", unit, low, high),
-                Parameter("viscous_backward", v.unit),
+                Parameter("viscous_backward", v.unit, low, high),
             )
         if self.form == "unequal":
-            return c, Parameter("viscous_forward", v.unit), Parameter("viscous_backward", v.unit)
+            return c, *(Parameter(f"viscous_{way}", v.unit, low, high) for way in ("forward", "backward"))
         if self.freedom is not None:
             return (Parameter("share", "1", 0.0, expected=1.0), Parameter("viscous", "s", 0.0))[: 1 + self.freedom]
         extra = {"stribeck": Parameter("stiction", unit, low, high), "load": Parameter("load_share", "1", low, high)}
