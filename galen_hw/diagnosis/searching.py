@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 
+import numpy as np
 from joblib import Parallel, delayed
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
@@ -16,6 +17,7 @@ from galen_hw.diagnosis.selection.finalise import offsets, settle_model, weighed
 from galen_hw.diagnosis.selection.moves import Move
 from galen_hw.diagnosis.selection.search import Start, select
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.diagnosis.validation.flexible_effects import left_by
 from galen_hw.diagnosis.validation.holdout import earned
@@ -83,11 +85,10 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
         begun = [(effect, theta) for effect, theta in start if effect.family not in constants]
         if not begun or _families(effect for effect, _ in begun) == _families(h.effect for h in found[1].effects):
             return found
-        enough = merit(found[1]) + LOG_ODDS
-        if merit(one(copy(fresh), own, (), begun)[1]) <= enough:
+        if not _leads(one(copy(fresh), own, (), begun)[1], found[1]):
             return found
         again = one(copy(fresh), own, None, begun)
-        return again if merit(again[1]) > enough else found
+        return again if _leads(again[1], found[1]) else found
 
     own, fresh = offsets(bench), copy(bench)
     if not own:
@@ -101,6 +102,14 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
     if better > LOG_ODDS or (better > 0.0 and len(other[1].effects) < len(first[1].effects)):
         first, other = other, first
     return [better_from(first, [] if first[0].scorer.free else own), other]
+
+
+def _leads(model: Model, other: Model) -> bool:
+    """Return whether a model is better than another, by more than what it leaves unexplained may make of it."""
+    rest = model.rest(white=True)[model.bench.train]
+    over = float(np.mean(rest**2))
+    nothing = CRITERIA.beside_unexplained * (over - 1.0) * rest.size if over > CRITERIA.noise_alone else 0.0
+    return merit(model) > merit(other) + LOG_ODDS + nothing
 
 
 def _families(effects: Iterable[Effect | None]) -> set[object]:

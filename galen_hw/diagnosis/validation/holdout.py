@@ -84,7 +84,7 @@ def _ask(
     model, part, baseline = models
     told = test.could_tell(part, questions)
     judged.gains[key] = test.gain(part)
-    judged.tests[key] = test.gains(part, _channels(model, key))
+    judged.tests[key] = test.gains(part)
     if not effect_class(key).lasting():
         judged.gains[key] = _at_moments(model, part, baseline)
         judged.tests[key] = [judged.gains[key]]

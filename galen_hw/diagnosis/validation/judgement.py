@@ -68,15 +68,9 @@ class Judged:
         return self.gains[key].share
 
     def unexplained(self, channels: Sequence[int]) -> float:
-        """Share of the excess of some channels that is left with all effects, in those of them that hold more than noise."""
-        own = np.isin(np.arange(len(self.after)), channels)
-        more = own & (self.after > CRITERIA.noise_alone * self.floor)
-        excess = float(np.sum(np.maximum(self.before - self.floor, 0.0)[own] / self.floor[own]))
-        return (
-            min(float(np.sum((self.after - self.floor)[more] / self.floor[more])) / excess, 1.0)
-            if excess > 0.0
-            else 0.0
-        )
+        """Share of the excess that is left with all effects, in those of some channels that hold more than noise."""
+        more = np.isin(np.arange(len(self.after)), channels) & (self.after > CRITERIA.noise_alone * self.floor)
+        return max(self.share(np.where(more, self.after - self.floor, 0.0)), 0.0)
 
     def unnamed_gain(self) -> float:
         """The same of what is predicted without a name."""
