@@ -85,10 +85,10 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
         begun = [(effect, theta) for effect, theta in start if effect.family not in constants]
         if not begun or _families(effect for effect, _ in begun) == _families(h.effect for h in found[1].effects):
             return found
-        if not _leads(one(copy(fresh), own, (), begun)[1], found[1]):
+        if not _explains(one(copy(fresh), own, (), begun)[1], found[1]):
             return found
         again = one(copy(fresh), own, None, begun)
-        return again if _leads(again[1], found[1]) else found
+        return again if _explains(again[1], found[1]) else found
 
     own, fresh = offsets(bench), copy(bench)
     if not own:
@@ -104,12 +104,14 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
     return [better_from(first, [] if first[0].scorer.free else own), other]
 
 
-def _leads(model: Model, other: Model) -> bool:
-    """Return whether a model is better than another, by more than what it leaves unexplained may make of it."""
-    rest = model.rest(white=True)[model.bench.train]
-    over = float(np.mean(rest**2))
-    nothing = CRITERIA.beside_unexplained * (over - 1.0) * rest.size if over > CRITERIA.noise_alone else 0.0
-    return merit(model) > merit(other) + LOG_ODDS + nothing
+def _explains(model: Model, other: Model) -> bool:
+    """Return whether a model is better than another, leaves noise alone and has no more kinds of effects.
+
+    Where physics is missing, as on most machines, a better likelihood is the missing physics' as soon as the model's.
+    """
+    kinds, its = ({h.effect.KEY for h in one.effects if h.effect is not None} for one in (model, other))
+    alone = float(np.mean(model.rest(white=True)[model.bench.train] ** 2)) < CRITERIA.noise_alone
+    return alone and len(kinds) <= len(its) and merit(model) > merit(other) + LOG_ODDS
 
 
 def _families(effects: Iterable[Effect | None]) -> set[object]:

@@ -97,14 +97,6 @@ def no_worse(before: Array, after: Array) -> bool:
     return paired(before, after, np.zeros(1)).tolerable
 
 
-def leads(before: Array, after: Array) -> bool:
-    """Return whether errors (n, C) on blocks left out fall by more than luck and than what is missing may make of it."""
-    gain = paired(before, after, np.zeros(1))
-    square = np.mean(after**2, axis=0)
-    left = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0))
-    return gain.fall >= max(gain.error, CRITERIA.beside_unexplained * left)
-
-
 def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
     """Return whether the parameters can be what the effect is called."""
     h = scorer.library[i]

@@ -44,11 +44,6 @@ def undecided(bench: Bench, scorer: Scorer, model: list[int]) -> float:
     )
 
 
-def plainer(scorer: Scorer, scores: dict[int, Score], i: int, than: int) -> bool:
-    """Return whether a hypothesis is of a commoner kind than another, or has fewer parameters."""
-    return _cost(scorer, scores, i) < _cost(scorer, scores, than)
-
-
 def _cost(scorer: Scorer, scores: dict[int, Score], i: int) -> tuple[int, int]:
     """The lower, the plainer: of kinds those that are commoner, then those with fewer parameters."""
     effect = scorer.library[i].effect

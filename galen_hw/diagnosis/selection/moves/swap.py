@@ -4,13 +4,13 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import cost_without
 from galen_hw.diagnosis.estimation.linearisation import as_if, rebase, unbent
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
-from galen_hw.diagnosis.selection.acceptance import leads, left_out, no_worse, plausible
+from galen_hw.diagnosis.selection.acceptance import left_out, no_worse, plausible
 from galen_hw.diagnosis.selection.comparison import ahead, in_place, loosens
 from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves.add import kin
 from galen_hw.diagnosis.selection.moves.step_times import parted
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
-from galen_hw.diagnosis.selection.simplicity import plainer, plainest, undecided
+from galen_hw.diagnosis.selection.simplicity import plainest, undecided
 from galen_hw.diagnosis.stats.significance import LOG_ODDS
 
 
@@ -47,8 +47,7 @@ def _swap(out: Selection) -> bool:
         before = left_out(out, out.chosen)
         with as_if(scorer, trial):
             after = left_out(out, trial)
-        as_plain = best in kin(scorer, i) or plainer(scorer, rivals, best, i)
-        if no_worse(before, after) if as_plain else leads(before, after):
+        if no_worse(before, after):
             out.chosen = trial
             parted(out)
             rebase(scorer, out.chosen)
