@@ -18,7 +18,6 @@ from galen_hw.diagnosis.selection.moves import Move
 from galen_hw.diagnosis.selection.search import Start, select
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
-from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.diagnosis.validation.flexible_effects import left_by
 from galen_hw.diagnosis.validation.holdout import earned
 from galen_hw.diagnosis.validation.judgement import Judged
@@ -99,7 +98,7 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
     )
     better = merit(other[1]) - merit(first[1])
     # A constant that something else accounts for as well is an effect too many.
-    if better > LOG_ODDS or (better > 0.0 and len(other[1].effects) < len(first[1].effects)):
+    if better > CRITERIA.log_odds or (better > 0.0 and len(other[1].effects) < len(first[1].effects)):
         first, other = other, first
     return [better_from(first, [] if first[0].scorer.free else own), other]
 
@@ -111,7 +110,7 @@ def _explains(model: Model, other: Model) -> bool:
     """
     kinds, its = ({h.effect.KEY for h in one.effects if h.effect is not None} for one in (model, other))
     alone = float(np.mean(model.rest(white=True)[model.bench.train] ** 2)) < CRITERIA.noise_alone
-    return alone and len(kinds) <= len(its) and merit(model) > merit(other) + LOG_ODDS
+    return alone and len(kinds) <= len(its) and merit(model) > merit(other) + CRITERIA.log_odds
 
 
 def _families(effects: Iterable[Effect | None]) -> set[object]:
@@ -133,6 +132,6 @@ def held_up(searches: list[Search], holdout: Scene | None, *, nothing: bool) -> 
         return selection, chosen, model, judged
     for other, rival in others:
         kept, its = earned(weighed(rival), holdout)
-        if merit(kept) > merit(model) + LOG_ODDS:
+        if merit(kept) > merit(model) + CRITERIA.log_odds:
             return other, chosen, kept, its
     return selection, chosen, model, judged

@@ -13,9 +13,9 @@ from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import fit, predicted
 from galen_hw.diagnosis.estimation.linearisation import does
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.linear_algebra import solve_sym
 from galen_hw.diagnosis.stats.sampling import Chosen
-from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.lazy import cached_property
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns
@@ -134,7 +134,7 @@ class Model:
                 continue
             rival = self.replacing(h, replace(self.bench.add(other, h.looked), beside=h.beside)).retold()
             own, its = (float(np.sum(m.rest(white=True)[self.bench.train] ** 2)) for m in (self, rival))
-            if abs(its - own) < LOG_ODDS:
+            if abs(its - own) < CRITERIA.log_odds:
                 out = out + (rival.final - self.final) ** 2
         return out
 

@@ -19,7 +19,7 @@ from galen_hw.diagnosis.lack_of_fit.structure_test import FALSE_ALARM, Left
 from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.result import UNKNOWN, Finding, Value
 from galen_hw.diagnosis.selection.search_state import Selection
-from galen_hw.diagnosis.stats.significance import CHANCE
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged
 from galen_hw.diagnosis.validation.verdict import COMES_AND_GOES, FEW_SAMPLES, NOTHING_ELSEWHERE
 from galen_hw.physics.effects.events import Glitches
@@ -47,7 +47,7 @@ def findings_of(
         if own["score"] > as_certain * before["score"] and own["heldout_gain"] > before["heldout_gain"]:
             out[k - 1], out[k] = out[k], out[k - 1]
     isolated = [_glitch(model, judged, g) for g in glitch]
-    return out + [one for one in isolated if one.evidence["false_alarm_probability"] < CHANCE]
+    return out + [one for one in isolated if one.evidence["false_alarm_probability"] < CRITERIA.chance]
 
 
 def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts: list[Hypothesis]) -> Finding:
@@ -72,7 +72,7 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
     joints = list(dict.fromkeys(j for h in parts if h.effect is not None for j in h.effect.joints))
     score, surprise = _evidence(model, selection, parts)
     gain = judged.gain(key)
-    chance = float(min(1.0, CHANCE * np.exp(np.clip(selection.needed - surprise, -650.0, 6.0))))
+    chance = float(min(1.0, CRITERIA.chance * np.exp(np.clip(selection.needed - surprise, -650.0, 6.0))))
     evidence = {"heldout_gain": gain, "score": score, "false_alarm_probability": chance}
     finding = Finding(key, channels, joints, "", parameters, evidence)
     remarks = dict.fromkeys(h.effect.remark for h in parts if h.effect is not None and h.effect.remark)

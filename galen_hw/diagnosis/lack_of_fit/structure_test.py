@@ -11,13 +11,13 @@ from scipy.stats import chi2
 
 from galen_hw.diagnosis.estimation.dataset import Bench, rich_basis
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs, broad, local
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.linear_algebra import orthonormal, scaled
 from galen_hw.diagnosis.stats.sampling import Index, folds
-from galen_hw.diagnosis.stats.significance import CHANCE
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.spatial import Array
 
-FALSE_ALARM: Final = CHANCE / 10.0
+FALSE_ALARM: Final = CRITERIA.chance / 10.0
 """Probability that noise is called structure, over all families and channels: of the budget a tenth."""
 T_NEEDED: Final = 3.0
 """Standard errors by which generic functions, or trees, must win on blocks that they were not fitted on."""

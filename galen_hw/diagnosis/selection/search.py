@@ -17,7 +17,7 @@ from galen_hw.diagnosis.selection.moves.drop import alone, dropped
 from galen_hw.diagnosis.selection.moves.step_times import timed
 from galen_hw.diagnosis.selection.proposals import known, sought
 from galen_hw.diagnosis.selection.search_state import Selection, Turn
-from galen_hw.diagnosis.stats.significance import CHANCE
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
 
@@ -87,7 +87,7 @@ def _look(out: Selection) -> None:
     timed(out)
     out.turn.able = []
     out.turn.scores, highest = scorer.scores(out.chosen, surrogates=True)
-    out.needed = max(out.needed, threshold(highest, CHANCE))
+    out.needed = max(out.needed, threshold(highest, CRITERIA.chance))
     out.first = out.first or out.turn.scores
 
 

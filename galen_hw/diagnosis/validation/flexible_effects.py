@@ -9,7 +9,7 @@ from galen_hw.diagnosis.lack_of_fit import structure_test, trees
 from galen_hw.diagnosis.lack_of_fit.gram import Functions
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder, learn
 from galen_hw.diagnosis.selection.criterion import merit
-from galen_hw.diagnosis.stats.significance import LOG_ODDS
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.validation.contact_or_place import foretold, touches_of
 from galen_hw.diagnosis.validation.holdout import earned, judge_remainder
 from galen_hw.diagnosis.validation.judgement import Judged
@@ -67,7 +67,7 @@ def predict_unnamed(
         place = foretold(model, less) if {id(h) for h in touches_of(model)} == out else []
         its_rest = sorted([*its_rest, *place], key=lambda one: -one.z)
         reached, its_own = _explained(less, its_rest, functions)
-        if reached > now + LOG_ODDS or place:
+        if reached > now + CRITERIA.log_odds or place:
             other = judge_remainder(less, holdout, plainly, its_own)
             # A contact is fitted to the moments that it is judged on: nothing else can do as well there.
             if place or float(np.sum(other.reached / judged.floor)) < float(np.sum(judged.reached / judged.floor)):

@@ -10,7 +10,7 @@ from galen_hw.diagnosis.estimation.candidate import Hypothesis, told
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import left_out, no_worse, plausible
 from galen_hw.diagnosis.selection.search_state import Selection
-from galen_hw.diagnosis.stats.significance import LOG_ODDS
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.traits import Alternative
 from galen_hw.spatial import Array
 
@@ -64,7 +64,7 @@ def _taken(out: Selection, gone: list[int], other: Alternative, *, tolerance: fl
     options = {"xatol": tolerance, "fatol": 0.1, "maxfev": most, "initial_simplex": first}
     found = minimize(lambda at: left(at)[way], other.begun[best], method="Nelder-Mead", options=options)
     before = scorer.solve(out.chosen)[2] + rows * _owed(scorer, out.chosen)
-    if found.fun + LOG_ODDS >= before:
+    if found.fun + CRITERIA.log_odds >= before:
         return False
     errors = left_out(out, out.chosen)
     new = made(found.x)

@@ -14,7 +14,7 @@ from galen_hw.diagnosis.estimation.linearisation import does, tangent
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.kinds import in_each_joint
-from galen_hw.diagnosis.stats.significance import LOG_ODDS
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.registry import shifts
@@ -58,7 +58,7 @@ def clock_offset(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[i
     found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": FINE * step})
     others = [i for i in scores if i != own]
     most = max([in_each_joint(scorer, scores, others)[0], *(scores[i].gain for i in others)])
-    if scores[own].gain > -BY_SLOPE * found.fun or -found.fun <= most + LOG_ODDS:
+    if scores[own].gain > -BY_SLOPE * found.fun or -found.fun <= most + CRITERIA.log_odds:
         return None
     scorer.append([tangent(bench, h, np.array([float(found.x)]))])
     return len(scorer.library) - 1

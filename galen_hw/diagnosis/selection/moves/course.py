@@ -7,7 +7,6 @@ from galen_hw.diagnosis.estimation.least_squares import rests
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
-from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.traits import Span
 
 
@@ -39,7 +38,7 @@ def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
         new = bench.add(finer, looked)
         with scorer.trying([new]):
             score = scorer.scores(others, [len(scorer.library) - 1])[0].get(len(scorer.library) - 1)
-        if score is None or score.rank <= rank + LOG_ODDS:
+        if score is None or score.rank <= rank + CRITERIA.log_odds:
             break
         found, rank = new, score.rank
     if found is None:

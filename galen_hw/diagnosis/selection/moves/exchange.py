@@ -12,7 +12,7 @@ from galen_hw.diagnosis.selection.acceptance import left_out, no_worse, plausibl
 from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import undecided
-from galen_hw.diagnosis.stats.significance import LOG_ODDS
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 
 
 def regrouped(out: Selection) -> bool:
@@ -89,7 +89,7 @@ def _best(
     ranked = sorted(((gain - sum(price[i] for i in chain), chain) for gain, chain in chains), reverse=True)
     found: dict[frozenset[object], list[int]] = {_kinds(scorer, pair): []}
     for rank, chain in ranked:
-        plainer = _needed(pair, chain, price) < LOG_ODDS
+        plainer = _needed(pair, chain, price) < CRITERIA.log_odds
         if rank > whole - own - plainer * LIMITS.near * whole:
             found.setdefault(_kinds(scorer, chain), chain)
     return [chain for chain in found.values() if chain][: LIMITS.rivals]
@@ -99,8 +99,8 @@ def _needed(pair: Sequence[int], chain: Sequence[int], price: dict[int, float]) 
     """By how much a chain must be better than the pair, prices paid: one body need not be, beside its half and a shift."""
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
     if len(chain) < len(pair) and saved > -LIMITS.tie:
-        return -LOG_ODDS
-    return 0.0 if len(chain) <= len(pair) and saved > LIMITS.tie else LOG_ODDS
+        return -CRITERIA.log_odds
+    return 0.0 if len(chain) <= len(pair) and saved > LIMITS.tie else CRITERIA.log_odds
 
 
 def _kinds(scorer: Scorer, which: Sequence[int]) -> frozenset[object]:

@@ -7,7 +7,7 @@ from galen_hw.diagnosis.selection.comparison import polished
 from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves.course import followed
 from galen_hw.diagnosis.selection.search_state import Selection
-from galen_hw.diagnosis.stats.significance import LOG_ODDS
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 
 
@@ -35,7 +35,7 @@ def enriched(out: Selection) -> bool:
         kin = [j for j in scores if i in scores and _same_kind(scorer.library[j].effect, effect) and j != i]
         best: dict[object, int] = {}
         for j in sorted(kin, key=lambda j: -scores[j].rank):
-            if scores[j].rank > scores[i].rank + LOG_ODDS:
+            if scores[j].rank > scores[i].rank + CRITERIA.log_odds:
                 best.setdefault(scorer.library[j].effect.family, j)  # type: ignore[union-attr]
         for j in list(best.values())[: LIMITS.forms]:
             trial = [*out.chosen[:place], j, *out.chosen[place + 1 :]]

@@ -7,7 +7,7 @@ from galen_hw.diagnosis.selection.comparison import in_place
 from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import undecided
-from galen_hw.diagnosis.stats.significance import LOG_ODDS
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 
 
@@ -30,7 +30,7 @@ def split(out: Selection) -> bool:
             plain = {j: score for j, score in ranks.items() if j != i}
             chains = [_chain(scorer, others, a, plain, out.needed) for a in firsts]
         total, chain = max(chains, default=(0.0, []), key=lambda x: x[0])
-        if len(chain) < 2 or total < ranks[i].rank + LOG_ODDS + undecided(bench, scorer, out.chosen):
+        if len(chain) < 2 or total < ranks[i].rank + CRITERIA.log_odds + undecided(bench, scorer, out.chosen):
             continue
         real = all(plausible(bench, scorer, [*others, *(x for x in chain if x != one)], one) for one in chain)
         before = left_out(out, out.chosen)

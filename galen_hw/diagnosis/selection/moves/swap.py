@@ -11,7 +11,7 @@ from galen_hw.diagnosis.selection.moves.add import kin
 from galen_hw.diagnosis.selection.moves.step_times import parted
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import plainest, undecided
-from galen_hw.diagnosis.stats.significance import LOG_ODDS
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 
 
 def swapped(out: Selection) -> bool:
@@ -42,7 +42,7 @@ def _swap(out: Selection) -> bool:
             continue
         trial = [best if j == i else j for j in out.chosen]
         flattered = _flattered(bench, scorer, trial, i, best)
-        if flattered > 0.0 and rivals[best].rank - flattered <= rivals[i].rank + LOG_ODDS:
+        if flattered > 0.0 and rivals[best].rank - flattered <= rivals[i].rank + CRITERIA.log_odds:
             continue
         before = left_out(out, out.chosen)
         with as_if(scorer, trial):
@@ -68,7 +68,8 @@ def _best(out: Selection, others: list[int], i: int, rivals: dict[int, Score]) -
             if j == i or lead <= LIMITS.tie:
                 break
             better = j in own or (
-                lead > LOG_ODDS + undecided(bench, scorer, [*others, j]) and ahead(bench, scorer, others, j, i) >= 1.0
+                lead > CRITERIA.log_odds + undecided(bench, scorer, [*others, j])
+                and ahead(bench, scorer, others, j, i) >= 1.0
             )
             if better and plausible(bench, scorer, others, j):
                 best = j

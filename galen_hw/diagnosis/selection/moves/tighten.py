@@ -10,7 +10,7 @@ from galen_hw.diagnosis.estimation.nonlinear import settle
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import left_out, no_worse
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
-from galen_hw.diagnosis.stats.significance import LOG_ODDS
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
 
@@ -53,7 +53,7 @@ def _instead(out: Selection, i: int, most: int) -> bool:
         return False
     trial = _with_tendon(bench, scorer, out, others, starts, most)
     more = sum(_numbers(scorer, j) for j in trial) - sum(_numbers(scorer, j) for j in out.chosen)
-    price = more * float(np.log(bench.noise.effective)) + (LOG_ODDS if more == 0 else 0.0)
+    price = more * float(np.log(bench.noise.effective)) + (CRITERIA.log_odds if more == 0 else 0.0)
     if scorer.solve(trial)[2] + price < before and no_worse(errors, left_out(out, trial)):
         out.chosen = trial
         return True
@@ -125,7 +125,7 @@ def _best(bench: Bench, beside: Beside, starts: list[Start]) -> Hypothesis:
     best = found
     for starts_of_form in effect.richer_starts(bench.scene, theta):
         less, other = _least(bench, beside, starts_of_form)
-        price = (len(starts_of_form[0][1]) - len(theta)) * np.log(bench.noise.effective) + LOG_ODDS
+        price = (len(starts_of_form[0][1]) - len(theta)) * np.log(bench.noise.effective) + CRITERIA.log_odds
         if less + price < cost:
             cost, best = less + price, other
     return best

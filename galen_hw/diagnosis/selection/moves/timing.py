@@ -21,8 +21,8 @@ from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import improves, left_out, no_worse
 from galen_hw.diagnosis.selection.moves.timing_search import Clocks, ClockSearch, numbers
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.paired_test import paired
-from galen_hw.diagnosis.stats.significance import LOG_ODDS
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.clocks import Shift
 from galen_hw.physics.effects.registry import clocks as clocks_of
@@ -158,7 +158,7 @@ def _exchanged(
     plainer = numbers([one for one, _ in clocks]) < numbers(gone) + told
     with out.attempt() as attempt:
         out.chosen = trial = _through(bench, scorer, [i for i in out.chosen if i not in old], clocks, instead)
-        better = before - scorer.solve(trial)[2] - price > LOG_ODDS
+        better = before - scorer.solve(trial)[2] - price > CRITERIA.log_odds
         attempt.kept = better and _pays(out, missed, left_out(out, trial), nearly=nearly, plainer=plainer)
     if attempt.kept:
         _as_told(scorer, clocks)

@@ -9,7 +9,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
-from galen_hw.diagnosis.stats.significance import LOG_ODDS
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.clocks import BETWEEN, Shift, Timing
 from galen_hw.physics.effects.columns import Columns
@@ -70,7 +70,7 @@ class ClockSearch:
         if not clocks or self.within or self.bench.stream.commanded:
             return clocks
         for between in BETWEEN:
-            if between != self.delay.between and self._differs(clocks, between) >= LOG_ODDS:
+            if between != self.delay.between and self._differs(clocks, between) >= CRITERIA.log_odds:
                 other = replace(self, delay=self.delay.interpolated(between))
                 if other.worth(found := other.best()) > search.worth(clocks):
                     clocks, search = found, other
@@ -100,13 +100,13 @@ class ClockSearch:
             lag = self.delay.lagging(constant, self.shortest)
             ways.append((self._gain(0.0, constant) - self.price, [(lag, constant)]))
             most, late = self._latest(constant, (0.0, all_late))
-            ways.append((most - 2.0 * self.price - LOG_ODDS, [(self.delay, late), (lag, constant)]))
+            ways.append((most - 2.0 * self.price - CRITERIA.log_odds, [(self.delay, late), (lag, constant)]))
         clocks = self._plainer(self._refined(max(ways, key=lambda way: way[0])[1], all_late), all_late)
         # A response of second order looks like a delay, or a delay and a lag; friction within has a lag of the first. In one
         # joint by itself two more numbers would take what the others show to be something else.
         if self.within or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
             return clocks
-        wanted = self.worth(clocks) + (0.0 if self.swings else LOG_ODDS)
+        wanted = self.worth(clocks) + (0.0 if self.swings else CRITERIA.log_odds)
         swinging = self._swinging(all_late, wanted)
         return swinging if self.worth(swinging) > wanted else clocks
 
@@ -117,7 +117,7 @@ class ClockSearch:
         (_, late), (_, constant) = clocks
         lag = self.delay.lagging(constant + late, self.shortest)
         alone = self._refined([(lag, constant + late)], all_late)
-        return alone if self.worth(alone) + LOG_ODDS >= self.worth(clocks) else clocks
+        return alone if self.worth(alone) + CRITERIA.log_odds >= self.worth(clocks) else clocks
 
     def worth(self, clocks: Clocks) -> float:
         """Gain less the price of delay, lag or swing alone."""
