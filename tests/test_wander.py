@@ -30,7 +30,9 @@ def told(size: float, walk: float, seed: int) -> tuple[float, float]:
     bench.learn_noise((), ())
     nuisances = [bench.made(None, columns) for columns in bench.constants()]
     found = bench.add(Vibration(WRENCH[:1], loudest(run.t, bench.y[:, 0])))
-    return mean_frequency(Model(bench, nuisances, [found], bench.whitened(bench.whole)), found.effect)  # type: ignore[arg-type]
+    assert isinstance(found.effect, Vibration)
+    model = Model(bench, nuisances, [found], bench.whitened(bench.whole))
+    return mean_frequency(model, found, found.effect.line(bench.scene))
 
 
 def loudest(t: Array, x: Array) -> float:

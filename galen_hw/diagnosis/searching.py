@@ -104,12 +104,13 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
 
 
 def _explains(model: Model, other: Model) -> bool:
-    """Return whether a model is better than another, leaves noise alone and has no more kinds of effects.
+    """Return whether a model is better than another, leaves noise alone in every channel and has no more kinds of effects.
 
     Where physics is missing, as on most machines, a better likelihood is the missing physics' as soon as the model's.
     """
     kinds, its = ({h.effect.KEY for h in one.effects if h.effect is not None} for one in (model, other))
-    alone = float(np.mean(model.rest(white=True)[model.bench.train] ** 2)) < CRITERIA.noise_alone
+    square = np.mean((model.rest()[model.bench.train] / model.bench.noise.sigma) ** 2, axis=0)
+    alone = bool(np.all(square <= CRITERIA.noise_alone))
     return alone and len(kinds) <= len(its) and merit(model) > merit(other) + CRITERIA.log_odds
 
 
