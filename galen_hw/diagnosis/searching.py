@@ -14,8 +14,7 @@ from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.lack_of_fit import structure_test
 from galen_hw.diagnosis.selection.criterion import merit
 from galen_hw.diagnosis.selection.finalise import offsets, settle_model, weighed
-from galen_hw.diagnosis.selection.moves import Move
-from galen_hw.diagnosis.selection.search import Start, select
+from galen_hw.diagnosis.selection.search import Start, select, settled
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.validation.flexible_effects import left_by
@@ -68,25 +67,31 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
     """One search or two, the better model first; of two each has a bench of its own, as it left it.
 
     With offsets always in the model and judged at the end (a drift is not called an offset), and with offsets among the
-    hypotheses (a constant error of geometry is not called one).
+    hypotheses (a constant error of geometry is not called one). Where a start explains all and the better one does not, one
+    more begins there.
     """
     if blind:
         nothing = Selection(Scorer(bench, hypotheses))
         return [(nothing, settle_model(bench, nothing.scorer, nothing))]
 
-    def one(on: Bench, own: list[Hypothesis], moves: Sequence[Move] | None = None, start: Start = ()) -> Search:
-        selection = select(on, Scorer(on, [*own, *hypotheses], free=not own), moves, start=start)
+    def scored(on: Bench, own: list[Hypothesis]) -> Scorer:
+        return Scorer(on, [*own, *hypotheses], free=not own)
+
+    def one(on: Bench, own: list[Hypothesis], begun: Start = ()) -> Search:
+        selection = select(on, scored(on, own), start=begun)
         return selection, settle_model(on, selection.scorer, selection)
 
     def better_from(found: Search, own: list[Hypothesis]) -> Search:
-        """What a search finds from the start, if that is better as it stands than what was found."""
+        """Return what a search finds from the start, if that is better as it stands than what was found; else that."""
         constants = set() if own else _families(h.effect for h in offsets(bench))
         begun = [(effect, theta) for effect, theta in start if effect.family not in constants]
         if not begun or _families(effect for effect, _ in begun) == _families(h.effect for h in found[1].effects):
             return found
-        if not _explains(one(copy(fresh), own, (), begun)[1], found[1]):
+        on = copy(fresh)
+        stands = settled(scored(on, own), begun, found[0].needed)
+        if not _explains(settle_model(on, stands.scorer, stands), found[1]):
             return found
-        again = one(copy(fresh), own, None, begun)
+        again = one(copy(fresh), own, begun)
         return again if _explains(again[1], found[1]) else found
 
     own, fresh = offsets(bench), copy(bench)

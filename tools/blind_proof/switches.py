@@ -80,7 +80,7 @@ SWITCHES: Final[dict[str, Switch]] = {
     "simpler": Switch(f"{SELECTION}.simplicity:plainest", _first, "the simpler within one standard error"),
     "no worse": Switch(f"{SELECTION}.acceptance:no_worse", _yes, "held-out errors before an exchange"),
     "budget": Switch("galen_hw.diagnosis.stats.criteria:Criteria.standard_errors", _one, "one budget of false alarms"),
-    "discrepancy": Switch("galen_hw.diagnosis.validation.verdict:tolerated", _zero, "what rough laws may miss"),
+    "discrepancy": Switch("galen_hw.diagnosis.validation.verdict:tolerated", _zero, "what laws may miss"),
     "plausible": Switch(f"{SELECTION}.acceptance:plausible", _yes, "parameters that a machine can have"),
     "faint": Switch("galen_hw.diagnosis.detection.outliers:faint", _none, "faint outliers, and all asked again"),
     "trees": Switch("galen_hw.diagnosis.lack_of_fit.trees:hidden", _nothing, "structure that trees find"),

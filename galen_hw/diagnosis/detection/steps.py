@@ -100,7 +100,7 @@ def _treads(rest: Array, rows: list[int]) -> Array:
 
 
 def _returns(rest: Array, rows: list[int], *, same: float = 0.01, sure: float = 4.0) -> bool:
-    """Whether a staircase in a rest (M, c) ever goes back from a tread to the one before, by its jumps and by the noise.
+    """Return whether a staircase in a rest (M, c) ever goes back from a tread to the one before, by its jumps and by the noise.
 
     Args:
         same: share of the larger jump's square by which two levels may differ and be one.

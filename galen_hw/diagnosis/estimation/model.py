@@ -101,7 +101,7 @@ class Model:
         return Joint(whole[:size, :size], lost | dict(zip(ways, spread, strict=True)))
 
     def _way(self, k: int, name: str, *, share: float = 0.02, never: float = 1e-9) -> Hypothesis | None:
-        """How the k-th effect changes with a searched value, as a column; None where the model's own columns do the same.
+        """Return how the k-th effect changes with a searched value, as a column; None where the model's own columns do the same.
 
         Args:
             share: of the logarithm of the factor within which a searched value is sought: by as much its

@@ -195,7 +195,7 @@ def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
 
 
 def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Premise, *, near: float = 0.9) -> Finding:
-    """What nothing named explains.
+    """Return the finding of what nothing named explains.
 
     Args:
         near: share of the strongest evidence with which a plainer family of functions is named in its place.

@@ -11,7 +11,7 @@ from galen_hw.diagnosis.estimation.interactions import retime, settle_together
 from galen_hw.diagnosis.estimation.linearisation import rebase, tangent
 from galen_hw.diagnosis.estimation.normal_equations import Scorer, threshold
 from galen_hw.diagnosis.selection.limits import LIMITS
-from galen_hw.diagnosis.selection.moves import MOVES, Move
+from galen_hw.diagnosis.selection.moves import MOVES
 from galen_hw.diagnosis.selection.moves.clipping import levelled
 from galen_hw.diagnosis.selection.moves.drop import alone, dropped
 from galen_hw.diagnosis.selection.moves.step_times import timed
@@ -25,18 +25,16 @@ Start = Sequence[tuple[Effect, Array]]
 """Effects with their parameters (k,), from which a search may begin."""
 
 
-def select(bench: Bench, scorer: Scorer, moves: Sequence[Move] | None = None, *, start: Start = ()) -> Selection:
+def select(bench: Bench, scorer: Scorer, *, start: Start = ()) -> Selection:
     """Search for the effects: in each turn the first move that finds a better model, then those that tidy it.
 
     Args:
         bench: the data; is left in the state of the model found.
         scorer: with all hypotheses.
-        moves: that are tried, in their order; None: all of the table.
         start: the model to begin with.
     """
-    every, out = MOVES if moves is None else moves, Selection(scorer)
-    seen: set[frozenset[object]] = set()
-    finding, tidying = ([one.make for one in every if one.tidies is tidies] for tidies in (False, True))
+    out, seen = Selection(scorer), set[frozenset[object]]()
+    finding, tidying = ([one.make for one in MOVES if one.tidies is tidies] for tidies in (False, True))
     if start:
         _begin(out, start)
     for _ in range(LIMITS.turns):
@@ -58,11 +56,29 @@ def select(bench: Bench, scorer: Scorer, moves: Sequence[Move] | None = None, *,
     return out
 
 
+def settled(scorer: Scorer, start: Start, needed: float) -> Selection:
+    """Return a start as a model, settled and with nothing else searched.
+
+    Args:
+        scorer: with all hypotheses, which the start joins.
+        needed: surprise that chance reaches, as a search has found it.
+    """
+    out = Selection(scorer, needed=needed)
+    _stand(out, start)
+    _rest(out)
+    return out
+
+
 def _begin(out: Selection, start: Start) -> None:
+    """Look at a model that has no effects, then put those of a start into it."""
+    _look(out)
+    out.begun = errors(out.bench, out.scorer, []) ** 2
+    _stand(out, start)
+
+
+def _stand(out: Selection, start: Start) -> None:
     """Put the effects of a start into a model that has none, and let them settle."""
     bench, scorer = out.bench, out.scorer
-    _look(out)
-    out.begun = errors(bench, scorer, []) ** 2
     looked = {h.effect.family: h.looked for h in scorer.library if h.effect is not None}
     first = len(scorer.library)
     scorer.append([_placed(bench, effect, theta, looked.get(effect.family, 1)) for effect, theta in start])
@@ -103,5 +119,10 @@ def _conclude(out: Selection) -> None:
         if score is not None:
             out.evidence[i] = score
     out.turn = Turn()
-    bench.stand(interaction=0.0)
-    rebase(scorer, out.chosen)
+    _rest(out)
+
+
+def _rest(out: Selection) -> None:
+    """Leave the residual to the model, which tells by itself what its effects do to each other."""
+    out.bench.stand(interaction=0.0)
+    rebase(out.scorer, out.chosen)

@@ -34,8 +34,8 @@ class Criteria:
     noise_alone: float = 1.25
 
     @property
-    def more(self) -> float:
-        """Mean square over that of the noise from which surely more is left: the two that are compared may both be off."""
+    def beyond_noise(self) -> float:
+        """Mean square over that of the noise from which more than noise is left: both that are compared may be off."""
         return 1.0 + 2.0 * (self.noise_alone - 1.0)
 
     def standard_errors(self, questions: int = 1) -> float:

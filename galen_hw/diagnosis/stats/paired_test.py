@@ -85,7 +85,7 @@ def paired(
         parameters: that were learnt on these very rows: each takes as much of the noise as it adds elsewhere (Akaike 1974).
     """
     old, new = (np.mean(x**2, axis=0) for x in (without, rest))
-    whole = bool(np.any(old > CRITERIA.more) and np.all(new <= CRITERIA.noise_alone))
+    whole = bool(np.any(old > CRITERIA.beyond_noise) and np.all(new <= CRITERIA.noise_alone))
     without, rest, excess = without[:, own], rest[:, own], excess[own]
     effect, n = without - rest, max(len(rest), 1)
     count = max(min(PIECES, len(rest)), 1)

@@ -82,21 +82,19 @@ def _ask(
         models: with all effects, without the one asked for, and without any; elsewhere: another recording judges.
     """
     model, part, baseline = models
-    told = test.could_tell(part, questions)
-    judged.gains[key] = test.gain(part)
-    judged.tests[key] = test.gains(part)
+    told, tests = test.could_tell(part, questions), test.gains(part)
     if not effect_class(key).lasting():
-        judged.gains[key] = _at_moments(model, part, baseline)
-        judged.tests[key] = [judged.gains[key]]
         # In another recording these rows speak of the others' sizes alone.
-        if not elsewhere and told and all(one.fall < 0.0 for one in test.gains(part)):
+        if not elsewhere and told and all(one.fall < 0.0 for one in tests):
             judged.refused.add(key)
+        tests = [_at_moments(model, part, baseline)]
     elif elsewhere and not told:
-        judged.gains[key] = _at_home(model, part)
-        judged.tests[key] = [judged.gains[key]]
         judged.at_home.add(key)
+        tests = [_at_home(model, part)]
     elif test.belied(part, _channels(model, key), questions):
         judged.refused.add(key)
+    # Raw errors are the first that were asked.
+    judged.gains[key], judged.tests[key] = tests[0], tests
 
 
 def _at_moments(model: Model, part: Model, baseline: Model) -> Gain:

@@ -22,7 +22,7 @@ COMES_AND_GOES = "comes and goes"
 
 
 def tolerated(judged: Judged) -> Array:
-    """(C,) mean squares that the laws of a model may miss of what they are the laws of: as much as needs no name."""
+    """Return (C,) mean squares that the laws of a model may miss of what they are the laws of: as much as needs no name."""
     return np.asarray(CRITERIA.least_share * np.maximum(judged.before - judged.floor, 0.0))
 
 
@@ -40,7 +40,7 @@ def beyond(judged: Judged, model: Model, *, untouched: bool = False) -> list[Lef
     # Slow noise has few independent values.
     luck = CRITERIA.standard_errors(bench.width) * np.sqrt(2.0 / bench.noise.independent(rows))
     # The level of the noise was learnt, and may be as far off as what it is compared with.
-    enough = np.maximum(CRITERIA.more, 1.0 + 2.0 * luck)
+    enough = np.maximum(CRITERIA.beyond_noise, 1.0 + 2.0 * luck)
     none = np.zeros((len(bench.rows), 0))
     return [
         Left(

@@ -58,8 +58,7 @@ def _best(out: Selection) -> int | None:
             break
         tries += 1
         share = 0.0
-        for better in _ways(out, i):
-            paid, share = pays(out, [*out.chosen, better], better)
+        for better, paid, share in _ways(out, i):
             if paid and plausible(bench, scorer, out.chosen, better):
                 return better
             if paid:
@@ -76,16 +75,20 @@ def _best(out: Selection) -> int | None:
     return None
 
 
-def _ways(out: Selection, i: int) -> Iterator[int]:
-    """The hypothesis, what it searches at the optimum; as proposed first, where that says whether it is worth the time; finer."""
-    effect = out.scorer.library[i].effect
+def _ways(out: Selection, i: int) -> Iterator[tuple[int, bool, float]]:
+    """Yield the hypothesis, what it searches at the optimum, then in a finer form, each with what `pays` says of it.
+
+    As it was proposed it says whether the optimum is worth the time.
+    """
+    effect, proposed = out.scorer.library[i].effect, None
     if effect is not None and effect.searched():
-        paid, share = pays(out, [*out.chosen, i], i)
-        if not paid and share <= 0.0:
+        proposed = pays(out, [*out.chosen, i], i)
+        if not proposed[0] and proposed[1] <= 0.0:
             return
-    yield polished(out.bench, out.scorer, out.chosen, i)
+    best = polished(out.bench, out.scorer, out.chosen, i)
+    yield best, *(proposed if best == i and proposed is not None else pays(out, [*out.chosen, best], best))
     if (finer := finest(out.bench, out.scorer, out.chosen, i)) != i:
-        yield finer
+        yield finer, *pays(out, [*out.chosen, finer], finer)
 
 
 def _plausible_kin(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], i: int) -> int | None:
