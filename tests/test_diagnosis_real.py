@@ -43,7 +43,7 @@ def test_friction_of_a_linear_axis(tmp_path: Path) -> None:
     answer = asked(tmp_path, "emps", "train")
     names, better = judged(answer)
     assert (answer["verdict"], names) == ("explained", ["friction"])
-    assert better > 10.0
+    assert better > 11.0, "by plain least squares: weighed ones take what is missed for slow noise"
 
 
 def test_delay_of_an_industrial_arm(tmp_path: Path) -> None:

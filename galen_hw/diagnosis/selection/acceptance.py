@@ -1,5 +1,7 @@
 """Whether a hypothesis is worth its place: what it takes on blocks left out, and whether its parameters can be real."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis, with_parameters
@@ -76,7 +78,8 @@ def pays(out: Selection, trial: list[int], i: int | None = None) -> tuple[bool, 
     if not (lasting and gain.tolerable and out.bench.scene.clock) or out.scorer.misfit(trial) >= CRITERIA.noise_alone:
         return False, gain.share
     white, left = improvement(out, trial, i, whitened=True)
-    return white.credible(unexplained=left), gain.share
+    # Raw errors alone tell what completes: in whitened units physics that is missing may pass for slow noise.
+    return replace(white, completes=gain.completes).credible(unexplained=left), gain.share
 
 
 def improves(out: Selection, before: Array, after: Array) -> bool:
