@@ -35,7 +35,7 @@ def _pays(*_: Any, **__: Any) -> tuple[bool, float]:
     return True, 1.0
 
 
-def _first(_bench: Any, _scorer: Any, _chosen: Any, _scores: Any, able: list[int]) -> int:
+def _first(_bench: Any, _scorer: Any, _chosen: Any, _scores: Any, able: list[int], **_: Any) -> int:
     return able[0]
 
 

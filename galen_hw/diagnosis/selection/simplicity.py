@@ -9,17 +9,19 @@ from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 
 
-def plainest(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], able: list[int]) -> int:
+def plainest(
+    bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], able: list[int], *, unsure: float
+) -> int:
     """Return the plainest hypothesis that the first of the able does not lead by more than a standard error.
 
-    A likelihood ratio is compared with its own spread from block to block (Vuong 1989), and with what is left unexplained: where
-    only noise is left it decides, where physics is missing small differences between look-alikes are that physics.
+    A likelihood ratio is compared with its own spread from block to block (Vuong 1989).
 
     Args:
         able: best first.
+        unsure: difference of rank that says nothing, see `undecided`; 0 while more may be found.
     """
     best = able[0]
-    nothing = max(LIMITS.tie, undecided(bench, scorer, [*chosen, best]))
+    nothing = max(LIMITS.tie, unsure)
     own = _cost(scorer, scores, best)
     near = [i for i in able[1:] if scores[best].rank - scores[i].rank <= max(LIMITS.near * scores[best].gain, nothing)]
     places: dict[object, int] = {}

@@ -14,6 +14,7 @@ from galen_hw.diagnosis.stats.paired_test import Gain, paired
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, predict, touched
 from galen_hw.diagnosis.validation.other_recording import apply, noisier, undisturbed
 from galen_hw.diagnosis.validation.support import HoldoutTest
+from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.registry import effect_class
 from galen_hw.physics.scenes.base import Scene
 
@@ -168,8 +169,8 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
 
     What belongs to moments shows nowhere else, and need not be wanted there; it only must not make worse what it touches. Where a
     kind stands in several places (friction in five joints), each place has to earn its own. What fits with parameters that
-    are not known at all has the shape of its name and no more. One at a time, and what is left fitted again: of two that do the
-    same one stays, and of two that need each other both do.
+    are not known at all has the shape of its name and no more; what others need to be what they are called stays. One at
+    a time, and what is left fitted again: of two that do the same one stays, and of two that need each other both do.
 
     Args:
         judged: of a larger model, whose rows are judged on again.
@@ -180,7 +181,8 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
         weak = [
             (judged.gains[key].share, key)
             for key, tests in judged.tests.items()
-            if key in judged.refused or not _supported(judged, tests, _beside(model, key), asked)
+            if key in judged.refused
+            or not (_supported(judged, tests, _beside(model, key), asked) or _is_needed(model, key))
         ]
         places = [
             (max(one.share for one in tests), k)
@@ -203,6 +205,19 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
 def _supported(judged: Judged, tests: Sequence[Gain], channels: Sequence[int], questions: int) -> bool:
     """Return whether one of the tests is credible beside all else that the model has and leaves."""
     return any(one.credible(unexplained=judged.unexplained(channels), questions=questions) for one in tests)
+
+
+def _is_needed(model: Model, key: str) -> bool:
+    """Return whether another effect cannot be what it is called without this kind: a loop whose linear part has a gear's sign."""
+    smaller = model.without([h for h in model.effects if h.effect is not None and key == h.effect.KEY])
+    return len(_impossible(smaller)) > len(_impossible(model))
+
+
+def _impossible(model: Model) -> list[Effect]:
+    """Effects whose parameters cannot be those of what they are called."""
+    spread, scene = np.sqrt(model.variance), model.bench.scene
+    each = [(h.effect, s) for h, s in zip(model.parts, model.slices(), strict=True) if h.effect is not None]
+    return [effect for effect, s in each if not effect.possible(scene, model.final[s], spread[s])]
 
 
 def _vague(model: Model) -> list[Hypothesis]:

@@ -22,10 +22,10 @@ from galen_hw.diagnosis.selection.simplicity import plainest
 def added(out: Selection) -> bool:
     """Return whether the best effect that is there joined the model; of a clock that is far off no slope promises anything."""
     best = clock_offset(out.bench, out.scorer, out.chosen, out.turn.scores)
-    best = _best(out) if best is None else best
-    if best is not None:
-        _admit(out, best)
-    return best is not None
+    joining = _best(out) if best is None else [best]
+    for i in joining:
+        _admit(out, i)
+    return bool(joining)
 
 
 def _admit(out: Selection, i: int) -> None:
@@ -36,8 +36,8 @@ def _admit(out: Selection, i: int) -> None:
         tightened(out, i)
 
 
-def _best(out: Selection) -> int | None:
-    """The best hypothesis that chance does not explain and that pays on blocks left out; None when there is none.
+def _best(out: Selection) -> list[int]:
+    """The best hypothesis that chance does not explain and that pays on blocks left out, with what it needs beside it.
 
     The turn's `able` is filled with those that chance does not explain, best first.
     """
@@ -46,9 +46,9 @@ def _best(out: Selection) -> int | None:
     fit = elsewhere(scorer, out.chosen, fit)
     fit.sort(key=lambda i: -scores[i].rank)
     if not fit:
-        return None
+        return []
     able += sharpened(bench, scorer, out.chosen, scores, fit)
-    able.insert(0, plainest(bench, scorer, out.chosen, scores, able))
+    able.insert(0, plainest(bench, scorer, out.chosen, scores, able, unsure=0.0))
     able[:0] = kind_first(scorer, scores, able)
     tries = 0
     for i in dict.fromkeys(able):
@@ -60,19 +60,21 @@ def _best(out: Selection) -> int | None:
         share = 0.0
         for better, paid, share in _ways(out, i):
             if paid and plausible(bench, scorer, out.chosen, better):
-                return better
+                return [better]
             if paid:
                 # At the optimum it is not what it is called; beside it, where other physics is still missing, it may be.
+                if (both := with_partner(out, better)) is not None:
+                    return both
                 near = _plausible_kin(bench, scorer, out.chosen, scores, i)
                 if near is not None and pays(out, [*out.chosen, near], near)[0]:
-                    return near
+                    return [near]
             elif share <= 0.0:
                 break
         failed.update(kin(scorer, i))
         effect = scorer.library[i].effect
         if effect is not None:
             out.refused.append((effect, share))
-    return None
+    return []
 
 
 def _ways(out: Selection, i: int) -> Iterator[tuple[int, bool, float]]:
@@ -89,6 +91,23 @@ def _ways(out: Selection, i: int) -> Iterator[tuple[int, bool, float]]:
     yield best, *(proposed if best == i and proposed is not None else pays(out, [*out.chosen, best], best))
     if (finer := finest(out.bench, out.scorer, out.chosen, i)) != i:
         yield finer, *pays(out, [*out.chosen, finer], finer)
+
+
+def with_partner(out: Selection, i: int) -> list[int] | None:
+    """Return a hypothesis and the likeliest one beside it, if both can be what they are called and pay together; else None.
+
+    A loop that lags behind a gear is none while the gear's scale is missing: its linear part has the scale's sign.
+    """
+    bench, scorer = out.bench, out.scorer
+    model = [*out.chosen, i]
+    scores, _ = scorer.scores(model)
+    able = [j for j, s in scores.items() if s.rank > 0.0 and s.surprise > out.needed]
+    j = max(elsewhere(scorer, model, able), key=lambda j: scores[j].rank, default=None)
+    if j is None:
+        return None
+    both = [i, j]
+    real = all(plausible(bench, scorer, [*out.chosen, *(k for k in both if k != one)], one) for one in both)
+    return both if real and pays(out, [*out.chosen, *both])[0] else None
 
 
 def _plausible_kin(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], i: int) -> int | None:

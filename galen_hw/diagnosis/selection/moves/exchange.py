@@ -47,7 +47,8 @@ def regrouped(out: Selection) -> bool:
                 _chain(scorer, others, first, scores, out.needed)
                 for first in _firsts(scorer, others, pair, scores, whole)
             ]
-        for chain in _best(scorer, pair, chains, price, whole):
+        unsure = undecided(bench, scorer, out.chosen)
+        for chain in _best(scorer, pair, chains, price, whole, unsure):
             if _taken(out, pair, chain, price):
                 return True
     return _counted_otherwise(out)
@@ -82,15 +83,20 @@ def _counted_otherwise(out: Selection) -> bool:
 
 
 def _best(
-    scorer: Scorer, pair: tuple[int, ...], chains: list[tuple[float, list[int]]], price: dict[int, float], whole: float
+    scorer: Scorer,
+    pair: tuple[int, ...],
+    chains: list[tuple[float, list[int]]],
+    price: dict[int, float],
+    whole: float,
+    unsure: float,
 ) -> list[list[int]]:
-    """The best chains of other kinds than the pair: better than that, or cheaper and nearly as good."""
+    """The best chains of other kinds than the pair: better than that by more than `unsure`, or cheaper and nearly as good."""
     own = sum(price[i] for i in pair)
     ranked = sorted(((gain - sum(price[i] for i in chain), chain) for gain, chain in chains), reverse=True)
     found: dict[frozenset[object], list[int]] = {_kinds(scorer, pair): []}
     for rank, chain in ranked:
         plainer = _needed(pair, chain, price) < CRITERIA.log_odds
-        if rank > whole - own - plainer * LIMITS.near * whole:
+        if rank > whole - own + unsure - plainer * LIMITS.near * whole:
             found.setdefault(_kinds(scorer, chain), chain)
     return [chain for chain in found.values() if chain][: LIMITS.rivals]
 
