@@ -96,6 +96,11 @@ class Sums:
         """(folds, k) of each family with a target (n,)."""
         return {n: np.stack([X[f].T @ y[f] for f in self.folds]) * self.scale for n, X in self.columns.items()}
 
+    def squares(self) -> Array:
+        """(folds, k) of all functions with themselves."""
+        each = [np.stack([np.einsum("nk,nk->k", X[f], X[f]) for f in self.folds]) for X in self.columns.values()]
+        return np.concatenate(each, axis=1) * self.scale**2
+
     def joined(self, names: list[str]) -> Array:
         """(n, k) columns of several families."""
         return np.concatenate([self.columns[n] for n in names], axis=1) * self.scale

@@ -1,21 +1,20 @@
 """Few of many generic functions: where a rest follows one product of two inputs, a family that holds it says too much."""
 
-import warnings
 from dataclasses import dataclass, field
 
 import numpy as np
-from sklearn.linear_model import orthogonal_mp
 
+from galen_hw.diagnosis.lack_of_fit.gram import Sums
 from galen_hw.diagnosis.lack_of_fit.regression import Regression
-from galen_hw.diagnosis.stats.sampling import Index
 from galen_hw.spatial import Array
 
 
 @dataclass
 class Pursuit(Regression):
-    """Orthogonal matching pursuit by single functions (Pati, Rezaiifar and Krishnaprasad 1993).
+    """Orthogonal matching pursuit by single functions (Pati, Rezaiifar and Krishnaprasad 1993), from inner products.
 
-    How many functions it takes is what predicts blocks left out best.
+    How many functions it takes is what predicts blocks left out best. Inner products of all functions with each other are as
+    many as their number squared, and with the few that are taken a handful: these alone are computed.
 
     Args:
         most: functions.
@@ -26,29 +25,36 @@ class Pursuit(Regression):
     most: int = field(default=4, kw_only=True)
     enough: float = field(default=0.98, kw_only=True)
     alive: float = field(default=0.1, kw_only=True)
-    _count: int = field(init=False, default=0)
+    _taken: list[list[int]] = field(init=False, default_factory=list)
+    _theta: list[Array] = field(init=False, default_factory=list)
     _parts: dict[str, Array] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         """Chooses how many functions, then which."""
-        names = list(self.plain.columns)
-        self._X, self._white = self.plain.joined(names), self.white.joined(names)
-        self._learnt, self._target = (self._white, self.white_rest) if self.weighed else (self._X, self.rest)
-        size = np.linalg.norm(self._learnt, axis=0)
+        self._places = [(name, k) for name, X in self.plain.columns.items() for k in range(X.shape[1])]
+        self._products: dict[int, Array] = {}
+        self._learnt = self.white if self.weighed else self.plain
+        inner = self._learnt.against(self.white_rest if self.weighed else self.rest)
+        self._b, self._squares = np.concatenate(list(inner.values()), axis=1), self._learnt.squares()
+        size = np.sqrt(self._squares.sum(axis=0))
         self._size = np.where(size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300), size, np.inf)
-        every = np.arange(len(self.rest))
-        self._folds = [self._path(np.delete(every, f)) for f in self.plain.folds]
-        raw = self._gains(self._X, self.rest)
+        paths = [self._path(fold) for fold in range(len(self.plain.folds))]
+        raw = self._gains(paths, self.plain, self.rest)
         best = float(raw.max())
         if best <= self.least * float(self.rest @ self.rest):
             return
         # Another motion is where more functions than are needed differ.
-        self._count = int(np.flatnonzero(raw >= self.enough * best)[0])
+        count = int(np.flatnonzero(raw >= self.enough * best)[0])
         self.reached, self.white_gain = (
-            float(g[self._count]) for g in (raw, self._gains(self._white, self.white_rest))
+            float(raw[count]),
+            float(self._gains(paths, self.white, self.white_rest)[count]),
         )
-        theta, ends = self._path(every)[:, self._count], np.cumsum([0, *map(self._width, names)])
-        parts = {n: theta[a:b] for n, a, b in zip(names, ends[:-1], ends[1:], strict=True)}
+        self._taken, self._theta = [taken for taken, _ in paths], [theta[:, count] for _, theta in paths]
+        taken, theta = self._path(None)
+        whole = np.zeros(len(self._places))
+        whole[taken] = theta[:, count]
+        ends = np.cumsum([0, *(X.shape[1] for X in self.plain.columns.values())])
+        parts = {n: whole[a:b] for n, a, b in zip(self.plain.columns, ends[:-1], ends[1:], strict=True)}
         self._parts = {n: part for n, part in parts.items() if part.any()}
         self.chosen = list(self._parts)
 
@@ -58,36 +64,60 @@ class Pursuit(Regression):
 
     def crossed(self, *, white: bool = False) -> Array:
         """(n,) what the functions predict of each row from other folds, over the noise's deviation."""
-        out, X = np.zeros(len(self.rest)), self._white if white else self._X
-        for rows, theta in zip(self.plain.folds, self._folds, strict=True):
-            out[rows] = X[rows] @ theta[:, self._count]
+        out = np.zeros(len(self.rest))
+        for rows, taken, theta in zip(self.plain.folds, self._taken, self._theta, strict=True):
+            out[rows] = self._columns(self.white if white else self.plain, taken)[rows] @ theta
         return out
 
-    def _width(self, name: str) -> int:
-        return int(self.plain.columns[name].shape[1])
+    def _columns(self, sums: Sums, which: list[int]) -> Array:
+        """(n, len(which)) functions by their numbers."""
+        each = [sums.columns[name][:, k] for name, k in (self._places[j] for j in which)]
+        return np.stack(each, axis=-1) * sums.scale if each else np.zeros((len(self.rest), 0))
 
-    def _path(self, rows: Index) -> Array:
-        """(k, most) coefficients of one, two and more functions, learnt on some rows."""
-        X, y = self._learnt[rows] / self._size, self._target[rows]
-        norms = np.linalg.norm(X, axis=0)
+    def _with(self, j: int) -> Array:
+        """(folds, k) inner products of all functions with one of them."""
+        if j not in self._products:
+            own = self._learnt.against(self._columns(self._learnt, [j])[:, 0])
+            self._products[j] = np.concatenate(list(own.values()), axis=1)
+        return self._products[j]
+
+    def _path(self, fold: int | None) -> tuple[list[int], Array]:
+        """Functions in the order in which they are taken without a fold (None: of all rows), coefficients (taken, most).
+
+        One column for each number of functions; the last again where no more are taken.
+        """
+
+        def rest(each: Array) -> Array:
+            return np.asarray(each.sum(axis=0) - (0.0 if fold is None else each[fold]))
+
+        b, squares = rest(self._b), np.maximum(rest(self._squares), 0.0)
+        norm = np.sqrt(squares)
         # Of a function that hardly lives in these rows nothing can be learnt from them.
-        alive = norms > self.alive
-        out = np.zeros((X.shape[1], self.most))
-        if not alive.any():
-            return out
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # It warns when the functions left depend on those taken; it then stops.
-            most = min(self.most, int(alive.sum()))
-            path = orthogonal_mp(X[:, alive] / norms[alive], y, n_nonzero_coefs=most, return_path=True)
-        path = np.reshape(path, (int(alive.sum()), -1))
-        out[alive, : path.shape[1]] = path / norms[alive, None]
-        out[:, path.shape[1] :] = out[:, path.shape[1] - 1 : path.shape[1]]
-        return out / self._size[:, None]
+        able = norm > self.alive * self._size
+        taken: list[int] = []
+        found: list[Array] = []
+        left = b.copy()
+        while len(taken) < self.most and able.any():
+            j = int(np.argmax(np.where(able, np.abs(left) / np.where(able, norm, 1.0), -1.0)))
+            trial = [*taken, j]
+            G = np.stack([rest(self._with(i))[trial] for i in trial])
+            # What depends on those taken before it is worth nothing beside them.
+            if np.linalg.matrix_rank(G / np.outer(norm[trial], norm[trial]), hermitian=True) < len(trial):
+                break
+            taken, theta = trial, np.linalg.solve(G, b[trial])
+            able[j] = False
+            found.append(np.asarray(theta))
+            left = b - sum(t * rest(self._with(i)) for i, t in zip(taken, theta, strict=True))
+        out = np.zeros((len(taken), self.most))
+        for count in range(self.most if found else 0):
+            theta = found[min(count, len(found) - 1)]
+            out[: len(theta), count] = theta
+        return taken, out
 
-    def _gains(self, X: Array, y: Array) -> Array:
+    def _gains(self, paths: list[tuple[list[int], Array]], sums: Sums, y: Array) -> Array:
         """(most,) falls of a sum of squares on folds left out in turn."""
         total = np.zeros(self.most)
-        for rows, theta in zip(self.plain.folds, self._folds, strict=True):
-            predicted = X[rows] @ theta
+        for rows, (taken, theta) in zip(self.plain.folds, paths, strict=True):
+            predicted = self._columns(sums, taken)[rows] @ theta
             total += 2.0 * y[rows] @ predicted - np.einsum("nm,nm->m", predicted, predicted)
         return total

@@ -210,7 +210,7 @@ class CableDrag(Effect):
         force = span * (tension / length)
         if answer is not None:
             wrench = np.concatenate([force, np.cross(lever, force, axis=0)])
-            return np.asarray(np.einsum("nci,in->nc", answer, wrench))
+            return np.asarray(np.einsum("cin,in->cn", answer, wrench).T)
         felt = (R * force[:, None]).sum(axis=0)
         return np.concatenate([felt, np.cross(theta[5:8], felt, axis=0)]).T
 
@@ -272,16 +272,12 @@ class CableDrag(Effect):
         }
 
     def _carrier(self, scene: Scene) -> tuple[Array, Array, Array | None]:
-        """Of the body that it pulls: orientation (3, 3, N), position (3, N), efforts (N, C, 6) per wrench (None: felt)."""
+        """Of the body that it pulls: orientation (3, 3, N), position (3, N), efforts (C, 6, N) per wrench (None: felt)."""
         if isinstance(scene, EffortScene):
-            known = scene.link(self.clipped)
-            assert known is not None, "proposed only with a URDF"
-            pose, answer = known
-        else:
-            pose, answer = scene.sensor_in(self.anchored), None  # type: ignore[attr-defined]
+            return scene.carrier(self.clipped)
         # Row after row in memory: four times as fast to work with.
-        whole = np.ascontiguousarray(pose[:, :3].transpose(1, 2, 0))
-        return whole[:, :3], whole[:, 3], answer
+        whole = np.ascontiguousarray(scene.sensor_in(self.anchored)[:, :3].transpose(1, 2, 0))  # type: ignore[attr-defined]
+        return whole[:, :3], whole[:, 3], None
 
     def _tangent_at_nothing(self, scene: Scene) -> Columns:
         """Without stiffness it does nothing wherever it is: one from origin to origin, and none of the others."""

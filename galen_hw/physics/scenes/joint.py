@@ -70,16 +70,25 @@ class JointScene(Scene):
         return np.asarray(values[:, order])
 
     def _coarse(self, run: Callable[[Any], Array], *, most: int = 4000) -> Array:
-        """run(rows) -> (M, ...) on an even choice of rows, cubic in between; exact where there are few.
+        """run(rows) -> (M, ...) on an even choice of the rows of each run, cubic in between; exact where there are few.
 
         Args:
             most: rows: ports of a URDF are smooth along the motion.
         """
         n = len(self)
-        if n <= most or len(self.segments) > 1:
+        if n <= most:
             return np.asarray(run(np.arange(n)))
-        rows = np.unique(np.linspace(0, n - 1, most).astype(int))
-        return np.asarray(CubicSpline(rows, run(rows), axis=0)(np.arange(n)))
+        chosen = [
+            np.unique(np.linspace(s.start, s.stop - 1, max(4, most * (s.stop - s.start) // n)).astype(int))
+            for s in self.segments
+        ]
+        values = np.asarray(run(np.concatenate(chosen)))
+        own = np.split(values, np.cumsum([len(rows) for rows in chosen])[:-1])
+        each = [
+            CubicSpline(rows, at, axis=0)(np.arange(s.start, s.stop)) if len(rows) > 1 else at
+            for s, rows, at in zip(self.segments, chosen, own, strict=True)
+        ]
+        return np.concatenate(each)
 
 
 class EffortScene(JointScene):
@@ -241,6 +250,19 @@ class EffortScene(JointScene):
         pose, jacobian = self._coarse(pose_of), self._coarse(turned)
         order = [self.joint_index(_joint(name)) for name in self.channels]
         return pose, -jacobian[:, order]
+
+    @once
+    def carrier(self, joint: str) -> tuple[Array, Array, Array]:
+        """Of `link`: orientation (3, 3, N), position (3, N) and efforts (C, 6, N), row after row in memory: quicker to work with.
+
+        Raises:
+            ValueError: there is no URDF.
+        """
+        known = self.link(joint)
+        if known is None:
+            raise ValueError("no link is known without a URDF")
+        pose, answer = (np.ascontiguousarray(np.moveaxis(x, 0, -1)) for x in known)
+        return pose[:3, :3], pose[:3, 3], answer
 
     @once
     def load(self, joint: str) -> Array | None:
