@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 from joblib import Parallel, delayed
 
 from galen_hw.diagnosis.detection import outliers
@@ -67,8 +68,11 @@ def benches(scene: Scene, held: float, seed: int) -> tuple[Bench, Bench, list[Gl
     return bench, coarse, glitch
 
 
-def effect_columns(effects: list[Effect], *benches: Bench) -> tuple[list[Columns], ...]:
-    """Columns of all effects on the rows of several benches of one scene, computed once."""
+def effect_columns(effects: list[Effect], *benches: Bench) -> tuple[list[Effect], list[list[Columns]]]:
+    """Return the effects of which this scene can tell what they do, and their columns on the rows of several of its benches.
+
+    Without an orientation, say, nobody knows what another weight would read.
+    """
     kinds: dict[type[Effect], dict[int, Effect]] = {}
     for place, effect in enumerate(effects):
         kinds.setdefault(type(effect), {})[place] = effect
@@ -83,7 +87,8 @@ def effect_columns(effects: list[Effect], *benches: Bench) -> tuple[list[Columns
     done: dict[int, list[Columns]] = {}
     for part in Parallel(n_jobs=2, require="sharedmem", batch_size=1)(delayed(of)(*one) for one in work):
         done |= part
-    return tuple([done[place][k] for place in range(len(effects))] for k in range(len(benches)))
+    told = [k for k in range(len(effects)) if all(np.isfinite(columns.values).all() for columns in done[k])]
+    return [effects[k] for k in told], [[done[k][b] for k in told] for b in range(len(benches))]
 
 
 def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list[Columns], *, blind: bool) -> Known:

@@ -82,7 +82,7 @@ class LoadChange:
         # What accelerates the load may be the larger part of it: a motion is differentiated as a whole, then thinned out.
         some = comparable(seen) if moving else at_rest(comparable(seen, CRITERIA.most_rows))
         scene = scene_of(some)
-        port = scene.body_port() if len(some) >= CRITERIA.fewest_split else None
+        port = scene.body_port() if len(some) > CRITERIA.fewest_split else None
         if port is None:
             return None, some
         rows = np.linspace(0, len(some) - 1, min(len(some), CRITERIA.most_rows)).astype(int)
@@ -222,4 +222,4 @@ def _fitted(A: Array, b: Array, columns: slice, row: int, kind: str) -> _Split:
     covariance = np.linalg.pinv(X.T @ X) * cost / max(len(y) - X.shape[1], 1)
     at = slice(A.shape[2], None)
     spread = np.sqrt(np.mean(left.reshape(-1, 6) ** 2, axis=0))
-    return _Split(row, kind, theta[at], np.sqrt(np.diag(covariance)[at]), cost, spread)
+    return _Split(row, kind, theta[at], np.sqrt(np.maximum(np.diag(covariance)[at], 0.0)), cost, spread)

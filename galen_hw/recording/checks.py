@@ -120,7 +120,7 @@ def _units(recording: Recording) -> Iterator[str]:
         force, torque = (
             np.mean([np.nanmean(recording.columns[n] ** 2) for n in part]) for part in (WRENCH[:3], WRENCH[3:])
         )
-        lever = float(np.sqrt(torque / max(float(force), 1e-300)))
+        lever = float(np.sqrt(torque / force)) if force > 0.0 else 0.0  # of a sensor of torques alone nothing is known
         if lever > 5.0:
             yield f"wrench: torque is {lever:.3g} m times the force: is it in N mm?"
 

@@ -70,6 +70,8 @@ class Bench:
     block: Index = field(init=False)
     aside: Mask = field(init=False)
     hollow: Mask = field(init=False)
+    unread: Mask = field(init=False)
+    """(C,) channels that read one value in every row while others do not (a sensor without them): they count for nothing."""
     dropped: Mask = field(init=False)
     noise: Noise = field(init=False)
     state: ModelState = field(init=False)
@@ -85,7 +87,9 @@ class Bench:
         count = 40 if len(self.rows) >= 400 else max(min(len(self.rows) // 4, 14), 4)
         self.block = blocks(self.rows.runs, count)
         self.aside = set_aside(self.block, self.held, self.seed) if self.held > 0 else np.zeros(len(self.rows), bool)
-        self.whole = self.rows.average(self.scene.residual)
+        still = np.ptp(self.scene.measured, axis=0) == 0.0
+        self.unread = still & ~still.all()
+        self.whole = np.where(self.unread, 0.0, self.rows.average(self.scene.residual))
         self.state = ModelState(self.whole, self.scene)
         self.steps = quantisation(self.scene.measured)
         self.width = len(self.scene.channels)
@@ -246,7 +250,7 @@ class Bench:
         rows, whole = self.rows, np.stack(rest, axis=-1)
         self.noise = estimate(
             whole, list(basis), rows, ordered=self.ordered, apart=self.apart, steps=self.steps, above=above
-        )
+        ).without(self.unread)
 
     @property
     def ordered(self) -> bool:

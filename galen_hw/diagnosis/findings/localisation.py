@@ -19,7 +19,7 @@ from galen_hw.spatial import Array
 
 
 def channels_of(bench: Bench, judged: Judged) -> list[dict[str, Any]]:
-    """Every channel with its share of the excess, in units of its noise; most first."""
+    """Every channel with its share of the excess, in units of its noise; most first, and last those that read nothing."""
     floor = judged.floor
     excess = np.maximum(judged.before / floor - 1.0 - 3.0 * np.sqrt(2.0 / max(len(bench.rows), 1)), 0.0)
     share = excess / max(float(excess.sum()), 1e-300)
@@ -28,9 +28,9 @@ def channels_of(bench: Bench, judged: Judged) -> list[dict[str, Any]]:
             "channel": bench.scene.channels[c],
             "excess_share": float(share[c]),
             "rmse": float(np.sqrt(judged.before[c])),
-            "noise_floor": float(np.sqrt(floor[c])),
+            "noise_floor": 0.0 if bench.unread[c] else float(np.sqrt(floor[c])),
         }
-        for c in np.argsort(-share)
+        for c in np.lexsort((-share, bench.unread))
     ]
 
 

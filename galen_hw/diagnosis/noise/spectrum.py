@@ -122,6 +122,17 @@ class Noise:
         smooth = smoothed(self.centres, self.levels, self.lines)
         return np.asarray(np.log(smooth / self.levels))
 
+    def without(self, unread: Mask, *, beyond: float = 1e9) -> "Noise":
+        """Let channels (C,) that read nothing count for nothing.
+
+        Args:
+            beyond: standard deviation of their noise, larger than all that could be in them, in any unit.
+        """
+        if not unread.any():
+            return self
+        levels = np.where(unread, beyond**2, self.levels) if len(self.levels) else self.levels
+        return replace(self, sigma=np.where(unread, beyond, self.sigma), levels=levels, kept={})
+
     def flat(self) -> "Noise":
         """White noise at the lowest level of the spectrum: the least that the noise can be."""
         sigma = np.sqrt(np.min(self.levels, axis=0))
@@ -258,7 +269,8 @@ def estimate(
     freedom = np.array([max(M - b.shape[1], 2) for b in basis], dtype=float)
     sigma = np.sqrt(np.sum(rest**2, axis=0) / freedom)
     sigma = np.maximum(sigma, 1e-12 * (np.max(np.abs(rest)) + 1e-300) + 1e-15)
-    correlation = np.nan_to_num(np.corrcoef((rest / sigma).T)) if C > 1 else np.ones((1, 1))
+    with np.errstate(invalid="ignore"):  # of a channel that reads nothing
+        correlation = np.nan_to_num(np.corrcoef((rest / sigma).T)) if C > 1 else np.ones((1, 1))
     np.fill_diagonal(correlation, 1.0)
     long = [run for run in rows.runs if run.stop - run.start >= RESOLUTION.shortest]
     if not ordered or not long:

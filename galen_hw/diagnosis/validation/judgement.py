@@ -92,7 +92,7 @@ class Judged:
         values = {
             "rmse_before": np.sqrt(self.before),
             "rmse_after": np.sqrt(after),
-            "noise_floor": np.sqrt(self.floor),
+            "noise_floor": np.where(bench.unread, 0.0, np.sqrt(self.floor)),
             "ceiling": np.sqrt(np.minimum(hoped, after)),
         }
         return {k: {n: float(x) for n, x in zip(names, v, strict=True)} for k, v in values.items()}
