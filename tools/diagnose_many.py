@@ -15,7 +15,7 @@ from galen_hw.formats.remote import Place, Remote, at_hand, place, recordings_in
 from galen_hw.recording import Recording
 from galen_hw.tools.diagnose_screen import counting, working
 from galen_hw.tools.diagnose_tool import model_to_save, tool_named, with_tool
-from galen_hw.tools.robot_given import robot_given
+from galen_hw.tools.robot_given import keys_given, robot_given
 
 
 def answers_to(paths: list[Place], args: argparse.Namespace) -> list[Diagnosis]:
@@ -87,7 +87,7 @@ def _one(
     robot = robot_given(args)
 
     def read(path: Path, simulation: Path | None = None) -> Recording:
-        recording = read_recording(path, simulation=simulation, robot=robot)
+        recording = read_recording(path, simulation=simulation, robot=robot, info=keys_given(args))
         return recording if tool is None else with_tool(recording, tool)
 
     simulation = local[-1] if args.simulation else None
