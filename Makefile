@@ -47,6 +47,8 @@ $(STAMP): $(BASE)
 	@$(PIP) --editable '.[dev]'
 	@$(PIP) --editable '.[ndi]' 2>/dev/null || \
 	  echo "make: NDI's own client is built with a C++ compiler, and that failed: its two tests will be skipped"
+	@$(PIP) --editable '.[ati]' 2>/dev/null || \
+	  echo "make: ATI's own conversion is built with a C compiler, and that failed: its tests will be skipped"
 	@touch $@
 
 install: $(STAMP)

@@ -1,5 +1,7 @@
 """The errors that a user meets: one line each, saying what is wrong, where, and what to do."""
 
+from typing import Any
+
 EXIT_OK = 0
 EXIT_FOUND = 1
 """The work was done and something was found: a mismatch, a problem of the set-up, a check that did not pass."""
@@ -29,6 +31,17 @@ class GalenError(Exception):
     def __str__(self) -> str:
         line = f"{self.where}: {self.what}" if self.where else self.what
         return f"{line}; {self.todo}" if self.todo else line
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # What the constructor takes by name, pickle would hand over by place: a process would answer with a crash.
+        return _again, (type(self), self.what, self.where, self.todo), self.__dict__
+
+
+def _again(kind: type[GalenError], what: str, where: str, todo: str) -> GalenError:
+    """An error as it was in the process that raised it."""
+    error = kind.__new__(kind, what, where, todo)
+    GalenError.__init__(error, what, where=where, todo=todo)
+    return error
 
 
 class UsageError(GalenError):

@@ -21,6 +21,7 @@ from galen_hw.drivers.table import DRIVERS
 from galen_hw.messages import TOPICS
 from galen_hw.physics.effects.registry import EFFECTS
 from galen_hw.services.table import SERVICES
+from galen_hw.version import VERSION
 
 ROOT = Path(__file__).parents[1]
 
@@ -135,6 +136,13 @@ def test_the_release_files_agree_with_the_project():
     assert f"license: {own}\n" in citation
     assert "Typing :: Typed" in project["classifiers"]
     assert (Path(galen_hw.__file__).parent / "py.typed").exists()
+
+
+def test_the_changelog_begins_with_the_version_that_the_package_has():
+    """What is not released yet is a .dev of the section that stands first."""
+    first = next(line for line in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").splitlines() if line[:3] == "## ")
+    assert first.startswith(f"## [{VERSION.partition('.dev')[0]}]")
+    assert ("unreleased" in first) == (".dev" in VERSION)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("shtab") is None, reason="shtab is not installed: galen-hw[completion]")

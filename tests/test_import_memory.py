@@ -76,6 +76,7 @@ def bag(path: Path, rows: int) -> np.ndarray:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_a_million_messages_take_less_than_twice_their_table(tmp_path: Path) -> None:
     """Resident memory at its height, over what the program and its libraries have before; every number comes through."""
     values = bag(tmp_path / "bag", ROWS)
@@ -91,6 +92,7 @@ def test_a_million_messages_take_less_than_twice_their_table(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_an_import_takes_at_most_half_as_long_again_as_rosbags_alone(tmp_path: Path) -> None:
     """Processor time in one process, after the libraries are loaded: rosbags reads and deserialises, we write a table too."""
     rows = 200_000

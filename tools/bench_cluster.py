@@ -3,7 +3,8 @@
     python -m galen_hw.tools.bench_cluster [--recordings 200] [--workers 2] [--write docs/benchmarks.md]
 
 All is asked thrice by `galen-hw diagnose FOLDER --dask`: of one worker, of several, and of several of which one is killed
-(SIGKILL) at work, a third of the way through. The recordings' formulas are written here anew.
+(SIGKILL) at work, a third of the way through. The recordings' formulas are written here anew. On a shared machine the times
+are those of what others leave: how many cores others took meanwhile stands beside them.
 """
 
 import argparse
@@ -17,7 +18,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -51,10 +52,28 @@ def recording(seed: int) -> Recording:
     return Recording(columns, info)
 
 
-def asked(
-    folder: Path, workers: int, meanwhile: Callable[[Any], None] | None = None
-) -> tuple[float, list[dict[str, Any]]]:
-    """Seconds of a diagnosis of a folder on a cluster of so many processes, and its answers without their dates.
+class Pass(NamedTuple):
+    """One diagnosis of the folder.
+
+    Args:
+        took: seconds.
+        others: cores that other programs took meanwhile, on average.
+        answers: without their dates.
+    """
+
+    took: float
+    others: float
+    answers: list[dict[str, Any]]
+
+
+def spent() -> tuple[float, float]:
+    """Processor seconds of the whole machine, and of this process and those of its children that have ended."""
+    user, nice, system, _, _, irq, soft, *_ = map(int, Path("/proc/stat").read_text().split(maxsplit=9)[1:9])
+    return (user + nice + system + irq + soft) / os.sysconf("SC_CLK_TCK"), sum(os.times()[:4])
+
+
+def asked(folder: Path, workers: int, meanwhile: Callable[[Any], None] | None = None) -> Pass:
+    """Diagnose a folder on a cluster of so many processes.
 
     Args:
         folder: of recordings.
@@ -64,6 +83,7 @@ def asked(
     from distributed import LocalCluster
 
     made: Any = LocalCluster  # its signature carries no types
+    start, before = time.perf_counter(), spent()
     with (
         tempfile.TemporaryDirectory() as out,
         made(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
@@ -78,7 +98,9 @@ def asked(
         if status not in (EXIT_OK, EXIT_FOUND):
             raise RuntimeError(f"galen-hw diagnose ended with {status}")
         answers = json.loads(Path(out, "answers.json").read_text())
-    return took, [{key: value for key, value in answer.items() if key != "date"} for answer in answers]
+    whole, own = np.subtract(spent(), before)
+    others = max(0.0, float(whole - own)) / (time.perf_counter() - start)
+    return Pass(took, others, [{key: value for key, value in answer.items() if key != "date"} for answer in answers])
 
 
 def killed_after(seconds: float, killed: list[int]) -> Callable[[Any], None]:
@@ -106,18 +128,24 @@ def row(count: int, workers: int) -> Row:
         folder = Path(name)
         for seed in range(count):
             write_table(recording(seed), folder / f"run{seed:04d}")
-        alone, truth = asked(folder, 1)
-        several, same = asked(folder, workers)
+        alone = asked(folder, 1)
+        several = asked(folder, workers)
         killed: list[int] = []
-        wounded, after = asked(folder, workers, killed_after(several / 3, killed))
-    others = {
-        one["recording"] for found in (same, after) for one, true in zip(found, truth, strict=True) if one != true
+        wounded = asked(folder, workers, killed_after(several.took / 3, killed))
+    truth = alone.answers
+    differ = {
+        one["recording"]
+        for found in (several.answers, wounded.answers)
+        for one, true in zip(found, truth, strict=True)
+        if one != true
     }
-    whole = len(truth) == len(after) == count and not others and len(killed) == 1
+    whole = len(truth) == len(wounded.answers) == count and not differ and len(killed) == 1
+    busy = ", ".join(f"{each.others:.1f}" for each in (alone, several, wounded))
     text = (
-        f"{len(after)} answers, {len(others)} other than with one process, {len(killed)} killed; {alone:.0f} s with one "
-        f"process, {several:.0f} s with {workers} ({alone / several:.2f} x), {wounded:.0f} s with the killed one "
-        f"({alone / wounded:.2f} x)"
+        f"{len(wounded.answers)} answers, {len(differ)} other than with one process, {len(killed)} killed; "
+        f"{alone.took:.0f} s with one process, {several.took:.0f} s with {workers} ({alone.took / several.took:.2f} x), "
+        f"{wounded.took:.0f} s with the killed one ({alone.took / wounded.took:.2f} x); of {os.cpu_count()} cores other "
+        f"programs took {busy}"
     )
     what = f"{count} recordings on a Dask cluster, a process of it killed at work"
     return Row(what, "nothing lost, same answers", text, whole, "bench_cluster")

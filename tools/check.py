@@ -44,10 +44,9 @@ def run(args: argparse.Namespace) -> int:
         from galen_hw.tools.check_recording import check_recordings
 
         return check_recordings(args)
-    if args.robot or args.xacro_arg:
-        raise UsageError(
-            "of which recording?", where="--robot", todo="the daemon's robot is in the settings: [robot] urdf"
-        )
+    if args.robot or args.xacro_arg or args.sensor_link:
+        where = "--robot" if args.robot or args.xacro_arg else "--sensor-link"
+        raise UsageError("of which recording?", where=where, todo="the daemon's robot is in the settings: [robot]")
     from galen_hw.config.load import examine, read_document
     from galen_hw.config.paths import Addresses, client_runtime_dir, config_path, state_dir
     from galen_hw.daemon.checks import (

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from galen_hw.errors import GalenError, UsageError
 from galen_hw.formats.remote import Place, at_hand, place, recordings_in
 from galen_hw.tools.answer import print_stamped
-from galen_hw.tools.robot_given import robot_given
+from galen_hw.tools.robot_given import keys_given, robot_given
 
 if TYPE_CHECKING:
     from galen_hw.kinematics.xacro import RobotFile
@@ -25,7 +25,7 @@ def check_recordings(args: argparse.Namespace) -> int:
     answers, status, robot = [], 0, robot_given(args)
     for path in [inside for given in args.recordings for inside in recordings_in(place(given))]:
         try:
-            answer = _asked(path, robot)
+            answer = _asked(path, robot, keys_given(args))
         except GalenError as error:
             print(f"galen-hw check: {error}", file=sys.stderr)
             status = 2
@@ -39,7 +39,7 @@ def check_recordings(args: argparse.Namespace) -> int:
     return status
 
 
-def _asked(where: Place, robot: "RobotFile | None") -> dict[str, Any]:
+def _asked(where: Place, robot: "RobotFile | None", info: dict[str, Any]) -> dict[str, Any]:
     """What is said of one recording.
 
     Raises:
@@ -50,7 +50,7 @@ def _asked(where: Place, robot: "RobotFile | None") -> dict[str, Any]:
     from galen_hw.recording.observations import named_in, observations_of
 
     with at_hand([where]) as (path,):
-        recording = read(path, robot=robot)
+        recording = read(path, robot=robot, info=info)
         with named_in(recording):
             seen = observations_of(recording)
             found = examined(seen)

@@ -1,6 +1,7 @@
 """Diagnose what the command line names: one recording, several, or several as one."""
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from galen_hw.config.tool_store import write_atomic
@@ -14,7 +15,7 @@ from galen_hw.formats.remote import Place, Remote, at_hand, place, recordings_in
 from galen_hw.recording import Recording
 from galen_hw.tools.diagnose_screen import counting, working
 from galen_hw.tools.diagnose_tool import model_to_save, tool_named, with_tool
-from galen_hw.tools.robot_given import robot_given
+from galen_hw.tools.robot_given import keys_given, robot_given
 
 
 def answers_to(paths: list[Place], args: argparse.Namespace) -> list[Diagnosis]:
@@ -22,15 +23,11 @@ def answers_to(paths: list[Place], args: argparse.Namespace) -> list[Diagnosis]:
     if len(paths) == 1 or args.together:
         with working(f"reading {paths[0].name}") as progress:
             return [_whole(paths, args, several=False, progress=progress)]
-    from joblib import Parallel, delayed, parallel_config
+    from galen_hw.tools.clusters import on_cluster, on_this_machine
 
-    from galen_hw.tools.clusters import cluster
-
-    out: dict[str, Diagnosis] = {}
-    with counting("diagnosing", len(paths)) as done, cluster(args.dask) as backend, parallel_config(**backend):
-        # Dask hands everything over at the end; the processes of this machine one by one.
-        each = "list" if args.dask else "generator_unordered"
-        for path, answer in Parallel(return_as=each)(delayed(_named_answer)(path, args) for path in paths):
+    do, out = partial(_named_answer, args=args), dict[str, Diagnosis]()
+    with counting("diagnosing", len(paths)) as done:
+        for path, answer in on_cluster(args.dask, do, paths) if args.dask else on_this_machine(do, paths):
             out[path] = answer
             done()
     return [out[str(path)] for path in paths]
@@ -90,7 +87,7 @@ def _one(
     robot = robot_given(args)
 
     def read(path: Path, simulation: Path | None = None) -> Recording:
-        recording = read_recording(path, simulation=simulation, robot=robot)
+        recording = read_recording(path, simulation=simulation, robot=robot, info=keys_given(args))
         return recording if tool is None else with_tool(recording, tool)
 
     simulation = local[-1] if args.simulation else None

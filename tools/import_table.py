@@ -2,10 +2,10 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from galen_hw.errors import EXIT_OK, UsageError
-from galen_hw.tools.robot_given import add_robot, robot_given, with_keys
+from galen_hw.tools.robot_given import add_robot, keys_given, robot_given, with_keys
 
 if TYPE_CHECKING:
     from galen_hw.formats import Imported
@@ -30,7 +30,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--write-map", metavar="MAP.toml", type=Path, help="write the map that would be used, to be edited"
     )
     add_robot(parser)
-    parser.add_argument("--sensor-link", metavar="LINK", help="of the robot, that bears the sensor")
     parser.add_argument(
         "--predict", choices=("wrench", "pose", "effort", "position", "targets"), help="what is to be compared"
     )
@@ -66,7 +65,7 @@ def _import(args: argparse.Namespace) -> int:
     robot = robot_given(args)
     if len(args.files) == 1 and is_own(args.files[0]) and args.write_map is None:
         return _write(with_keys(read_recording(args.files[0]), args, robot), args)
-    imported = import_files(args.files, args.map, _keys(args), robot)
+    imported = import_files(args.files, args.map, keys_given(args), robot)
     _show(imported)
     if args.write_map is not None:
         _write_map(imported.used, args)
@@ -90,11 +89,6 @@ def _write_map(used: "Map", args: argparse.Namespace) -> None:
         used.info["robot"] = str(args.robot.resolve()) if plain else None
     write_map(used, args.write_map)
     print(f"{args.write_map}: edit it, then --map {args.write_map}")
-
-
-def _keys(args: argparse.Namespace) -> dict[str, Any]:
-    given = {"sensor_link": args.sensor_link, "predict": args.predict}
-    return {key: value for key, value in given.items() if value is not None}
 
 
 def _show(imported: "Imported") -> None:

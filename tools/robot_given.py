@@ -1,9 +1,9 @@
-"""`--robot`: the robot that a person names for a recording, in place of what the recording names."""
+"""`--robot` and `--sensor-link`: the robot that a person names for a recording, in place of what the recording names."""
 
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from galen_hw.errors import UsageError
 
@@ -19,6 +19,7 @@ def add_robot(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--xacro-arg", metavar="KEY:=VALUE", action="append", default=[], help="of --robot; may be given several times"
     )
+    parser.add_argument("--sensor-link", metavar="LINK", help="of the robot, that bears the sensor")
 
 
 def robot_given(args: argparse.Namespace) -> "RobotFile | None":
@@ -36,9 +37,14 @@ def robot_given(args: argparse.Namespace) -> "RobotFile | None":
     return robot_file(args.robot, args.xacro_arg)
 
 
+def keys_given(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the keys of recording.json that the options give."""
+    given = {"sensor_link": args.sensor_link, "predict": getattr(args, "predict", None)}
+    return {key: value for key, value in given.items() if value is not None}
+
+
 def with_keys(recording: "Recording", args: argparse.Namespace, robot: "RobotFile | None") -> "Recording":
     """Return a recording with what the options of `import` say of it."""
-    given = {"sensor_link": args.sensor_link, "predict": args.predict}
-    given = {key: value for key, value in given.items() if value is not None}
+    given = keys_given(args)
     made = replace(recording, info=recording.info.model_copy(update=given)) if given else recording
     return made if robot is None else made.with_robot(robot.name, robot.text)

@@ -11,7 +11,7 @@ from galen_hw.formats.names import plain
 from galen_hw.formats.units import FACTORS, canonical, split_unit
 
 _TIME: Final = re.compile(
-    r"(?:time|t|timestamp|time_?stamp|stamp|seconds|secs?|elapsed(?:_time)?|duration|timestamps|zeit)$"
+    r"(?:time|t|timestamp|time_?stamp|stamp|seconds|secs?|elapsed(?:_time)?|duration|timestamps)$"
 )
 _EPOCH: Final = (("ns", 1e17, 1e19), ("us", 1e14, 1e17), ("ms", 1e11, 1e14), ("s", 1e8, 1e11))
 """Whole stamps of the calendar lie between 1973 and 5138: by its size alone such a number says its unit."""

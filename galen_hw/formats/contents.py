@@ -92,7 +92,9 @@ class Head:
     @property
     def text(self) -> str:
         """As text; empty where it is none."""
-        if b"\0" in self.data.removeprefix(b"\xff\xfe"):
+        if self.data[:2] in UTF16:
+            return self.data.decode("utf-16", "ignore")
+        if b"\0" in self.data:
             return ""
         for encoding in ("utf-8-sig", "latin-1"):
             try:
@@ -110,6 +112,8 @@ class Head:
 
 
 HEAD_BYTES = 64 * 1024
+UTF16 = (b"\xff\xfe", b"\xfe\xff")
+"""How a text in UTF-16 begins: what Excel saves as "Unicode text"."""
 BLOCK = 65536
 
 

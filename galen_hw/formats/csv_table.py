@@ -14,7 +14,7 @@ import numpy as np
 from galen_hw.clock import NS_PER_S
 from galen_hw.errors import UsageError
 from galen_hw.extras import need
-from galen_hw.formats.contents import Contents, Head, Stream, head_of, unreadable
+from galen_hw.formats.contents import UTF16, Contents, Head, Stream, head_of, unreadable
 from galen_hw.formats.units import any_unit, canonical
 from galen_hw.recording.table import EMPTY
 from galen_hw.spatial import Array
@@ -176,7 +176,7 @@ def _lines(path: Path) -> list[str]:
         data = path.read_bytes()
     except OSError as error:
         raise unreadable(path, error.strerror) from error
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+    if data[:2] in UTF16:
         return data.decode("utf-16", "replace").splitlines()
     try:
         text = data.decode("utf-8-sig")

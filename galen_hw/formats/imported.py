@@ -50,6 +50,7 @@ def read(
     simulation: Path | str | None = None,
     compensated: bool = False,
     robot: RobotFile | None = None,
+    info: dict[str, Any] | None = None,
 ) -> Recording:
     """A recording of any format, galen-hw's own or another's, as commands take it.
 
@@ -60,6 +61,7 @@ def read(
         simulation: a recording that someone else simulated.
         compensated: also give the compensated wrench, where the recording has it.
         robot: in place of the one that the recording names.
+        info: keys of recording.json that come before what the recording says.
 
     Raises:
         UsageError: not there, of no known format, or not certain what its columns are: which, and what to do.
@@ -67,8 +69,9 @@ def read(
     path = Path(path)
     if not path.exists() or is_own(path):
         recording = read_recording(path, simulation=simulation, compensated=compensated)
+        recording = replace(recording, info=recording.info.model_copy(update=info)) if info else recording
         return recording if robot is None else recording.with_robot(robot.name, robot.text)
-    imported = import_files([path], robot=robot)
+    imported = import_files([path], info=info, robot=robot)
     if imported.used.doubtful:
         family, places = next(iter(imported.used.doubtful.items()))
         todo = f"galen-hw import {path} --write-map MAP.toml, choose there, then --map MAP.toml -o FOLDER"

@@ -134,7 +134,12 @@ def write_map(what: Map, path: Path) -> None:
             f"[{name}]",
             *(f"{_toml(key)} = {_toml(value)}" for key, value in table.items() if value is not None),
         ]
-    lines += ["", "[columns]"]
+    lines += [
+        "",
+        "[columns]",
+        "# Keys: wrench.force.x, wrench.torque.x, joint.NAME.position, sensor.orientation.x, ... (docs/recording.md).",
+        "# covariate.NAME is a column that is not known: where it is one of these, rename its key. unit and scale may be added.",
+    ]
     for entry in what.entries:
         parts = {"stream": entry.stream, "column": entry.column}
         parts |= {"unit": entry.unit} if entry.unit else {}

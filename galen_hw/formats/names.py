@@ -1,6 +1,7 @@
 """What a column of a foreign file is called, and which column of ours that may be."""
 
 import re
+import unicodedata
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -94,9 +95,30 @@ _LISTED: Final = re.compile(r"joints?\[(?P<name>.+)\]\.(?P<kind>position|velocit
 _TEMPERATURE: Final = re.compile(r"(?:temperature|temp)(?:_(.+))?$|(.+)_(?:temperature|temp)$")
 
 
+_ENGLISH: Final = {
+    "force": ("kraft", "fuerza", "forza"),
+    "torque": ("moment", "drehmoment", "couple", "momento", "coppia", "par"),
+    "time": ("zeit", "zeitstempel", "temps", "tiempo", "tempo"),
+    "joint": ("gelenk", "articulation", "articulacion", "articulacao", "giunto", "junta"),
+    "axis": ("achse", "axe", "eje", "asse", "eixo"),
+    "joint_angle": ("gelenkwinkel",),
+    "joint_torque": ("gelenkmoment",),
+    "angle": ("winkel", "angulo", "angolo"),
+    "velocity": ("geschwindigkeit", "vitesse", "velocidad", "velocidade", "velocita"),
+    "acceleration": ("beschleunigung", "aceleracion", "accelerazione"),
+    "temperature": ("temperatur", "temperatura"),
+}
+"""Words of German, French, Spanish, Italian and Portuguese, without accents."""
+_FOREIGN: Final = {word: english for english, words in _ENGLISH.items() for word in words}
+_WORDS: Final = re.compile(rf"(?<![a-z])({'|'.join(sorted(_FOREIGN, key=len, reverse=True))})(?=[xyz]?(?:_|\d|$))")
+
+
 def plain(name: str) -> str:
-    """In lower case, every separator an underscore."""
-    return re.sub(r"[^a-z0-9]+", "_", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()).strip("_")
+    """In lower case, every separator an underscore, without accents, usual words of other languages in English."""
+    bare = unicodedata.normalize("NFKD", name)
+    bare = "".join(c for c in bare if not unicodedata.combining(c))
+    bare = re.sub(r"[^a-z0-9]+", "_", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", bare).lower()).strip("_")
+    return _WORDS.sub(lambda found: _FOREIGN[found[1]], bare)
 
 
 def matches(stream: Stream) -> list[Match]:

@@ -47,6 +47,15 @@ FORMATS: Final = (
     Format("CSV", "csv_table"),
 )
 
+ELSE: Final = (
+    (b"PK\x03\x04", b"[Content_Types].xml", "an Excel workbook", "save the sheet as CSV"),
+    (b"\xd0\xcf\x11\xe0", b"", "an Excel workbook", "save the sheet as CSV"),
+    (b"PK\x03\x04", b"", "a packed file", "unpack it"),
+    (b"\x1f\x8b", b"", "a packed file", "unpack it: gunzip"),
+    (b"\x28\xb5\x2f\xfd", b"", "a packed file", "unpack it: unzstd"),
+)
+"""What is not read, by how it begins and by what is in it: what it is, and what to do."""
+
 
 def format_of(path: Path) -> tuple[Format, Head]:
     """The format of a file or folder.
@@ -57,6 +66,9 @@ def format_of(path: Path) -> tuple[Format, Head]:
     head = head_of(path)
     found = next((one for one in FORMATS if one.reader.sniff(head)), None)
     if found is None:
+        for begin, within, what, todo in ELSE:
+            if head.data.startswith(begin) and within in head.data:
+                raise UsageError(what, where=str(path), todo=todo)
         known = ", ".join(one.name for one in FORMATS)
         what = "is empty" if path.is_file() and not head.data else "not a format that is known"
         raise UsageError(what, where=str(path), todo=f"known are table folders and {known}: docs/import.md")

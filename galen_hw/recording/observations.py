@@ -12,6 +12,7 @@ from galen_hw.kinematics import Robot, UrdfRobot
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.rigid import Body
 from galen_hw.recording import Recording
+from galen_hw.recording.recording import group_of
 from galen_hw.recording.robot import IN_JOINTS, robot_of, zeroed_joints, zeroed_names
 from galen_hw.spatial import Array, rotation_from_quaternion
 
@@ -23,6 +24,8 @@ LARGEST = float(np.finfo(float).max) ** 0.25
 """Of a number in a recording: products of two of them have a square."""
 ASKED = 200
 """Rows on which that is asked."""
+FEW = 6
+"""Names that one line can bear."""
 
 
 @contextmanager
@@ -47,11 +50,29 @@ def observations_of(recording: Recording, terms: Terms = ()) -> Observations:
         return _observations(recording, terms)
 
 
+def _nothing_named(recording: Recording) -> UsageError:
+    """What a recording lacks that does not say what is compared."""
+    groups, where = {group_of(column) for column in recording.columns}, recording.about
+    if "position" in groups and recording.info.robot is None and groups & {"wrench", "effort", "pose", "targets"}:
+        return UsageError(
+            "the joints of which robot?", where=where, todo="--robot FILE.urdf, or robot in recording.json"
+        )
+    if "wrench" in groups and not groups & {"position", "sensor"}:
+        todo = "record the joints (and give --robot) or the sensor's orientation beside it"
+        return UsageError("a wrench alone: how the sensor stood is not known", where=where, todo=todo)
+    if where != str(recording.path):
+        return UsageError("nothing is named to compare", where=f"{where}: predict", todo='e.g. "predict": "wrench"')
+    unknown = [column.removeprefix("covariate.") for column in recording.columns if group_of(column) == "covariate"]
+    more = f" and {len(unknown) - FEW} more" if len(unknown) > FEW else ""
+    names = f" ({', '.join(unknown[:FEW])}{more} are no names that are known)" if unknown else ""
+    todo = f"say which is which: galen-hw import {where} --write-map {where}.map.toml, edit that, and ask again"
+    return UsageError(f"no wrench, effort or pose to compare{names}", where=where, todo=todo)
+
+
 def _observations(recording: Recording, terms: Terms) -> Observations:
     info = recording.info
     if info.predict is None:
-        where = f"{recording.about}: predict"
-        raise UsageError("nothing is named to compare", where=where, todo='e.g. "predict": "wrench"')
+        raise _nothing_named(recording)
     for each in (recording, recording.simulation):
         if each is not None:
             _finite_squares(each)

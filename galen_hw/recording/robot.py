@@ -10,6 +10,7 @@ from galen_hw.kinematics import GalenRobot, Robot, UrdfRobot
 from galen_hw.kinematics.joint_map import sources
 from galen_hw.premises.model import ModelProblem, base_problems, model_problems
 from galen_hw.recording import Recording
+from galen_hw.recording.recording import SENSOR_ORIENTATION
 from galen_hw.spatial import Array
 
 IN_JOINTS: Final = ("effort", "position")
@@ -49,8 +50,12 @@ def model_notes(recording: Recording, robot: Robot | None, predict: str | None) 
     if not isinstance(robot, UrdfRobot) or recording.simulation is not None:
         return []
     info, read = recording.info, _recorded(recording)
-    if predict == "wrench" and not read.issuperset(robot.moving()):
-        return []  # the sensor's orientation was recorded instead
+    absent = [name for name in robot.moving() if name not in read]
+    if predict == "wrench" and absent:
+        if recording.has(*SENSOR_ORIENTATION):
+            return []
+        what = f"{len(absent)} of the robot's joints have no position, first {absent[0]}"
+        raise UsageError(what, where=recording.about, todo=f"add the column joint.{absent[0]}.position")
     problems = model_problems(
         robot,
         sensor_named=bool(info.sensor_link or info.tip_link),
@@ -63,7 +68,8 @@ def model_notes(recording: Recording, robot: Robot | None, predict: str | None) 
         problems += _unread(robot, recording)
     for problem in problems:
         if problem.severity == "refuse":
-            raise UsageError(problem.what, where=problem.where, todo=problem.todo)
+            how = " (--sensor-link, or sensor_link in recording.json)" if problem.where.endswith("sensor_link") else ""
+            raise UsageError(problem.what, where=problem.where, todo=problem.todo + how)
     return [str(problem) for problem in problems]
 
 
