@@ -112,7 +112,7 @@ def test_an_effect_in_a_position_is_named_alone(name):
     assert (named(d), d.verdict) == ([key], "explained")
 
 
-@pytest.mark.parametrize(("compliance", "cubic"), [(2e-3, 0.0), (0.0, 1e-3), (2e-3, 5e-4)])
+@pytest.mark.parametrize(("compliance", "cubic"), [(2e-3, 0.0), (0.0, 1e-3), (4e-3, 5e-4)])
 def test_give_of_a_joint_under_a_known_force_is_named_with_its_number(compliance, cubic):
     """A spring, a spring that softens, or both, from the tracked tip."""
     d = answer(cases.tracked(compliance, cubic))

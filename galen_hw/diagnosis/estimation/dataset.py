@@ -302,8 +302,14 @@ class Bench:
         return out
 
 
-def _of(columns: Columns, channel: int) -> Array:
-    return columns.values[:, columns.channels.index(channel)]
+def _of(columns: Columns, channel: int, *, rounding: float = 1e-9) -> Array:
+    """(M, k) columns in a channel, without those that are none there but for the rounding of what they are in others.
+
+    Scaled to unit length these would be directions like any, and other ones on another processor.
+    """
+    size = np.linalg.norm(columns.values, axis=0)
+    own = columns.channels.index(channel)
+    return np.asarray(columns.values[:, own, size[own] > rounding * size.max(axis=0)])
 
 
 def rich_basis(whole: Array, rich: list[Array], rows: int) -> Array:

@@ -14,7 +14,8 @@ def plainest(
 ) -> int:
     """Return the plainest hypothesis that the first of the able does not lead by more than a standard error.
 
-    A likelihood ratio is compared with its own spread from block to block (Vuong 1989).
+    A likelihood ratio is compared with its own spread from block to block (Vuong 1989), and with what laws may miss of what they
+    explain: where noise alone is left with either, less than that is no evidence (a steady pull is a weight but for inertia).
 
     Args:
         able: best first.
@@ -30,7 +31,11 @@ def plainest(
         if effect is not None and _cost(scorer, scores, i) < own:
             places.setdefault(effect.location, i)
     for asked, i in enumerate(sorted(places.values(), key=lambda i: _cost(scorer, scores, i))):
-        tied = scores[best].rank - scores[i].rank <= nothing
+        lead = scores[best].rank - scores[i].rank
+        tied = lead <= nothing or (
+            lead <= CRITERIA.least_share * scores[best].gain
+            and missed(bench, scorer, [*chosen, i]) <= CRITERIA.noise_alone
+        )
         if tied or (asked < LIMITS.rivals and ahead(bench, scorer, chosen, best, i) < 1.0):
             return i
     return best

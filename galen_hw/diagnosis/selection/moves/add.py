@@ -16,7 +16,7 @@ from galen_hw.diagnosis.selection.moves.step_times import parted
 from galen_hw.diagnosis.selection.moves.tighten import tightened
 from galen_hw.diagnosis.selection.moves.timing import own_clocks
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
-from galen_hw.diagnosis.selection.simplicity import plainest
+from galen_hw.diagnosis.selection.simplicity import plainest, undecided
 
 
 def added(out: Selection) -> bool:
@@ -48,7 +48,8 @@ def _best(out: Selection) -> list[int]:
     if not fit:
         return []
     able += sharpened(bench, scorer, out.chosen, scores, fit)
-    able.insert(0, plainest(bench, scorer, out.chosen, scores, able, unsure=0.0))
+    unsure = undecided(bench, scorer, [*out.chosen, able[0]])
+    able.insert(0, plainest(bench, scorer, out.chosen, scores, able, unsure=unsure))
     able[:0] = kind_first(scorer, scores, able)
     tries = 0
     for i in dict.fromkeys(able):
