@@ -13,10 +13,18 @@ import zmq
 from hypothesis import given
 from hypothesis import strategies as st
 
-from galen_hw.bus import CommandClient, Publisher, Subscriber, command_error, command_exception
+from galen_hw.bus import (
+    MOST_ASKED,
+    CommandClient,
+    HeedingPublisher,
+    Publisher,
+    Subscriber,
+    command_error,
+    command_exception,
+)
 from galen_hw.decoding import decode_request
 from galen_hw.errors import CommandRejectedError, GalenError, HardwareError, UsageError
-from galen_hw.messages import TOPICS, CommandError, Reply, Request, Vector3, WrenchRaw, encode
+from galen_hw.messages import STREAMS, TOPICS, CommandError, Reply, Request, Vector3, WrenchRaw, encode
 
 
 def wrench(seq: int, source: str = "ft") -> WrenchRaw:
@@ -77,6 +85,44 @@ def test_what_is_no_message_is_counted_and_passed_over(pair: tuple[Publisher, Su
     assert received is not None
     assert received[1] == wrench(5)
     assert subscriber.unreadable == 3
+
+
+def look_until(publisher: HeedingPublisher, unasked: frozenset[str]) -> bool:
+    """Whether what nobody asks for becomes this: a subscription takes effect some time after it is made."""
+    until = time.monotonic() + 10.0
+    while time.monotonic() < until:
+        publisher.look()
+        if publisher.unasked == unasked:
+            return True
+        time.sleep(0.005)
+    return False
+
+
+def test_what_nobody_asks_for_is_known(bus: str) -> None:
+    """Streams only; by beginnings of names, as ZeroMQ has it; until the last subscriber has gone. Junk asks for nothing."""
+    wrenches = {"wrench/raw", "wrench/compensated", "wrench/contact"}
+    with HeedingPublisher(bus) as publisher:
+        assert not publisher.unasked
+        publisher.look()
+        assert publisher.unasked == STREAMS
+        with Subscriber(bus, ["wrench/", "nothing/of/this", "wrench/rawer"]), Subscriber(bus, ["wrench/raw"]):
+            assert look_until(publisher, STREAMS - wrenches)
+            with Subscriber(bus):
+                assert look_until(publisher, frozenset())
+            assert look_until(publisher, STREAMS - wrenches)
+        assert look_until(publisher, STREAMS)
+
+
+def test_a_crowd_of_subscriptions_hides_no_subscriber(bus: str) -> None:
+    """While more is asked than is looked at in one go, everything counts as asked for; afterwards what is asked for does."""
+    with HeedingPublisher(bus) as publisher, Subscriber(bus, ["joints/state"]) as crowd:
+        assert look_until(publisher, STREAMS - {"joints/state"})
+        for n in range(3 * MOST_ASKED):
+            crowd.socket.setsockopt(zmq.SUBSCRIBE, b"junk/%d" % n)
+        time.sleep(0.5)
+        publisher.look()
+        assert publisher.unasked == frozenset()
+        assert look_until(publisher, STREAMS - {"joints/state"})
 
 
 def test_slow_subscriber_slows_nobody(bus: str) -> None:

@@ -337,6 +337,66 @@ def test_requests_that_make_no_sense_are_refused(plant):
     assert plant.until("waiting", "stopped").state == "waiting"
 
 
+def _start_without_wrenches(plant):
+    """A start while joints are known and wrenches are not."""
+    plant.silent.add("ft")
+    plant.hooks.append(lambda p: p.ask("heartbeat", owner="me"))
+    plant.run_for(0.2)
+    assert plant.service.wants == ("joints/state",)
+    assert plant.ask("start", tool="retractor", owner="me") is None
+    assert "wrench/raw" in plant.service.wants
+
+
+def test_wrenches_are_asked_for_by_a_sweep_only(plant):
+    """An idle service leaves them on the bus; a start waits for the first, and nothing has moved before its answer."""
+    _start_without_wrenches(plant)
+    plant.run_for(0.2)
+    assert (plant.progress, plant.moves, plant.enabled) == ([], [], False)
+    with pytest.raises(CommandRejectedError, match="a start runs already"):
+        plant.service.request(Request(id="2", target="calibration", name="start", args={"tool": "x"}), plant.now)
+    plant.silent.clear()
+    plant.run_for(0.1)
+
+    assert plant.replies["client-start"].error is None
+    assert plant.replies["client-start"].result["poses"] > 0
+    plant.until("waiting")
+    plant.ask("stop")
+    assert plant.service.wants == ("joints/state",)
+
+
+def test_a_start_without_wrenches_is_refused_in_the_end(plant):
+    """After `stale_s`, not sooner, and the service is as it was."""
+    _start_without_wrenches(plant)
+    plant.run_for(0.9 * plant.settings.stale_s)
+    assert "client-start" not in plant.replies
+    plant.run_for(0.2 * plant.settings.stale_s)
+
+    error = plant.replies["client-start"].error
+    assert (error.kind, error.what) == ("rejected", "no samples from ft")
+    assert plant.service.wants == ("joints/state",)
+    plant.silent.clear()
+    plant.run_for(0.2)
+    assert (plant.progress, plant.moves) == ([], [])
+    assert plant.sweep().state == "done"
+
+
+@pytest.mark.parametrize("end", ["stop", "daemon"])
+def test_a_start_that_waits_can_be_stopped(plant, end):
+    """By its owner or by anybody without a name, not by another owner; the end of the daemon answers it too."""
+    _start_without_wrenches(plant)
+    assert plant.ask("stop", owner="another").result == {"running": False}
+    assert "client-start" not in plant.replies
+    if end == "stop":
+        plant.ask("stop")
+    else:
+        plant.take(plant.service.end(plant.now))
+    assert plant.replies["client-start"].error.kind == "rejected"
+    plant.silent.clear()
+    plant.run_for(0.5)
+
+    assert (plant.progress, plant.moves) == ([], [])
+
+
 @contextmanager
 def _served(plant, runtime):
     """The plant's service at a command socket of its own; its addresses and what was asked."""

@@ -292,6 +292,27 @@ def test_wire_that_fails_is_tried_again_later_and_later() -> None:
     waker.close()
 
 
+def test_a_sample_is_handed_on_before_the_device_has_its_turn() -> None:
+    """What is due to be sent, and a wire that wants to be looked after, come when the sample is on its way."""
+    clock, waker = SimulatedClock(NS_PER_S), Waker()
+    wire = MemoryWire([None])
+    sensor = LineSensor("ft", LineSensor.Settings(), TimeBase())
+    port = Port(sensor, lambda: wire, clock.monotonic_ns, waker.wake)
+    assert port.receive() == []
+    drive(port, lambda: port.state == "open", waker)
+    port.request(Request(id="1", target="ft", name="say", args={"text": "hi"}), clock.now_ns)
+    wire.sent.clear()
+    wire.arrived = [(b"1.5\n", clock.now_ns)]
+    outputs = port.receive()
+
+    assert outputs[0][1].force.z == 1.5
+    assert wire.sent == []
+    assert port.tend() == []
+    assert wire.sent == [b"hi\n"]
+    port.close()
+    waker.close()
+
+
 def test_port_closed_while_it_opens_leaves_nothing_open() -> None:
     """The end of the daemon does not wait for an adapter, and what it opens then is closed."""
     import threading

@@ -21,6 +21,7 @@ from galen_hw.bus import CommandClient, Subscriber
 from galen_hw.config.paths import Addresses
 from galen_hw.daemon.session import own_daemon
 from galen_hw.messages import Status
+from galen_hw.tools.bench_floor import cpu_s
 
 RATES_HZ: Final = (1000.0, 1500.0, 2000.0, 2500.0, 3000.0)
 SETTLE_S: Final = 3.0
@@ -103,7 +104,7 @@ def _listen(rate_hz: float, seconds: float, addresses: Addresses) -> Result:
     count, last_seq, lost = 0, -1, 0
     with Subscriber(addresses.bus, [TOPIC]) as subscriber, Subscriber(addresses.bus, ["status"]) as statuses:
         _skip(subscriber, SETTLE_S)
-        before, wire_before = _cpu_s(core), _wire(statuses)
+        before, wire_before = cpu_s(core), _wire(statuses)
         gc.collect()
         gc.disable()
         begun = time.monotonic()
@@ -120,7 +121,7 @@ def _listen(rate_hz: float, seconds: float, addresses: Addresses) -> Result:
             count += 1
         elapsed = time.monotonic() - begun
         gc.enable()
-        share = (_cpu_s(core) - before) / elapsed
+        share = (cpu_s(core) - before) / elapsed
         wire_after = _wire(statuses, wait_s=1.5)
     p50, p90, p99, p999, most = np.percentile(ages_ns[:count], [50, 90, 99, 99.9, 100]) / 1e3
     wire = {
@@ -147,12 +148,6 @@ def _wire(statuses: Subscriber, wait_s: float = 0.0) -> dict[str, int]:
         if counters and time.monotonic() >= until:
             break
     return counters
-
-
-def _cpu_s(pid: int) -> float:
-    """Seconds that all threads of a process have run (the scheduler's own count, not the clock tick's samples)."""
-    tasks = Path(f"/proc/{pid}/task").iterdir()
-    return sum(int((task / "schedstat").read_text(encoding="ascii").split()[0]) for task in tasks) / 1e9
 
 
 def _print(results: list[Result]) -> None:

@@ -129,6 +129,11 @@ class Host:
         """Topics that a service here takes."""
         return frozenset(topic for topic, route in self._routes.items() if route.consumers)
 
+    @property
+    def wants(self) -> frozenset[str]:
+        """Topics that a service here has a use for now."""
+        return frozenset(topic for service in self.services.values() for topic in service.wants)
+
     def take(self, outputs: Iterable[Any], service: Service | None = None) -> None:
         """Carry the outputs of a device or (if given) of a service to where they belong."""
         for output in outputs:

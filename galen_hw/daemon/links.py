@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -10,7 +10,7 @@ import msgspec
 import zmq
 from msgspec.structs import replace
 
-from galen_hw.bus import TOPIC_BYTES, Publisher, bind, receive_all
+from galen_hw.bus import TOPIC_BYTES, HeedingPublisher, bind, receive_all
 from galen_hw.config.paths import Addresses
 from galen_hw.decoding import UnreadableError, decode_message, limit
 from galen_hw.messages import MAX_AGE_NS, STREAMS, Message, Reply, Request, encode, too_old
@@ -162,7 +162,7 @@ class CoreLink(_Link):
     """
 
     def __init__(self, name: str, addresses: Addresses, origin: Origin, queue: int) -> None:
-        self._publisher = Publisher(addresses.bus, queue=queue, mode=socket_mode(addresses.runtime))
+        self._publisher = HeedingPublisher(addresses.bus, queue=queue, mode=socket_mode(addresses.runtime))
         inward: zmq.Socket[Any] = zmq.Context.instance().socket(zmq.PULL)
         inward.setsockopt(zmq.RCVHWM, INWARD_QUEUE)
         limit(inward)
@@ -170,8 +170,18 @@ class CoreLink(_Link):
         super().__init__(name, addresses, origin, inward)
 
     def publish(self, topic: str, message: Message) -> None:
-        """Put a message on the bus."""
+        """Put a message on the bus; one of a stream that nobody asks for is not made up for nobody.
+
+        What comes seldom is sent in any case: who has asked a moment ago has not been seen yet, and the next is far away.
+        """
+        if topic in self._publisher.unasked:
+            return
         self._publisher.publish(topic, replace(message, robot=self._robot, virtual=self._virtual))
+
+    def adapt(self, wanted: Collection[str]) -> None:
+        """See what subscribers ask for by now; services here are handed what is published here without the bus."""
+        del wanted
+        self._publisher.look()
 
     def messages(self, ready: Sequence[int]) -> list[tuple[bytes, bytes]]:
         """What the other processes have published since; passed on to the bus already."""
@@ -198,9 +208,9 @@ class CoreLink(_Link):
 
 
 class EdgeLink(_Link):
-    """The link of the other processes: pushes to `core`, subscribes to what its services take."""
+    """The link of the other processes: pushes to `core`, subscribes to what its services want (see `adapt`)."""
 
-    def __init__(self, name: str, addresses: Addresses, origin: Origin, topics: Iterable[str]) -> None:
+    def __init__(self, name: str, addresses: Addresses, origin: Origin) -> None:
         context: zmq.Context[zmq.Socket[bytes]] = zmq.Context.instance()
         self._outward: zmq.Socket[Any] = context.socket(zmq.PUSH)
         # Nothing waits for a core that is away: what is old by the time it is back helps nobody.
@@ -212,9 +222,8 @@ class EdgeLink(_Link):
         bus: zmq.Socket[Any] = context.socket(zmq.SUB)
         limit(bus)
         bus.setsockopt(zmq.RECONNECT_IVL, 20)
-        for topic in topics:
-            bus.setsockopt(zmq.SUBSCRIBE, topic.encode())
         bus.connect(addresses.bus)
+        self._wanted: frozenset[str] = frozenset()
         super().__init__(name, addresses, origin, bus)
 
     def publish(self, topic: str, message: Message) -> None:
@@ -224,6 +233,16 @@ class EdgeLink(_Link):
             self._outward.send_multipart([TOPIC_BYTES[topic], encode(signed)], zmq.NOBLOCK)
         except zmq.Again:
             self.dropped += 1
+
+    def adapt(self, wanted: Collection[str]) -> None:
+        """Subscribe to these topics, and to no other any more."""
+        if self._wanted == (topics := frozenset(wanted)):
+            return
+        for topic in topics - self._wanted:
+            self.inlet.socket.setsockopt(zmq.SUBSCRIBE, topic.encode())
+        for topic in self._wanted - topics:
+            self.inlet.socket.setsockopt(zmq.UNSUBSCRIBE, topic.encode())
+        self._wanted, self.inlet.pending = topics, True
 
     def messages(self, ready: Sequence[int]) -> list[tuple[bytes, bytes]]:
         """What has been published on the topics of our services since."""

@@ -4,7 +4,7 @@ import contextlib
 import os
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final
 
 from galen_hw.clock import NS_PER_S, TimeBase
@@ -62,20 +62,36 @@ class Port:
 
     @property
     def wakeup_ns(self) -> int:
-        """When `step` wants to be called though nothing was received."""
+        """When `tend` wants to be called though nothing was received."""
         if self.transport is not None:
             return min(self.device.wakeup_ns, self.transport.wakeup_ns)
         return NEVER if self._opening is not None else self._retry_ns
 
     def step(self, *, readable: bool) -> list[Output]:
-        """Do what there is to do: open, receive and feed, poll and send. A wire that is gone is closed and retried."""
+        """Do all there is to do: `receive` where something can be read, and `tend`."""
+        return [*(self.receive() if readable else ()), *self.tend()]
+
+    def receive(self) -> list[Output]:
+        """Read the wire and feed the device, and nothing else: a sample does not wait for what has time (see `tend`)."""
+        outputs: list[Output] = []
+        if self.transport is None:
+            return outputs
+        try:
+            self._feed(self.transport.receive(0.0), outputs)
+        except HardwareError as error:
+            self._lose(error, outputs)
+        return outputs
+
+    def tend(self) -> list[Output]:
+        """Open the wire, let the device and the wire have their turn, send. A wire that is gone is closed and retried."""
         if self.transport is None:
             self._advance_opening()
             if self.transport is None:
                 return []
         outputs: list[Output] = []
         try:
-            self._receive(self.transport, outputs, readable=readable)
+            if self._reader is not None:
+                self._feed(self._reader.take(), outputs)
             now = self._clock()
             if self.transport.news:
                 self._tell_news(self.transport, outputs, now)
@@ -87,9 +103,7 @@ class Port:
                     self.transport.send(wires)
                 outputs += more
         except HardwareError as error:
-            self._fail(error)
-            self._reporter.where = error.where
-            outputs += self._reporter.fault(self._clock(), "gone", error.what, error.todo)
+            self._lose(error, outputs)
         return outputs
 
     def request(self, request: Request, now_ns: int) -> list[Output]:
@@ -122,16 +136,16 @@ class Port:
             self.transport.close()
             self.transport = None
 
-    def _receive(self, transport: Transport[Any], outputs: list[Output], *, readable: bool) -> None:
-        if self._reader is not None:
-            received = self._reader.take()
-        elif readable:
-            received = transport.receive(0.0)
-        else:
-            return
+    def _feed(self, received: Iterable[tuple[Any, int]], outputs: list[Output]) -> None:
         feed = self.device.feed
         for wire, t_ns in received:
             outputs += feed(wire, t_ns)
+
+    def _lose(self, error: HardwareError, outputs: list[Output]) -> None:
+        """Close a wire that is gone, and say so."""
+        self._fail(error)
+        self._reporter.where = error.where
+        outputs += self._reporter.fault(self._clock(), "gone", error.what, error.todo)
 
     def _tell_news(self, transport: Transport[Any], outputs: list[Output], now_ns: int) -> None:
         news, transport.news = transport.news, ()

@@ -67,12 +67,11 @@ class Worker:
         for name, port in ports.items():
             self._device_keeper.give_back(name, port.device)
         addresses = Addresses(Path(orders.runtime))
-        topics = {t for s in services.values() for t in s.consumes}
         origin = Origin(self._setup.config.robot.name, orders.virtual)
         self._link: CoreLink | EdgeLink = (
             CoreLink(orders.name, addresses, origin, self._setup.config.bus.queue_messages)
             if orders.name == CORE
-            else EdgeLink(orders.name, addresses, origin, topics)
+            else EdgeLink(orders.name, addresses, origin)
         )
         self._board = PulseBoard(orders.pulse_fd, orders.processes)
         self._guard = self._make_guard(whole) if MOTORS in ports else None
@@ -85,6 +84,7 @@ class Worker:
             on_done=self._keep,
             forbids=lambda: self._guard.missing if self._guard else "",
         )
+        self._link.adapt(self.host.wants)
         self._consumed = {topic.encode() for topic in self.host.consumed}
         self._unreadable = 0
         self._ports = list(ports.values())
@@ -121,9 +121,11 @@ class Worker:
         ready = self._wait(due_ns)
         host, wires = self.host, 0
         for port in self._ports:
-            is_readable = port.fd in ready
-            wires += is_readable
-            if outputs := port.step(readable=is_readable):
+            if port.fd in ready:
+                wires += 1
+                if outputs := port.receive():
+                    host.take(outputs)
+            if outputs := port.tend():
                 host.take(outputs)
         if self._patience_ns and (now := self._now()) >= self._next_inlet_ns:
             self._next_inlet_ns = now + self._patience_ns
@@ -134,6 +136,7 @@ class Worker:
         self._pulse(now)
         if now >= self._next_due_ns:
             host.tick(now)
+            self._link.adapt(host.wants)
             self._report(now)
             self._garbage.collect(now)
             self._next_due_ns = min(host.wakeup_ns, self._next_beat_ns)
@@ -226,6 +229,7 @@ class Worker:
                     request := decode_request(payload, LARGEST_MESSAGE), CommandError
                 ):
                     self.host.from_outside(request)
+                    self._link.adapt(self.host.wants)  # at once: a command may wait for what it now wants
                 else:
                     self._unreadable += 1
             except UnreadableError:

@@ -8,6 +8,7 @@ wrong, the motors stop and the poses so far are kept.
 `owner` is a word of the client's own: with it in start, only heartbeats that bear it count. `stop` without it always
 stops; with it, it stops that owner's sweep only, so that a client whose start was refused cannot end another's sweep.
 With `hold` a sweep that was accepted moves nothing before `resume`: whoever was refused has not touched the robot.
+A start waits for a first wrench, `stale_s` at most: while no sweep runs nobody here asks the bus for wrenches.
 `counts` are the positions of each swept axis, in the order of the settings, whose ranges stay.
 """
 
@@ -20,8 +21,8 @@ from pydantic import BaseModel, ValidationError
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.config.tool_file import NAME
-from galen_hw.errors import CommandRejectedError, UsageError
-from galen_hw.messages import Fault, JointsState, Message, Reply, Request, Status, WrenchRaw
+from galen_hw.errors import CommandRejectedError, GalenError, UsageError
+from galen_hw.messages import CommandError, Fault, JointsState, Message, Reply, Request, Status, WrenchRaw
 from galen_hw.services.calibration.file import SweepFile
 from galen_hw.services.calibration.hold import Expectation
 from galen_hw.services.calibration.plan import duration_s, make_plan
@@ -32,6 +33,8 @@ from galen_hw.services.service import Output, Service, ServiceContext
 
 PROGRESS_NS: Final = NS_PER_S // 5
 DISK_ENDS_S: Final = 2.0
+IDLE: Final = ("joints/state",)
+"""Topics that are wanted while no sweep runs."""
 
 
 class CalibrationService(Service):
@@ -52,6 +55,14 @@ class CalibrationService(Service):
         self._last_raw: WrenchRaw | None = None
         self._last_joints: JointsState | None = None
         self._last_stop = self._owner = ""
+        self._asked: Request | None = None
+        """A start that waits for a first wrench, until `_asked_until_ns`."""
+        self._asked_until_ns = 0
+
+    @property
+    def wants(self) -> tuple[str, ...]:
+        """Wrenches only for a sweep."""
+        return IDLE if self._run is None and self._asked is None else self.consumes
 
     def handle(self, topic: str, message: Message, now_ns: int) -> list[Output]:
         """Take a raw wrench or a joint state."""
@@ -62,7 +73,7 @@ class CalibrationService(Service):
             self._last_joints = message
         run = self._run
         if run is None:
-            return []
+            return self._start_asked(now_ns)
         run.now_ns = now_ns
         try:
             if type(message) is WrenchRaw:
@@ -97,6 +108,8 @@ class CalibrationService(Service):
             # A stop without a name is anybody's and always obeyed.
             meant = run if owner in ("", self._owner) else None
             stopped = [] if meant is None else self._stop(meant, SweepStoppedError("stopped by request"))
+            if self._asked is not None and owner in ("", str(self._asked.args.get("owner", ""))):
+                stopped += self._refuse_asked(CommandRejectedError("stopped by request", where=self.name))
             return [*stopped, Reply(id=request.id, result={"running": meant is not None})]
         todo = "calibration takes start, resume, heartbeat and stop"
         what = f"no request {request.name!r}"
@@ -120,8 +133,10 @@ class CalibrationService(Service):
 
     def tick(self, now_ns: int) -> list[Output]:
         """Time-outs, the watch over client and data, progress and status."""
-        run = self._run
         outputs: list[Output] = []
+        if self._asked is not None and now_ns >= self._asked_until_ns:
+            outputs += self._refuse_asked(self._no_samples(self._context.sensor))
+        run = self._run
         if run is not None:
             run.now_ns = now_ns
             try:
@@ -143,7 +158,7 @@ class CalibrationService(Service):
         """Stop a sweep that runs and say so: its client must not wait for what has gone."""
         run = self._run
         if run is None:
-            return []
+            return self._refuse_asked(CommandRejectedError("the daemon ends", where=self.name))
         run.now_ns = now_ns
         return self._stop(run, SweepStoppedError("the daemon ends"))
 
@@ -161,14 +176,15 @@ class CalibrationService(Service):
         return (state.get("version"), state.get("identity")) == (1, self._context.identity)
 
     def _start(self, request: Request, now_ns: int) -> list[Output]:
-        """Plan a sweep and set it going.
+        """Plan a sweep and set it going, or wait for a first wrench.
 
         Raises:
             CommandRejectedError: one runs already, or the arguments are not possible.
         """
-        if self._run is not None:
+        if self._run is not None or self._asked is not None:
+            kind = "start" if self._run is None else self._run.kind
             todo = "wait, or stop it: galen-hw command calibration stop"
-            raise CommandRejectedError(f"a {self._run.kind} runs already", where=self.name, todo=todo)
+            raise CommandRejectedError(f"a {kind} runs already", where=self.name, todo=todo)
         args = dict(request.args)
         owner, hold = str(args.pop("owner", "")), args.pop("hold", False) is True
         tool, kind = str(args.pop("tool", "")), str(args.pop("kind", "sweep"))
@@ -176,7 +192,11 @@ class CalibrationService(Service):
             todo = "start takes tool (a name) and kind (sweep or check)"
             raise CommandRejectedError("not a sweep that can be started", where=self.name, todo=todo)
         settings = self._overridden(args)
-        self._require_data(now_ns)
+        if not self._is_fresh(self._last_joints, now_ns):
+            raise self._no_samples(self._context.motors)
+        if not self._is_fresh(self._last_raw, now_ns):
+            self._asked, self._asked_until_ns = request, now_ns + round(self._settings.stale_s * NS_PER_S)
+            return []
         run = self._make_run(tool, kind, settings, now_ns)
         run.held, self._owner = hold, owner
         self._run, self._script = run, (sweep if kind == "sweep" else check)(run)
@@ -214,11 +234,32 @@ class CalibrationService(Service):
                 f"{key}: {first['msg']}", where=self.name, todo="correct the argument"
             ) from error
 
-    def _require_data(self, now_ns: int) -> None:
-        oldest = now_ns - round(self._settings.stale_s * NS_PER_S)
-        for who, message in ((self._context.sensor, self._last_raw), (self._context.motors, self._last_joints)):
-            if message is None or message.t_ns < oldest:
-                raise CommandRejectedError(f"no samples from {who}", where=self.name, todo="galen-hw check")
+    def _is_fresh(self, message: Message | None, now_ns: int) -> bool:
+        return message is not None and message.t_ns >= now_ns - round(self._settings.stale_s * NS_PER_S)
+
+    def _no_samples(self, who: str) -> CommandRejectedError:
+        return CommandRejectedError(f"no samples from {who}", where=self.name, todo="galen-hw check")
+
+    def _start_asked(self, now_ns: int) -> list[Output]:
+        """Carry out the start that has waited, if there is one, now that wrenches come."""
+        asked = self._asked
+        if asked is None or not self._is_fresh(self._last_raw, now_ns):
+            return []
+        self._asked = None
+        try:
+            return self._start(asked, now_ns)
+        except GalenError as error:
+            self._asked = asked
+            return self._refuse_asked(error)
+
+    def _refuse_asked(self, error: GalenError) -> list[Output]:
+        """Answer a start that has waited in vain."""
+        asked, self._asked = self._asked, None
+        if asked is None:
+            return []
+        kind = "invalid" if isinstance(error, UsageError) else "rejected"
+        refusal = CommandError(kind=kind, what=error.what, where=error.where, todo=error.todo)
+        return [Reply(id=asked.id, error=refusal)]
 
     def _make_run(self, tool: str, kind: str, settings: CalibrationSettings, now_ns: int) -> Run:
         assert self._last_raw is not None
