@@ -167,13 +167,13 @@ def test_a_joint_that_gives_is_served_by_the_deflection(store, tmp_path, capsys)
             "model": {"bias": "free"},
         }
     )
-    seen = Recording(dict(cases.tracked(2e-3, 5e-4).columns), info)
+    seen = Recording(dict(cases.tracked(4e-3, 5e-4).columns), info)
     run = write_table(seen, tmp_path / "pose")
     assert main(["diagnose", str(run), "--save-model", "arm.json"]) == 1
     assert "galen-hw deflection import arm.json takes it up" in capsys.readouterr().out
     assert main(["deflection", "--state", str(tmp_path / "state"), "import", "arm.json"]) == 0
     file = DeflectionStore(tmp_path / "state").load("arm")
-    another = cases.tracked(2e-3, 5e-4, seed=2)
+    another = cases.tracked(4e-3, 5e-4, seed=2)
     scene = scene_of(another)
     data = DeflectionSet("other", "", another, scene.time, scene.q, another.matrix(*APPLIED), scene.residual)
     left = data.give - model_of(file.model, file.values).predict(data)

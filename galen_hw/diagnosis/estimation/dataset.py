@@ -71,7 +71,7 @@ class Bench:
     aside: Mask = field(init=False)
     hollow: Mask = field(init=False)
     unread: Mask = field(init=False)
-    """(C,) channels that read one value in every row while others do not (a sensor without them): they count for nothing."""
+    """(C,) channels that read one value in every row, as simulated, while others do not (a sensor without them)."""
     dropped: Mask = field(init=False)
     noise: Noise = field(init=False)
     state: ModelState = field(init=False)
@@ -87,7 +87,7 @@ class Bench:
         count = 40 if len(self.rows) >= 400 else max(min(len(self.rows) // 4, 14), 4)
         self.block = blocks(self.rows.runs, count)
         self.aside = set_aside(self.block, self.held, self.seed) if self.held > 0 else np.zeros(len(self.rows), bool)
-        still = np.ptp(self.scene.measured, axis=0) == 0.0
+        still = np.ptp(self.scene.measured, axis=0) + np.ptp(self.scene.simulated, axis=0) == 0.0
         self.unread = still & ~still.all()
         self.whole = np.where(self.unread, 0.0, self.rows.average(self.scene.residual))
         self.state = ModelState(self.whole, self.scene)
@@ -302,14 +302,13 @@ class Bench:
         return out
 
 
-def _of(columns: Columns, channel: int, *, rounding: float = 1e-9) -> Array:
+def _of(columns: Columns, channel: int) -> Array:
     """(M, k) columns in a channel, without those that are none there but for the rounding of what they are in others.
 
     Scaled to unit length these would be directions like any, and other ones on another processor.
     """
-    size = np.linalg.norm(columns.values, axis=0)
-    own = columns.channels.index(channel)
-    return np.asarray(columns.values[:, own, size[own] > rounding * size.max(axis=0)])
+    size, own = np.linalg.norm(columns.values, axis=0), columns.channels.index(channel)
+    return np.asarray(columns.values[:, own, size[own] > np.sqrt(np.finfo(float).eps) * size.max(axis=0)])
 
 
 def rich_basis(whole: Array, rich: list[Array], rows: int) -> Array:
