@@ -112,16 +112,7 @@ class HeedingPublisher(Publisher):
     _kind = zmq.XPUB
     unasked: frozenset[str] = frozenset()
     """Topics of `STREAMS` that nobody asked for when `look` was called last; none before that."""
-
-    def __init__(
-        self,
-        *addresses: str,
-        queue: int = QUEUE_LENGTH,
-        mode: int | None = None,
-        context: zmq.Context[Any] | None = None,
-    ) -> None:
-        super().__init__(*addresses, queue=queue, mode=mode, context=context)
-        self._asked: set[bytes] = set()
+    _asked: frozenset[bytes] = frozenset()
 
     def look(self) -> None:
         """Take note of what is asked for by now, and of what is not any more.
@@ -135,9 +126,9 @@ class HeedingPublisher(Publisher):
         for frames in news:
             sign, beginning = frames[0][:1], frames[0][1:]
             if sign == b"\x01" and any(topic.startswith(beginning) for topic in TOPIC_BYTES.values()):
-                self._asked.add(beginning)
+                self._asked |= {beginning}
             elif sign == b"\x00":
-                self._asked.discard(beginning)
+                self._asked -= {beginning}
         asked = tuple(self._asked) if len(news) < MOST_ASKED else (b"",)
         self.unasked = frozenset(name for name in STREAMS if not TOPIC_BYTES[name].startswith(asked))
 

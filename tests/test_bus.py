@@ -88,7 +88,7 @@ def test_what_is_no_message_is_counted_and_passed_over(pair: tuple[Publisher, Su
 
 
 def look_until(publisher: HeedingPublisher, unasked: frozenset[str]) -> bool:
-    """Whether what nobody asks for becomes this: a subscription takes effect some time after it is made."""
+    """Return whether what nobody asks for becomes this: a subscription takes effect some time after it is made."""
     until = time.monotonic() + 10.0
     while time.monotonic() < until:
         publisher.look()

@@ -51,7 +51,7 @@ def observations_of(recording: Recording, terms: Terms = ()) -> Observations:
 
 
 def _nothing_named(recording: Recording) -> UsageError:
-    """What a recording lacks that does not say what is compared."""
+    """Return what a recording lacks that does not say what is compared."""
     groups, where = {group_of(column) for column in recording.columns}, recording.about
     if "position" in groups and recording.info.robot is None and groups & {"wrench", "effort", "pose", "targets"}:
         return UsageError(

@@ -75,6 +75,7 @@ SWITCHES: Final[dict[str, Switch]] = {
     "pairs": Switch(f"{MOVES}.pairs:hidden", _no, "two effects that are significant together alone"),
     "drop": Switch(f"{MOVES}.drop:dropped", _no, "effects that others have made needless"),
     "swap": Switch(f"{MOVES}.swap:swapped", _no, "each effect for its look-alikes"),
+    "simplified": Switch(f"{MOVES}.swap:simplified", _no, "a plainer kind for one no better than what is missing"),
     "refine": Switch(f"{MOVES}.refine:refined", _no, "finer forms of what was found"),
     "paired test": Switch(f"{SELECTION}.acceptance:pays", _pays, "held-out errors before an effect joins"),
     "simpler": Switch(f"{SELECTION}.simplicity:plainest", _first, "the simpler within one standard error"),
