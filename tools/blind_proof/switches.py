@@ -1,16 +1,21 @@
 """Rules and moves of the diagnosis that can be switched off, one at a time: python -m ...switches NAME ARGUMENTS.
 
-A switch replaces one function, wherever it was imported to, by what it says when it has nothing to say. The rest of the command
-line is `galen-hw diagnose`'s own.
+A switch replaces one function, wherever it was imported to, by what it says when it has nothing to say. Without a name all rules
+are there and watched: how often each says anything else, and the CPU time that it takes. The rest of the command line is
+`galen-hw diagnose`'s own.
 """
 
+import functools
 import importlib
 import runpy
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final
+
+import numpy as np
 
 SELECTION, MOVES = "galen_hw.diagnosis.selection", "galen_hw.diagnosis.selection.moves"
 
@@ -99,39 +104,84 @@ def switch_off(name: str) -> None:
     Raises:
         KeyError: there is no such switch, or what it names is nowhere.
     """
-    one = SWITCHES[name]
+    _replace(SWITCHES[name], SWITCHES[name].off)
+
+
+def watch() -> tuple[Counter[str], dict[str, float]]:
+    """Return, by switch, how often a rule says what it would not when off, and its CPU seconds; both grow as rules are asked."""
+    spoke, seconds = Counter[str](), dict.fromkeys(SWITCHES, 0.0)
+    for name, one in SWITCHES.items():
+        _replace(one, _watched(name, one, _rule(one), spoke, seconds))
+    return spoke, seconds
+
+
+def _watched(
+    name: str, one: Switch, rule: Callable[..., Any], spoke: Counter[str], seconds: dict[str, float]
+) -> Callable[..., Any]:
+    @functools.wraps(rule)
+    def watched(*args: Any, **kwargs: Any) -> Any:
+        start = time.thread_time()
+        said = rule(*args, **kwargs)
+        seconds[name] += time.thread_time() - start
+        spoke[name] += int(_differs(said, one.off(*args, **kwargs)))
+        return said
+
+    return watched
+
+
+def _differs(said: Any, silent: Any) -> bool:
+    """Return whether a rule said anything; a model is another one unless it is the same."""
+    plain = isinstance(said, (bool, int, float, list, tuple, np.ndarray, np.generic)) or said is None
+    return bool(np.any(said != silent)) if plain else said is not silent
+
+
+def _rule(one: Switch) -> Callable[..., Any]:
+    """The function that a switch names.
+
+    Raises:
+        KeyError: it is not there.
+    """
     module, function = one.target.split(":")
-    importlib.import_module("galen_hw.diagnosis.pipeline")
-    importlib.import_module("galen_hw.physics.scenes.wrench")
-    owner: Any = importlib.import_module(module)
-    *classes, function = function.split(".")
-    for name_of in classes:
-        owner = getattr(owner, name_of, None)
-    rule = getattr(owner, function, None)
+    rule: Any = importlib.import_module(module)
+    for name in function.split("."):
+        rule = getattr(rule, name, None)
     if rule is None:
         raise KeyError(f"{one.target} is not there")
-    if classes:
-        setattr(owner, function, one.off)
+    return rule  # type: ignore[no-any-return]
+
+
+def _replace(one: Switch, new: Callable[..., Any]) -> None:
+    importlib.import_module("galen_hw.diagnosis.pipeline")
+    importlib.import_module("galen_hw.physics.scenes.wrench")
+    rule = _rule(one)
+    module, function = one.target.split(":")
+    if "." in function:
+        owner, function = function.split(".")
+        setattr(getattr(importlib.import_module(module), owner), function, new)
         return
     for loaded in [m for key, m in list(sys.modules.items()) if key.startswith("galen_hw") and m is not None]:
         for key in [k for k, v in vars(loaded).items() if v is rule]:
-            setattr(loaded, key, one.off)
+            setattr(loaded, key, new)
     table = importlib.import_module(MOVES)
-    kept = tuple(replace(m, make=one.off) if m.make is rule else m for m in table.MOVES)
+    kept = tuple(replace(m, make=new) if m.make is rule else m for m in table.MOVES)
     for loaded in (table, importlib.import_module(f"{SELECTION}.search")):
         vars(loaded)["MOVES"] = kept
 
 
 def main(argv: list[str]) -> int:
     """Diagnose without one rule; the tool is run as its users run it."""
-    status = 0
+    status, spoke, seconds = 0, Counter[str](), dict[str, float]()
     if argv[0]:
         switch_off(argv[0])
+    else:
+        spoke, seconds = watch()
     sys.argv = ["galen-hw", "diagnose", *argv[1:]]
     try:
         runpy.run_module("galen_hw.cli", run_name="__main__")
     except SystemExit as end:
         status = int(end.code or 0)
+    for name in seconds:
+        print(f"rule {name}: spoke {spoke[name]}, cpu_s {seconds[name]:.2f}", file=sys.stderr)
     print(f"cpu_s {time.process_time():.2f}", file=sys.stderr)
     return status
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from galen_hw.diagnosis.detection.proposal import Sought
+from galen_hw.diagnosis.noise.spectrum import quantisation
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.events import Vibration
 from galen_hw.physics.effects.friction import TorqueRipple
@@ -109,7 +110,11 @@ def _above_motion(scene: Scene, runs: tuple[slice, ...], pad: int, n: int) -> in
 
 
 def ripples(scene: Scene, rest: Array) -> list[Sought]:
-    """For every joint effort the wave number at which a sine of the joint's position fits best."""
+    """For every joint effort the wave number at which a sine of the joint's position fits best.
+
+    A period is longer than two steps of the position's reading: finer ones are aliases of its rounding (a standing arm's, above
+    all, whose joints move by a few steps).
+    """
     if scene.observations.predict != "effort":
         return []
     out = []
@@ -121,6 +126,9 @@ def ripples(scene: Scene, rest: Array) -> list[Sought]:
         q = scene.q[rows, scene.joint_index(joint)]
         reach = float(np.ptp(q))
         numbers = np.arange(2.5, 160.0, 0.4) * 2.0 * np.pi / reach / 2.0
+        numbers = numbers[numbers * quantisation(scene.q[:, [scene.joint_index(joint)]])[0] < np.pi]
+        if not len(numbers):
+            continue
         r = rest[:, c] - rest[:, c].mean()
         power = np.array([np.abs(np.mean(r * np.exp(-1j * k * q))) ** 2 for k in numbers])
         out.append(Sought(TorqueRipple(joint, float(numbers[int(np.argmax(power))])), len(numbers)))
