@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from tests.diagnosis_cases import Beam
 
 from galen_hw.diagnosis.detection.spectral_lines import ripples
 from galen_hw.physics.effects.registry import scene_of
+from tests.diagnosis_cases import Beam
 
 
 @pytest.mark.parametrize("steps", [2, 40])
