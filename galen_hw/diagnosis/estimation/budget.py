@@ -14,6 +14,7 @@ class Budget:
         surrogates: recordings of noise alone; the scale of their maxima is then known to a seventh.
         rounds: in which what effects do to each other is told anew.
         steps: damped steps to an optimum; settled: the same of what stood at one before something else changed.
+        at_once: hypotheses whose whitened columns stand in memory together while all are made anew.
     """
 
     rows: int = 12500
@@ -22,6 +23,7 @@ class Budget:
     rounds: int = 4
     steps: int = 30
     settled: int = 4
+    at_once: int = 64
 
 
 BUDGET: Final = Budget()

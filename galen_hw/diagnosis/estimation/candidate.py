@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from galen_hw.diagnosis.noise.spectrum import Noise
 from galen_hw.diagnosis.stats.linear_algebra import pinned_at
 from galen_hw.diagnosis.stats.sampling import Index, Mask
 from galen_hw.lazy import cached_property
@@ -27,22 +28,24 @@ class Hypothesis:
     Args:
         effect: the piece of physics; None: a nuisance or a generic term.
         raw: averaged columns, unfiltered.
-        white: the same, whitened channel by channel.
+        whitened: the same, whitened channel by channel; None: not yet, or released (see `white`).
         looked: at how many places it was looked for; each of several touches at as many.
         theta: parameters at which `raw` is the slope (nonlinear effects); None: at zero.
         bend: (M, C) what it predicts at theta beyond slope times theta; None where it is linear.
         beside: (M, C) what it adds in a settled model because the others are there too; None: nothing.
+        noise: by which it is whitened; None: `whitened` is given.
         unseen: see `aside`; telling: see `lasts`; None: not asked yet.
     """
 
     effect: Effect | None
     raw: Columns
-    white: Columns
+    whitened: Columns | None
     looked: int = 1
     name: str = ""
     theta: Array | None = None
     bend: Array | None = None
     beside: Array | None = None
+    noise: Noise | None = None
     unseen: int | None = None
     telling: float | None = None
 
@@ -51,9 +54,23 @@ class Hypothesis:
         """Number of linear parameters."""
         return self.raw.count
 
+    @property
+    def white(self) -> Columns:
+        """Its columns, whitened channel by channel."""
+        out = self.whitened
+        if out is None:
+            assert self.noise is not None, "it is given where there is no noise to whiten by"
+            out = self.whitened = _whitened(self.noise, self.raw, self.live)
+        return out
+
+    def release(self) -> None:
+        """Forget the whitened columns, which are computed again where they are asked for: most are never."""
+        if self.noise is not None:
+            self.whitened = None
+
     def own(self, channel: int) -> tuple[Index, Array]:
         """Its columns in a channel that are not zero throughout: their numbers, and whitened (M, n)."""
-        i = self.white.channels.index(channel)
+        i = self.raw.channels.index(channel)
         at = np.flatnonzero(self.live[i])
         return at, self.white.values[:, i] if len(at) == self.count else self.white.values[:, i, at]
 
@@ -141,6 +158,16 @@ class Hypothesis:
             return None
         at = pinned_at(at, A, r)
         return float(2.0 * at @ r - at @ A @ at)
+
+
+def _whitened(noise: Noise, raw: Columns, live: Mask) -> Columns:
+    if live.all():
+        return Columns(raw.channels, noise.whitened_each(noise.transformed(raw.values), raw.channels))
+    white = np.zeros((*live.shape, len(raw.values))).transpose(2, 0, 1)
+    at, k = np.nonzero(live)
+    flat = noise.transformed(raw.values[:, at, k])
+    white[:, at, k] = noise.whitened_each(flat[:, :, None], tuple(raw.channels[i] for i in at))[:, :, 0]
+    return Columns(raw.channels, white)
 
 
 def with_parameters(parts: Iterable[Hypothesis], theta: Array) -> Iterator[tuple[Hypothesis, Array]]:

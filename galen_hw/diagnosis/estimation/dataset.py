@@ -208,16 +208,7 @@ class Bench:
 
     def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
         """A hypothesis of given averaged columns."""
-        out = Hypothesis(effect, raw, raw, looked, name)
-        if out.live.all():
-            white = self.noise.whitened_each(self.noise.transformed(raw.values), raw.channels)
-        else:
-            white = np.zeros((*out.live.shape, len(self.rows))).transpose(2, 0, 1)
-            at, k = np.nonzero(out.live)
-            flat = self.noise.transformed(raw.values[:, at, k])
-            white[:, at, k] = self.noise.whitened_each(flat[:, :, None], tuple(raw.channels[i] for i in at))[:, :, 0]
-        out.white = Columns(raw.channels, white)
-        return out
+        return Hypothesis(effect, raw, None, looked, name, noise=self.noise)
 
     def constants(self) -> list[Columns]:
         """What is always fitted: offsets of all channels, the baseline's own nuisances, and what fades from the beginning."""

@@ -219,7 +219,7 @@ class Model:
 
     def _plain(self, h: Hypothesis) -> Hypothesis:
         values = h.raw.values / self.bench.noise.sigma[list(h.raw.channels)][:, None]
-        return replace(h, white=Columns(h.raw.channels, values))
+        return replace(h, whitened=Columns(h.raw.channels, values))
 
     def rest(self, *, white: bool = False) -> Array:
         """(M, C) what the model learnt on the training rows leaves."""

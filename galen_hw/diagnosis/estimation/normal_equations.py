@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.stats.linear_algebra import log_tail, pinned_at, quadratic, solve_sym
@@ -137,9 +138,7 @@ class Scorer:
             fresh = [i for i in range(len(self.library) - len(new), len(self.library)) if self._acts(i, c)]
             if not fresh:
                 continue
-            own = [self.library[i].own(c) for i in fresh]
-            at_new = np.concatenate([self.places[i].start + at for i, (at, _) in zip(fresh, own, strict=True)])
-            Xn = np.concatenate([part for _, part in own], axis=1)[self._train]
+            at_new, Xn = self._abreast(fresh, c)
             for part in stack:
                 cross = part.columns.T @ Xn
                 G[np.ix_(part.at, at_new)] += cross
@@ -153,16 +152,30 @@ class Scorer:
                 stack.append(_Beside.of(at_new, Xn))
         self.b, self.fakes = b, fakes
 
+    def _abreast(self, which: list[int], c: int) -> tuple["Index", Array]:
+        """Numbers and training rows (n, k) of the columns that hypotheses have in a channel."""
+        own = [self.library[i].own(c) for i in which]
+        at = np.concatenate([self.places[i].start + numbers for i, (numbers, _) in zip(which, own, strict=True)])
+        out = np.empty((int(self._train.sum()), len(at)))
+        ends = np.cumsum([0, *(part.shape[1] for _, part in own)]).tolist()
+        for start, (_, part) in zip(ends, own, strict=False):
+            out[:, start : start + part.shape[1]] = part[self._train]
+        return at, out
+
     def _acts(self, i: int, c: int) -> bool:
-        return c in self.library[i].white.channels and self.library[i].count > 0
+        return c in self.library[i].raw.channels and self.library[i].count > 0
 
     def retime(self) -> None:
-        """All columns anew as the bench's late or lagging stream delivers them."""
-        library = [self.retimed(h) for h in self.library]
-        self.library, self.places = [], []
+        """All columns anew as the bench's late or lagging stream delivers them; whitened a part of the library at a time."""
+        library, self.library, self.places = self.library, [], []
         self._stacks = [[] for _ in self._stacks]
         self._room, self.b, self.fakes = np.empty((0, 0)), np.empty(0), np.empty((0, self.fake.shape[2]))
-        self.append(library)
+        for start in range(0, len(library), BUDGET.at_once):
+            old = library[start : start + BUDGET.at_once]
+            new = [self.retimed(h) for h in old]
+            self.append(new)
+            for h in set(new) - set(old):
+                h.release()
 
     def retimed(self, h: Hypothesis) -> Hypothesis:
         """Its columns anew, unless it belongs to a moment, is the end of the stream itself, or is bent at its optimum."""

@@ -27,25 +27,14 @@ from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
 
-def findings_of(
-    model: Model, selection: Selection, judged: Judged, glitch: list[Glitches], *, as_certain: float = 0.95
-) -> list[Finding]:
-    """All findings, most certain and largest first.
-
-    Args:
-        as_certain: share of a score within which the recording does not say which of two is more certain.
-    """
+def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list[Glitches]) -> list[Finding]:
+    """All findings, the most certain and largest first: by the product of score and share of the held-out error."""
     by_key: dict[str, list[Hypothesis]] = {}
     for h in model.effects:
         assert h.effect is not None, "effects, not nuisances"
         by_key.setdefault(h.effect.KEY, []).append(h)
     out = [_finding(model, selection, judged, key, parts) for key, parts in by_key.items()]
-    out.sort(key=lambda f: -f.evidence["score"])
-    for k in range(len(out) - 1, 0, -1):
-        before, own = out[k - 1].evidence, out[k].evidence
-        # As certain as the one before, and larger: it moves up.
-        if own["score"] > as_certain * before["score"] and own["heldout_gain"] > before["heldout_gain"]:
-            out[k - 1], out[k] = out[k], out[k - 1]
+    out.sort(key=lambda f: -f.evidence["score"] * max(f.evidence["heldout_gain"], 0.0))
     isolated = [_glitch(model, judged, g) for g in glitch]
     return out + [one for one in isolated if one.evidence["false_alarm_probability"] < CRITERIA.chance]
 

@@ -63,4 +63,4 @@ def offsets(bench: Bench) -> list[Hypothesis]:
 def _named(bench: Bench, constant: Hypothesis) -> Hypothesis:
     """The constant of a channel as the effect that it would be."""
     name = bench.scene.channels[constant.raw.channels[0]]
-    return Hypothesis(constant_of(name, bench.scene.observations.predict), constant.raw, constant.white)
+    return replace(constant, effect=constant_of(name, bench.scene.observations.predict))

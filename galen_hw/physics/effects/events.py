@@ -54,7 +54,8 @@ class Step(_Shaped):
 
     `carried` names what has slipped on the arm (a target, the tool): its jump has the body's axes, and turns with the arm.
     `later` holds the moments of further jumps in the same channels, to be asked together: of three none may pay alone.
-    Visible with rest on both sides. Confused with drift (smooth) and contact (which ends).
+    Visible with rest on both sides; not in motors' efforts, which have no zero. Confused with drift (smooth) and contact (which
+    ends).
     """
 
     KEY = "step"
