@@ -11,7 +11,7 @@ from galen_hw.config.tool_store import ToolStore
 from galen_hw.errors import CommandRejectedError, UsageError
 from galen_hw.identification.deflection.elastic import ElasticArm
 from galen_hw.identification.deflection.elastic_terms import Weight
-from galen_hw.messages import Fault, Message, Pose, Request, Vector3, WrenchCompensated
+from galen_hw.messages import CompensationState, Fault, Message, Pose, Request, Vector3, WrenchCompensated
 from galen_hw.services.deflection.service import DeflectionService
 from galen_hw.services.deflection.settings import DeflectionSettings
 from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore
@@ -90,6 +90,21 @@ def test_the_reported_pose_is_rigid_kinematics_and_needs_no_model(tmp_path: Path
     assert place(pose) == pytest.approx(rigid(), abs=1e-12)
     assert (pose.valid, pose.tool, pose.model) == (True, "retractor", "")
     assert feed(service, wrench(2 * MS, (1.0, 2.0, 3.0))) == []
+
+
+def test_without_a_model_no_wrench_is_asked_for_and_the_tool_in_hand_is_known_all_the_same(tmp_path: Path) -> None:
+    """At 1 kHz the wrenches would cost a wake-up each; which tool is in hand `compensation/state` says too."""
+    ToolStore(tmp_path).save(tool_file())
+    service = plain(tmp_path)
+    assert service.wants == ("compensation/state", "joints/state")
+    state = CompensationState(timestamp=BASE.timestamp(MS), t_ns=MS, seq=0, valid=True, tool="retractor", enabled=True)
+    service.handle("compensation/state", state, MS)
+    (pose,) = poses(feed(service, joints(2 * MS, Q, np.zeros(5))), "pose/reported")
+    assert (pose.tool, place(pose)) == ("retractor", pytest.approx(rigid(), abs=1e-12))
+    serving = service_at(tmp_path / "serving")
+    assert "wrench/compensated" in serving.wants
+    serving.request(Request(id="1", target="deflection", name="set_enabled", args={"enabled": False}), 0)
+    assert serving.wants == service.wants
 
 
 def test_a_push_moves_the_corrected_tip_by_the_springs(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from galen_hw.clock import NS_PER_S
 from galen_hw.errors import CommandRejectedError, GalenError
 from galen_hw.identification.deflection.stream import NONE, Place, Six, Triple, turned
 from galen_hw.messages import (
+    CompensationState,
     Fault,
     JointsState,
     Message,
@@ -32,6 +33,8 @@ from galen_hw.services.service import Output, Service, ServiceContext
 
 VERSION: Final = 1
 COMMANDS: Final = ("set_enabled", "reload")
+RIGID: Final = ("compensation/state", "joints/state")
+"""What the reported pose needs: the joints, and which tool is in hand."""
 
 
 class DeflectionService(Service):
@@ -42,7 +45,7 @@ class DeflectionService(Service):
 
     Settings: ClassVar[type[BaseModel]] = DeflectionSettings
     patience_s: ClassVar[float] = 0.0  # the corrected pose belongs to its wrench, not to one of five milliseconds ago
-    consumes: ClassVar[tuple[str, ...]] = ("wrench/compensated", "joints/state")
+    consumes: ClassVar[tuple[str, ...]] = ("wrench/compensated", *RIGID)
     produces: ClassVar[tuple[str, ...]] = ("pose/reported", "pose/corrected", "status", "fault")
 
     def __init__(self, name: str, settings: DeflectionSettings, context: ServiceContext) -> None:
@@ -60,11 +63,19 @@ class DeflectionService(Service):
         self._counters = dict.fromkeys(("samples", "invalid_samples", "gaps", "late_samples", "resets"), 0)
         self._next_status_ns = 0
 
+    @property
+    def wants(self) -> tuple[str, ...]:
+        """Wrenches only for a model that serves: at 1 kHz they cost a wake-up each."""
+        return RIGID if self._served.stream is None or not self._enabled else self.consumes
+
     def handle(self, topic: str, message: Message, now_ns: int) -> list[Output]:
-        """Take a joint state or a compensated wrench."""
+        """Take a joint state, a compensated wrench or what the compensation says of the tool."""
         del topic, now_ns
         if type(message) is WrenchCompensated:
             return self._correct(message)
+        if type(message) is CompensationState and self.wants is RIGID:
+            self._hold(message.tool)
+            return []
         if type(message) is JointsState and self._history.add(message):
             return self._report(message)
         return []
@@ -93,9 +104,7 @@ class DeflectionService(Service):
 
     def _correct(self, message: WrenchCompensated) -> list[Output]:
         """The corrected pose of one sample, NONE of it while there is no model or it is switched off."""
-        if message.tool != self._served.asked:
-            self._served.take_tool(message.tool)
-            self._place = None  # Another tip: the next joint state makes the place again.
+        self._hold(message.tool)
         stream, place = self._served.stream, self._place
         if stream is None or not self._enabled or place is None:
             return []
@@ -111,6 +120,12 @@ class DeflectionService(Service):
         valid = valid and isfinite(sum(self._give))
         self._counters["invalid_samples"] += not valid
         return [("pose/corrected", self._pose(message, place, max(min(age_ns, self._max_age_ns), 0), valid=valid))]
+
+    def _hold(self, tool: str) -> None:
+        """Take the tip of the tool in hand; the next joint state makes the place again."""
+        if tool != self._served.asked:
+            self._served.take_tool(tool)
+            self._place = None
 
     def _look_at_clock(self, t_ns: int) -> bool:
         """True for a sample that comes too late to be used; gaps and another clock are told to the model."""
