@@ -6,7 +6,8 @@ may hang. Here it can do all this. Each frame is stamped with CLOCK_MONOTONIC, w
 hands it over, and sent on as one datagram: eight bytes of that time, then the line (see `codec`).
 
 A datagram of time 0 is for `bota_transport`: empty once the sensor is configured, else why this process ends. It also ends when
-its socket does, the sensor brought to rest, and by SIGALRM when a call of the package does not come back.
+its socket does, the sensor brought to rest, and by SIGALRM when a call of the package does not come back. Its priority is that
+of the daemon's process which started it.
 """
 
 import contextlib

@@ -17,7 +17,8 @@ class BotaSettings(BaseModel):
         rate_hz: that the sensor's mode (or sinc length) gives; another rate is an error of the start that names it.
         serial_number: refuse any other sensor; none accepts what answers. Over CAN the sensor does not say its own: this
             one is then taken on trust.
-        stall_s: after a silence this long, what had piled up on the way is dropped: its times are not known.
+        stall_s: a sample that waited longer in the package's buffer (or longer than half a period) counts as late and is
+            not published; at the start none is for five times as long.
         sample_timeout_s: a stream silent for this long is started anew.
         start_timeout_s: the first sample comes within this time (the vendor's package waits half a second itself).
         reply_timeout_s, tries, retry_s: patience with the question of the start.
