@@ -4,9 +4,11 @@ import random
 from dataclasses import dataclass, field
 
 import numpy as np
+from conformance.peer import Run
 
-from galen_hw.clock import NS_PER_S
+from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.drivers.bota.codec import Frame, Sensor, encode
+from galen_hw.drivers.bota.device import Bota
 
 SENSOR = Sensor("BFT-ROKS-SER-M8", "SN000853", "1.2.3", 1000)
 
@@ -87,3 +89,12 @@ class Process:
     def due_ns(self) -> int:
         waiting = [t_ns for t_ns, _ in self._line]
         return min([*waiting, *([self._next_ns] if self._next_ns and not self.silent else [])], default=1 << 62)
+
+
+def run_of(process: Process, **settings) -> Run:
+    device = Bota("ft", Bota.Settings(**{"rate_hz": 1e6 / process.sensor.period_us} | settings), TimeBase())
+    return Run(device, process).start()
+
+
+def wrenches(run: Run) -> list:
+    return run.messages("wrench/raw")
