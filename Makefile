@@ -49,6 +49,8 @@ $(STAMP): $(BASE)
 	  echo "make: NDI's own client is built with a C++ compiler, and that failed: its two tests will be skipped"
 	@$(PIP) --editable '.[ati]' 2>/dev/null || \
 	  echo "make: ATI's own conversion is built with a C compiler, and that failed: its tests will be skipped"
+	@$(PIP) --editable '.[bota]' 2>/dev/null || \
+	  echo "make: Bota Systems' own driver is not to be had for this machine: the tests over its dummy sensor will be skipped"
 	@touch $@
 
 install: $(STAMP)

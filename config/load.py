@@ -24,7 +24,7 @@ class Tables:
     """Which classes may be named in the file: `key: "module:Class"`, loaded when they are.
 
     Args:
-        drivers, transports (by wire: "can", "serial"), services: the tables.
+        drivers, transports (by wire: "can", "serial", "bota"), services: the tables.
     """
 
     drivers: Mapping[str, str]

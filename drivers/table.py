@@ -11,6 +11,7 @@ DRIVERS: Final[dict[str, str]] = {
     "robotous_rft": "galen_hw.drivers.robotous_rft:RobotousRft",
     "galil_dmc": "galen_hw.drivers.galil_dmc:GalilDmc",
     "ndi_tracker": "galen_hw.drivers.ndi_tracker:NdiTracker",
+    "bota": "galen_hw.drivers.bota.device:Bota",
 }
 
 VIRTUAL_DEVICES: Final[dict[str, str]] = {

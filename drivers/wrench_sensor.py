@@ -1,4 +1,4 @@
-"""What all force/torque sensors on CAN share: the start, `restart`, what is told when a sensor is given up, and the status.
+"""What all force/torque sensors share: the start, `restart`, what is told when a sensor is given up, and the status.
 
 How samples are asked for and paired, and how a sensor is zeroed, is the device's own.
 """
@@ -8,8 +8,8 @@ from enum import Enum, auto
 from typing import Any, ClassVar, Final, Generic, Literal, Protocol, TypeVar
 
 from galen_hw.clock import NS_PER_S, TimeBase
-from galen_hw.drivers.device import CanFrame, Device, Output
-from galen_hw.drivers.dialogue import Dialogue, DialogueError
+from galen_hw.drivers.device import Device, Output, Wire
+from galen_hw.drivers.dialogue import DialogueError
 from galen_hw.drivers.gauge_watch import GaugeWatch
 from galen_hw.drivers.kept_zero import Kept, KeptZero
 from galen_hw.drivers.reporting import FAR_NS, Reporter
@@ -59,7 +59,24 @@ class Zeroing(Protocol):
 Found = TypeVar("Found", bound=Identity)
 
 
-class WrenchSensor(Device[CanFrame], Generic[Found]):
+class Conversation(Protocol[Wire, Found]):
+    """The questions of the start: `Dialogue` on CAN; over once `result` or `failure` is set."""
+
+    result: Found | None
+    failure: DialogueError | None
+    due_ns: int
+    timeouts: int
+
+    def poll(self, now_ns: int) -> list[Wire]:
+        """What to send now; sets `due_ns`."""
+        ...
+
+    def feed(self, wire: Wire, t_ns: int, /) -> bool:
+        """Take what was read; false when it is no part of an answer that is waited for."""
+        ...
+
+
+class WrenchSensor(Device[Wire], Generic[Wire, Found]):
     """A sensor that is identified by a dialogue and then publishes `wrench/raw`.
 
     Args:
@@ -70,7 +87,7 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
         zeroing: of the device; zero_kept_s: how long the sensor may have been out of sight for a restored zero.
     """
 
-    wire: ClassVar[Literal["can", "serial"]] = "can"
+    wire: ClassVar[Literal["can", "serial", "bota"]] = "can"
 
     def __init__(
         self,
@@ -91,7 +108,7 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
         self._counters = dict.fromkeys(counters, 0)
         self._outbox: list[Output] = []
         self._phase = Phase.OFF
-        self._dialogue: Dialogue[Found] | None = None
+        self._dialogue: Conversation[Wire, Found] | None = None
         self._identity: Found | None = None
         self._restart_id: str | None = None
         self._trouble = ""
@@ -103,6 +120,8 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
         self._gauges = GaugeWatch(asked_rate_hz)
         self._broken_until_ns = 0
         self._broken = ""
+        self._measured: dict[str, float] = {}
+        """What the sensor measures beside the wrench, for the status; each key with its unit."""
 
     def start(self, now_ns: int) -> None:
         """Identify the sensor (again); see `Device.start`."""
@@ -120,11 +139,11 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
         return dict(self._counters)
 
     @abstractmethod
-    def _new_dialogue(self, now_ns: int) -> Dialogue[Found]:
+    def _new_dialogue(self, now_ns: int) -> Conversation[Wire, Found]:
         """The questions of the start; what a start forgets is forgotten here."""
 
     @abstractmethod
-    def _identified(self, identity: Found, now_ns: int) -> list[CanFrame]:
+    def _identified(self, identity: Found, now_ns: int) -> list[Wire]:
         """Take up what the start found; what to send so that samples flow."""
 
     @abstractmethod
@@ -175,7 +194,7 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
         self._counters["restarts"] += self._dialogue is not None
         self._dialogue = self._new_dialogue(now_ns)
 
-    def _converse(self, now_ns: int) -> list[CanFrame]:
+    def _converse(self, now_ns: int) -> list[Wire]:
         """Carry the start on, or try it again when its time has come."""
         if self._phase is Phase.FAILED:
             if now_ns < self._retry_ns:
@@ -183,14 +202,15 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
             self._begin(now_ns)
         assert self._dialogue is not None, "it is being started"
         timeouts = self._dialogue.timeouts
-        wires = self._dialogue.poll(now_ns)
+        wires: list[Wire] = self._dialogue.poll(now_ns)
         self._counters["timeouts"] += self._dialogue.timeouts - timeouts
         if self._dialogue.failure is not None:
             self._fail(now_ns, self._dialogue.failure)
         elif self._dialogue.result is not None:
-            self._identity, self._trouble = self._dialogue.result, ""
+            identity: Found = self._dialogue.result
+            self._identity, self._trouble = identity, ""
             self._phase = Phase.RUNNING
-            return [*wires, *self._identified(self._identity, now_ns)]
+            wires += self._identified(identity, now_ns)
         return wires
 
     def _fail(self, now_ns: int, error: DialogueError) -> None:
@@ -234,7 +254,7 @@ class WrenchSensor(Device[CanFrame], Generic[Found]):
     def _report(self, now_ns: int) -> Output:
         rate_hz = self._reporter.rate_hz(now_ns, self._counters["samples"])
         state, detail = self._state(now_ns)
-        gauges = {"rate_hz": rate_hz, "asked_rate_hz": self._asked_rate_hz}
+        gauges = {"rate_hz": rate_hz, "asked_rate_hz": self._asked_rate_hz, **self._measured}
         return self._reporter.status(now_ns, state, detail, self._counters, gauges)
 
     def _state(self, now_ns: int) -> tuple[str, str]:

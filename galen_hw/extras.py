@@ -14,9 +14,10 @@ EXTRAS: Final[dict[str, tuple[str, ...]]] = {
     "xacro": ("xacrodoc",),
     "remote": ("fsspec",),
     "completion": ("shtab",),
+    "bota": ("bota_driver",),
 }
 """Name of the extra: modules that nothing else needs."""
-NAMES: Final = {"sklearn": "scikit-learn", "jinja2": "Jinja2", "matio": "mat-io"}
+NAMES: Final = {"sklearn": "scikit-learn", "jinja2": "Jinja2", "matio": "mat-io", "bota_driver": "bota-driver"}
 """Module: what it is called where it is installed from."""
 
 

@@ -14,15 +14,16 @@ from galen_hw.drivers.ati_netcanoem.codec import BOTH, COUNTERS, ECHOING, REPLY_
 from galen_hw.drivers.ati_netcanoem.sampler import Pair
 from galen_hw.drivers.ati_netcanoem.start import AtiIdentity, AtiSettings, fence, identify, new_sampler
 from galen_hw.drivers.ati_netcanoem.status import StatusWord
-from galen_hw.drivers.ati_netcanoem.zero import HostBias
+from galen_hw.drivers.ati_netcanoem.zero import told
 from galen_hw.drivers.device import CanFrame, Output
 from galen_hw.drivers.dialogue import Dialogue, DialogueError
+from galen_hw.drivers.host_bias import HostBias
 from galen_hw.drivers.wrench_sensor import Phase, WrenchSensor
 from galen_hw.errors import CommandRejectedError
 from galen_hw.messages import Request, Vector3, WrenchRaw
 
 
-class AtiNetcanoem(WrenchSensor[AtiIdentity]):
+class AtiNetcanoem(WrenchSensor[CanFrame, AtiIdentity]):
     """Publishes `wrench/raw` in the sensor frame about its origin, N and N m, stamped when its second frame was read.
 
     Requests: `zero` {samples}: average the gauges and subtract them from now on; `unzero`; `restart`.
@@ -33,7 +34,7 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
     def __init__(self, name: str, settings: AtiSettings, time_base: TimeBase) -> None:
         self._settings = settings
         self._id0 = settings.base_id << 4
-        self._bias = HostBias(name, settings.zero_samples, settings.rate_hz)
+        self._bias = HostBias(name, settings.zero_samples, settings.rate_hz, told)
         super().__init__(
             name,
             f"{name} (ATI NETCANOEM, CAN ids 0x{self._id0:X} to 0x{self._id0 + 15:X})",
@@ -108,7 +109,7 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
 
     def snapshot(self, now_ns: int) -> dict[str, Any]:
         """The bias; see `Device.snapshot`."""
-        counts = [] if self._bias.counts is None else self._bias.counts.tolist()
+        counts = [] if self._bias.offset is None else self._bias.offset.tolist()
         serial = "" if self._identity is None else self._identity.serial_number
         return self._kept_zero.record(serial, self._bias.zeroings, counts, now_ns, seen=self.ready)
 
@@ -130,7 +131,7 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
 
     def _identified(self, identity: AtiIdentity, now_ns: int) -> list[CanFrame]:
         """The bias stays if the same sensor answers."""
-        if self._bias.counts is not None and identity.serial_bytes != self._serial_bytes:
+        if self._bias.offset is not None and identity.serial_bytes != self._serial_bytes:
             self._bias.lose()
             self._gauges.forget()
             what = f"another sensor ({identity.serial_number}) answers: the zero is lost"
@@ -232,14 +233,14 @@ class AtiNetcanoem(WrenchSensor[AtiIdentity]):
         return f"strain gauge {codec.WIRE_ORDER[gauge]}"
 
     def _use_bias(self) -> None:
-        bias = np.zeros(6) if self._bias.counts is None else self._matrix @ self._bias.counts
+        bias = np.zeros(6) if self._bias.offset is None else self._matrix @ self._bias.offset
         self._rows = np.column_stack((self._matrix, bias)).tolist()
 
     def _running(self, identity: AtiIdentity, now_ns: int) -> tuple[str, str]:
         state, trouble = self._status.state(now_ns)
         if self._barren:
             state, trouble = "fault", self._barren
-        zeroed = "not zeroed" if self._bias.counts is None else "zeroed"
+        zeroed = "not zeroed" if self._bias.offset is None else "zeroed"
         if story := self._kept_zero.story(self._bias.zeroings):
             zeroed += f" ({story})"
         return state, "; ".join(filter(None, (trouble, identity.described, zeroed)))

@@ -33,7 +33,7 @@ COUNTERS: Final = (
 )
 
 
-class RobotousRft(WrenchSensor[RobotousIdentity]):
+class RobotousRft(WrenchSensor[CanFrame, RobotousIdentity]):
     """Publishes `wrench/raw` in the sensor frame about its origin, N and N m, stamped when its second frame was read.
 
     Requests: `zero` {samples}: the sensor's own bias, then `samples` samples that must show it; `unzero`; `restart`.

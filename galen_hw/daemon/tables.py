@@ -11,6 +11,7 @@ from galen_hw.services.table import SERVICES
 TRANSPORTS: Final[dict[str, str]] = {
     "can": "galen_hw.drivers.can_transport:CanTransport",
     "serial": "galen_hw.drivers.serial_transport:SerialTransport",
+    "bota": "galen_hw.drivers.bota_transport:BotaTransport",
 }
 TABLES: Final = Tables(drivers=DRIVERS, transports=TRANSPORTS, services=SERVICES)
 

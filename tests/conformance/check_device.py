@@ -76,7 +76,7 @@ def check_made_from_defaults(case: Case) -> None:
     """Default settings make a device; an unknown key does not; the wire is named; it rests until it is started."""
     device = case.device()
     assert device.name == "dut"
-    assert case.cls.wire in ("can", "serial")  # type: ignore[attr-defined]
+    assert case.cls.wire in ("can", "serial", "bota")  # type: ignore[attr-defined]
     try:
         case.device(no_such_key=1)
     except ValidationError:
