@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # bota-driver 1.1.16: read_frame_blocking keeps Python's interpreter lock while it waits for a frame, so that every other thread
-# of the process stands still until one comes: 100 ms at a time with the package's own dummy sensor, for ever with one that is
-# silent. A thread that only sleeps for a millisecond shows it.
+# of the process stands still until one comes: 100 ms at a time with the package's own dummy sensor, whose frames come ten
+# times a second. A thread that only sleeps for a millisecond shows it.
 set -euo pipefail
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT

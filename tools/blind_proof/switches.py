@@ -70,17 +70,13 @@ class Switch:
 
 
 SWITCHES: Final[dict[str, Switch]] = {
-    "clipping": Switch(f"{MOVES}.clipping:clipped", _no, "a limit in the place of a contact"),
-    "split": Switch(f"{MOVES}.split:split", _no, "one effect in the place of its parts"),
     "tendon": Switch(f"{MOVES}.tighten:tightened", _no, "a spring as the tendon that it may be"),
     "creep_friction": Switch(f"{MOVES}.alternatives:replaced", _no, "a creep behind friction"),
     "exchange": Switch(f"{MOVES}.exchange:regrouped", _no, "two effects for others that stand for both"),
     "one_clock": Switch(f"{MOVES}.timing:one_clock", _no, "one clock for all joints"),
     "reclock": Switch(f"{MOVES}.timing:reclocked", _no, "clocks of all effects at once"),
-    "pairs": Switch(f"{MOVES}.pairs:hidden", _no, "two effects that are significant together alone"),
     "drop": Switch(f"{MOVES}.drop:dropped", _no, "effects that others have made needless"),
     "swap": Switch(f"{MOVES}.swap:swapped", _no, "each effect for its look-alikes"),
-    "simplified": Switch(f"{MOVES}.swap:simplified", _no, "a plainer kind for one no better than what is missing"),
     "refine": Switch(f"{MOVES}.refine:refined", _no, "finer forms of what was found"),
     "paired test": Switch(f"{SELECTION}.acceptance:pays", _pays, "held-out errors before an effect joins"),
     "simpler": Switch(f"{SELECTION}.simplicity:plainest", _first, "the simpler within one standard error"),

@@ -5,10 +5,9 @@ live services: a function that nobody can explain does not act on a robot.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from sklearn.ensemble import HistGradientBoostingRegressor
 
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.basis_functions import PLAIN, Inputs
@@ -19,6 +18,9 @@ from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.lazy import cached_property
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
+
+if TYPE_CHECKING:
+    from sklearn.ensemble import HistGradientBoostingRegressor
 
 RIDGES: Final = np.logspace(-2.0, 4.0, 13)
 """Tried; in units of the noise's square over that of one function's whole contribution."""
@@ -42,7 +44,7 @@ class Remainder:
     offsets: dict[int, float]
     gain: float
     crossed: Array
-    trees: dict[int, HistGradientBoostingRegressor] = field(default_factory=dict)
+    trees: dict[int, "HistGradientBoostingRegressor"] = field(default_factory=dict)
 
     def joined(self, other: "Remainder") -> "Remainder":
         """With the other's channels, none of which are its own, as yet without trees."""

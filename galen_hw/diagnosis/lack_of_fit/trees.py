@@ -4,10 +4,9 @@ Beside linear regressions of what has no name, and in search of what all familie
 """
 
 from dataclasses import replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from sklearn.ensemble import ExtraTreesRegressor, HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
 from galen_hw.diagnosis.estimation.budget import BUDGET
@@ -19,12 +18,18 @@ from galen_hw.diagnosis.lack_of_fit.structure_test import T_NEEDED, Left, surene
 from galen_hw.diagnosis.stats.sampling import Index, folds
 from galen_hw.spatial import Array
 
+if TYPE_CHECKING:
+    from sklearn.ensemble import ExtraTreesRegressor, HistGradientBoostingRegressor
+
 TOGETHER: Final = "all inputs together, as no function that was tried does"
 """What trees follow, in words."""
 
 
-def new() -> HistGradientBoostingRegressor:
+def new() -> "HistGradientBoostingRegressor":
     """Gradient-boosted trees (Friedman 2001) as the library sets them, the same ones every time."""
+    # Half a second to import, which most recordings never ask for.
+    from sklearn.ensemble import HistGradientBoostingRegressor
+
     return HistGradientBoostingRegressor(early_stopping=False, random_state=0)
 
 
@@ -106,13 +111,15 @@ def _foretold(X: Array, y: Array, fold: Index, good: Index) -> Array:
     return out
 
 
-def _many(*, number: int = 30, leaf: int = 10) -> ExtraTreesRegressor:
+def _many(*, number: int = 30, leaf: int = 10) -> "ExtraTreesRegressor":
     """Extremely randomised trees (Geurts, Ernst and Wehenkel 2006): all channels at once, and quick.
 
     Args:
         number: trees.
         leaf: rows that one of their leaves holds at least.
     """
+    from sklearn.ensemble import ExtraTreesRegressor
+
     return ExtraTreesRegressor(number, min_samples_leaf=leaf, random_state=0)
 
 

@@ -6,13 +6,10 @@ from typing import Final, Literal
 
 from galen_hw.diagnosis.selection.moves.add import added
 from galen_hw.diagnosis.selection.moves.alternatives import replaced
-from galen_hw.diagnosis.selection.moves.clipping import clipped
 from galen_hw.diagnosis.selection.moves.drop import dropped
 from galen_hw.diagnosis.selection.moves.exchange import regrouped
-from galen_hw.diagnosis.selection.moves.pairs import hidden
 from galen_hw.diagnosis.selection.moves.refine import refined
-from galen_hw.diagnosis.selection.moves.split import split
-from galen_hw.diagnosis.selection.moves.swap import simplified, swapped, swapped_again
+from galen_hw.diagnosis.selection.moves.swap import swapped, swapped_again
 from galen_hw.diagnosis.selection.moves.tighten import tightened
 from galen_hw.diagnosis.selection.moves.timing import one_clock, reclocked
 from galen_hw.diagnosis.selection.search_state import Selection
@@ -35,16 +32,12 @@ class Move:
 
 MOVES: Final = (
     Move("add", added),
-    Move("exchange", clipped),
-    Move("exchange", split),
     Move("exchange", tightened),
     Move("exchange", replaced),
     Move("exchange", regrouped),
     Move("timing", one_clock),
     Move("timing", reclocked),
     Move("swap", swapped_again),
-    Move("add", hidden),
-    Move("swap", simplified),
     Move("drop", dropped, tidies=True),
     Move("swap", swapped, tidies=True),
     Move("refine", refined, tidies=True),

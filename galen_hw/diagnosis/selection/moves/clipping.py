@@ -1,37 +1,11 @@
-"""Limits: where they stand beside a model, and in the place of a touch.
-
-Readings that clip at both ends, or in several channels, clip in the same episodes. The search takes one hypothesis after the
-other. A touch with a level and a bow an episode does about what all the limits do together, and more than any of them by
-itself; beside it none of them is worth anything.
-"""
+"""Limits: where they stand beside a model."""
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import retime, settle_together
-from galen_hw.diagnosis.estimation.linearisation import as_if, rebase
-from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.acceptance import left_out, no_worse
-from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
+from galen_hw.diagnosis.estimation.linearisation import rebase
+from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
-
-
-def clipped(out: Selection) -> bool:
-    """Whether limits at which readings pile up took the place of a chosen touch, and of limits that were found beside it."""
-    bench, scorer = out.bench, out.scorer
-    piles = [j for j, h in enumerate(scorer.library) if h.effect is not None and h.effect.clips and h.looked == 1]
-    touches = [i for i in out.chosen if (e := scorer.library[i].effect) is not None and e.touches]
-    for i in touches if piles else ():
-        kept = [j for j in out.chosen if j != i and ((e := scorer.library[j].effect) is None or not e.clips)]
-        with as_if(scorer, kept):
-            trial = _with_limits(scorer, out, kept, piles)
-            cost = scorer.solve(trial)[2] + _price(bench, scorer, trial)
-            after = left_out(out, trial)
-        better = cost < scorer.solve(out.chosen)[2] + _price(bench, scorer, out.chosen)
-        if better and no_worse(left_out(out, out.chosen), after):
-            out.chosen = trial
-            return True
-    return False
 
 
 def levelled(out: Selection) -> None:
@@ -67,18 +41,3 @@ def _told_anew(out: Selection) -> None:
     rebase(scorer, out.chosen)
     settle_together(bench, scorer, out.chosen)
     retime(bench, scorer, out.chosen)
-
-
-def _with_limits(scorer: Scorer, out: Selection, kept: list[int], piles: list[int]) -> list[int]:
-    """A model with the limits that stand beside it, the strongest first."""
-    trial = list(kept)
-    while True:
-        scores = scorer.scores(trial, elsewhere(scorer, trial, piles))[0]
-        able = [j for j, s in scores.items() if s.rank > 0.0 and s.surprise > out.needed]
-        if not able:
-            return trial
-        trial.append(max(able, key=lambda j: scores[j].rank))
-
-
-def _price(bench: Bench, scorer: Scorer, model: list[int]) -> float:
-    return sum(h.count * h.price(bench) for h in (scorer.library[i] for i in model))
