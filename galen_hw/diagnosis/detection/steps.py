@@ -19,11 +19,10 @@ from galen_hw.spatial import Array
 def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]:
     """The moment at which a jump takes most out of the rest (M, C), channel by channel and over all together.
 
-    Where the noise is known to have a memory its slow wander is told from a jump. Of motors' efforts none jumps: what comes at
-    once and stays there is a force.
+    Where the noise is known to have a memory its slow wander is told from a jump.
     """
     N, C = rest.shape
-    if N < FEW_ROWS or not scene.zeroed:
+    if N < FEW_ROWS:
         return []
     gain, names, places = _gains(rest, noise), scene.channels, places_of(N)
     found = [Sought(Step((names[c],), moment(scene, int(np.argmax(gain[:, c])) + 1, N)), places) for c in range(C)]
@@ -48,7 +47,7 @@ def staircases(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
     was is no staircase: somebody touched the arm.
     """
     N, C = rest.shape
-    if N < FEW_ROWS or not scene.zeroed:
+    if N < FEW_ROWS:
         return []
     found = [([c], _stairs(rest[:, [c]], noise, [c])) for c in range(C)]
     if C > 1:

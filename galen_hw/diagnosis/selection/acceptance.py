@@ -100,6 +100,14 @@ def no_worse(before: Array, after: Array) -> bool:
     return paired(before, after, np.zeros(1)).tolerable
 
 
+def as_good(before: Array, after: Array) -> bool:
+    """Return whether errors (n, C) on blocks left out rise by less than what is missing may do along any regressor."""
+    square = np.mean(before**2, axis=0)
+    missing = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0))
+    gain = paired(before, after, np.zeros(1))
+    return gain.fall >= -max(gain.error, CRITERIA.beside_unexplained * missing)
+
+
 def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
     """Return whether the parameters can be what the effect is called."""
     h = scorer.library[i]

@@ -10,7 +10,7 @@ from galen_hw.physics.effects.base import Effect
 
 
 def plainest(
-    bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], able: list[int], *, unsure: float = 0.0
+    bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], able: list[int], *, unsure: float
 ) -> int:
     """Return the plainest hypothesis that the first of the able does not lead by more than a standard error.
 

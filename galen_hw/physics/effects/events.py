@@ -97,6 +97,10 @@ class Step(_Shaped):
         each = ("jump", *(f"jump{k}" for k in range(2, 2 + len(self.later))))
         return tuple(Parameter(f"{jump}_{name}", unit_of(scene, name)) for name in self.channels for jump in each)
 
+    def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
+        """Only of what has a zero: what comes at once to a motor's effort, and stays, is a force."""
+        return scene.zeroed
+
     @property
     def single(self) -> tuple[Self, ...]:
         """Each jump by itself, of several."""

@@ -8,8 +8,9 @@ from galen_hw.diagnosis.selection.moves.add import added
 from galen_hw.diagnosis.selection.moves.alternatives import replaced
 from galen_hw.diagnosis.selection.moves.drop import dropped
 from galen_hw.diagnosis.selection.moves.exchange import regrouped
+from galen_hw.diagnosis.selection.moves.pairs import hidden
 from galen_hw.diagnosis.selection.moves.refine import refined
-from galen_hw.diagnosis.selection.moves.swap import swapped, swapped_again
+from galen_hw.diagnosis.selection.moves.swap import simplified, swapped, swapped_again
 from galen_hw.diagnosis.selection.moves.tighten import tightened
 from galen_hw.diagnosis.selection.moves.timing import one_clock, reclocked
 from galen_hw.diagnosis.selection.search_state import Selection
@@ -38,6 +39,8 @@ MOVES: Final = (
     Move("timing", one_clock),
     Move("timing", reclocked),
     Move("swap", swapped_again),
+    Move("add", hidden),
+    Move("swap", simplified),
     Move("drop", dropped, tidies=True),
     Move("swap", swapped, tidies=True),
     Move("refine", refined, tidies=True),

@@ -4,7 +4,7 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import cost_without
 from galen_hw.diagnosis.estimation.linearisation import as_if, rebase, unbent
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
-from galen_hw.diagnosis.selection.acceptance import left_out, no_worse, plausible
+from galen_hw.diagnosis.selection.acceptance import as_good, left_out, no_worse, plausible
 from galen_hw.diagnosis.selection.comparison import ahead, in_place, loosens
 from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves.add import kin
@@ -20,7 +20,15 @@ def swapped(out: Selection) -> bool:
     return out.turn.swapped
 
 
-def _swap(out: Selection) -> bool:
+def simplified(out: Selection) -> bool:
+    """Return whether a plainer effect took the place of one that is no better than what physics that is missing may do.
+
+    Asked when nothing else is found: what is missing before that is mostly what will be found.
+    """
+    return _swap(out, simpler=True)
+
+
+def _swap(out: Selection, *, simpler: bool = False) -> bool:
     """Each chosen effect against every rival in its place; whether any was exchanged."""
     bench, scorer = out.bench, out.scorer
     start = list(out.chosen)
@@ -37,7 +45,7 @@ def _swap(out: Selection) -> bool:
         rivals = {j: s for j, s in rivals.items() if j == i or not _left_behind(scorer, i, j)}
         if i not in rivals:
             continue
-        best = _best(out, others, i, rivals)
+        best = _best(out, others, i, rivals, simpler=simpler)
         if best == i:
             continue
         trial = [best if j == i else j for j in out.chosen]
@@ -47,14 +55,14 @@ def _swap(out: Selection) -> bool:
         before = left_out(out, out.chosen)
         with as_if(scorer, trial):
             after = left_out(out, trial)
-        if no_worse(before, after):
+        if (as_good if simpler else no_worse)(before, after):
             out.chosen = trial
             parted(out)
             rebase(scorer, out.chosen)
     return out.chosen != start
 
 
-def _best(out: Selection, others: list[int], i: int, rivals: dict[int, Score]) -> int:
+def _best(out: Selection, others: list[int], i: int, rivals: dict[int, Score], *, simpler: bool) -> int:
     """The rival that is better in the place of the chosen i, beyond luck, and of what does as well the plainest; else i.
 
     A plainer one need not be better, only as good: what came first in an earlier turn must not decide.
@@ -75,7 +83,8 @@ def _best(out: Selection, others: list[int], i: int, rivals: dict[int, Score]) -
                 best = j
                 break
         able = [best, *(j for j in ranked if j != best)]
-    plain = plainest(bench, scorer, others, rivals, able)
+    unsure = undecided(bench, scorer, [*others, best]) if simpler else 0.0
+    plain = plainest(bench, scorer, others, rivals, able, unsure=unsure)
     return plain if plain == best or plausible(bench, scorer, others, plain) else best
 
 
