@@ -27,7 +27,7 @@ from galen_hw.identification.fit import fit
 from galen_hw.identification.model import Unknowns
 from galen_hw.identification.poses import Poses
 from galen_hw.spatial import Array, rotation_about
-from galen_hw.tools import bench_floor
+from galen_hw.tools import bench_dashboard, bench_floor
 from galen_hw.tools.bench_sample import spent_us
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ SAMPLES_A_POSE: Final = 400
 CORE_SHARE: Final = 0.09
 OVER_BARE: Final = (1.4, 1.5)
 """Of the 50th and the 99th percentile."""
+DASHBOARD_ADDS: Final = 0.05
 PAIRS: Final = 5
 PAIR_S: Final = 20.0
 """Bare processes and the daemon in turn, so long each: one pair tells more of what else the machine did meanwhile."""
@@ -50,6 +51,7 @@ PARTS: Final = (
     "coverage",
     "stream",
     "bare",
+    "dashboard",
     "residual",
     "deflection",
     "diagnosis",
@@ -92,6 +94,7 @@ def main(argv: list[str] | None = None) -> int:
         lambda: coverage(40 if args.quick else 200),
         lambda: stream(seconds, min(seconds, 60.0)),
         lambda: over_bare(*((2, 5.0) if args.quick else (PAIRS, PAIR_S))),
+        lambda: dashboard(*((2, 5.0) if args.quick else (PAIRS, PAIR_S))),
         lambda: residual(1 if args.quick else 4),
         deflection_sample,
         diagnosis,
@@ -244,6 +247,24 @@ def over_bare(pairs: int, seconds: float) -> list[Row]:
             core <= CORE_SHARE,
             where,
         ),
+    ]
+
+
+def dashboard(pairs: int, seconds: float) -> list[Row]:
+    """What an open page adds to the 99th percentile, in the same daemon in turn: the median over the pairs."""
+    found = bench_dashboard.measure(pairs, seconds)
+    added = np.array([opened.p99_us / plain.p99_us - 1.0 for plain, opened in found])
+    plain, opened = (float(np.median([pair[k].p99_us for pair in found])) for k in (0, 1))
+    measured = f"{np.median(added):+.1%} ({added.min():+.0%} to {added.max():+.0%}; {plain:.0f} us to {opened:.0f} us)"
+    where = f"bench_dashboard, {pairs} pairs of {seconds:.0f} s"
+    return [
+        Row(
+            "dashboard open, added to p99",
+            f"<= {DASHBOARD_ADDS:.0%}",
+            measured,
+            float(np.median(added)) <= DASHBOARD_ADDS,
+            where,
+        )
     ]
 
 

@@ -94,10 +94,11 @@ def measure(rate_hz: float, args: argparse.Namespace) -> Result:
         motors = MOTORS if args.motors else ""
         config.write_text(TEMPLATE.format(**words, motors=motors, more="[services.calibration]" if motors else ""))
         with own_daemon(config=str(config), runtime=Path(folder) / "run", state=Path(folder) / "state") as addresses:
-            return _listen(rate_hz, args.seconds, addresses)
+            return listen(rate_hz, args.seconds, addresses)
 
 
-def _listen(rate_hz: float, seconds: float, addresses: Addresses) -> Result:
+def listen(rate_hz: float, seconds: float, addresses: Addresses) -> Result:
+    """What a subscriber of a daemon at this rate sees in so many seconds."""
     with CommandClient(addresses.command) as client:
         core = int(client.call("daemon", "info")["processes"]["core"])
     ages_ns = np.zeros(int(1.2 * rate_hz * seconds) + 1000, dtype=np.int64)

@@ -1,7 +1,8 @@
 """`galen-hw dashboard`: the robot live in a browser: wrench, arm, tools, tare, zero, calibration, stop, health, reports."""
 
 import argparse
-from contextlib import ExitStack
+import os
+from contextlib import ExitStack, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
 
 PORT: Final = 8765
 HOST: Final = "127.0.0.1"
+NICE: Final = 10
+"""A page may wait; whoever acts on the wrench on the same cores may not."""
 NEEDED: Final = ("starlette", "uvicorn", "websockets")
 
 
@@ -73,6 +76,8 @@ def _serve(args: argparse.Namespace, addresses: "Addresses", overrides: dict[str
     from galen_hw.tools.dashboard.feed import Feed
     from galen_hw.tools.dashboard.server import Dashboard, listen, make_server
 
+    with suppress(OSError):
+        os.nice(NICE)
     access = Access(args.host, look_only=args.look_only)
     calibration = Calibration(addresses, overrides, check=not args.no_check)
     dashboard = Dashboard(Feed(addresses), Actions(addresses, calibration), calibration, access)
