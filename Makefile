@@ -100,10 +100,10 @@ wheel-test: $(STAMP)
 	$(BIN)/python tests/wheel_check.py
 
 bench: $(STAMP)
-	$(BIN)/python -m galen_hw.tools.bench --write docs/benchmarks.md
+	$(BIN)/python -m galen_hw.tools.benchmarks --write docs/benchmarks.md
 
 cluster: $(STAMP)
-	$(BIN)/python -m galen_hw.tools.bench_cluster --write docs/benchmarks.md
+	$(BIN)/python -m galen_hw.tools.benchmarks.cluster --write docs/benchmarks.md
 
 robots: $(STAMP)
 	@$(PIP) drake

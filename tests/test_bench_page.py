@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from galen_hw.tools.bench import _lines, _page, _ratios
-from galen_hw.tools.bench_floor import Floor
+from galen_hw.tools.benchmarks.__main__ import _lines, _page, _ratios
+from galen_hw.tools.benchmarks.floor import Floor
 
 
 def test_the_median_of_the_pairs_counts() -> None:

@@ -16,7 +16,7 @@ from galen_hw.services.deflection.service import DeflectionService
 from galen_hw.services.deflection.settings import DeflectionSettings
 from galen_hw.services.deflection.store import DeflectionFile, DeflectionStore
 from galen_hw.services.service import Output, ServiceContext
-from galen_hw.tools.bench_sample import SPRINGS, arm_of_all, spent_us
+from galen_hw.tools.benchmarks.sample import SPRINGS, arm_of_all, spent_us
 from galen_hw.tools.deflection.figures import units
 from tests.compensation_parts import BASE, MS, RETRACTOR, ROBOT, joints, tool_file
 

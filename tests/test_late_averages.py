@@ -16,7 +16,7 @@ from galen_hw.physics.effects.friction import Friction
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.effects.timing import Lag, TimeDelay
 from galen_hw.physics.operators.filters import delay
-from galen_hw.tools.bench_diagnosis import recording
+from galen_hw.tools.benchmarks.diagnosis import recording
 
 
 @given(

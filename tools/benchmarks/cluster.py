@@ -1,6 +1,6 @@
 """A folder of many recordings on a Dask cluster of processes, one of which is killed: the same answers, and how much sooner.
 
-    python -m galen_hw.tools.bench_cluster [--recordings 200] [--workers 2] [--write docs/benchmarks.md]
+    python -m galen_hw.tools.benchmarks.cluster [--recordings 200] [--workers 2] [--write docs/benchmarks.md]
 
 All is asked thrice by `galen-hw diagnose FOLDER --dask`: of one worker, of several, and of several of which one is killed
 (SIGKILL) at work, a third of the way through. The recordings' formulas are written here anew. On a shared machine the times
@@ -26,7 +26,7 @@ from galen_hw.errors import EXIT_FOUND, EXIT_OK
 from galen_hw.recording import RecordingInfo, write_table
 from galen_hw.recording.recording import SENSOR_ORIENTATION, WRENCH, Recording
 from galen_hw.spatial import Array, rotation_about
-from galen_hw.tools.bench import Row
+from galen_hw.tools.benchmarks.row import Row
 
 ROWS: Final = 100
 STEP_S: Final = 0.12

@@ -1,6 +1,6 @@
 """What one sample costs the deflection service: processor time of `handle`, with every kind of term in the model.
 
-python -m galen_hw.tools.bench_sample [--samples 20000] [--json]
+python -m galen_hw.tools.benchmarks.sample [--samples 20000] [--json]
 
 Springs, friction, creep, hardening and play in one arm under a load that goes to and fro, joint states every 25 samples.
 """

@@ -1,6 +1,6 @@
 """What an open page of the dashboard adds to the way of a sample: one daemon, listened to without a page and with one, in turn.
 
-    python -m galen_hw.tools.bench_dashboard [--pairs 5] [--seconds 20]
+    python -m galen_hw.tools.benchmarks.dashboard [--pairs 5] [--seconds 20]
 
 The dashboard is the real command, its page a process that takes whatever the websocket gives. A browser on the same machine takes
 more than that; what it takes is its own and not the daemon's.
@@ -16,7 +16,7 @@ from pathlib import Path
 
 from galen_hw.config.paths import Addresses
 from galen_hw.daemon.session import own_daemon
-from galen_hw.tools.bench_latency import MOTORS, TEMPLATE, Result, listen
+from galen_hw.tools.benchmarks.latency import MOTORS, TEMPLATE, Result, listen
 
 RATE_HZ = 1000.0
 
@@ -62,7 +62,7 @@ def _page(addresses: Addresses) -> Iterator[None]:
         stack.callback(served.terminate)
         assert served.stdout is not None, "it is a pipe"
         host = served.stdout.readline().split("http://")[1].split("/")[0]
-        look = [sys.executable, "-m", "galen_hw.tools.bench_dashboard", "--page-of", host]
+        look = [sys.executable, "-m", "galen_hw.tools.benchmarks.dashboard", "--page-of", host]
         stack.callback(stack.enter_context(subprocess.Popen(look, stderr=subprocess.DEVNULL)).terminate)
         yield
 

@@ -1,6 +1,6 @@
 """How long a diagnosis takes, and that its time grows with the rows: a machine of many joints, all effects asked.
 
-    python -m galen_hw.tools.bench_diagnosis [--joints 12] [--rows 25000 50000 100000] [--json]
+    python -m galen_hw.tools.benchmarks.diagnosis [--joints 12] [--rows 25000 50000 100000] [--json]
 
 The recording is a servo arm against its commands: a delay, a joint that friction holds back, noise. Its formulas are
 written here anew.

@@ -1,6 +1,6 @@
 """Benchmark: the polled ATI sensor over the CAN interfaces that need no kernel support, in two processes.
 
-python -m galen_hw.tools.bench_can [--seconds 10] [--rates 1000 3000] [--interfaces slcan socketcand udp_multicast]
+python -m galen_hw.tools.benchmarks.can [--seconds 10] [--rates 1000 3000] [--interfaces slcan socketcand udp_multicast]
 
 The board is a bare answering machine, so that the figures are those of transport and device: at a fixed rate what was
 lost or missed, the time from request to stamp, and the host's processor time a sample.

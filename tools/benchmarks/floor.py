@@ -1,6 +1,6 @@
 """What the machine itself takes: the way of a sample with nothing done on it, between three bare processes.
 
-    python -m galen_hw.tools.bench_floor [--rate 1000] [--seconds 10] [--json]
+    python -m galen_hw.tools.benchmarks.floor [--rate 1000] [--seconds 10] [--json]
 
 One process stamps and writes datagrams at a fixed rate, the second publishes each on a bus, the third takes its age: the
 same wake-ups as from a wire over the daemon to a subscriber, with no driver, no compensation and no message decoded. What

@@ -1,6 +1,6 @@
 """Measures the way of a sample: stamp at the wire to the compensated wrench in another process, over a range of rates.
 
-Run with `python -m galen_hw.tools.bench_latency --seconds 60`. Starts `galen-hw run --virtual` for each rate: the
+Run with `python -m galen_hw.tools.benchmarks.latency --seconds 60`. Starts `galen-hw run --virtual` for each rate: the
 numbers hold with the virtual robot, the daemon and this subscriber sharing the cores of the machine.
 """
 
@@ -21,7 +21,7 @@ from galen_hw.bus import CommandClient, Subscriber
 from galen_hw.config.paths import Addresses
 from galen_hw.daemon.session import own_daemon
 from galen_hw.messages import Status
-from galen_hw.tools.bench_floor import cpu_s
+from galen_hw.tools.benchmarks.floor import cpu_s
 
 RATES_HZ: Final = (1000.0, 1500.0, 2000.0, 2500.0, 3000.0)
 SETTLE_S: Final = 3.0

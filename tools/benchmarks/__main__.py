@@ -1,6 +1,6 @@
 """The promised figures, measured and written down: `make bench` runs this and writes docs/benchmarks.md.
 
-    python -m galen_hw.tools.bench [--write docs/benchmarks.md] [--seconds 600] [--quick] [--only start bare]
+    python -m galen_hw.tools.benchmarks [--write docs/benchmarks.md] [--seconds 600] [--quick] [--only start bare]
 
 `--quick` shortens the stream to 20 s a rate and the simulated calibrations to 40, to see that everything runs. `--only`
 measures some parts again and leaves the other lines of the page as they are.
@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -27,8 +27,10 @@ from galen_hw.identification.fit import fit
 from galen_hw.identification.model import Unknowns
 from galen_hw.identification.poses import Poses
 from galen_hw.spatial import Array, rotation_about
-from galen_hw.tools import bench_dashboard, bench_floor
-from galen_hw.tools.bench_sample import spent_us
+from galen_hw.tools.benchmarks import dashboard as bench_dashboard
+from galen_hw.tools.benchmarks import floor as bench_floor
+from galen_hw.tools.benchmarks.row import Row
+from galen_hw.tools.benchmarks.sample import spent_us
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -59,23 +61,6 @@ PARTS: Final = (
 )
 RULE: Final = "| --- | --- | --- | --- | --- |"
 CHANNELS: Final = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-
-
-@dataclass(frozen=True)
-class Row:
-    """One promised figure and what was measured."""
-
-    what: str
-    promised: str
-    measured: str
-    good: bool
-    command: str
-
-    @property
-    def line(self) -> str:
-        """Return its line of the page's table."""
-        reached = "yes" if self.good else "**no**"
-        return f"| {self.what} | {self.promised} | {self.measured} | {reached} | {self.command} |"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -284,7 +269,7 @@ def _ratios(what: str, bare: "Sequence[bench_floor.Floor]", ours: "Sequence[Mapp
 
 
 def _latency(words: list[str]) -> list[dict[str, Any]]:
-    command = [sys.executable, "-m", "galen_hw.tools.bench_latency", "--json", *words]
+    command = [sys.executable, "-m", "galen_hw.tools.benchmarks.latency", "--json", *words]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     results: list[dict[str, Any]] = json.loads(done.stdout)["results"]
     return results
@@ -329,7 +314,7 @@ def deflection_sample() -> list[Row]:
 
 def diagnosis() -> list[Row]:
     """A diagnosis of a long recording of many channels, and whether its time grows as the rows do."""
-    command = [sys.executable, "-m", "galen_hw.tools.bench_diagnosis", "--json"]
+    command = [sys.executable, "-m", "galen_hw.tools.benchmarks.diagnosis", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     results = json.loads(done.stdout)["results"]
     first, last = results[0], results[-1]
@@ -342,7 +327,7 @@ def diagnosis() -> list[Row]:
 
 def cluster(count: int) -> list[Row]:
     """Many recordings on processes, one of which dies."""
-    from galen_hw.tools import bench_cluster
+    from galen_hw.tools.benchmarks import cluster as bench_cluster
 
     return [bench_cluster.row(count, os.cpu_count() or 2)]
 

@@ -1,6 +1,6 @@
 """Benchmark of the deflection models on generated robots with concealed parameters.
 
-python -m galen_hw.tools.bench_deflection --robots 20 --results bench.jsonl --write docs/deflection.md
+python -m galen_hw.tools.benchmarks.deflection --robots 20 --results bench.jsonl --write docs/deflection.md
 """
 
 import argparse
@@ -22,7 +22,7 @@ from galen_hw.identification.deflection.table import MODELS, model_class
 from galen_hw.spatial import Array
 from galen_hw.tools.deflection.robots import KINDS, NOISE_M, GivingRobot
 
-BEGIN, END = "<!-- bench: written by galen_hw.tools.bench_deflection -->", "<!-- bench end -->"
+BEGIN, END = "<!-- bench: written by galen_hw.tools.benchmarks.deflection -->", "<!-- bench end -->"
 OURS: Final = "elastic arm"
 RIVALS: Final = ("coupled linear", "LSTM (report)")
 NEW, SAME, OTHER = "new configuration", "same configuration", "other day"
