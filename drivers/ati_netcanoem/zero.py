@@ -1,4 +1,4 @@
-"""What an ATI board's `zero` tells of its gauges; the bias itself is the host's (`host_bias`), in counts before the matrix."""
+"""Tells of an ATI board's gauges when it is zeroed; the bias itself is the host's (`host_bias`), in counts before the matrix."""
 
 from typing import Any
 

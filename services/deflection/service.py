@@ -66,15 +66,22 @@ class DeflectionService(Service):
     @property
     def wants(self) -> tuple[str, ...]:
         """Wrenches only for a model that serves: at 1 kHz they cost a wake-up each."""
-        return RIGID if self._served.stream is None or not self._enabled else self.consumes
+        return self.consumes if self._corrects else RIGID
+
+    @property
+    def _corrects(self) -> bool:
+        """Return whether there is a model, and it is switched on."""
+        return self._served.stream is not None and self._enabled
 
     def handle(self, topic: str, message: Message, now_ns: int) -> list[Output]:
         """Take a joint state, a compensated wrench or what the compensation says of the tool."""
         del topic, now_ns
         if type(message) is WrenchCompensated:
             return self._correct(message)
-        if type(message) is CompensationState and self.wants is RIGID:
-            self._hold(message.tool)
+        if type(message) is CompensationState:
+            # With a model the wrenches say it themselves, each its own.
+            if not self._corrects:
+                self._hold(message.tool)
             return []
         if type(message) is JointsState and self._history.add(message):
             return self._report(message)

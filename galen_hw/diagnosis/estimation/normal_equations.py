@@ -138,7 +138,9 @@ class Scorer:
             fresh = [i for i in range(len(self.library) - len(new), len(self.library)) if self._acts(i, c)]
             if not fresh:
                 continue
-            at_new, Xn = self._abreast(fresh, c)
+            own = [self.library[i].own(c) for i in fresh]
+            at_new = np.concatenate([self.places[i].start + at for i, (at, _) in zip(fresh, own, strict=True)])
+            Xn = np.concatenate([part[self._train] for _, part in own], axis=1)
             for part in stack:
                 cross = part.columns.T @ Xn
                 G[np.ix_(part.at, at_new)] += cross
@@ -151,16 +153,6 @@ class Scorer:
             else:
                 stack.append(_Beside.of(at_new, Xn))
         self.b, self.fakes = b, fakes
-
-    def _abreast(self, which: list[int], c: int) -> tuple["Index", Array]:
-        """Numbers and training rows (n, k) of the columns that hypotheses have in a channel."""
-        own = [self.library[i].own(c) for i in which]
-        at = np.concatenate([self.places[i].start + numbers for i, (numbers, _) in zip(which, own, strict=True)])
-        out = np.empty((int(self._train.sum()), len(at)))
-        ends = np.cumsum([0, *(part.shape[1] for _, part in own)]).tolist()
-        for start, (_, part) in zip(ends, own, strict=False):
-            out[:, start : start + part.shape[1]] = part[self._train]
-        return at, out
 
     def _acts(self, i: int, c: int) -> bool:
         return c in self.library[i].raw.channels and self.library[i].count > 0

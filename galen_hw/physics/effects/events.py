@@ -99,7 +99,7 @@ class Step(_Shaped):
 
     def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
         """Only of what has a zero: what comes at once to a motor's effort, and stays, is a force."""
-        return scene.zeroed
+        return scene.observations.predict != "effort"
 
     @property
     def single(self) -> tuple[Self, ...]:

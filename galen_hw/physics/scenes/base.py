@@ -299,11 +299,6 @@ class Scene(Operated):
         """Place of a joint."""
         return self.joint_names.index(name)
 
-    @property
-    def zeroed(self) -> bool:
-        """Return whether a channel has a zero that may jump: motors' efforts have none."""
-        return self.observations.predict != "effort"
-
     @cached_property
     def moved(self) -> tuple[str, ...]:
         """Joints whose position is known and changes."""
