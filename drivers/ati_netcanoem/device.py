@@ -3,7 +3,7 @@
 Frames are in `ati_codec`, the questions of the start in `ati_start`; `ati_sampler` says why no sample is a wrong one.
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -18,12 +18,12 @@ from galen_hw.drivers.ati_netcanoem.zero import told
 from galen_hw.drivers.device import CanFrame, Output
 from galen_hw.drivers.dialogue import Dialogue, DialogueError
 from galen_hw.drivers.host_bias import HostBias
-from galen_hw.drivers.wrench_sensor import Phase, WrenchSensor
-from galen_hw.errors import CommandRejectedError
-from galen_hw.messages import Request, Vector3, WrenchRaw
+from galen_hw.drivers.host_biased import HostBiasedSensor
+from galen_hw.drivers.wrench_sensor import Phase
+from galen_hw.messages import Vector3, WrenchRaw
 
 
-class AtiNetcanoem(WrenchSensor[CanFrame, AtiIdentity]):
+class AtiNetcanoem(HostBiasedSensor[CanFrame, AtiIdentity]):
     """Publishes `wrench/raw` in the sensor frame about its origin, N and N m, stamped when its second frame was read.
 
     Requests: `zero` {samples}: average the gauges and subtract them from now on; `unzero`; `restart`.
@@ -34,7 +34,6 @@ class AtiNetcanoem(WrenchSensor[CanFrame, AtiIdentity]):
     def __init__(self, name: str, settings: AtiSettings, time_base: TimeBase) -> None:
         self._settings = settings
         self._id0 = settings.base_id << 4
-        self._bias = HostBias(name, settings.zero_samples, settings.rate_hz, told)
         super().__init__(
             name,
             f"{name} (ATI NETCANOEM, CAN ids 0x{self._id0:X} to 0x{self._id0 + 15:X})",
@@ -43,13 +42,13 @@ class AtiNetcanoem(WrenchSensor[CanFrame, AtiIdentity]):
             retry_s=settings.retry_s,
             counters=COUNTERS,
             silent_todo=_TODO_SILENT,
-            zeroing=self._bias,
+            bias=HostBias(name, settings.zero_samples, settings.rate_hz, told),
             zero_kept_s=settings.zero_kept_s,
         )
         self._fence = fence(settings)
         self._sampler = new_sampler(settings, self._fence, {}, self._counters)
         self._status = StatusWord(settings.bus_error_s)
-        self._serial_bytes, self._barren = b"", ""
+        self._barren = ""
         self._matrix: npt.NDArray[np.float64] = np.zeros((6, 6))
         self._rows = [[0.0] * 7] * 6
         """Of the matrix, each with what the bias takes off behind it: in plain floats, for numpy's way to a product of six
@@ -88,30 +87,10 @@ class AtiNetcanoem(WrenchSensor[CanFrame, AtiIdentity]):
             self._feed_beside(wire, opcode, t_ns)
         return self._take_outbox() if self._outbox else []
 
-    def request(self, request: Request, now_ns: int) -> list[Output]:
-        """`zero` {samples}, `unzero`, `restart`; see `Device.request`."""
-        if request.name == "zero":
-            self._bias.zero(request, now_ns, ready=self.ready)
-            return []
-        if request.name == "unzero":
-            replies = self._bias.unzero(request)
-            self._use_bias()
-            return replies
-        if request.name == "restart":
-            return self._restart(request, now_ns)
-        todo = "it knows zero, unzero, restart"
-        raise CommandRejectedError(f"unknown request {request.name!r}", where=self.name, todo=todo)
-
     def stop(self, now_ns: int) -> list[CanFrame]:
         """Ask for nothing any more; the board is silent when it is not asked."""
         self._switch_off()
         return []
-
-    def snapshot(self, now_ns: int) -> dict[str, Any]:
-        """The bias; see `Device.snapshot`."""
-        counts = [] if self._bias.offset is None else self._bias.offset.tolist()
-        serial = "" if self._identity is None else self._identity.serial_number
-        return self._kept_zero.record(serial, self._bias.zeroings, counts, now_ns, seen=self.ready)
 
     @property
     def wakeup_ns(self) -> int:
@@ -130,16 +109,8 @@ class AtiNetcanoem(WrenchSensor[CanFrame, AtiIdentity]):
         )
 
     def _identified(self, identity: AtiIdentity, now_ns: int) -> list[CanFrame]:
-        """The bias stays if the same sensor answers."""
-        if self._bias.offset is not None and identity.serial_bytes != self._serial_bytes:
-            self._bias.lose()
-            self._gauges.forget()
-            what = f"another sensor ({identity.serial_number}) answers: the zero is lost"
-            self._outbox += self._reporter.fault(now_ns, "another sensor", what, "zero the sensor")
-        if (kept := self._zero_to_restore(identity, codec.GAUGES, now_ns)) is not None:
-            self._bias.take_up(kept.values, kept.zeroings)
-        self._serial_bytes, self._matrix = identity.serial_bytes, identity.matrix[:, codec.WIRE_ORDER]
-        self._use_bias()
+        self._matrix = identity.matrix[:, codec.WIRE_ORDER]
+        self._bias_for(identity, codec.GAUGES, now_ns)
         self._sampler = new_sampler(self._settings, self._fence, identity.answers, self._counters)
         self._sampler.start(now_ns)
         return self._sampler.poll(now_ns)
@@ -240,10 +211,7 @@ class AtiNetcanoem(WrenchSensor[CanFrame, AtiIdentity]):
         state, trouble = self._status.state(now_ns)
         if self._barren:
             state, trouble = "fault", self._barren
-        zeroed = "not zeroed" if self._bias.offset is None else "zeroed"
-        if story := self._kept_zero.story(self._bias.zeroings):
-            zeroed += f" ({story})"
-        return state, "; ".join(filter(None, (trouble, identity.described, zeroed)))
+        return state, "; ".join(filter(None, (trouble, identity.described, self._zeroed)))
 
 
 _TODO_SILENT: Final = "check its power, CAN wiring and termination, base id and bit rate"

@@ -10,7 +10,7 @@ A throttled sensor gives right samples, only fewer: they stay valid, and the sta
 needs, are not to be had from these. A restart of the daemon or of the stream loses no zero; another sensor does.
 """
 
-from typing import Any, ClassVar, Final, Literal
+from typing import ClassVar, Final, Literal
 
 from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.drivers.bota import codec
@@ -21,10 +21,10 @@ from galen_hw.drivers.bota.zero import told
 from galen_hw.drivers.device import Output
 from galen_hw.drivers.dialogue import DialogueError
 from galen_hw.drivers.host_bias import HostBias
+from galen_hw.drivers.host_biased import HostBiasedSensor
 from galen_hw.drivers.reporting import FAR_NS
-from galen_hw.drivers.wrench_sensor import Phase, WrenchSensor
-from galen_hw.errors import CommandRejectedError
-from galen_hw.messages import Request, Vector3, WrenchRaw
+from galen_hw.drivers.wrench_sensor import Phase
+from galen_hw.messages import Vector3, WrenchRaw
 
 COUNTERS: Final = (
     "samples",  # published
@@ -41,7 +41,7 @@ COUNTERS: Final = (
 ZERO_CELSIUS_K: Final = 273.15
 
 
-class Bota(WrenchSensor[bytes, BotaIdentity]):
+class Bota(HostBiasedSensor[bytes, BotaIdentity]):
     """Publishes `wrench/raw` in the sensor frame about its origin, N and N m, stamped when the package handed it over.
 
     Requests: `zero` {samples}: average and subtract from now on; `unzero`; `restart`: stop, identify and stream anew.
@@ -53,7 +53,6 @@ class Bota(WrenchSensor[bytes, BotaIdentity]):
 
     def __init__(self, name: str, settings: BotaSettings, time_base: TimeBase) -> None:
         self._settings = settings
-        self._bias = HostBias(name, settings.zero_samples, settings.rate_hz, told)
         super().__init__(
             name,
             f"{name} (Bota Systems)",
@@ -62,7 +61,7 @@ class Bota(WrenchSensor[bytes, BotaIdentity]):
             retry_s=settings.retry_s,
             counters=COUNTERS,
             silent_todo=_TODO_SILENT,
-            zeroing=self._bias,
+            bias=HostBias(name, settings.zero_samples, settings.rate_hz, told),
             zero_kept_s=settings.zero_kept_s,
         )
         self._line = b""
@@ -70,7 +69,6 @@ class Bota(WrenchSensor[bytes, BotaIdentity]):
         self._silent_ns = FAR_NS
         self._sieve = self._new_sieve()
         self._off = (0.0,) * 6
-        self._zeroed_serial = ""
         self._word, self._unusable = 0, ""
 
     # ------------------------------------------------------------ the interface of every device
@@ -99,31 +97,11 @@ class Bota(WrenchSensor[bytes, BotaIdentity]):
             outputs += self._take(line, t_ns)
         return outputs
 
-    def request(self, request: Request, now_ns: int) -> list[Output]:
-        """`zero` {samples}, `unzero`, `restart`; see `Device.request`."""
-        if request.name == "zero":
-            self._bias.zero(request, now_ns, ready=self.ready)
-            return []
-        if request.name == "unzero":
-            replies = self._bias.unzero(request)
-            self._use_bias()
-            return replies
-        if request.name == "restart":
-            return self._restart(request, now_ns)
-        todo = "it knows zero, unzero, restart"
-        raise CommandRejectedError(f"unknown request {request.name!r}", where=self.name, todo=todo)
-
     def stop(self, now_ns: int) -> list[bytes]:
         """End the stream."""
         was_on, self._line = self._phase is not Phase.OFF, b""
         self._switch_off()
         return [STOP] if was_on else []
-
-    def snapshot(self, now_ns: int) -> dict[str, Any]:
-        """The bias, of a sensor that has a number; see `Device.snapshot`."""
-        serial = "" if self._identity is None else self._identity.serial_number
-        values = [] if self._bias.offset is None else self._bias.offset.tolist()
-        return self._kept_zero.record(serial, self._bias.zeroings if serial else 0, values, now_ns, seen=self.ready)
 
     @property
     def wakeup_ns(self) -> int:
@@ -142,16 +120,7 @@ class Bota(WrenchSensor[bytes, BotaIdentity]):
         return Sieve(period_ns, round(self._settings.stall_s * NS_PER_S), self._counters)
 
     def _identified(self, identity: BotaIdentity, now_ns: int) -> list[bytes]:
-        """The bias stays if the same sensor answers."""
-        serial = identity.serial_number
-        if self._bias.offset is not None and serial != self._zeroed_serial:
-            self._bias.lose()
-            what = f"another sensor ({serial or 'of unknown number'}) answers: the zero is lost"
-            self._outbox += self._reporter.fault(now_ns, "another sensor", what, "zero the sensor")
-        if (kept := self._zero_to_restore(identity, 6, now_ns)) is not None:
-            self._bias.take_up(kept.values, kept.zeroings)
-        self._zeroed_serial = serial
-        self._use_bias()
+        self._bias_for(identity, 6, now_ns)
         self._sieve = self._new_sieve()
         self._silent_ns = now_ns + round(self._settings.start_timeout_s * NS_PER_S)
         return [START]
@@ -220,11 +189,8 @@ class Bota(WrenchSensor[bytes, BotaIdentity]):
         raise NotImplementedError("its gauges are not watched")
 
     def _running(self, identity: BotaIdentity, now_ns: int) -> tuple[str, str]:
-        zeroed = "not zeroed" if self._bias.offset is None else "zeroed"
-        if story := self._kept_zero.story(self._bias.zeroings):
-            zeroed += f" ({story})"
         state = "fault" if self._unusable else "degraded" if self._word & THROTTLED else "ready"
-        return state, "; ".join((*status_texts(self._word), identity.described, zeroed))
+        return state, "; ".join((*status_texts(self._word), identity.described, self._zeroed))
 
 
 _TODO_SILENT: Final = "check its power and cable, and interface and address of its transport"
