@@ -9,7 +9,7 @@ class Budget:
     """Caps of the numerical method; none of them decides what is believed.
 
     Args:
-        rows: that a search works on, more are averaged: a minute at 200 Hz unaveraged, columns of 0.1 MB a channel.
+        rows: that a search works on, more are averaged: half a minute at 200 Hz unaveraged, columns of 50 kB a channel.
         coarse: rows of a first look, and those that trees learn from: motion is slow beside a force sensor's samples.
         surrogates: recordings of noise alone; the scale of their maxima is then known to a seventh.
         rounds: in which what effects do to each other is told anew.
@@ -17,7 +17,7 @@ class Budget:
         at_once: hypotheses whose whitened columns stand in memory together while all are made anew.
     """
 
-    rows: int = 12500
+    rows: int = 6250
     coarse: int = 3000
     surrogates: int = 48
     rounds: int = 4
