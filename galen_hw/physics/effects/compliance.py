@@ -25,12 +25,13 @@ LOADS = ("load", "torque", "force", "effort", "current", "duty", "pwm")
 class Compliance(Effect):
     """Elastic give under load.
 
-    A joint by c times its load, q' = q + c tau ("joint"); the structure along the base's axes ("structure") or the tool
-    along the sensor's ("tool") by c times the force there; `source` says whose load it is: the "applied" force's or that of
-    "all" it bears, what hangs on the arm included (of a joint also that "weight" alone); in positions without a model of the
-    weights, the sag of what hangs on the joint under its own weight, a sin + b cos of the angle against the vertical of the
-    link beyond it, the sum of the joints from `first` on that turn about parallel axes; `links` more of the chain each with
-    their own ("weight"). A servo that is told to stand and is pulled, by c times what its load register says ("loop").
+    A joint by c times its load, q' = q + c tau ("joint"); the structure along the base's axes ("structure") or the tool along
+    the sensor's ("tool") by c times the force there; `source` says whose load it is: the "applied" force's or that of "all" it
+    bears, what hangs on the arm included (of a joint also that "weight" alone, or its "own": that and the weight of the arm's
+    links); in positions without a model of the weights, the sag of what hangs on the joint under its own weight, a sin + b cos
+    of the angle against the vertical of the link beyond it, the sum of the joints from `first` on that turn about parallel
+    axes; `links` more of the chain each with their own ("weight"). A servo that is told to stand and is pulled, by c times
+    what its load register says ("loop").
 
     Visible when the load changes otherwise than with motion. Confused with time_delay where load follows speed, with
     joint_offset for a constant load, with creep, hardening and payload.
@@ -66,7 +67,11 @@ class Compliance(Effect):
     def propose(cls, scene: Scene) -> Iterator[Self]:
         """Every joint that bears load; the structure where a force on the tip is known."""
         for joint in scene.joint_names:
-            if _bears(scene, joint) and scene.joint_port(joint) is not None:
+            if scene.joint_port(joint) is None:
+                continue
+            if isinstance(scene, ArmScene) and (own := scene.own_load(joint)) is not None and np.ptp(own) > 0.0:
+                yield cls("joint", joint, "own")
+            if _bears(scene, joint):
                 yield cls("joint", joint)
                 if isinstance(scene, ArmScene) and scene.belief.hanging and np.any(scene.force):
                     yield cls("joint", joint, "applied")
@@ -209,7 +214,9 @@ def _bears(scene: Scene, joint: str) -> bool:
 
 def _load(scene: Scene, joint: str, source: str) -> Array | None:
     load: Array | None
-    if isinstance(scene, ArmScene) and source != "all":
+    if isinstance(scene, ArmScene) and source == "own":
+        load = scene.own_load(joint)
+    elif isinstance(scene, ArmScene) and source != "all":
         load = scene.weight_load(joint) if source == "weight" else scene.torque_from(joint, scene.force, scene.tip)
     else:
         load = scene.load(joint)

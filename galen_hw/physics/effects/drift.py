@@ -6,8 +6,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.effects.base import Effect
-from galen_hw.physics.effects.columns import Columns, in_each
+from galen_hw.physics.effects.base import LOADS, Effect
+from galen_hw.physics.effects.columns import Columns, in_channel, in_each
 from galen_hw.physics.effects.parameters import Parameter, Searched, duration, log_grid, unit_of
 from galen_hw.physics.effects.traits import Follows
 from galen_hw.physics.scenes.base import Scene
@@ -155,8 +155,9 @@ class Drift(Effect):
 
 @dataclass(frozen=True)
 class Temperature(Effect):
-    """The offset follows a measured temperature: r = k (T - T0), T0 the first one.
+    """The offset follows a measured temperature: r = k (T - T0), T0 the first one; with `span` the scale too, + s (T - T0) x.
 
+    x is the simulated channel: data sheets give both coefficients, and a screw that grows is longer where more of it is used.
     With a `constant` it follows as the sensor's body does where the thermometer hangs beside it: by a first-order lag.
     Visible where the temperature changes and not only with time. Confused with drift. With `channels` it is one thermometer
     in several, each with a coefficient of its own: what warms moves more than one zero.
@@ -166,7 +167,7 @@ class Temperature(Effect):
     SAYS = "the offset follows the measured temperature"
     KNOWN_BY = "it follows the thermometer better than the clock"
     CONFIRMED_BY = "record a warm and a cold start with the arm at rest"
-    HEAD = ("coefficient",)
+    HEAD = ("coefficient", "span")
     WARMS = True
     SEARCHED: ClassVar = {"constant": Searched(1e-2, 1e5, "s")}
     channel: str = ""
@@ -174,10 +175,11 @@ class Temperature(Effect):
     reference: float = 0.0
     channels: tuple[str, ...] = ()
     constant: float | None = None
+    span: bool = False
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every channel with every thermometer that moves, at once and later."""
+        """Every channel with every thermometer that moves, at once and later, its zero alone and its zero and scale."""
         length = duration(scene) if scene.clock else 0.0
         constants = (None, *log_grid(length / 30.0, length / 3.0, 3))
         for name, values in scene.observations.columns.items():
@@ -185,17 +187,24 @@ class Temperature(Effect):
                 for constant in constants:
                     start = float(values[0])
                     yield from (cls(channel, name, start, constant=constant) for channel in scene.channels)
+                    if scene.observations.predict in (*LOADS, "position"):
+                        scaled = (c for c, x in zip(scene.channels, scene.simulated.T, strict=True) if np.ptp(x) > 0.0)
+                        yield from (cls(channel, name, start, constant=constant, span=True) for channel in scaled)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Offset per kelvin."""
         if not self.channels:
-            return (Parameter("coefficient", f"{unit_of(scene, self.channel)}/K"),)
+            zero = Parameter("coefficient", f"{unit_of(scene, self.channel)}/K")
+            return (zero, Parameter("span", "1/K")) if self.span else (zero,)
         return tuple(Parameter(f"coefficient_{name}", f"{unit_of(scene, name)}/K") for name in self.channels)
 
     def columns(self, scene: Scene) -> Columns:
         """Measured temperature less the reference."""
         places = tuple(scene.channels.index(name) for name in self.channels or (self.channel,))
-        return in_each(places, self.warmth(scene)[:, None])
+        warmth = self.warmth(scene)
+        if self.span:
+            return in_channel(places[0], [warmth, warmth * scene.simulated[:, places[0]]])
+        return in_each(places, warmth[:, None])
 
     @classmethod
     def supposed(cls, channel: str) -> tuple[Self, float]:

@@ -28,14 +28,15 @@ class Friction(Effect):
     """Friction in a joint: r = Fc s + Fv v with s = tanh(v / v0), and its kin.
 
     "asymmetric": own Fc and Fv by direction; "unequal": own Fv alone, where a free constant has what differs of Fc;
-    "stribeck": + Fs s exp(-(v / vs)^2) (Armstrong-Helouvry 1994); "load": + c |load| s. In efforts it adds to the motor's
-    work; a servo without integral action stands off by friction over stiffness (positions, negative). "servo": the same with
-    its sticking at reversals, T dq/dt = z(c - q), z a dead zone of +- `coulomb` (friction over stiffness), T the servo's
-    `response` and c its command s, beside the lag of such a servo without friction; T not below `shortest` (half a sample:
-    what follows quicker and sticks has a play). Of a `simulated` servo, whose T the simulation and its command tell, c is
-    what makes it move as simulated (s + T ds/dt). "creeping_servo": friction that is viscous at creeping speed, so that it
-    gives way with a time constant `settling` while it sticks; either with "_viscous": what more damping holds it back, - b
-    ds/dt behind the response.
+    "stribeck": + Fs s exp(-(v / vs)^2) (Armstrong-Helouvry 1994); "load": + c |load| s; "presliding": s is built up over
+    `reach` of the joint after each turn, at any speed (Dahl 1976), with "_stribeck" as LuGre's bristles slip (Canudas de Wit
+    1995). In efforts it adds to the motor's work; a servo without integral action stands off by friction over stiffness
+    (positions, negative). "servo": the same with its sticking at reversals, T dq/dt = z(c - q), z a dead zone of +- `coulomb`
+    (friction over stiffness), T the servo's `response` and c its command s, beside the lag of such a servo without friction; T
+    not below `shortest` (half a sample: what follows quicker and sticks has a play). Of a `simulated` servo, whose T the
+    simulation and its command tell, c is what makes it move as simulated (s + T ds/dt). "creeping_servo": friction that is
+    viscous at creeping speed, so that it gives way with a time constant `settling` while it sticks; either with "_viscous":
+    what more damping holds it back, - b ds/dt behind the response.
     Visible at reversals and at several speeds. Confused with hysteresis and backlash (small widths; a quick servo that sticks
     has the play of its command), time_delay and viscous lag, payload where speed follows gravity.
     """
@@ -49,6 +50,7 @@ class Friction(Effect):
     SEARCHED: ClassVar = {
         "transition": Searched(1e-6, 10.0, "rad/s or m/s"),
         "stribeck": Searched(1e-5, 10.0, "rad/s or m/s"),
+        "reach": Searched(1e-7, 1.0, "rad or m"),
         "coulomb": Searched(1e-7, 1.0, "rad or m"),
         "response": Searched(1e-3, 1.0, "s"),
         "settling": Searched(1e-2, 1e3, "s"),
@@ -58,6 +60,7 @@ class Friction(Effect):
     form: str
     transition: float | None = None
     stribeck: float | None = None
+    reach: float | None = None
     coulomb: float | None = None
     response: float | None = None
     settling: float | None = None
@@ -82,8 +85,17 @@ class Friction(Effect):
                 yield from (cls(joint, form, sharp * speed) for form in forms)
             if _is_effort(scene):
                 yield from (cls(joint, "stribeck", 0.05 * speed, vs * speed) for vs in (0.1, 0.3))
+                yield from cls._presliding(scene, joint, speed)
             else:
                 yield from cls._in_servos(scene, joint)
+
+    @classmethod
+    def _presliding(cls, scene: Scene, joint: str, speed: float) -> Iterator[Self]:
+        """Friction that is built up over a thousandth to a twentieth of the joint's range, without and with stiction."""
+        half_range = 0.5 * float(np.ptp(scene.q[:, scene.joint_index(joint)]))
+        for reach in log_grid(1e-3 * half_range, 5e-2 * half_range, 4):
+            yield cls(joint, "presliding", reach=reach)
+            yield cls(joint, "presliding_stribeck", stribeck=0.1 * speed, reach=reach)
 
     @classmethod
     def _in_servos(
@@ -138,8 +150,10 @@ class Friction(Effect):
             return c, *(Parameter(f"viscous_{way}", v.unit, low, high) for way in ("forward", "backward"))
         if self.freedom is not None:
             return (Parameter("share", "1", 0.0, expected=1.0), Parameter("viscous", "s", 0.0))[: 1 + self.freedom]
-        extra = {"stribeck": Parameter("stiction", unit, low, high), "load": Parameter("load_share", "1", low, high)}
-        return {"coulomb": (c,), "viscous": (v,), "coulomb_viscous": (c, v)}.get(self.form) or (c, v, extra[self.form])
+        stiction, load = Parameter("stiction", unit, low, high), Parameter("load_share", "1", low, high)
+        extra = {"stribeck": stiction, "presliding_stribeck": stiction, "load": load}
+        plain = {"coulomb": (c,), "viscous": (v,), "coulomb_viscous": (c, v), "presliding": (c, v)}
+        return plain.get(self.form) or (c, v, extra[self.form])
 
     @classmethod
     def ahead(cls, scene: Scene, effects: Sequence[Self], *, together: float = 1.5e7) -> None:
@@ -161,8 +175,7 @@ class Friction(Effect):
         v = scene.rates[0][:, scene.joint_index(self.joint)]
         if self.freedom is not None:
             return in_channel(_place(scene, self.joint), self._servo(scene, v))
-        assert self.transition is not None, "proposed with one"
-        s = np.tanh(v / self.transition)
+        s = self._sense(scene, v)
         forward = 0.5 * (1.0 + s)
         forms: dict[str, Callable[[], list[Array]]] = {
             "coulomb": lambda: [s],
@@ -171,9 +184,18 @@ class Friction(Effect):
             "asymmetric": lambda: [s * forward, v * forward, s * (1.0 - forward), v * (1.0 - forward)],
             "unequal": lambda: [s, v * forward, v * (1.0 - forward)],
             "stribeck": lambda: [s, v, s * np.exp(-((v / (self.stribeck or 1.0)) ** 2))],
+            "presliding": lambda: [s, v],
+            "presliding_stribeck": lambda: [s, v, s * np.exp(-((v / (self.stribeck or 1.0)) ** 2))],
             "load": lambda: [s, v, s * np.abs(np.asarray(scene.load(self.joint), dtype=float))],
         }
         return in_channel(_place(scene, self.joint), scene.seen(np.stack(forms[self.form](), axis=-1)).T)
+
+    def _sense(self, scene: Scene, v: Array) -> Array:
+        """(N,) of the motion, -1 to 1: of its speed (N,), or as far as it has built up since the joint turned."""
+        if self.reach is not None:
+            return scene.wear("presliding", scene.q[:, scene.joint_index(self.joint)], self.reach, 1.0)
+        assert self.transition is not None, "proposed with one"
+        return np.asarray(np.tanh(v / self.transition))
 
     def with_searched(self, values: Mapping[str, float]) -> Self:
         """Another point of the search; a servo that follows within half a sample is none, and friction in it a play."""

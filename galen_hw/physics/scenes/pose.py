@@ -3,10 +3,12 @@
 import numpy as np
 
 from galen_hw.errors import UsageError
+from galen_hw.kinematics.dynamics import UrdfRobot
 from galen_hw.lazy import cached_property
 from galen_hw.physics.scenes.base import Scene, once
 from galen_hw.physics.scenes.screws import axis_screws, exponential, joint_screws
 from galen_hw.physics.scenes.sensitivity import Carried, Port
+from galen_hw.physics.scenes.taught import slopes
 from galen_hw.spatial import Array, rotation_from_quaternion, rotation_log
 
 POSITION = tuple(f"pose.position.{axis}" for axis in "xyz")
@@ -65,8 +67,29 @@ class ArmScene(Scene):
         return out
 
     @once
+    def own_load(self, joint: str) -> Array | None:
+        """(N,) load of the joint by the weight of the arm's links and of what hangs on it, N m or N; None: no link has a mass."""
+        weights = self._link_loads
+        robot = self.belief.robot
+        if weights is None or robot is None or joint not in robot.joint_names:
+            return None
+        return np.asarray(weights[:, robot.joint_names.index(joint)] + self.weight_load(joint))
+
+    @cached_property
+    def _link_loads(self) -> Array | None:
+        """(N, J) loads of the robot's joints by the weight of its links: what holds them up, with the other sign."""
+        robot = self.belief.robot
+        if not isinstance(robot, UrdfRobot):
+            return None
+        still = np.zeros_like(self.q)
+        loads = -robot.under(self.belief.gravity).inverse_dynamics(self.q, still, still)
+        return loads if np.ptp(loads) > 0.0 else None
+
+    @once
     def load(self, joint: str) -> Array | None:
         """Applied force and weight together."""
+        if self.belief.robot is None:
+            return None
         total = self.torque_from(joint, self.force, self.tip) + self.weight_load(joint)
         bears = np.ptp(total) > 0.0 if self.whole is None else self.whole.load(joint) is not None
         return total if bears else None
@@ -86,9 +109,21 @@ class ArmScene(Scene):
 
     @once
     def joint_port(self, joint: str) -> Array | None:
-        """The distal part moved by the joint."""
+        """The distal part moved by the joint; without a robot as a given simulation shows it."""
         screws = joint_screws(self, joint)
-        return None if screws is None else self._answer(screws)
+        if screws is not None:
+            return self._answer(screws)
+        return None if self._taught is None or joint not in self.moved else self._taught[:, :, self.moved.index(joint)]
+
+    @cached_property
+    def _taught(self) -> Array | None:
+        """(N, C, J) slopes of a given simulation by the joints that move, where no robot tells them; of positions alone."""
+        if self.belief.robot is not None or self.observations.simulation is None or not self.moved:
+            return None
+        given = self.simulated
+        if not all("position" in name for name in self.channels):
+            return None
+        return slopes(self.q[:, [self.joint_index(name) for name in self.moved]], given)
 
     @once
     def geometry_ports(self) -> list[Port]:

@@ -1,0 +1,61 @@
+"""Slopes of a pose by the joints where a simulation is given and the kinematics are not: polynomials through the simulation."""
+
+import itertools
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from galen_hw.spatial import Array
+
+
+def slopes(q: Array, simulated: Array, *, degrees: int = 7, rows_a_term: int = 20, most: float = 1e-3) -> Array | None:
+    """Return the slopes (N, C, J) of simulated channels (N, C) by joint positions (N, J); None: these do not tell the channels.
+
+    A closed chain has no joint screws, but where it moved its simulation is a smooth function of its joints: Legendre polynomials
+    of total degree, of the lowest that leaves little enough.
+
+    Args:
+        degrees: highest total degree that is tried; rows_a_term: rows that each term needs.
+        most: rms of what the function leaves, over the spread of the channel that moves most.
+    """
+    good = np.asarray(np.isfinite(q).all(axis=1) & np.isfinite(simulated).all(axis=1))
+    if not good.any():
+        return None
+    low, high = q[good].min(axis=0), q[good].max(axis=0)
+    if not np.all(high > low):
+        return None
+    half = 0.5 * (high - low)
+    u = np.where(good[:, None], (q - low) / half - 1.0, 0.0)
+    y = simulated[good] - simulated[good].mean(axis=0)
+    for degree in range(1, degrees + 1):
+        terms = [e for e in itertools.product(range(degree + 1), repeat=q.shape[1]) if sum(e) <= degree]
+        if len(terms) * rows_a_term > len(y):
+            return None
+        factors = np.asarray(legendre.legvander(u, degree), dtype=float)
+        made = _products(factors, terms)
+        weights = np.linalg.lstsq(made[good], y, rcond=None)[0]
+        if np.sqrt(np.mean((y - made[good] @ weights) ** 2, axis=0)).max() <= most * y.std(axis=0).max():
+            steps = factors @ _derivative(degree) / half[:, None]
+            each = [_products(_with(factors, steps, j), terms) @ weights for j in range(q.shape[1])]
+            return np.stack(each, axis=-1)
+    return None
+
+
+def _products(factors: Array, terms: list[tuple[int, ...]]) -> Array:
+    """(N, T) products of one polynomial a joint; factors (N, J, degree + 1)."""
+    return np.stack([np.prod([factors[:, j, e] for j, e in enumerate(term)], axis=0) for term in terms], axis=-1)
+
+
+def _with(factors: Array, steps: Array, joint: int) -> Array:
+    """(N, J, degree + 1) factors, of one joint their slopes instead."""
+    out = factors.copy()
+    out[:, joint] = steps[:, joint]
+    return out
+
+
+def _derivative(degree: int) -> Array:
+    """(degree + 1, degree + 1) that makes of the Legendre polynomials their slopes."""
+    out = np.zeros((degree + 1, degree + 1))
+    for k in range(1, degree + 1):
+        out[:k, k] = legendre.legder(np.eye(degree + 1)[k])[:k]
+    return out
