@@ -17,11 +17,12 @@ from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.searching import Search, held_up
 from galen_hw.diagnosis.selection.acceptance import plausible
+from galen_hw.diagnosis.selection.search import settled
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.drift import Drift
 from galen_hw.physics.effects.registry import scene_of
-from galen_hw.physics.effects.sensor import Gain
+from galen_hw.physics.effects.sensor import Bias, Gain
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +63,20 @@ def test_what_holds_is_kept_and_what_is_no_better_does_not_take_its_place(warmin
     assert selection is wrong[0]
     assert model is not chosen
     assert not model.effects
+
+
+def test_an_offset_that_stands_at_the_end_meets_what_explains_more(warming: DiagnosisBench) -> None:
+    """A constant that was always fitted was never asked beside a drift of the same channel."""
+    end = float(warming.scene.time[-1])
+    offset, drift = Bias(WRENCH[2]), Drift(WRENCH[2], "linear", None, 0.0, end)
+    kept = {}
+    for rivals in (False, True):
+        own = copy(warming)
+        own.begin()
+        scorer = Scorer(own, [own.add(offset), own.add(drift)], free=False)
+        stands = settled(scorer, [(offset, np.array([SIGMA[2]]))], 10.0, rivals=rivals)
+        kept[rivals] = [h.effect for h in stands.hypotheses]
+    assert kept == {False: [offset], True: [drift]}
 
 
 def test_two_that_cancel_but_for_a_small_part_are_not_real_side_by_side(warming: DiagnosisBench) -> None:

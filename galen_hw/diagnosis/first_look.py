@@ -1,5 +1,6 @@
 """A first look at a recording: what is there, so that it does not pass for noise."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,17 @@ class Known:
     step: float
     ends: Timing
     stream: Scene
+
+    def alike(self, effects: Iterable[Effect], columns: Iterable[Columns]) -> list[Columns]:
+        """Return the columns of all that acts in the joints in which something was found.
+
+        On few rows it is not sure what that is, and what the other forms would explain must not pass for noise.
+
+        Args:
+            effects: of the library, with their columns.
+        """
+        joints = {joint for effect, _ in self.effects for joint in effect.joints}
+        return [raw for effect, raw in zip(effects, columns, strict=True) if joints & set(effect.joints)]
 
     def columns(self, bench: Bench, generic: list[structure_test.Family], *, least: int = 12) -> list[Columns]:
         """On the rows of a bench: what must not pass for noise, as it arrives.
@@ -97,14 +109,14 @@ def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list
     seen = [coarse.raw(s.effect) for s in at_first_sight(bench)]
     extra, above = [*structure_test.compact(coarse, generic), *seen], coarse.motion_band()
     coarse.learn_noise(columns, extra, above=above)
-    ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind)
+    ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind, first=True)
     coarse = model.bench
     if shifts := far_off(model):
         # On the clock that was off no effect is like what was measured: slow ones had passed for noise.
         late = [coarse.raw(effect) for effect in effects]
         coarse.begin()
         coarse.learn_noise(late, [*extra, *shifts], above=above)
-        ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind)
+        ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind, first=True)
         coarse = model.bench
     if not left and len(coarse.noise.edges):
         # What is finely structured passes for quick noise. Only blocks that it was not fitted on can tell, whatever the noise.

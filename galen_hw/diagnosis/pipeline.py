@@ -71,7 +71,7 @@ def diagnose(
     # rather than too large. Now it is learnt from what the first model leaves, and everything is asked again.
     tell("learning the noise", 0.4)
     generic = structure_test.families(bench)
-    bench.learn_noise((), known.columns(bench, generic))
+    bench.learn_noise(known.alike(effects, columns), known.columns(bench, generic))
     tell("choosing effects", 0.5)
     searches, left = searched(bench, effects, columns, generic, blind=bool(premise.wrong), start=known.effects)
     if not left and not premise.wrong and (faint := outliers.faint(searches[0][1])) is not None:

@@ -36,15 +36,17 @@ def searched(
     *,
     blind: bool,
     start: Start = (),
+    first: bool = False,
 ) -> tuple[list[Search], list[structure_test.Left]]:
     """What was searched under the present noise, the better model first, and what that leaves.
 
     Args:
+        first: a first look, beside which the noise is learnt.
         start: a model that another search has found; where it is better than what was found without it, one begins there too.
     """
     hypotheses = [bench.made(e, raw) for e, raw in supposable(bench.scene, effects, columns)]
     bench.know(hypotheses)
-    searches = _models(bench, hypotheses, blind=blind, start=start)
+    searches = _models(bench, hypotheses, blind=blind, start=start, first=first)
     return searches, left_by([searches[0][1]], generic)[0]
 
 
@@ -63,12 +65,12 @@ def searched_again(
     return searched(bench, effects, columns, generic, blind=False, start=start)
 
 
-def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: Start) -> list[Search]:
+def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: Start, first: bool) -> list[Search]:
     """One search or two, the better model first; of two each has a bench of its own, as it left it.
 
     With offsets always in the model and judged at the end (a drift is not called an offset), and with offsets among the
-    hypotheses (a constant error of geometry is not called one). Where a start explains all and the better one does not, one
-    more begins there.
+    hypotheses (a constant error of geometry is not called one). Offsets that stand at the end meet what explains more in their
+    place. Where a start explains all and the better one does not, one more begins there.
     """
     if blind:
         nothing = Selection(Scorer(bench, hypotheses))
@@ -78,7 +80,7 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
         return Scorer(on, [*own, *hypotheses], free=not own)
 
     def one(on: Bench, own: list[Hypothesis], begun: Start = ()) -> Search:
-        selection = select(on, scored(on, own), start=begun)
+        selection = select(on, scored(on, own), start=begun, first=first)
         return selection, settle_model(on, selection.scorer, selection)
 
     def better_from(found: Search, own: list[Hypothesis]) -> Search:
@@ -94,18 +96,29 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
         again = one(copy(fresh), own, begun)
         return again if _explains(again[1], found[1]) else found
 
+    def exchanged(found: Search) -> Search:
+        """Return the model with what explains more than constants in their place; always fitted, these met no rivals."""
+        if not (
+            found[0].scorer.free and _families(h.effect for h in own) & _families(h.effect for h in found[1].effects)
+        ):
+            return found
+        on = copy(fresh)
+        stands = settled(scored(on, own), found[1].placed(), found[0].needed, rivals=True)
+        model = settle_model(on, stands.scorer, stands)
+        return (stands, model) if merit(model) > merit(found[1]) + CRITERIA.log_odds else found
+
     own, fresh = offsets(bench), copy(bench)
     if not own:
         return [better_from(one(bench, own), own)]
     # Each has what the search changes (the residual without bends, the late stream) to itself, and a core if there are two.
-    first, other = Parallel(n_jobs=2, require="sharedmem")(
+    better, other = Parallel(n_jobs=2, require="sharedmem")(
         delayed(one)(*each) for each in ((copy(bench), []), (copy(bench), own))
     )
-    better = merit(other[1]) - merit(first[1])
+    lead = merit(other[1]) - merit(better[1])
     # A constant that something else accounts for as well is an effect too many.
-    if better > CRITERIA.log_odds or (better > 0.0 and len(other[1].effects) < len(first[1].effects)):
-        first, other = other, first
-    return [better_from(first, [] if first[0].scorer.free else own), other]
+    if lead > CRITERIA.log_odds or (lead > 0.0 and len(other[1].effects) < len(better[1].effects)):
+        better, other = other, better
+    return [exchanged(better_from(better, [] if better[0].scorer.free else own)), other]
 
 
 def _explains(model: Model, other: Model) -> bool:

@@ -15,6 +15,7 @@ from galen_hw.diagnosis.selection.moves import MOVES
 from galen_hw.diagnosis.selection.moves.clipping import levelled
 from galen_hw.diagnosis.selection.moves.drop import alone, dropped
 from galen_hw.diagnosis.selection.moves.step_times import timed
+from galen_hw.diagnosis.selection.moves.swap import swapped
 from galen_hw.diagnosis.selection.proposals import known, sought
 from galen_hw.diagnosis.selection.search_state import Selection, Turn
 from galen_hw.diagnosis.stats.criteria import CRITERIA
@@ -25,16 +26,18 @@ Start = Sequence[tuple[Effect, Array]]
 """Effects with their parameters (k,), from which a search may begin."""
 
 
-def select(bench: Bench, scorer: Scorer, *, start: Start = ()) -> Selection:
+def select(bench: Bench, scorer: Scorer, *, start: Start = (), first: bool = False) -> Selection:
     """Search for the effects: in each turn the first move that finds a better model, then those that tidy it.
 
     Args:
         bench: the data; is left in the state of the model found.
         scorer: with all hypotheses.
         start: the model to begin with.
+        first: a first look, beside which the noise is learnt.
     """
     out, seen = Selection(scorer), set[frozenset[object]]()
-    finding, tidying = ([one.make for one in MOVES if one.tidies is tidies] for tidies in (False, True))
+    moves = [one for one in MOVES if not (first and one.settles)]
+    finding, tidying = ([one.make for one in moves if one.tidies is tidies] for tidies in (False, True))
     if start:
         _begin(out, start)
     for _ in range(LIMITS.turns):
@@ -56,15 +59,18 @@ def select(bench: Bench, scorer: Scorer, *, start: Start = ()) -> Selection:
     return out
 
 
-def settled(scorer: Scorer, start: Start, needed: float) -> Selection:
+def settled(scorer: Scorer, start: Start, needed: float, *, rivals: bool = False) -> Selection:
     """Return a start as a model, settled and with nothing else searched.
 
     Args:
         scorer: with all hypotheses, which the start joins.
         needed: surprise that chance reaches, as a search has found it.
+        rivals: whether each effect is asked for better ones in its place.
     """
     out = Selection(scorer, needed=needed)
     _stand(out, start)
+    if rivals and swapped(out):
+        settle_together(out.bench, scorer, out.chosen)
     _rest(out)
     return out
 

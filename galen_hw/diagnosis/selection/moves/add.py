@@ -52,7 +52,7 @@ def _best(out: Selection) -> list[int]:
     able.insert(0, plainest(bench, scorer, out.chosen, scores, able, unsure=unsure))
     able[:0] = kind_first(scorer, scores, able)
     tries = 0
-    for i in dict.fromkeys(able):
+    for i in _kinds_first(scorer, able):
         if i in failed:
             continue
         if tries == LIMITS.tries:
@@ -76,6 +76,19 @@ def _best(out: Selection) -> list[int]:
         if effect is not None:
             out.refused.append((effect, share))
     return []
+
+
+def _kinds_first(scorer: Scorer, able: list[int]) -> list[int]:
+    """Return the able in their order, the best of each kind before the second best of any.
+
+    Refused one after the other, the many places of one kind would use up the tries, and another kind would not be asked.
+    """
+    first: dict[str, int] = {}
+    for i in able:
+        effect = scorer.library[i].effect
+        if effect is not None:
+            first.setdefault(effect.KEY, i)
+    return list(dict.fromkeys([*first.values(), *able]))
 
 
 def _ways(out: Selection, i: int) -> Iterator[tuple[int, bool, float]]:

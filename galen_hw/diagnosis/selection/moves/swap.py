@@ -1,7 +1,7 @@
 """Each chosen effect against every rival in its place."""
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.interactions import cost_without
+from galen_hw.diagnosis.estimation.interactions import cost_without, settle_together
 from galen_hw.diagnosis.estimation.linearisation import as_if, rebase, unbent
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.acceptance import as_good, left_out, no_worse, plausible
@@ -53,12 +53,13 @@ def _swap(out: Selection, *, simpler: bool = False) -> bool:
         if flattered > 0.0 and rivals[best].rank - flattered <= rivals[i].rank + CRITERIA.log_odds:
             continue
         before = left_out(out, out.chosen)
-        with as_if(scorer, trial):
-            after = left_out(out, trial)
-        if (as_good if simpler else no_worse)(before, after):
+        with out.attempt() as attempt:
             out.chosen = trial
             parted(out)
             rebase(scorer, out.chosen)
+            # What stays was settled beside what goes: beside what comes it stands elsewhere.
+            settle_together(bench, scorer, out.chosen)
+            attempt.kept = (as_good if simpler else no_worse)(before, left_out(out, out.chosen))
     return out.chosen != start
 
 
