@@ -109,14 +109,14 @@ def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list
     seen = [coarse.raw(s.effect) for s in at_first_sight(bench)]
     extra, above = [*structure_test.compact(coarse, generic), *seen], coarse.motion_band()
     coarse.learn_noise(columns, extra, above=above)
-    ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind, first=True)
+    ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind)
     coarse = model.bench
     if shifts := far_off(model):
         # On the clock that was off no effect is like what was measured: slow ones had passed for noise.
         late = [coarse.raw(effect) for effect in effects]
         coarse.begin()
         coarse.learn_noise(late, [*extra, *shifts], above=above)
-        ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind, first=True)
+        ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind)
         coarse = model.bench
     if not left and len(coarse.noise.edges):
         # What is finely structured passes for quick noise. Only blocks that it was not fitted on can tell, whatever the noise.

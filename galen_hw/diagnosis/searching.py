@@ -36,17 +36,15 @@ def searched(
     *,
     blind: bool,
     start: Start = (),
-    first: bool = False,
 ) -> tuple[list[Search], list[structure_test.Left]]:
     """What was searched under the present noise, the better model first, and what that leaves.
 
     Args:
-        first: a first look, beside which the noise is learnt.
         start: a model that another search has found; where it is better than what was found without it, one begins there too.
     """
     hypotheses = [bench.made(e, raw) for e, raw in supposable(bench.scene, effects, columns)]
     bench.know(hypotheses)
-    searches = _models(bench, hypotheses, blind=blind, start=start, first=first)
+    searches = _models(bench, hypotheses, blind=blind, start=start)
     return searches, left_by([searches[0][1]], generic)[0]
 
 
@@ -65,7 +63,7 @@ def searched_again(
     return searched(bench, effects, columns, generic, blind=False, start=start)
 
 
-def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: Start, first: bool) -> list[Search]:
+def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: Start) -> list[Search]:
     """One search or two, the better model first; of two each has a bench of its own, as it left it.
 
     With offsets always in the model and judged at the end (a drift is not called an offset), and with offsets among the
@@ -80,7 +78,7 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
         return Scorer(on, [*own, *hypotheses], free=not own)
 
     def one(on: Bench, own: list[Hypothesis], begun: Start = ()) -> Search:
-        selection = select(on, scored(on, own), start=begun, first=first)
+        selection = select(on, scored(on, own), start=begun)
         return selection, settle_model(on, selection.scorer, selection)
 
     def better_from(found: Search, own: list[Hypothesis]) -> Search:

@@ -80,6 +80,11 @@ class UrdfRobot(UrdfChain):
         massless = [k for k in range(1, self.model.njoints) if self.model.inertias[k].mass == 0.0]
         return {self.urdf.joints[self.model.names[k]].child: k for k in massless}
 
+    def moved_body(self, joint: str) -> tuple[int, Array]:
+        """Return the number of a joint in the model, and the centre of mass (3,) of all that is fixed to it, m, in its axes."""
+        number = int(self.model.getJointId(joint))
+        return number, np.array(self.model.inertias[number].lever)
+
     def load_regressor(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
         """Joint efforts per inertial parameter of the link at the sensor, see `body_regressor`; of nothing where it is fixed."""
         return self.body_regressor(self.carrier or 0, q, dq, ddq)

@@ -17,13 +17,26 @@ def in_each_joint(scorer: Scorer, scores: Mapping[int, Score], among: Iterable[i
     Args:
         scores: by number of hypothesis; among: numbers of those that are asked.
     """
+    each = [(sum(scores[i].rank for i in places), places) for places in _by_kind(scorer, scores, among).values()]
+    return max(each, default=(0.0, []))
+
+
+def with_its_kind(scorer: Scorer, scores: Mapping[int, Score], i: int) -> float:
+    """Return the rank of a hypothesis, with the best of its kind in the other joints if it is one that joints have one by one."""
+    effect, own = scorer.library[i].effect, scorer.library[i].raw.channels
+    others = [j for j, s in scores.items() if s.rank > 0.0 and scorer.library[j].raw.channels != own]
+    alike = () if effect is None else _by_kind(scorer, scores, [i, *others]).get(effect.KEY, ())
+    return sum(scores[j].rank for j in alike) if i in alike else scores[i].rank
+
+
+def _by_kind(scorer: Scorer, scores: Mapping[int, Score], among: Iterable[int]) -> dict[str, list[int]]:
+    """Return by kind where the best hypothesis of each joint stands, best first, of kinds that joints have one by one."""
     kinds: dict[str, dict[int, int]] = {}
     for i in sorted(among, key=lambda i: -scores[i].rank):
         h = scorer.library[i]
         if h.effect is not None and h.effect.lasting() and h.effect.joints and len(h.raw.channels) == 1:
             kinds.setdefault(h.effect.KEY, {}).setdefault(h.raw.channels[0], i)
-    each = [(sum(scores[i].rank for i in places.values()), list(places.values())) for places in kinds.values()]
-    return max(each, default=(0.0, []))
+    return {key: list(places.values()) for key, places in kinds.items()}
 
 
 def kind_first(scorer: Scorer, scores: Mapping[int, Score], able: list[int]) -> list[int]:

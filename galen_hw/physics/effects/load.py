@@ -6,10 +6,12 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import Effect
-from galen_hw.physics.effects.columns import Columns, in_all
+from galen_hw.physics.effects.columns import Columns, in_all, in_channel
 from galen_hw.physics.effects.parameters import Parameter
 from galen_hw.physics.scenes.base import Scene
+from galen_hw.physics.scenes.joint import EffortScene
 from galen_hw.spatial import Array, rotation_exp
 
 MOMENTS = ("moment_x", "moment_y", "moment_z")
@@ -23,7 +25,8 @@ class Payload(Effect):
     Source: Atkeson, An, Hollerbach 1986. `part`: "mass" (at the believed centre of mass), "body" (mass and moment), "full"
     (with inertia about the sensor's origin), "point" (mass and moment, with the inertia of mass at one point:
     I = m (c.c 1 - c c^T), by its slopes in m and m c where c is `at`; what is small has hardly more, and a motion that
-    turns about one axis alone would give it any). `still`: its weight alone, of a recording whose baseline holds no more (a
+    turns about one axis alone would give it any). `joint`: not what is carried, but the link that this joint moves, in efforts:
+    "mass" is a point at its believed centre of mass. `still`: its weight alone, of a recording whose baseline holds no more (a
     filtered sensor, a simulation of poses). Visible when gravity turns in the sensor. Confused with gain and
     cross_talk, and with bias where it does not turn.
     """
@@ -40,6 +43,7 @@ class Payload(Effect):
     COMPLEXITY = 1
     RIGID = True
     part: str = "body"
+    joint: str = ""
     at: tuple[float, float, float] | None = None
     still: bool = False
 
@@ -49,9 +53,11 @@ class Payload(Effect):
         port = scene.body_port() if scene.observations.predict in ("wrench", "effort") else None
         if port is None:
             return
-        yield cls("mass")
-        yield cls("moment")
-        yield cls("body")
+        yield from (cls(part) for part in ("mass", "moment", "body"))
+        if isinstance(scene, EffortScene):
+            for joint in scene.moved:
+                if (link := scene.link_port(joint)) is not None and np.any(link[0][:, :, :4]):
+                    yield from (cls(part, joint) for part in ("mass", "moment", "body"))
         if np.any(np.abs(port[:, :, 4:]) > 0.0) and scene.clock:
             yield cls("full")
         weight = None if scene.belief.dynamic or not scene.clock else scene.weight_port()
@@ -69,7 +75,7 @@ class Payload(Effect):
         Args:
             farthest: m from the sensor to the middle of what a hand or a clip may have put on the tool.
         """
-        if self.still or self.part not in ("body", "full", "point") or theta[0] == 0.0:
+        if self.still or self.joint or self.part not in ("body", "full", "point") or theta[0] == 0.0:
             return None
         x, y, z = (float(v) for v in theta[1:4] / theta[0])
         return replace(self, part="point", at=(x, y, z)) if x * x + y * y + z * z < farthest**2 else None
@@ -84,12 +90,25 @@ class Payload(Effect):
 
     def columns(self, scene: Scene) -> Columns:
         """The body's port."""
+        if self.joint:
+            return self._of_link(scene)
         port = scene.weight_port() if self.still else scene.body_port()
         assert port is not None, "proposed only where there is a port"
         return Columns(tuple(range(len(scene.channels))), port @ self._bodies(scene))
 
-    def body(self, scene: Scene, theta: Array) -> Array:
-        """What it is of a body."""
+    def _of_link(self, scene: Scene) -> Columns:
+        link = scene.link_port(self.joint) if isinstance(scene, EffortScene) else None
+        assert link is not None, "proposed only where there is a port"
+        port, com = link
+        x, y, z = com
+        point = np.array([1.0, *com, y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y])
+        bodies = {"mass": point[:, None], "moment": np.eye(10)[:, 1:4], "body": np.eye(10)[:, :4]}[self.part]
+        return Columns(tuple(range(len(scene.channels))), port @ bodies)
+
+    def body(self, scene: Scene, theta: Array) -> Array | None:
+        """What it is of a body at the sensor."""
+        if self.joint:
+            return None
         return np.asarray(self._bodies(scene) @ theta)
 
     def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
@@ -99,7 +118,7 @@ class Payload(Effect):
         positive (Wensing, Kim, Slotine 2018).
         """
         tool = scene.belief.tool
-        if self.part != "full" or scene.observations.predict != "wrench" or tool.mass <= 0.0:
+        if self.part != "full" or self.joint or scene.observations.predict != "wrench" or tool.mass <= 0.0:
             return True
         whole = tool.with_parameters(theta)
         if whole is None:
@@ -210,18 +229,21 @@ class BaseTilt(Effect):
 class Inertial(Effect):
     """Forces of acceleration that the model leaves out.
 
-    With joints: r = k (m a_c and Euler's terms) of the known bodies, k = 1, in a static model. `lever` (letters of the sensor's
-    axes): the sensor's orientation alone is known, or its IMU sits elsewhere; its origin is at r from the centre of turn
-    (from the IMU), and a = (alpha x + omega x omega x) r. A lever along the axis of turn is not seen and not asked for.
-    Visible in quick motion. Confused with payload (inertia), with vibration, and with drift where the motion is slow.
+    With joints: r = k (m a_c and Euler's terms) of the known bodies, k = 1, in a static model. `lever` (letters of the
+    sensor's axes): the sensor's orientation alone is known, or its IMU sits elsewhere; its origin is at r from the centre of
+    turn (from the IMU), and a = (alpha x + omega x omega x) r. A lever along the axis of turn is not seen and not asked for.
+    `joint`: a rotor that turns with a joint's motor, r = J ddq in its effort, which the file of a robot seldom holds. Visible
+    in quick motion. Confused with payload (inertia), with vibration, and with drift where the motion is slow.
     """
 
     KEY = "inertial"
     SAYS = "forces of acceleration that the static model leaves out"
     KNOWN_BY = "it follows the accelerations by the known masses"
-    HEAD = ("share", "lever_.")
+    COMPLEXITY = 1
+    HEAD = ("share", "lever_.", "rotor_inertia")
     NEEDS_CLOCK = True
     lever: str = ""
+    joint: str = ""
 
     @classmethod
     def propose(cls, scene: Scene, *, least: float = 0.03) -> Iterator[Self]:
@@ -235,6 +257,9 @@ class Inertial(Effect):
             return
         if scene.inertial_port() is not None:
             yield cls()
+        for joint in scene.moved if scene.observations.predict == "effort" else ():
+            if any(joint_of(name) == joint for name in scene.channels):
+                yield cls(joint=joint)
         port = scene.turn_port()
         if port is not None:
             size = np.linalg.norm(port, axis=(0, 1))
@@ -249,6 +274,9 @@ class Inertial(Effect):
         """
         if self.lever:
             return tuple(Parameter(f"lever_{a}", "m", furthest=farthest) for a in self.lever)
+        if self.joint:
+            turns = scene.units[self._place(scene)] == "N m"
+            return (Parameter("rotor_inertia", "kg m^2" if turns else "kg", 0.0),)
         return (Parameter("share", "1", 0.0, expected=1.0),)
 
     def columns(self, scene: Scene) -> Columns:
@@ -257,6 +285,11 @@ class Inertial(Effect):
             turn = scene.turn_port()
             assert turn is not None, "proposed only where there is a port"
             return Columns(tuple(range(len(scene.channels))), turn[:, :, ["xyz".index(a) for a in self.lever]])
+        if self.joint:
+            return in_channel(self._place(scene), [scene.rates[1][:, scene.joint_index(self.joint)]])
         port = scene.inertial_port()
         assert port is not None, "proposed only where there is a port"
         return in_all([port], len(scene.channels))
+
+    def _place(self, scene: Scene) -> int:
+        return next(i for i, name in enumerate(scene.channels) if joint_of(name) == self.joint)

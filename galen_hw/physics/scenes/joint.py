@@ -202,6 +202,22 @@ class EffortScene(JointScene):
         dq, ddq = self.rates
         return self._along(self._coarse(lambda rows: robot.load_regressor(self.q[rows], dq[rows], ddq[rows])))
 
+    @once
+    def link_port(self, joint: str) -> tuple[Array, Array] | None:
+        """Efforts (N, C, 10) per inertial parameter of the link that a joint moves, and its centre of mass (3,) in its axes.
+
+        None where there is no URDF, and of the link at the sensor, see `body_port`.
+        """
+        robot = self._urdf()
+        if robot is None or joint not in robot.joint_names:
+            return None
+        number, com = robot.moved_body(joint)
+        if number == robot.carrier:
+            return None
+        dq, ddq = self.rates
+        port = self._coarse(lambda rows: robot.body_regressor(number, self.q[rows], dq[rows], ddq[rows]))
+        return self._along(port), com
+
     def with_body(self, body: Array) -> Self | None:
         """The link at the sensor is another one."""
         robot = self._urdf()

@@ -24,14 +24,11 @@ class Move:
         kind: word for it.
         make: changes the model of a search if the other is better, and returns whether it did.
         tidies: asked in every turn, after the first of the other moves that found something.
-        settles: gives up what is less than physics that is missing may do: not in a first look, beside which the noise is
-            learnt, and what was given up would pass for it.
     """
 
     kind: Literal["add", "drop", "swap", "exchange", "refine", "timing"]
     make: Callable[[Selection], bool]
     tidies: bool = False
-    settles: bool = False
 
 
 MOVES: Final = (
@@ -43,7 +40,7 @@ MOVES: Final = (
     Move("timing", reclocked),
     Move("swap", swapped_again),
     Move("add", hidden),
-    Move("swap", simplified, settles=True),
+    Move("swap", simplified),
     Move("drop", dropped, tidies=True),
     Move("swap", swapped, tidies=True),
     Move("refine", refined, tidies=True),

@@ -6,6 +6,7 @@ from galen_hw.diagnosis.estimation.linearisation import as_if, rebase, unbent
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.acceptance import as_good, left_out, no_worse, plausible
 from galen_hw.diagnosis.selection.comparison import ahead, in_place, loosens
+from galen_hw.diagnosis.selection.kinds import with_its_kind
 from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves.add import kin
 from galen_hw.diagnosis.selection.moves.step_times import parted
@@ -70,11 +71,12 @@ def _best(out: Selection, others: list[int], i: int, rivals: dict[int, Score], *
     """
     bench, scorer = out.bench, out.scorer
     own, ranked = set(kin(scorer, i)), sorted(rivals, key=lambda j: -rivals[j].rank)
-    best = i
+    best, whole = i, with_its_kind(scorer, rivals, i)
     with unbent(scorer, i):
         for j in ranked[: LIMITS.tries]:
-            lead = rivals[j].rank - rivals[i].rank
-            if j == i or lead <= LIMITS.tie:
+            # What acts in several channels at once is compared with all joints' own: one of them alone does less.
+            lead = rivals[j].rank - (whole if len(scorer.library[j].raw.channels) > 1 else rivals[i].rank)
+            if j == i or rivals[j].rank - rivals[i].rank <= LIMITS.tie:
                 break
             better = j in own or (
                 lead > CRITERIA.log_odds + undecided(bench, scorer, [*others, j])
