@@ -123,3 +123,58 @@ def test_play_of_a_machine_whose_kinematics_nobody_gave() -> None:
     (found,) = work.diagnosis.findings
     assert (found.effect, found.joints) == ("backlash", ["motor1"])
     assert found.parameters["half_width"].value == pytest.approx(3e-4, rel=0.1)
+
+
+def two_links(
+    seed: int, *, rows: int = 4000, rate: float = 50.0
+) -> tuple[UrdfRobot, dict[str, np.ndarray], np.ndarray, np.ndarray]:
+    """The chain in motion: robot, columns without efforts, its accelerations and efforts (N, 2) with noise of 0.05 N m."""
+    rng = np.random.default_rng(seed)
+    t, robot, each = np.arange(rows) / rate, UrdfRobot(CHAIN), []
+    for _ in range(2):
+        w, phase = 2.0 * np.pi * rng.uniform(0.05, 0.6, 4)[:, None], rng.uniform(0.0, 6.3, 4)[:, None]
+        angle = w * t + phase
+        each.append(0.35 * np.array([np.sin(angle), w * np.cos(angle), -w * w * np.sin(angle)]).sum(axis=1))
+    q, dq, ddq = np.moveaxis(each, 0, -1)
+    columns = {"time": t}
+    for i, joint in enumerate(("shoulder", "elbow")):
+        columns |= {f"joint.{joint}.position": q[:, i], f"joint.{joint}.velocity": dq[:, i]}
+    return robot, columns, ddq, robot.inverse_dynamics(q, dq, ddq) + 0.05 * rng.normal(size=q.shape)
+
+
+def found_in(robot: UrdfRobot, columns: dict[str, np.ndarray], efforts: np.ndarray):
+    """Diagnose what the two joints needed."""
+    own = {f"joint.{joint}.effort": efforts[:, i] for i, joint in enumerate(("shoulder", "elbow"))}
+    return diagnose(scene_of(Observations("effort", columns | own, None, Belief(robot=robot, bias_free=True))))
+
+
+def test_rotors_behind_gears_are_inertia_of_each_joint() -> None:
+    """In proportion to the joint's own acceleration, whatever the rest of the arm does; a load moves all joints at once."""
+    robot, columns, ddq, efforts = two_links(1)
+    work = found_in(robot, columns, efforts + ddq * [0.3, 0.12])
+    assert {f.effect for f in work.diagnosis.findings} == {"inertial"}
+    told = {h.effect.joint: float(work.model.final[s][0]) for h, s in _effects(work)}
+    assert told == pytest.approx({"shoulder": 0.3, "elbow": 0.12}, rel=0.1)
+
+
+def test_a_box_on_a_link_in_the_middle_of_an_arm_is_told_there() -> None:
+    """A kilogram on the upper arm moves the shoulder alone, and no load at the hand does."""
+    robot, columns, ddq, efforts = two_links(2)
+    q = columns["joint.shoulder.position"]
+    efforts[:, 0] += 1.0 * (0.2**2 * ddq[:, 0] - 9.80665 * 0.2 * np.cos(q))
+    work = found_in(robot, columns, efforts)
+    (found,) = work.diagnosis.findings
+    assert (found.effect, found.joints) == ("payload", ["shoulder"])
+    assert found.parameters["mass"].value == pytest.approx(1.0, rel=0.05)
+
+
+def test_a_joint_whose_grease_is_cold_at_first() -> None:
+    """Twice the friction in the first minute of five; a constant friction leaves a quarter of it."""
+    robot, columns, _, efforts = two_links(3, rows=6000, rate=25.0)
+    v, warm = columns["joint.elbow.velocity"], np.exp(-columns["time"] / 50.0)
+    efforts[:, 1] += 0.4 * np.tanh(v / 0.02) * (1.0 + warm) + 0.8 * v * (1.0 + 2.0 * warm)
+    work = found_in(robot, columns, efforts)
+    (found,) = work.diagnosis.findings
+    assert found.effect == "friction"
+    assert found.parameters["warming"].value == pytest.approx(50.0, rel=0.2)
+    assert found.parameters["cold_viscous"].value == pytest.approx(1.6, rel=0.2)

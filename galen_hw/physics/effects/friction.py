@@ -11,7 +11,7 @@ import numpy as np
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns, in_channel
-from galen_hw.physics.effects.parameters import Parameter, Searched, log_grid, spacing
+from galen_hw.physics.effects.parameters import Parameter, Searched, duration, log_grid, spacing
 from galen_hw.physics.effects.traits import Follows
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
@@ -30,13 +30,14 @@ class Friction(Effect):
     "asymmetric": own Fc and Fv by direction; "unequal": own Fv alone, where a free constant has what differs of Fc;
     "stribeck": + Fs s exp(-(v / vs)^2) (Armstrong-Helouvry 1994); "load": + c |load| s; "presliding": s is built up over
     `reach` of the joint after each turn, at any speed (Dahl 1976), with "_stribeck" as LuGre's bristles slip (Canudas de Wit
-    1995). In efforts it adds to the motor's work; a servo without integral action stands off by friction over stiffness
-    (positions, negative). "servo": the same with its sticking at reversals, T dq/dt = z(c - q), z a dead zone of +- `coulomb`
-    (friction over stiffness), T the servo's `response` and c its command s, beside the lag of such a servo without friction; T
-    not below `shortest` (half a sample: what follows quicker and sticks has a play). Of a `simulated` servo, whose T the
-    simulation and its command tell, c is what makes it move as simulated (s + T ds/dt). "creeping_servo": friction that is
-    viscous at creeping speed, so that it gives way with a time constant `settling` while it sticks; either with "_viscous":
-    what more damping holds it back, - b ds/dt behind the response.
+    1995); "warming": + (Fc' s + Fv' v) exp(-t / T) of grease that is cold at first. In efforts it adds to the motor's work; a
+    servo without integral action stands off by friction over stiffness (positions, negative). "servo": the same with its
+    sticking at reversals, T dq/dt = z(c - q), z a dead zone of +- `coulomb` (friction over stiffness), T the servo's
+    `response` and c its command s, beside the lag of such a servo without friction; T not below `shortest` (half a sample:
+    what follows quicker and sticks has a play). Of a `simulated` servo, whose T the simulation and its command tell, c is what
+    makes it move as simulated (s + T ds/dt). "creeping_servo": friction that is viscous at creeping speed, so that it gives
+    way with a time constant `settling` while it sticks; either with "_viscous": what more damping holds it back, - b ds/dt
+    behind the response.
     Visible at reversals and at several speeds. Confused with hysteresis and backlash (small widths; a quick servo that sticks
     has the play of its command), time_delay and viscous lag, payload where speed follows gravity.
     """
@@ -45,7 +46,7 @@ class Friction(Effect):
     SAYS = "friction in the joint"
     KNOWN_BY = "it follows the direction and the size of the joint's speed"
     CONFIRMED_BY = "sweep each joint both ways at three speeds"
-    HEAD = ("coulomb", "coulomb_forward", "coulomb_backward", "viscous.*", "stiction")
+    HEAD = ("coulomb", "coulomb_forward", "coulomb_backward", "viscous.*", "stiction", "cold_.*")
     COMPLEXITY = 1
     SEARCHED: ClassVar = {
         "transition": Searched(1e-6, 10.0, "rad/s or m/s"),
@@ -54,6 +55,7 @@ class Friction(Effect):
         "coulomb": Searched(1e-7, 1.0, "rad or m"),
         "response": Searched(1e-3, 1.0, "s"),
         "settling": Searched(1e-2, 1e3, "s"),
+        "warming": Searched(1.0, 1e5, "s"),
     }
     NEEDS_CLOCK = True
     joint: str
@@ -64,6 +66,7 @@ class Friction(Effect):
     coulomb: float | None = None
     response: float | None = None
     settling: float | None = None
+    warming: float | None = None
     simulated: float | None = None
     shortest: float = 0.0
 
@@ -85,7 +88,9 @@ class Friction(Effect):
                 yield from (cls(joint, form, sharp * speed) for form in forms)
             if _is_effort(scene):
                 yield from (cls(joint, "stribeck", 0.05 * speed, vs * speed) for vs in (0.1, 0.3))
-                yield from cls._presliding(scene, joint, speed)
+                if scene.belief.robot is not None:  # of a device that nobody knows a linear part may be simulated
+                    yield from cls._presliding(scene, joint, speed)
+                    yield from cls._warming(scene, joint, speed)
             else:
                 yield from cls._in_servos(scene, joint)
 
@@ -96,6 +101,17 @@ class Friction(Effect):
         for reach in log_grid(1e-3 * half_range, 5e-2 * half_range, 4):
             yield cls(joint, "presliding", reach=reach)
             yield cls(joint, "presliding_stribeck", stribeck=0.1 * speed, reach=reach)
+
+    @classmethod
+    def _warming(cls, scene: Scene, joint: str, speed: float, *, shortest: float = 60.0) -> Iterator[Self]:
+        """Cold grease that warms within a tenth to the whole of a recording.
+
+        Args:
+            shortest: s of a recording in which a joint may warm.
+        """
+        length = duration(scene)
+        if length >= shortest:
+            yield from (cls(joint, "warming", 0.05 * speed, warming=t) for t in log_grid(0.1 * length, length, 3))
 
     @classmethod
     def _in_servos(
@@ -150,6 +166,8 @@ class Friction(Effect):
             return c, *(Parameter(f"viscous_{way}", v.unit, low, high) for way in ("forward", "backward"))
         if self.freedom is not None:
             return (Parameter("share", "1", 0.0, expected=1.0), Parameter("viscous", "s", 0.0))[: 1 + self.freedom]
+        if self.form == "warming":
+            return c, v, Parameter("cold_coulomb", unit, low, high), Parameter("cold_viscous", v.unit, low, high)
         stiction, load = Parameter("stiction", unit, low, high), Parameter("load_share", "1", low, high)
         extra = {"stribeck": stiction, "presliding_stribeck": stiction, "load": load}
         plain = {"coulomb": (c,), "viscous": (v,), "coulomb_viscous": (c, v), "presliding": (c, v)}
@@ -177,6 +195,10 @@ class Friction(Effect):
             return in_channel(_place(scene, self.joint), self._servo(scene, v))
         s = self._sense(scene, v)
         forward = 0.5 * (1.0 + s)
+
+        def cold() -> Array:
+            return np.asarray(np.exp(-(scene.time - scene.time[0]) / (self.warming or 1.0)))
+
         forms: dict[str, Callable[[], list[Array]]] = {
             "coulomb": lambda: [s],
             "viscous": lambda: [v],
@@ -184,6 +206,7 @@ class Friction(Effect):
             "asymmetric": lambda: [s * forward, v * forward, s * (1.0 - forward), v * (1.0 - forward)],
             "unequal": lambda: [s, v * forward, v * (1.0 - forward)],
             "stribeck": lambda: [s, v, s * np.exp(-((v / (self.stribeck or 1.0)) ** 2))],
+            "warming": lambda: [s, v, s * cold(), v * cold()],
             "presliding": lambda: [s, v],
             "presliding_stribeck": lambda: [s, v, s * np.exp(-((v / (self.stribeck or 1.0)) ** 2))],
             "load": lambda: [s, v, s * np.abs(np.asarray(scene.load(self.joint), dtype=float))],

@@ -257,7 +257,7 @@ class Inertial(Effect):
             return
         if scene.inertial_port() is not None:
             yield cls()
-        for joint in scene.moved if scene.observations.predict == "effort" else ():
+        for joint in scene.moved if scene.observations.predict == "effort" and scene.belief.robot is not None else ():
             if any(joint_of(name) == joint for name in scene.channels):
                 yield cls(joint=joint)
         port = scene.turn_port()
