@@ -99,12 +99,13 @@ def test_slopes_of_a_simulation_are_those_of_the_machine() -> None:
     true = np.stack(
         [(delta.platform(q + step * e) - delta.platform(q - step * e)) / (2.0 * step) for e in np.eye(3)], axis=-1
     )
-    found = slopes(q, p)
+    within = np.full(3, 1e-5)
+    found = slopes(q, p, within)
     assert found is not None
     np.testing.assert_allclose(found, true, atol=5e-2, err_msg="of slopes up to 1.5")
-    assert slopes(q, p + 0.01 * rng.normal(size=p.shape)) is None
-    assert slopes(q[:30], p[:30]) is None, "more terms than rows"
-    assert slopes(np.zeros_like(q), p) is None, "a joint that stands tells nothing"
+    assert slopes(q, p + 0.01 * rng.normal(size=p.shape), within) is None
+    assert slopes(q[:30], p[:30], within) is None, "more terms than rows"
+    assert slopes(np.zeros_like(q), p, within) is None, "a joint that stands tells nothing"
 
 
 def test_play_of_a_machine_whose_kinematics_nobody_gave() -> None:

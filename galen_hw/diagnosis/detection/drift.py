@@ -51,7 +51,7 @@ def temperatures(scene: Scene, rest: Array, average: Callable[[Array], Array]) -
         kind = one.place, one.constant is None
         names, gain = _shared(scene, z, average(one.warmth(scene)[:, None]))
         if len(names) > 1 and gain > best.get(kind, (0.0, one))[0]:
-            best[kind] = gain, replace(one, channel="", channels=names, span=False)
+            best[kind] = gain, replace(one, channel="", channels=names, form="zero")
     return [Sought(effect, len(scene.channels)) for _, effect in best.values()]
 
 

@@ -155,12 +155,13 @@ class Drift(Effect):
 
 @dataclass(frozen=True)
 class Temperature(Effect):
-    """The offset follows a measured temperature: r = k (T - T0), T0 the first one; with `span` the scale too, + s (T - T0) x.
+    """The offset follows a measured temperature: r = k (T - T0), T0 the first one.
 
-    x is the simulated channel: data sheets give both coefficients, and a screw that grows is longer where more of it is used.
-    With a `constant` it follows as the sensor's body does where the thermometer hangs beside it: by a first-order lag.
-    Visible where the temperature changes and not only with time. Confused with drift. With `channels` it is one thermometer
-    in several, each with a coefficient of its own: what warms moves more than one zero.
+    With the form "zero_and_span" the scale too, + s (T - T0) x with x the simulated channel: data sheets give both
+    coefficients, and a screw that grows is longer where more of it is used. With a `constant` it follows as the sensor's body
+    does where the thermometer hangs beside it: by a first-order lag. Visible where the temperature changes and not only with
+    time. Confused with drift. With `channels` it is one thermometer in several, each with a coefficient of its own: what warms
+    moves more than one zero.
     """
 
     KEY = "temperature"
@@ -175,7 +176,7 @@ class Temperature(Effect):
     reference: float = 0.0
     channels: tuple[str, ...] = ()
     constant: float | None = None
-    span: bool = False
+    form: str = "zero"
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -189,20 +190,22 @@ class Temperature(Effect):
                     yield from (cls(channel, name, start, constant=constant) for channel in scene.channels)
                     if scene.observations.predict in (*LOADS, "position"):
                         scaled = (c for c, x in zip(scene.channels, scene.simulated.T, strict=True) if np.ptp(x) > 0.0)
-                        yield from (cls(channel, name, start, constant=constant, span=True) for channel in scaled)
+                        yield from (
+                            cls(channel, name, start, constant=constant, form="zero_and_span") for channel in scaled
+                        )
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Offset per kelvin."""
         if not self.channels:
             zero = Parameter("coefficient", f"{unit_of(scene, self.channel)}/K")
-            return (zero, Parameter("span", "1/K")) if self.span else (zero,)
+            return (zero, Parameter("span", "1/K")) if self.form == "zero_and_span" else (zero,)
         return tuple(Parameter(f"coefficient_{name}", f"{unit_of(scene, name)}/K") for name in self.channels)
 
     def columns(self, scene: Scene) -> Columns:
         """Measured temperature less the reference."""
         places = tuple(scene.channels.index(name) for name in self.channels or (self.channel,))
         warmth = self.warmth(scene)
-        if self.span:
+        if self.form == "zero_and_span":
             return in_channel(places[0], [warmth, warmth * scene.simulated[:, places[0]]])
         return in_each(places, warmth[:, None])
 

@@ -103,15 +103,10 @@ class Friction(Effect):
             yield cls(joint, "presliding_stribeck", stribeck=0.1 * speed, reach=reach)
 
     @classmethod
-    def _warming(cls, scene: Scene, joint: str, speed: float, *, shortest: float = 60.0) -> Iterator[Self]:
-        """Cold grease that warms within a tenth to the whole of a recording.
-
-        Args:
-            shortest: s of a recording in which a joint may warm.
-        """
+    def _warming(cls, scene: Scene, joint: str, speed: float) -> Iterator[Self]:
+        """Cold grease that warms within a tenth to the whole of a recording."""
         length = duration(scene)
-        if length >= shortest:
-            yield from (cls(joint, "warming", 0.05 * speed, warming=t) for t in log_grid(0.1 * length, length, 3))
+        yield from (cls(joint, "warming", 0.05 * speed, warming=t) for t in log_grid(0.1 * length, length, 3))
 
     @classmethod
     def _in_servos(

@@ -43,9 +43,9 @@ class Payload(Effect):
     COMPLEXITY = 1
     RIGID = True
     part: str = "body"
-    joint: str = ""
     at: tuple[float, float, float] | None = None
     still: bool = False
+    joint: str = ""
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -57,7 +57,7 @@ class Payload(Effect):
         if isinstance(scene, EffortScene):
             for joint in scene.moved:
                 if (link := scene.link_port(joint)) is not None and np.any(link[0][:, :, :4]):
-                    yield from (cls(part, joint) for part in ("mass", "moment", "body"))
+                    yield from (cls(part, joint=joint) for part in ("mass", "moment", "body"))
         if np.any(np.abs(port[:, :, 4:]) > 0.0) and scene.clock:
             yield cls("full")
         weight = None if scene.belief.dynamic or not scene.clock else scene.weight_port()

@@ -120,10 +120,10 @@ class ArmScene(Scene):
         """(N, C, J) slopes of a given simulation by the joints that move, where no robot tells them; of positions alone."""
         if self.belief.robot is not None or self.observations.simulation is None or not self.moved:
             return None
-        given = self.simulated
         if not all("position" in name for name in self.channels):
             return None
-        return slopes(self.q[:, [self.joint_index(name) for name in self.moved]], given)
+        missed = np.nanstd(self.residual, axis=0)
+        return slopes(self.q[:, [self.joint_index(name) for name in self.moved]], self.simulated, missed)
 
     @once
     def geometry_ports(self) -> list[Port]:

@@ -4,19 +4,19 @@ import itertools
 
 import numpy as np
 from numpy.polynomial import legendre
+from scipy.linalg import solve_triangular
 
 from galen_hw.spatial import Array
 
 
-def slopes(q: Array, simulated: Array, *, degrees: int = 7, rows_a_term: int = 20, most: float = 1e-3) -> Array | None:
+def slopes(q: Array, simulated: Array, within: Array) -> Array | None:
     """Return the slopes (N, C, J) of simulated channels (N, C) by joint positions (N, J); None: these do not tell the channels.
 
     A closed chain has no joint screws, but where it moved its simulation is a smooth function of its joints: Legendre polynomials
-    of total degree, of the lowest that leaves little enough.
+    of total degree, of the lowest that misses left-out rows (Allen's PRESS, Technometrics 16, 1974) by little enough.
 
     Args:
-        degrees: highest total degree that is tried; rows_a_term: rows that each term needs.
-        most: rms of what the function leaves, over the spread of the channel that moves most.
+        within: (C,) rms that the function may miss the simulation by: what that misses the recording by.
     """
     good = np.asarray(np.isfinite(q).all(axis=1) & np.isfinite(simulated).all(axis=1))
     if not good.any():
@@ -27,18 +27,28 @@ def slopes(q: Array, simulated: Array, *, degrees: int = 7, rows_a_term: int = 2
     half = 0.5 * (high - low)
     u = np.where(good[:, None], (q - low) / half - 1.0, 0.0)
     y = simulated[good] - simulated[good].mean(axis=0)
-    for degree in range(1, degrees + 1):
+    missed = y.std(axis=0)
+    degree, totals = 0, [float(np.sum(missed**2))]
+    while np.any(missed > within):
+        degree += 1
         terms = [e for e in itertools.product(range(degree + 1), repeat=q.shape[1]) if sum(e) <= degree]
-        if len(terms) * rows_a_term > len(y):
+        if 2 * len(terms) > len(y):
             return None
         factors = np.asarray(legendre.legvander(u, degree), dtype=float)
         made = _products(factors, terms)
-        weights = np.linalg.lstsq(made[good], y, rcond=None)[0]
-        if np.sqrt(np.mean((y - made[good] @ weights) ** 2, axis=0)).max() <= most * y.std(axis=0).max():
-            steps = factors @ _derivative(degree) / half[:, None]
-            each = [_products(_with(factors, steps, j), terms) @ weights for j in range(q.shape[1])]
-            return np.stack(each, axis=-1)
-    return None
+        Q, R = np.linalg.qr(made[good])
+        fitted = Q.T @ y
+        left_out = (y - Q @ fitted) / (1.0 - np.sum(Q**2, axis=1))[:, None]
+        missed = np.sqrt(np.mean(left_out**2, axis=0))
+        totals.append(float(np.sum(missed**2)))
+        # A function that is even or odd gains by every other degree alone.
+        if degree > 1 and totals[-1] >= totals[-3]:
+            return None
+    if not degree:
+        return None
+    weights = solve_triangular(R, fitted)
+    steps = factors @ _derivative(degree) / half[:, None]
+    return np.stack([_products(_with(factors, steps, j), terms) @ weights for j in range(q.shape[1])], axis=-1)
 
 
 def _products(factors: Array, terms: list[tuple[int, ...]]) -> Array:
