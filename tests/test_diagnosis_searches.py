@@ -65,13 +65,16 @@ def test_what_holds_is_kept_and_what_is_no_better_does_not_take_its_place(warmin
     assert not model.effects
 
 
-def test_an_offset_that_stands_at_the_end_meets_what_explains_more(warming: DiagnosisBench) -> None:
+def test_an_offset_that_stands_at_the_end_meets_what_explains_more() -> None:
     """A constant that was always fitted was never asked beside a drift of the same channel."""
-    end = float(warming.scene.time[-1])
-    offset, drift = Bias(WRENCH[2]), Drift(WRENCH[2], "linear", None, 0.0, end)
+    case = Bench(7)
+    case.belief["bias_free"] = False
+    case.wrench[:, 2] += 3.0 * SIGMA[2] * case.t / case.t[-1]
+    bench = diagnose(scene_of(case.observations())).bench
+    offset, drift = Bias(WRENCH[2]), Drift(WRENCH[2], "linear", None, 0.0, float(case.t[-1]))
     kept = {}
     for rivals in (False, True):
-        own = copy(warming)
+        own = copy(bench)
         own.begin()
         scorer = Scorer(own, [own.add(offset), own.add(drift)], free=False)
         stands = settled(scorer, [(offset, np.array([SIGMA[2]]))], 10.0, rivals=rivals)

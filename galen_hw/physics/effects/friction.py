@@ -30,9 +30,9 @@ class Friction(Effect):
     "asymmetric": own Fc and Fv by direction; "unequal": own Fv alone, where a free constant has what differs of Fc;
     "stribeck": + Fs s exp(-(v / vs)^2) (Armstrong-Helouvry 1994); "load": + c |load| s; "presliding": s is built up over
     `reach` of the joint after each turn, at any speed (Dahl 1976), with "_stribeck" as LuGre's bristles slip (Canudas de Wit
-    1995); "warming": + (Fc' s + Fv' v) exp(-t / T) of grease that is cold at first. In efforts it adds to the motor's work; a
-    servo without integral action stands off by friction over stiffness (positions, negative). "servo": the same with its
-    sticking at reversals, T dq/dt = z(c - q), z a dead zone of +- `coulomb` (friction over stiffness), T the servo's
+    1995); "warming": + (Fc' s + Fv' v) exp(-t / T) of grease that is cold at its `start`. In efforts it adds to the motor's
+    work; a servo without integral action stands off by friction over stiffness (positions, negative). "servo": the same with
+    its sticking at reversals, T dq/dt = z(c - q), z a dead zone of +- `coulomb` (friction over stiffness), T the servo's
     `response` and c its command s, beside the lag of such a servo without friction; T not below `shortest` (half a sample:
     what follows quicker and sticks has a play). Of a `simulated` servo, whose T the simulation and its command tell, c is what
     makes it move as simulated (s + T ds/dt). "creeping_servo": friction that is viscous at creeping speed, so that it gives
@@ -67,6 +67,7 @@ class Friction(Effect):
     response: float | None = None
     settling: float | None = None
     warming: float | None = None
+    start: float | None = None
     simulated: float | None = None
     shortest: float = 0.0
 
@@ -106,7 +107,8 @@ class Friction(Effect):
     def _warming(cls, scene: Scene, joint: str, speed: float) -> Iterator[Self]:
         """Cold grease that warms within a tenth to the whole of a recording."""
         length = duration(scene)
-        yield from (cls(joint, "warming", 0.05 * speed, warming=t) for t in log_grid(0.1 * length, length, 3))
+        cold = {"transition": 0.05 * speed, "start": float(scene.time[0])}
+        yield from (cls(joint, "warming", warming=t, **cold) for t in log_grid(0.1 * length, length, 3))
 
     @classmethod
     def _in_servos(
@@ -192,7 +194,7 @@ class Friction(Effect):
         forward = 0.5 * (1.0 + s)
 
         def cold() -> Array:
-            return np.asarray(np.exp(-(scene.time - scene.time[0]) / (self.warming or 1.0)))
+            return np.asarray(np.exp(-(scene.time - (self.start or 0.0)) / (self.warming or 1.0)))
 
         forms: dict[str, Callable[[], list[Array]]] = {
             "coulomb": lambda: [s],
