@@ -86,16 +86,20 @@ def _row(step: int, parts: Sequence[slice]) -> int:
 
 
 def _cells(recording: Recording) -> Iterator[str]:
-    still: dict[str, list[str]] = {}
+    still, empty = dict[str, list[str]](), dict[str, list[str]]()
     for name, values in recording.columns.items():
-        missing = int(np.isnan(values).sum())
-        if missing:
-            yield f"{name}: {missing} of {len(values)} cells are empty"
+        if missing := int(np.isnan(values).sum()):
+            empty.setdefault(f"{missing} of {len(values)} cells are empty", []).append(name)
         if name not in ("time", "segment") and len(values) > 2 and np.nanmax(values) == np.nanmin(values):
             still.setdefault(f"{values[~np.isnan(values)][0]:.6g}", []).append(name)
+    for what, names in empty.items():
+        yield f"{_few(names)}: {what}"
     for value, names in still.items():
-        shown = ", ".join(names[:FEW]) + (f" and {len(names) - FEW} more" if len(names) > FEW else "")
-        yield f"{shown}: constant at {value}"
+        yield f"{_few(names)}: constant at {value}"
+
+
+def _few(names: list[str]) -> str:
+    return ", ".join(names[:FEW]) + (f" and {len(names) - FEW} more" if len(names) > FEW else "")
 
 
 def _largest(values: Array) -> float:

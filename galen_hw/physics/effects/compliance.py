@@ -61,7 +61,11 @@ class Compliance(Effect):
 
     def follows(self, scene: Scene, channel: int) -> Follows:
         """Its load."""
-        return Follows("load")
+        return (
+            Follows("load", self.joint, values=_load(scene, self.joint, "own"))
+            if self.source == "own"
+            else Follows("load")
+        )
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
