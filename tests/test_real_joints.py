@@ -8,7 +8,7 @@ from galen_hw.kinematics import UrdfRobot
 from galen_hw.kinematics.delta import LinearDelta
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.physics.scenes.taught import slopes
+from galen_hw.physics.scenes.regressed_jacobian import jacobian
 from tests.diagnosis_cases import Beam, played, sines
 
 CHAIN = """<robot name="chain"><link name="base"/>
@@ -90,7 +90,7 @@ def _effects(work):
     return [(h, s) for h, s in zip(work.model.parts, work.model.slices(), strict=True) if h.effect is not None]
 
 
-def test_slopes_of_a_simulation_are_those_of_the_machine() -> None:
+def test_the_jacobian_of_a_simulation_is_that_of_the_machine() -> None:
     """A polynomial through smooth kinematics has their slopes; of what is no function of the joints there are none."""
     rng = np.random.default_rng(0)
     delta = LinearDelta()
@@ -100,12 +100,12 @@ def test_slopes_of_a_simulation_are_those_of_the_machine() -> None:
         [(delta.platform(q + step * e) - delta.platform(q - step * e)) / (2.0 * step) for e in np.eye(3)], axis=-1
     )
     within = np.full(3, 1e-5)
-    found = slopes(q, p, within)
+    found = jacobian(q, p, within)
     assert found is not None
     np.testing.assert_allclose(found, true, atol=5e-2, err_msg="of slopes up to 1.5")
-    assert slopes(q, p + 0.01 * rng.normal(size=p.shape), within) is None
-    assert slopes(q[:30], p[:30], within) is None, "more terms than rows"
-    assert slopes(np.zeros_like(q), p, within) is None, "a joint that stands tells nothing"
+    assert jacobian(q, p + 0.01 * rng.normal(size=p.shape), within) is None
+    assert jacobian(q[:30], p[:30], within) is None, "more terms than rows"
+    assert jacobian(np.zeros_like(q), p, within) is None, "a joint that stands tells nothing"
 
 
 def test_play_of_a_machine_whose_kinematics_nobody_gave() -> None:

@@ -6,9 +6,9 @@ from galen_hw.errors import UsageError
 from galen_hw.kinematics.dynamics import UrdfRobot
 from galen_hw.lazy import cached_property
 from galen_hw.physics.scenes.base import Scene, once
+from galen_hw.physics.scenes.regressed_jacobian import jacobian
 from galen_hw.physics.scenes.screws import axis_screws, exponential, joint_screws
 from galen_hw.physics.scenes.sensitivity import Carried, Port
-from galen_hw.physics.scenes.taught import slopes
 from galen_hw.spatial import Array, rotation_from_quaternion, rotation_log
 
 POSITION = tuple(f"pose.position.{axis}" for axis in "xyz")
@@ -113,17 +113,19 @@ class ArmScene(Scene):
         screws = joint_screws(self, joint)
         if screws is not None:
             return self._answer(screws)
-        return None if self._taught is None or joint not in self.moved else self._taught[:, :, self.moved.index(joint)]
+        return (
+            None if self._jacobian is None or joint not in self.moved else self._jacobian[:, :, self.moved.index(joint)]
+        )
 
     @cached_property
-    def _taught(self) -> Array | None:
-        """(N, C, J) slopes of a given simulation by the joints that move, where no robot tells them; of positions alone."""
+    def _jacobian(self) -> Array | None:
+        """(N, C, J) Jacobian of a given simulation by the joints that move, where no robot tells them; of positions alone."""
         if self.belief.robot is not None or self.observations.simulation is None or not self.moved:
             return None
         if not all("position" in name for name in self.channels):
             return None
         missed = np.nanstd(self.residual, axis=0)
-        return slopes(self.q[:, [self.joint_index(name) for name in self.moved]], self.simulated, missed)
+        return jacobian(self.q[:, [self.joint_index(name) for name in self.moved]], self.simulated, missed)
 
     @once
     def geometry_ports(self) -> list[Port]:

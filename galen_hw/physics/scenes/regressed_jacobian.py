@@ -1,4 +1,4 @@
-"""Slopes of a pose by the joints where a simulation is given and the kinematics are not: polynomials through the simulation."""
+"""The Jacobian of a machine whose simulation is given and whose kinematics are not: of polynomials through the simulation."""
 
 import itertools
 
@@ -9,8 +9,10 @@ from scipy.linalg import solve_triangular
 from galen_hw.spatial import Array
 
 
-def slopes(q: Array, simulated: Array, within: Array) -> Array | None:
-    """Return the slopes (N, C, J) of simulated channels (N, C) by joint positions (N, J); None: these do not tell the channels.
+def jacobian(q: Array, simulated: Array, within: Array) -> Array | None:
+    """Return d(channel)/d(joint), (N, C, J), of simulated channels (N, C) and joint positions (N, J).
+
+    None where the joints do not tell the channels.
 
     A closed chain has no joint screws, but where it moved its simulation is a smooth function of its joints: Legendre polynomials
     of total degree, of the lowest that misses left-out rows (Allen's PRESS, Technometrics 16, 1974) by little enough.
