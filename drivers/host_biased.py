@@ -1,4 +1,4 @@
-"""What force/torque sensors share whose bias the host subtracts: `zero`, `unzero`, and a bias that outlives a restart."""
+"""Zero force/torque sensors whose bias the host subtracts: `zero`, `unzero`, and a bias that outlives a restart."""
 
 from abc import abstractmethod
 from typing import Any
@@ -38,7 +38,7 @@ class HostBiasedSensor(WrenchSensor[Wire, Found]):
         raise CommandRejectedError(f"unknown request {request.name!r}", where=self.name, todo=todo)
 
     def snapshot(self, now_ns: int) -> dict[str, Any]:
-        """The bias, of a sensor that has a number; see `Device.snapshot`."""
+        """Return the bias, of a sensor that has a number; see `Device.snapshot`."""
         serial = "" if self._identity is None else self._identity.serial_number
         values = [] if self._bias.offset is None else self._bias.offset.tolist()
         return self._kept_zero.record(serial, self._bias.zeroings if serial else 0, values, now_ns, seen=self.ready)
@@ -66,7 +66,7 @@ class HostBiasedSensor(WrenchSensor[Wire, Found]):
 
     @property
     def _zeroed(self) -> str:
-        """Whether it is zeroed and since when, for people."""
+        """Return whether it is zeroed and since when, for people."""
         zeroed = "not zeroed" if self._bias.offset is None else "zeroed"
         story = self._kept_zero.story(self._bias.zeroings)
         return f"{zeroed} ({story})" if story else zeroed

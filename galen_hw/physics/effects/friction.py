@@ -194,7 +194,8 @@ class Friction(Effect):
         forward = 0.5 * (1.0 + s)
 
         def cold() -> Array:
-            return np.asarray(np.exp(-(scene.time - (self.start or 0.0)) / (self.warming or 1.0)))
+            # A recording of an earlier day says nothing of how cold it was before.
+            return np.asarray(np.exp(-np.maximum(scene.time - (self.start or 0.0), 0.0) / (self.warming or 1.0)))
 
         forms: dict[str, Callable[[], list[Array]]] = {
             "coulomb": lambda: [s],
@@ -204,14 +205,13 @@ class Friction(Effect):
             "unequal": lambda: [s, v * forward, v * (1.0 - forward)],
             "stribeck": lambda: [s, v, s * np.exp(-((v / (self.stribeck or 1.0)) ** 2))],
             "warming": lambda: [s, v, s * cold(), v * cold()],
-            "presliding": lambda: [s, v],
-            "presliding_stribeck": lambda: [s, v, s * np.exp(-((v / (self.stribeck or 1.0)) ** 2))],
             "load": lambda: [s, v, s * np.abs(np.asarray(scene.load(self.joint), dtype=float))],
         }
+        forms |= {"presliding": forms["coulomb_viscous"], "presliding_stribeck": forms["stribeck"]}
         return in_channel(_place(scene, self.joint), scene.seen(np.stack(forms[self.form](), axis=-1)).T)
 
     def _sense(self, scene: Scene, v: Array) -> Array:
-        """(N,) of the motion, -1 to 1: of its speed (N,), or as far as it has built up since the joint turned."""
+        """Return the sense of the motion (N,), -1 to 1: of its speed (N,), rad/s, or as built up since the joint turned."""
         if self.reach is not None:
             return scene.wear("presliding", scene.q[:, scene.joint_index(self.joint)], self.reach, 1.0)
         assert self.transition is not None, "proposed with one"

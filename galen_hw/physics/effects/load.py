@@ -100,13 +100,12 @@ class Payload(Effect):
         link = scene.link_port(self.joint) if isinstance(scene, EffortScene) else None
         assert link is not None, "proposed only where there is a port"
         port, com = link
-        x, y, z = com
-        point = np.array([1.0, *com, y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y])
+        point = np.concatenate([[1.0], com, _inertia_of_moment(com) @ com])
         bodies = {"mass": point[:, None], "moment": np.eye(10)[:, 1:4], "body": np.eye(10)[:, :4]}[self.part]
         return Columns(tuple(range(len(scene.channels))), port @ bodies)
 
     def body(self, scene: Scene, theta: Array) -> Array | None:
-        """What it is of a body at the sensor."""
+        """Return what it changes of a body at the sensor, (10,); None: it is on a link."""
         if self.joint:
             return None
         return np.asarray(self._bodies(scene) @ theta)

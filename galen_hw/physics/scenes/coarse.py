@@ -1,4 +1,4 @@
-"""What is smooth along the motion, worked out on a part of the rows."""
+"""Work out what is smooth along the motion on a part of the rows."""
 
 from collections.abc import Callable
 from typing import Any
