@@ -1,15 +1,16 @@
 """Efforts and positions of joints."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.lazy import cached_property
 from galen_hw.physics.scenes.base import Scene, once
-from galen_hw.physics.scenes.coarse import coarse
 from galen_hw.physics.signals.differentiation import CUT, has_line, smoothed
 from galen_hw.spatial import Array
 
@@ -67,6 +68,27 @@ class JointScene(Scene):
         """Columns of compared joints, coarse rows brought to all rows."""
         order = [self.joint_index(_joint(name)) for name in self.channels]
         return np.asarray(values[:, order])
+
+    def _coarse(self, run: Callable[[Any], Array], *, most: int = 4000) -> Array:
+        """run(rows) -> (M, ...) on an even choice of the rows of each run, cubic in between; exact where there are few.
+
+        Args:
+            most: rows: ports of a URDF are smooth along the motion.
+        """
+        n = len(self)
+        if n <= most:
+            return np.asarray(run(np.arange(n)))
+        chosen = [
+            np.unique(np.linspace(s.start, s.stop - 1, max(4, most * (s.stop - s.start) // n)).astype(int))
+            for s in self.segments
+        ]
+        values = np.asarray(run(np.concatenate(chosen)))
+        own = np.split(values, np.cumsum([len(rows) for rows in chosen])[:-1])
+        each = [
+            CubicSpline(rows, at, axis=0)(np.arange(s.start, s.stop)) if len(rows) > 1 else at
+            for s, rows, at in zip(self.segments, chosen, own, strict=True)
+        ]
+        return np.concatenate(each)
 
 
 class EffortScene(JointScene):
@@ -132,7 +154,7 @@ class EffortScene(JointScene):
             up, down = (robot.inverse_dynamics(self.q[rows] + s * step, dq[rows], ddq[rows]) for s in (1.0, -1.0))
             return np.asarray((up - down) / 2e-4)
 
-        return self._along(coarse(self, run))
+        return self._along(self._coarse(run))
 
     def misread(self, joint: str, *, offset: float = 0.0, scale: float = 0.0) -> Array | None:
         """Inverse dynamics of another motion."""
@@ -146,13 +168,13 @@ class EffortScene(JointScene):
         def run(rows: Array) -> Array:
             return robot.inverse_dynamics(q[rows], dq[rows], ddq[rows])
 
-        return self._along(coarse(self, run)) - self._rigid(robot)
+        return self._along(self._coarse(run)) - self._rigid(robot)
 
     @once
     def _rigid(self, robot: UrdfRobot) -> Array:
         """(N, C) efforts of the motion itself, between the same coarse rows."""
         dq, ddq = self.rates if self.belief.dynamic else (np.zeros_like(self.q),) * 2
-        return self._along(coarse(self, lambda rows: robot.inverse_dynamics(self.q[rows], dq[rows], ddq[rows])))
+        return self._along(self._coarse(lambda rows: robot.inverse_dynamics(self.q[rows], dq[rows], ddq[rows])))
 
     @once
     def gravity_port(self) -> Array | None:
@@ -168,7 +190,7 @@ class EffortScene(JointScene):
             def run(rows: Array, one: UrdfRobot = under) -> Array:
                 return one.inverse_dynamics(self.q[rows], zero[rows], zero[rows])
 
-            parts.append(coarse(self, run))
+            parts.append(self._coarse(run))
         return np.stack([self._along(part) for part in parts], axis=-1)
 
     @once
@@ -178,13 +200,13 @@ class EffortScene(JointScene):
         if robot is None or robot.carrier is None:
             return None
         dq, ddq = self.rates
-        return self._along(coarse(self, lambda rows: robot.load_regressor(self.q[rows], dq[rows], ddq[rows])))
+        return self._along(self._coarse(lambda rows: robot.load_regressor(self.q[rows], dq[rows], ddq[rows])))
 
     @once
     def link_port(self, joint: str) -> tuple[Array, Array] | None:
-        """Efforts (N, C, 10) per inertial parameter of the link that a joint moves, and its centre of mass (3,) in its axes.
+        """Return efforts (N, C, 10) per inertial parameter of the link that a joint moves, and its centre of mass (3,), m.
 
-        None where there is no URDF, and of the link at the sensor, see `body_port`.
+        About and in the axes of that joint. None where there is no URDF, and of the link at the sensor, see `body_port`.
         """
         robot = self._urdf()
         if robot is None or joint not in robot.joint_names:
@@ -193,7 +215,7 @@ class EffortScene(JointScene):
         if number == robot.carrier:
             return None
         dq, ddq = self.rates
-        port = coarse(self, lambda rows: robot.body_regressor(number, self.q[rows], dq[rows], ddq[rows]))
+        port = self._coarse(lambda rows: robot.body_regressor(number, self.q[rows], dq[rows], ddq[rows]))
         return self._along(port), com
 
     def with_body(self, body: Array) -> Self | None:
@@ -241,7 +263,7 @@ class EffortScene(JointScene):
             q = self.q[rows]
             return np.swapaxes(robot.link_jacobian(q, joint) if joint else robot.sensor_jacobian(q), 1, 2)
 
-        pose, jacobian = coarse(self, pose_of), coarse(self, turned)
+        pose, jacobian = self._coarse(pose_of), self._coarse(turned)
         order = [self.joint_index(_joint(name)) for name in self.channels]
         return pose, -jacobian[:, order]
 

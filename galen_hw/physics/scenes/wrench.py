@@ -12,7 +12,6 @@ from galen_hw.physics.observations import Observations
 from galen_hw.physics.operators.stateful import Memory
 from galen_hw.physics.rigid import Body, gravity_in_sensor, inertial_wrench, predicted_wrench, weight_map
 from galen_hw.physics.scenes.base import Scene, once
-from galen_hw.physics.scenes.coarse import coarse
 from galen_hw.physics.scenes.imu import imu_ends, imu_motion, turn_rates
 from galen_hw.physics.scenes.screws import axis_moves, axis_screws, exponential, joint_screws
 from galen_hw.physics.scenes.sensitivity import Port
@@ -246,14 +245,10 @@ class WrenchScene(Scene):
         if robot is None or joint not in self.joint_names or not np.isfinite(self.q).all():
             return None
         q, dq, ddq = self._stretched(joint, offset, scale)
-
-        def run(rows: Array) -> Array:
-            if self.belief.dynamic:
-                return self._moving(self._seated_motion(robot.sensor_motion(q[rows], dq[rows], ddq[rows])), rows)
-            zeros = np.zeros((len(rows), 3))
-            return self._moving(Motion(self._seated(robot.sensor_pose(q[rows])), zeros, zeros, zeros), rows)
-
-        return coarse(self, run)
+        if self.belief.dynamic:
+            return self._moving(self._seated_motion(robot.sensor_motion(q, dq, ddq)))
+        zeros = np.zeros((len(q), 3))
+        return self._moving(Motion(self._seated(robot.sensor_pose(q)), zeros, zeros, zeros))
 
     def reseated(self, turn: Array) -> Array:
         """(N, 6) change, exactly, if the sensor is turned on its flange by a rotation vector (3,) in its own axes."""
@@ -261,11 +256,11 @@ class WrenchScene(Scene):
         T[:, :3, :3] = self.R @ rotation_exp(turn)
         return self._moving(Motion(T, self.motion.acceleration, self.motion.omega, self.motion.alpha))
 
-    def _moving(self, motion: Motion, rows: Array | slice = slice(None)) -> Array:
-        """(N, 6) change of the reading if the sensor moved otherwise, on these rows."""
+    def _moving(self, motion: Motion) -> Array:
+        """(N, 6) change of the reading if the sensor moved otherwise."""
         gravity = self.belief.gravity
-        turned = gravity_in_sensor(motion.T[:, :3, :3], gravity) - gravity_in_sensor(self.R[rows], gravity)
-        more = inertial_wrench(motion, *self.belief.hanging) - self._inertia[rows] if self.belief.dynamic else 0.0
+        turned = gravity_in_sensor(motion.T[:, :3, :3], gravity) - gravity_in_sensor(self.R, gravity)
+        more = inertial_wrench(motion, *self.belief.hanging) - self._inertia if self.belief.dynamic else 0.0
         return np.asarray(turned @ self.weight.T + more)
 
     def _turned(self, phi: Array) -> Array:
