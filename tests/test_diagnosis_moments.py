@@ -226,3 +226,28 @@ def test_a_jump_goes_to_the_moment_that_the_present_model_gives_it() -> None:
     told = scorer.library[out.chosen[1]]
     assert (told.effect, told.looked) == (Step(WRENCH[:2], moment), len(bench.rows) // 4)
     assert not timed(out)
+
+
+def test_a_tool_that_slips_in_its_clamp_is_a_body_from_that_moment_on() -> None:
+    """Its centre of mass moves at once and its weight stays: no step of the offsets, which do not turn with gravity."""
+    case = Bench(11, rows=4000)
+    late, slip = (case.t >= 22.0)[:, None], np.array([0.3e-3, -0.1e-3, 0.2e-3])
+    force = scene_of(case.observations()).simulated[:, :3]
+    case.wrench[:, 3:] += late * np.cross(slip, force)
+    (found,) = diagnose(scene_of(case.observations())).diagnosis.findings
+    assert found.effect == "payload"
+    assert found.parameters["moment"].value == pytest.approx(22.0, abs=0.3)
+    assert "from 22" in found.says
+
+
+def test_what_rings_is_said_to_pass_for_noise() -> None:
+    """A loose part swings at 3 Hz, its phase its own: no function of the motion, and no sensor's noise."""
+    case, rng = Bench(12, rows=4000), np.random.default_rng(0)
+    step = float(case.t[1] - case.t[0])
+    turn, decay = 2.0 * np.pi * 3.0 * step, 0.97
+    swing = lfilter([1.0], [1.0, -2.0 * decay * np.cos(turn), decay**2], rng.normal(size=len(case.t)))
+    case.wrench[:, 4] += 6.0 * SIGMA[4] * swing / np.std(swing)
+    diagnosis = diagnose(scene_of(case.observations())).diagnosis
+    (note,) = (one for one in diagnosis.notes if one.startswith("what rings"))
+    assert WRENCH[4] in note
+    assert float(note.split("near ")[1].split(" Hz")[0]) == pytest.approx(3.0, rel=0.25)

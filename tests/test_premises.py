@@ -179,6 +179,24 @@ def test_signs_of_force_and_of_moment_are_told_apart(says):
         assert np.allclose(found.observations.columns[name], original[name])
 
 
+def test_moments_about_the_tip_are_moved_to_the_sensor():
+    """As a robot that shifts its wrench to the tool's centre point writes them; no sign and no body makes up for it."""
+    original, tip = static(), np.array([0.021, -0.034, 0.168])
+    about_tip = matrix(original, TORQUE) - np.cross(tip, matrix(original, FORCE))
+    found = examined(seen(original | dict(zip(TORQUE, about_tip.T, strict=True)), named=True, tip=tip))
+    (remark,) = found.remarks
+    assert "about the tool's tip" in remark.what
+    for name in FORCE + TORQUE:
+        assert np.allclose(found.observations.columns[name], original[name])
+
+
+def test_a_tool_that_hangs_elsewhere_is_no_sign_of_its_moment():
+    """Its centre of mass on the other side of the sensor: a body explains that completely, the other sign only nearly."""
+    original = static()
+    elsewhere = np.cross(np.array([-0.009, 0.030, -0.107]), matrix(original, FORCE))
+    assert not examined(seen(original | dict(zip(TORQUE, elsewhere.T, strict=True)), named=True)).remarks
+
+
 def test_a_torque_in_other_axes_is_refused_without_a_named_tool():
     """Its sign, and so the side of the centre of mass, could be either."""
     (remark,) = examined(seen(turned(static(), np.eye(3), np.eye(3)[[1, 0, 2]]))).remarks
@@ -311,6 +329,26 @@ def test_a_huge_number_was_not_measured():
     found = examined(seen(columns))
     assert keys(found) == ["lost_values"]
     assert np.isnan(found.observations.columns[FORCE[0]][[5, 700]]).all()
+
+
+@pytest.mark.parametrize(("bits", "step"), [(16, 0.001), (12, 0.02)])
+def test_a_reading_that_runs_over_its_integer_is_counted_on(bits, step):
+    """It comes back as it was, to a step; what is large and does not run over is left alone."""
+    original = moving()
+    size = 0.6 * 2**bits * step / np.max(np.abs(original[FORCE[2]]))
+    counts = np.round(size * original[FORCE[2]] / step)
+    wrapped = (counts + 2 ** (bits - 1)) % 2**bits - 2 ** (bits - 1)
+    found = examined(seen(original | {FORCE[2]: step * wrapped}))
+    assert f"ran over the end of {bits} bits of {step:.4g}" in found.remarks[0].what
+    assert np.allclose(found.observations.columns[FORCE[2]], step * counts)
+    assert "overflow" not in keys(examined(seen(original | {FORCE[2]: step * counts})))
+
+
+def test_a_column_that_was_exported_twice_is_named():
+    """Row by row the same as another."""
+    columns = static()
+    (remark,) = examined(seen(columns | {FORCE[1]: columns[FORCE[0]].copy()})).refused
+    assert remark.columns == (FORCE[0], FORCE[1])
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])

@@ -76,6 +76,16 @@ def test_gravity_along_any_direction_is_found(seed: int, angle: float) -> None:
     assert Rotation.from_rotvec([*tilt, 0.0]).apply(named) == pytest.approx(G, abs=0.1)
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_efforts_from_which_a_driver_has_taken_gravity_are_compared_without_it(friction: float) -> None:
+    """An arm that weighs nothing: said, and all that is left is friction."""
+    found = recorded(arm().under(np.zeros(3)), arm(), friction=friction)
+    (remark,) = found.remarks
+    assert "hold no gravity" in remark.what
+    assert not found.refused
+    assert not np.any(found.observations.belief.gravity)
+
+
 @given(st.integers(0, 10_000))
 def test_a_tilt_about_an_axis_of_the_plane_takes_any_direction_to_any_other(seed: int) -> None:
     """Straight up to straight down, and from one axis of the plane to the other, among them."""

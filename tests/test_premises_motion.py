@@ -144,6 +144,13 @@ def test_one_effort_in_another_unit_is_named(tmp_path: Path) -> None:
     assert "N mm" in remark.what
 
 
+def test_one_effort_at_the_motors_side_of_its_gear_is_named(tmp_path: Path) -> None:
+    one = arm(tmp_path)
+    (remark,) = examined(spoilt(one, joint__elbow__effort=one.columns["joint.elbow.effort"] / 101.0)).remarks
+    assert remark.action is Action.REFUSED
+    assert "a gear of 101" in remark.what
+
+
 def test_one_column_that_flickers_between_two_sharp_bands_was_read_as_unsigned(tmp_path: Path) -> None:
     """Floats about zero whose sign's bit, 8.192, was added: no counts, so that the bit is not known to the last digit."""
     one = arm(tmp_path)

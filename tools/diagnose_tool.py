@@ -12,7 +12,7 @@ from scipy.stats import trim_mean
 from galen_hw.config.tool_file import Term, ToolFile, parse_tool
 from galen_hw.errors import UsageError
 from galen_hw.physics.effects.registry import effect_of
-from galen_hw.physics.effects.terms import DATED, dated, why_not_live
+from galen_hw.physics.effects.terms import dated, is_dated, why_not_live
 from galen_hw.recording import Recording
 from galen_hw.recording.from_mcap import tool_info
 
@@ -117,7 +117,7 @@ def _servable(
     for term in terms:
         key = term["effect"]
         why = why_not_live(term, group)
-        if not why and key in DATED and epoch is None:
+        if not why and is_dated(term) and epoch is None:
             why = "the recording does not say when it was made"
         if why:
             left[key] = f"{key} is left out, {why}"

@@ -40,7 +40,7 @@ def answer(
     notes = list(premise.notes)
     if verdict == "agrees":
         notes.append(_limit(bench))
-    notes += _wandering(model)
+    notes += _wandering(model) + _ringing(bench)
     if judged.at_home:
         told = ", ".join(key.replace("_", " ") for key in sorted(judged.at_home))
         notes.append(f"the recording held out hardly rouses {told}: told by blocks left out of the first")
@@ -87,3 +87,11 @@ def _wandering(model: Model) -> list[str]:
         if wander > quick and name not in drifting
     ]
     return [f"what wanders so slowly passes for noise, rms: {', '.join(told)}"] if told else []
+
+
+def _ringing(bench: Bench) -> list[str]:
+    """Return which channels ring at one frequency without a name: liquid in a tool, a loose part, a stand that swings."""
+    frequency, size = bench.noise.ringing
+    units = zip(bench.scene.channels, bench.scene.units, frequency / bench.spacing, size, strict=True)
+    told = [f"{name} {rms:.2g} {unit} near {hertz:.2g} Hz" for name, unit, hertz, rms in units if rms > 0.0]
+    return [f"what rings passes for noise, rms: {', '.join(told)}"] if bench.scene.clock and told else []

@@ -47,6 +47,21 @@ class Known:
         joints = {joint for effect, _ in self.effects for joint in effect.joints}
         return [raw for effect, raw in zip(effects, columns, strict=True) if joints & set(effect.joints)]
 
+    def learn_noise(
+        self,
+        effects: Iterable[Effect],
+        columns: Iterable[Columns],
+        bench: Bench,
+        generic: list[structure_test.Family],
+        also: Iterable[Columns] = (),
+    ) -> None:
+        """Learn the noise of a bench beside all that was found, what acts where it was found, and more.
+
+        Args:
+            effects: of the library, with their columns.
+        """
+        bench.learn_noise(self.alike(effects, columns), [*self.columns(bench, generic), *also])
+
     def columns(self, bench: Bench, generic: list[structure_test.Family], *, least: int = 12) -> list[Columns]:
         """On the rows of a bench: what must not pass for noise, as it arrives.
 

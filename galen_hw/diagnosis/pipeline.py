@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from threadpoolctl import threadpool_limits
 
@@ -71,19 +72,21 @@ def diagnose(
     # rather than too large. Now it is learnt from what the first model leaves, and everything is asked again.
     tell("learning the noise", 0.4)
     generic = structure_test.families(bench)
-    bench.learn_noise(known.alike(effects, columns), known.columns(bench, generic))
+    learn = partial(known.learn_noise, effects, columns)
+    learn(bench, generic)
     tell("choosing effects", 0.5)
     searches, left = searched(bench, effects, columns, generic, blind=bool(premise.wrong), start=known.effects)
     if not left and not premise.wrong and (faint := outliers.faint(searches[0][1])) is not None:
         glitch = outliers.marked(searches[0][1].bench, faint)
         before = searches[0][1]
-        searches, left = searched_again(before.bench, effects, columns, generic, known.columns, start=before.placed())
+        searches, left = searched_again(before.bench, effects, columns, generic, learn, before.placed())
     if not left and not premise.wrong and (passed := trees.hidden(searches[0][1])):
         # What passed for slow noise hides others too: all is asked again beside it.
         generic += [structure_test.Family(one.kind, one.basis, local=False) for one in passed]
         also = [Columns((one.channel,), one.basis[:, None, 1:]) for one in passed]
         before = searches[0][1]
-        searches, left = searched_again(before.bench, effects, columns, generic, known.columns, also, before.placed())
+        learn = partial(learn, also=also)
+        searches, left = searched_again(before.bench, effects, columns, generic, learn, before.placed())
         left = left or trees.hidden(searches[0][1])
     tell("judging on held-out data", 0.9)
     selection, chosen, model, judged = held_up(searches, holdout, nothing=bool(premise.wrong))

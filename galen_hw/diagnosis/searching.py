@@ -1,6 +1,6 @@
 """The searches under one noise, and what held-out data leave of the better model."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from copy import copy
 
 import numpy as np
@@ -53,13 +53,16 @@ def searched_again(
     effects: list[Effect],
     columns: list[Columns],
     generic: list[structure_test.Family],
-    known: Callable[[Bench, list[structure_test.Family]], list[Columns]],
-    also: Sequence[Columns] = (),
+    learn: Callable[[Bench, list[structure_test.Family]], None],
     start: Start = (),
 ) -> tuple[list[Search], list[structure_test.Left]]:
-    """Learn the noise anew beside what is known and what showed `also`, and search again."""
+    """Learn the noise anew, and search again.
+
+    Args:
+        learn: learns the noise on a bench beside what is known.
+    """
     bench.begin()
-    bench.learn_noise((), [*known(bench, generic), *also])
+    learn(bench, generic)
     return searched(bench, effects, columns, generic, blind=False, start=start)
 
 

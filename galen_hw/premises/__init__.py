@@ -19,6 +19,8 @@ PREMISES: Final = (
     "clock.ClockSteps",
     "cells.PoseRows",
     "clock.RoundedClock",
+    "overflow.Overflow",
+    "channels.CopiedColumns",
     "joints.WrappedJoints",
     "clock.ClockRate",
     "sampling.Staircase",
@@ -38,6 +40,7 @@ PREMISES: Final = (
     "pose_frames.TargetFrames",
     "pushes.PushSigns",
     "joint_reading.JointReading",
+    "link_lengths.LinkLengths",
     "load.LoadChange",
 )
 """Modules and classes, in order."""

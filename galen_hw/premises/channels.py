@@ -1,4 +1,4 @@
-"""Compared channels against their simulation: dead ones and joints that read with the other sign or each other's value."""
+"""Compared channels that cannot be what they are called: copies, dead ones, joints that read with the other sign."""
 
 from collections.abc import Iterator
 from typing import ClassVar, Final
@@ -73,6 +73,27 @@ class DeadChannels:
                 yield Remark(self.KEY, what, f"{why}: leave its column out", (name,), Action.REFUSED)
             else:
                 yield Remark(self.KEY, f"{name} is constant: the channel may be dead", "", (name,))
+
+
+class CopiedColumns:
+    """Tests for compared channels that are one and the same, row by row: one was exported twice, and the other is lost."""
+
+    KEY: ClassVar[str] = "copied_columns"
+    STAGE: ClassVar[Stage] = Stage.CELLS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield a remark for each channel that is a copy of one before it."""
+        names = compared_names(seen)
+        for k, name in enumerate(names):
+            values = seen.columns[name]
+            there = values[np.isfinite(values)]
+            if len(np.unique(there[: CRITERIA.stretch])) < CRITERIA.fewest_vectors:
+                continue  # what stands still, or knows hardly any value, is like others by chance
+            first = next((n for n in names[:k] if np.array_equal(seen.columns[n], values, equal_nan=True)), None)
+            if first is not None:
+                what = f"{name} is the same as {first} in every row"
+                todo = "export it again: one of the two was written twice"
+                yield Remark(self.KEY, what, todo, (first, name), Action.REFUSED)
 
 
 class JointSigns:

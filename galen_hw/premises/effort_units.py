@@ -86,9 +86,12 @@ class EffortUnits:
             return
         k = int(off[0])
         units = units_of(float(slopes[k]), TORQUES)
-        if units:
-            what = f"{names[k]} is {slopes[k]:.4g} times what the model needs, the others are not: is it in {' or '.join(units)}?"
-            yield Remark(self.KEY, what, "give N m", (names[k],), Action.REFUSED)
+        hints = [f"in {' or '.join(units)}"] if units else []
+        if not units and slopes[k] < 1.0 / CRITERIA.least_factor**2:
+            hints = [f"at the motor's side of a gear of {1.0 / slopes[k]:.3g}", "does a spring carry it"]
+        if hints:
+            what = f"{names[k]} is {slopes[k]:.3g} times what the model needs, the others are not: is it {', or '.join(hints)}?"
+            yield Remark(self.KEY, what, "give N m at the joint", (names[k],), Action.REFUSED)
 
 
 def _beyond_limits(seen: Observations, scene: Scene) -> Remark | None:

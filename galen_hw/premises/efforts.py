@@ -5,7 +5,7 @@ solved exactly beside a constant and friction of any size in every joint.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -85,6 +85,9 @@ class EffortGravity:
         y = efforts.own((scene.measured - moving)[:, :, None])[:, 0]
         found: Array = np.asarray(np.linalg.lstsq(X, y, rcond=CRITERIA.small_turn)[0], dtype=float)
         length = float(np.linalg.norm(found) / np.linalg.norm(named))
+        if length < CRITERIA.gross_left:
+            yield from self._compensated(seen, efforts, moving)
+            return
         if abs(length - 1.0) > CRITERIA.gross_left or angle_between(named, found) <= CRITERIA.least_turn:
             return
         gravity = found / length
@@ -93,6 +96,21 @@ class EffortGravity:
         if left > min(CRITERIA.gross_left, CRITERIA.gross_gain * plain, CRITERIA.half * turned):
             return
         yield gravity_remark(self.KEY, seen, gravity, scene.channels)
+
+    def _compensated(self, seen: Observations, efforts: Efforts, moving: Array) -> Iterator[Remark]:
+        """Yield a remark where the efforts are those of an arm without weight: a driver has taken its model's gravity off.
+
+        Args:
+            moving: (N, C) efforts of the motion alone.
+        """
+        plain = efforts.unexplained(efforts.scene.simulated)
+        # Efforts in another unit are small too, but then those of the motion are none of theirs.
+        if efforts.unexplained(moving) > min(1.0 + CRITERIA.gross_left, CRITERIA.gross_gain * plain):
+            return
+        robot, none = efforts.robot.under(np.zeros(3)), np.zeros(3)
+        repaired = replace(seen, belief=replace(seen.belief, gravity=none, robot=robot))
+        what = "the efforts hold no gravity: the robot's driver has taken it off; compared without it"
+        yield Remark(self.KEY, what, "", efforts.scene.channels, Action.REPAIRED, repaired)
 
 
 class MissingBody:

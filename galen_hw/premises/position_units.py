@@ -159,13 +159,16 @@ def _slides(robot: Robot, k: int) -> bool:
 
 
 def _beyond(values: Array, low: float, high: float, *, slides: bool) -> float:
-    """How far values go beyond limits, as a share of their span; 0 where there are none. A whole turn more is the same angle."""
+    """How far values go beyond limits, as a share of their span; 0 where there are none. A whole turn more is the same angle.
+
+    Of each value by itself: angles read between -pi and pi lie a turn off in a part of the rows.
+    """
     there = values[np.isfinite(values)]
     span = high - low
     if not len(there) or not np.isfinite(span) or span <= 0.0:
         return 0.0
-    shifts = (0.0,) if slides else (-TURN, 0.0, TURN)
-    return min(max(float(there.max()) + x - high, low - float(there.min()) - x, 0.0) for x in shifts) / span
+    turned = there + np.array([[0.0]] if slides else [[-TURN], [0.0], [TURN]])
+    return float(np.max(np.min(np.maximum(np.maximum(turned - high, low - turned), 0.0), axis=0))) / span
 
 
 def _scaled(seen: Observations, joints: Sequence[str], factor: float) -> dict[str, Array]:

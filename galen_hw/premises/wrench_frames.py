@@ -8,7 +8,7 @@ import numpy as np
 
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.premises.base import Action, Claim, Remark, Stage
+from galen_hw.premises.base import Action, Claim, Remark, Stage, with_columns
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.gravity import angle_between, gravity_remark
 from galen_hw.premises.rotations import angle_of, as_axes, as_turn, nearest_axes, signed_permutations
@@ -67,6 +67,9 @@ class WrenchFrames:
         if found is None:
             return
         gravity = found.kind == "gravity"
+        if not gravity and np.array_equal(found.Q, IDENTITY) and _about_tip(found.reading.seen):
+            yield self._moved(seen, found)
+            return
         remark = (
             gravity_remark(self.KEY, seen, _gravity(found.reading)[0], (*FORCE, *TORQUE))
             if gravity
@@ -90,6 +93,13 @@ class WrenchFrames:
         if best is not None and np.array_equal(best.Q, -IDENTITY):
             best = _sign_or_gravity(seen, best)
         return None if best is not None and best.kind == "gravity" and not _possible(seen, best) else best
+
+    def _moved(self, seen: Observations, found: _Found) -> Remark:
+        """Say that the moments are about the tip; what the reading says of the rest first."""
+        says = [found.reading.says] if found.reading.says else []
+        there = _about_origin(reread(seen, found.reading.says) if says else seen)
+        says.append("the moments are about the tool's tip, not the sensor's origin")
+        return Remark(self.KEY, "; ".join(says), "", TORQUE, Action.REPAIRED, there)
 
     def _of_axes(self, seen: Observations, found: _Found) -> Remark | None:
         """What the force's axes say, and what the torque's do beside them."""
@@ -248,6 +258,9 @@ def _torque_axes(seen: Observations, Q: Array) -> tuple[Array, bool]:
     else:
         options = [(P, lever_fit(force, torque @ P)[1], False) for P in (Q, *_others(Q))]
     enough = min(CRITERIA.gross_left, CRITERIA.gross_gain * options[0][1])
+    if known:
+        # A tool that hangs elsewhere explains other axes too, and is the better answer where these leave far more.
+        enough = min(enough, max(CRITERIA.as_good * lever_fit(force, torque @ Q)[1], CRITERIA.small_turn))
     better = [o for o in options[1:] if o[1] <= enough]
     if options[0][1] <= CRITERIA.gross_left or not better:
         if known and options[1][1] < options[0][1]:
@@ -256,6 +269,22 @@ def _torque_axes(seen: Observations, Q: Array) -> tuple[Array, bool]:
     least = min(o[1] for o in better)
     best = next(o for o in better if o[1] <= CRITERIA.as_good * least)
     return best[0], best[2]
+
+
+def _about_tip(seen: Observations) -> bool:
+    """Return whether the moments are those of the named tool about its tip: nearly all that is missed about the origin."""
+    if not _tool_known(seen) or not np.any(seen.belief.tip):
+        return False
+    expected, origin = scene_of(seen).simulated[:, 3:], seen.matrix(*TORQUE)
+    named = _left(expected, origin)
+    tip = _left(expected, _about_origin(seen).matrix(*TORQUE))
+    return tip <= min(CRITERIA.small_turn, CRITERIA.gross_gain * named)
+
+
+def _about_origin(seen: Observations) -> Observations:
+    """Return the recording with moments about the sensor's origin that were about the tip of the tool."""
+    moment = seen.matrix(*TORQUE) + np.cross(seen.belief.tip, seen.matrix(*FORCE))
+    return with_columns(seen, dict(zip(TORQUE, moment.T, strict=True)))
 
 
 def _others(Q: Array) -> list[Array]:

@@ -12,6 +12,7 @@ from galen_hw.diagnosis.detection.proposal import FEW_ROWS, SHARED, Sought, mome
 from galen_hw.diagnosis.noise.spectrum import Noise
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.events import Step
+from galen_hw.physics.effects.load import Payload
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
@@ -166,35 +167,70 @@ def _jumps(rest: Array, noise: Noise, own: list[int] | None = None) -> Array:
     return np.asarray(inner**2 / square)
 
 
-def slips(scene: Scene, rest: Array, average: Callable[[Array], Array], *, count: int = 400) -> list[Sought]:
+def slips(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[Sought]:
     """For all that the arm carries the moment at which a slip of it takes most out of the rest (M, C).
 
-    With A the answer to a slip and b its product with the rest, both summed over the rows behind a moment, and S of all rows
-    what constants of the baseline take of it, the gain is b (A - A S^-1 A)^-1 b.
+    The baseline places what is carried by the whole recording: it takes the same columns of all rows, of which S is the square.
+    Behind a moment these leave A - A S^-1 A of the square A of a slip.
 
     Args:
         average: rows (N, ...) to (M, ...).
-        count: moments that are looked at.
     """
-    M = len(rest)
-    if M < FEW_ROWS:
+    if len(rest) < FEW_ROWS:
         return []
-    margin, out = max(M // 60, 3), []
-    sigma = np.maximum(slow_spread(rest), 1e-300)
+    out = []
     for one in scene.slipping():
         own = list(one.channels)
-        X, r = average(one.values) / sigma[own, None], (rest - rest.mean(axis=0))[:, own] / sigma[own]
-        # Moves in metres and in radians, made comparable.
-        X = X / np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)
-        behind = [
-            np.cumsum(each[::-1], axis=0)[::-1]
-            for each in (np.einsum("mck,mcl->mkl", X, X), np.einsum("mck,mc->mk", X, r))
-        ]
-        moments = np.unique(np.linspace(margin, M - margin - 1, count).astype(int))
-        A, b = behind[0][moments], behind[1][moments]
-        free = A - A @ np.linalg.pinv(behind[0][0], rcond=1e-9, hermitian=True) @ A
-        gain = np.einsum("mk,mkl,ml->m", b, np.linalg.pinv(free, rcond=1e-6, hermitian=True), b)
-        when = moment(scene, int(moments[int(np.argmax(gain))]), M)
-        names = tuple(scene.channels[c] for c in own)
-        out.append(Sought(Step(names, when, one.name), places_of(M)))
+        X, r = _in_noise(average(one.values), rest[:, own])
+        A, b, moments = _behind(X, r)
+        whole = np.linalg.pinv(np.einsum("mck,mcl->kl", X, X), rcond=1e-9, hermitian=True)
+        when = _most(scene, A - A @ whole @ A, b, moments, len(rest))
+        out.append(Sought(Step(tuple(scene.channels[c] for c in own), when, one.name), places_of(len(rest))))
     return out
+
+
+def loads(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[Sought]:
+    """The moment at which another load takes most out of the rest (M, C): a part picked up, or one that slips in its clamp.
+
+    The offsets of the channels, which are free, take their part of it.
+
+    Args:
+        average: rows (N, ...) to (M, ...).
+    """
+    port = scene.body_port() if scene.clock and scene.observations.predict in ("wrench", "effort") else None
+    if port is None or len(rest) < FEW_ROWS:
+        return []
+    out = []
+    for part, body in (("moment", slice(1, 4)), ("body", slice(0, 4))):
+        X, r = _in_noise(average(port[:, :, body]), rest)
+        A, b, moments = _behind(X, r)
+        sums = np.cumsum(X[::-1], axis=0)[::-1][moments]
+        when = _most(scene, A - np.einsum("mck,mcl->mkl", sums, sums) / len(rest), b, moments, len(rest))
+        out.append(Sought(Payload(part, since=when), places_of(len(rest))))
+    return out
+
+
+def _in_noise(X: Array, rest: Array) -> tuple[Array, Array]:
+    """Columns (M, c, k) and a rest (M, c) over its quick spread; moves, masses and moments made comparable."""
+    sigma = np.maximum(slow_spread(rest), 1e-300)
+    X = X / sigma[:, None]
+    return X / np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300), (rest - rest.mean(axis=0)) / sigma
+
+
+def _behind(X: Array, rest: Array, *, count: int = 400) -> tuple[Array, Array, Array]:
+    """Squares (m, k, k) of columns X (M, c, k) behind moments, their products (m, k) with a rest (M, c), and first rows (m,).
+
+    Args:
+        count: moments that are looked at.
+    """
+    margin = max(len(rest) // 60, 3)
+    moments = np.unique(np.linspace(margin, len(rest) - margin - 1, count).astype(int))
+    each = np.einsum("mck,mcl->mkl", X, X), np.einsum("mck,mc->mk", X, rest)
+    A, b = (np.cumsum(one[::-1], axis=0)[::-1][moments] for one in each)
+    return A, b, moments
+
+
+def _most(scene: Scene, free: Array, b: Array, moments: Array, rows: int) -> float:
+    """The moment, s, with the largest gain b A^-1 b of free squares A (m, k, k) and products b (m, k)."""
+    gain = np.einsum("mk,mkl,ml->m", b, np.linalg.pinv(free, rcond=1e-6, hermitian=True), b)
+    return moment(scene, int(moments[int(np.argmax(gain))]), rows)

@@ -4,18 +4,17 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.inner_products import Group, InnerProducts
 from galen_hw.diagnosis.stats.linear_algebra import log_tail, pinned_at, quadratic, solve_sym
+from galen_hw.diagnosis.stats.sampling import Index
 from galen_hw.spatial import Array
-
-if TYPE_CHECKING:
-    from galen_hw.diagnosis.stats.sampling import Index
 
 
 @dataclass(frozen=True)
@@ -44,46 +43,9 @@ class Left(NamedTuple):
         at: column numbers of what is fitted; b: (K,) inner products of all columns with what is left; total: its sum of squares.
     """
 
-    at: "Index"
+    at: Index
     b: Array
     total: float
-
-
-class _Beside(NamedTuple):
-    """Columns side by side.
-
-    Args:
-        at: their numbers; room: (n, m) whose first columns they are: who goes back to fewer leaves the rest to be overwritten.
-    """
-
-    at: "Index"
-    room: Array
-
-    @classmethod
-    def of(cls, at: "Index", X: Array, *, least: int = 32) -> "_Beside":
-        """With room for more, if they are few.
-
-        Args:
-            least: columns for which there is room where few come: inner products with many narrow arrays cost
-                more than with a wide one.
-        """
-        if len(at) >= least:
-            return cls(at, X)
-        return cls(at[:0], np.empty((len(X), least), order="F")).joined(at, X)
-
-    @property
-    def columns(self) -> Array:
-        """(n, len(at))."""
-        return self.room[:, : len(self.at)]
-
-    def takes(self, count: int) -> bool:
-        """Return whether there is room for so many more."""
-        return bool(len(self.at) + count <= self.room.shape[1])
-
-    def joined(self, at: "Index", X: Array) -> "_Beside":
-        """With more columns X (n, k)."""
-        self.room[:, len(self.at) : len(self.at) + len(at)] = X
-        return _Beside(np.concatenate([self.at, at]), self.room)
 
 
 class Scorer:
@@ -105,63 +67,32 @@ class Scorer:
         self._train = bench.train
         self._fake_rows = [self.fake[self._train, c] for c in range(bench.width)]
         self._occam = _occam(library)
-        self._room, self.b = np.empty((0, 0)), np.empty(0)
-        self.fakes = np.empty((0, self.fake.shape[2]))
+        self.b, self.fakes = np.empty(0), np.empty((0, self.fake.shape[2]))
         self.places: list[slice] = []
-        # Per channel: column numbers and the columns themselves on the training rows, side by side.
-        self._stacks: list[list[_Beside]] = [[] for _ in range(bench.width)]
+        self.products = InnerProducts(bench.width)
         self.append([*self.base, *library])
 
-    @property
-    def G(self) -> Array:
-        """(K, K) inner products of all columns."""
-        size = self.places[-1].stop if self.places else 0
-        return self._room[:size, :size]
-
     def append(self, new: list[Hypothesis]) -> None:
-        """Inner products of more hypotheses with all others."""
-        old = len(self.b)
-        first = old
+        """Take more hypotheses, with their inner products."""
+        first = old = len(self.b)
         for h in new:
             self.places.append(slice(first, first + h.count))
             first += h.count
         self.library += new
-        if first > len(self._room):
-            # With room to spare: a search appends thousands of times.
-            room = np.zeros((first + first // 2, first + first // 2))
-            room[:old, :old] = self._room[:old, :old]
-            self._room = room
-        G, b, fakes = self._room, np.zeros(first), np.zeros((first, self.fake.shape[2]))
-        G[old:first, :first], G[:old, old:first] = 0.0, 0.0
-        b[:old], fakes[:old] = self.b, self.fakes
-        for c, stack in enumerate(self._stacks):
-            fresh = [i for i in range(len(self.library) - len(new), len(self.library)) if self._acts(i, c)]
-            if not fresh:
-                continue
-            own = [self.library[i].own(c) for i in fresh]
-            at_new = np.concatenate([self.places[i].start + at for i, (at, _) in zip(fresh, own, strict=True)])
-            Xn = np.concatenate([part[self._train] for _, part in own], axis=1)
-            for part in stack:
-                cross = part.columns.T @ Xn
-                G[np.ix_(part.at, at_new)] += cross
-                G[np.ix_(at_new, part.at)] += cross.T
-            G[np.ix_(at_new, at_new)] += Xn.T @ Xn
-            b[at_new] += Xn.T @ self.white[self._train, c]
-            fakes[at_new] += Xn.T @ self._fake_rows[c]
-            if stack and stack[-1].takes(len(at_new)):
-                stack[-1] = stack[-1].joined(at_new, Xn)
-            else:
-                stack.append(_Beside.of(at_new, Xn))
-        self.b, self.fakes = b, fakes
+        self.products.append([self._group(h) for h in new])
+        self.b = np.concatenate([self.b, self.products.with_targets(self._white_rows, old)[:, 0]])
+        self.fakes = np.concatenate([self.fakes, self.products.with_targets(self._fake_rows, old)])
 
-    def _acts(self, i: int, c: int) -> bool:
-        return c in self.library[i].raw.channels and self.library[i].count > 0
+    def _group(self, h: Hypothesis) -> Group:
+        """Its whitened columns on the training rows."""
+        own = {c: h.own(c) for c in h.raw.channels} if h.count else {}
+        return Group(h.count, {c: (at, X[self._train]) for c, (at, X) in own.items() if len(at)})
 
     def retime(self) -> None:
         """All columns anew as the bench's late or lagging stream delivers them; whitened a part of the library at a time."""
         library, self.library, self.places = self.library, [], []
-        self._stacks = [[] for _ in self._stacks]
-        self._room, self.b, self.fakes = np.empty((0, 0)), np.empty(0), np.empty((0, self.fake.shape[2]))
+        self.products = InnerProducts(self.bench.width)
+        self.b, self.fakes = np.empty(0), np.empty((0, self.fake.shape[2]))
         for start in range(0, len(library), BUDGET.at_once):
             old = library[start : start + BUDGET.at_once]
             new = [self.retimed(h) for h in old]
@@ -183,11 +114,12 @@ class Scorer:
     def retarget(self, y: Array) -> None:
         """Another residual (M, C) for the same columns: what nonlinear effects predict beyond their slope is taken off."""
         self.white = self.bench.whitened(y)
-        self.b = np.zeros_like(self.b)
-        for c, stack in enumerate(self._stacks):
-            target = self.white[self._train, c]
-            for part in stack:
-                self.b[part.at] += part.columns.T @ target
+        self.b = self.products.with_targets(self._white_rows)[:, 0]
+
+    @property
+    def _white_rows(self) -> list[Array]:
+        """The whitened residual on the training rows, (n, 1) of each channel."""
+        return [self.white[self._train, c, None] for c in range(self.bench.width)]
 
     @contextmanager
     def against(self, y: Array) -> Iterator[None]:
@@ -202,19 +134,19 @@ class Scorer:
             bench.stand(y=y_before)
             self.white, self.b = before
             if grown:
-                self.b = np.zeros(len(self.G))
                 self.retarget(bench.y)
 
     @contextmanager
     def trying(self, new: list[Hypothesis]) -> Iterator[None]:
         """More hypotheses for a while; whatever joins meanwhile leaves with them."""
-        kept = self.library, self.places, self._stacks, self._room, self.b, self.fakes
-        self.library, self.places, self._stacks = list(kept[0]), list(kept[1]), [list(stack) for stack in kept[2]]
-        try:
-            self.append(new)
-            yield
-        finally:
-            self.library, self.places, self._stacks, self._room, self.b, self.fakes = kept
+        kept = self.library, self.places, self.b, self.fakes
+        self.library, self.places = list(kept[0]), list(kept[1])
+        with self.products.fewer_again():
+            try:
+                self.append(new)
+                yield
+            finally:
+                self.library, self.places, self.b, self.fakes = kept
 
     @property
     def total(self) -> float:
@@ -225,22 +157,22 @@ class Scorer:
         """Return the constants and the chosen hypotheses, in the order of their parameters."""
         return [*self.library[: len(self.base)], *(self.library[i] for i in chosen)]
 
-    def base_with(self, chosen: list[int]) -> "Index":
+    def base_with(self, chosen: list[int]) -> Index:
         """Column numbers of the constants and the chosen hypotheses."""
         return self._numbers([*range(len(self.base)), *chosen])
 
-    def _numbers(self, which: list[int]) -> "Index":
+    def _numbers(self, which: list[int]) -> Index:
         parts = [np.arange(self.places[i].start, self.places[i].stop) for i in which]
         return np.concatenate([np.empty(0, dtype=np.intp), *parts])
 
-    def solve(self, chosen: list[int], *, asked: int | None = None) -> tuple[Array, "Index", float]:
+    def solve(self, chosen: list[int], *, asked: int | None = None) -> tuple[Array, Index, float]:
         """Parameters, column numbers and whitened sum of squares of a model; what is `asked` may have any parameters."""
         at = self.base_with(chosen)
         held = self._held(chosen)
         if asked is not None:
             own = self.places[asked]
             held[(at >= own.start) & (at < own.stop)] = np.nan
-        G, b = self.G[np.ix_(at, at)], self.b[at]
+        G, b = self.products.between(at, at), self.b[at]
         theta = pinned_at(held, G, b)
         return theta, at, self.total - float(2.0 * theta @ b - theta @ G @ theta)
 
@@ -249,7 +181,7 @@ class Scorer:
         at, held = self.base_with(chosen), self._held(chosen)
         fixed = ~np.isnan(held)
         value, own = held[fixed], at[fixed]
-        off = self.G[:, own] @ value
+        off = value @ self.products.between(own, np.arange(len(self.products)))
         return Left(at[~fixed], self.b - off, self.total - float(value @ (2.0 * self.b[own] - off[own])))
 
     def _held(self, chosen: list[int]) -> Array:
@@ -265,7 +197,7 @@ class Scorer:
         # Columns of what is asked alone: most calls compare two hypotheses, not all.
         own = self._numbers(asked)
         starts = dict(zip(asked, np.cumsum([0, *(self.library[i].count for i in asked)]).tolist(), strict=False))
-        GS, cross, K = self.G[np.ix_(at, at)], self.G[np.ix_(at, own)], len(own)
+        GS, cross, K = self.products.between(at, at), self.products.between(at, own), len(own)
         P = solve_sym(GS, np.concatenate([cross, b[at][:, None], every[at]], axis=1))
         rest_b = b[own] - cross.T @ P[:, K]
         rest_f = every[own] - cross.T @ P[:, K + 1 :]
@@ -278,8 +210,7 @@ class Scorer:
                 by_count.setdefault(self.library[i].count, []).append(i)
         for count, group in by_count.items():
             rows = np.array([starts[i] for i in group])[:, None] + np.arange(count)
-            places = np.array([self.places[i].start for i in group])[:, None] + np.arange(count)
-            G = self.G[places[:, :, None], places[:, None, :]]
+            G = self.products.within(np.array([self.places[i].start for i in group]))
             A = G - np.einsum("smk,sml->mkl", cross[:, rows], P[:, rows])
             squares = np.diagonal(G, axis1=1, axis2=2)
             gains, fakes, counts = quadratic(A, squares, rest_b[rows], rest_f[rows])
@@ -314,11 +245,11 @@ class Scorer:
         owed = h.owed(score.count, whole=True) - h.owed(score.count)
         return replace(score, rank=score.rank - owed * h.price(self.bench))
 
-    def covariance(self, at: "Index") -> Array:
+    def covariance(self, at: Index) -> Array:
         """Of the parameters of the columns `at`, for noise of unit variance."""
-        return solve_sym(self.G[np.ix_(at, at)], np.eye(len(at)))
+        return solve_sym(self.products.between(at, at), np.eye(len(at)))
 
-    def spread(self, at: "Index") -> Array:
+    def spread(self, at: Index) -> Array:
         """Standard deviations of the parameters of the columns `at`."""
         return np.sqrt(np.maximum(np.diag(self.covariance(at)), 0.0))
 
@@ -338,7 +269,7 @@ class Scorer:
             counts[name] = counts.get(name, 0) + 1
         return [1.0 if name is None else float(min(counts[name], 8)) for name in names]
 
-    def _surprise(self, gain: Array, count: "Index") -> Array:
+    def _surprise(self, gain: Array, count: Index) -> Array:
         """Minus log p; by F where the noise rests on few degrees of freedom."""
         return -log_tail(gain, np.maximum(count, 1), self.bench.noise.degrees)
 

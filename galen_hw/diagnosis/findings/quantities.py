@@ -12,6 +12,9 @@ from galen_hw.physics.effects.registry import effect_class
 SIGNAL: Final = "rms_signal"
 """The parameter that every finding has: rms of what it adds to its strongest channel."""
 
+MOMENT: Final = "moment"
+"""The parameter that tells, in s, from when on a finding holds that does not hold all along."""
+
 PERCENT: Final = {"gain_error", "leak", "scale_error", "share", "load_share"}
 
 
@@ -81,6 +84,8 @@ def headline(finding: Finding, *, most: int = 3) -> str:
     named = list(dict.fromkeys(named))
     named = [n for n in named if any(_sure(v) for v in parts[n])] or named
     words = [_range(name, parts[name]) for name in named[:most]]
+    if MOMENT in parts and not kind.EPISODIC:
+        words.append(f"from {text(MOMENT, parts[MOMENT][0])} on")
     if kind.RMS_TOLD or not words:
         words += [f"{text(SIGNAL, value)} rms" for value in parts.get(SIGNAL, [])[:1]]
     return ", ".join(words)

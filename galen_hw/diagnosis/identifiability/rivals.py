@@ -306,7 +306,7 @@ def _own(scorer: Scorer, chosen: list[int], i: int) -> Own:
     with unbent(scorer, i):
         straight = scorer.solve(chosen)[0]
         at, b, total = _others(scorer, chosen, i)
-        alone = solve_sym(scorer.G[np.ix_(at, at)], b[at][:, None])[:, 0]
+        alone = solve_sym(scorer.products.between(at, at), b[at][:, None])[:, 0]
         without = total - float(alone @ b[at])
     mine = (every >= place.start) & (every < place.stop)
     return Own(i, tuple(chosen), without - rest, theta[mine], straight[mine])
@@ -317,9 +317,10 @@ def _in_place(scorer: Scorer, found: Own, *, own_key: bool = False) -> list[Riva
     i, gain, theta = found.i, found.gain, found.straight
     at, b, _ = _others(scorer, list(found.chosen), i)
     own = scorer.places[i]
-    every = scorer.G[at]
-    P = solve_sym(scorer.G[np.ix_(at, at)], np.column_stack([every, b[at]]))
-    A = scorer.G[own, own] - scorer.G[own, at] @ P[:, own]
+    columns = np.arange(len(b))
+    every, mine_with = scorer.products.between(at, columns), scorer.products.between(columns[own], columns)
+    P = solve_sym(every[:, at], np.column_stack([every, b[at]]))
+    A = mine_with[:, own] - mine_with[:, at] @ P[:, own]
     signal = float(theta @ A @ theta)
     mine, out = scorer.library[i].effect, []
     for j, h in enumerate(scorer.library):
@@ -327,16 +328,17 @@ def _in_place(scorer: Scorer, found: Own, *, own_key: bool = False) -> list[Riva
         if h.effect is None or same != own_key or j in found.chosen or not h.count or signal <= 0.0:
             continue
         s = scorer.places[j]
-        B = scorer.G[s, s] - scorer.G[s, at] @ P[:, s]
-        W = _whitening(B, np.diag(scorer.G)[s])
-        cross = scorer.G[s, own] - scorer.G[s, at] @ P[:, own]
+        (block,) = scorer.products.within(columns[s][:1])
+        B = block - every[:, s].T @ P[:, s]
+        W = _whitening(B, np.diagonal(block))
+        cross = mine_with[:, s].T - every[:, s].T @ P[:, own]
         share = float(np.sum((W.T @ (cross @ theta)) ** 2)) / signal
         if not W.shape[1] or share < 0.5:
             continue
-        r = b[s] - scorer.G[s, at] @ P[:, -1]
+        r = b[s] - every[:, s].T @ P[:, -1]
         worth = float(np.sum((W.T @ r) ** 2))
         lead = (gain - price(scorer.library[i])) - (worth - price(h))
-        U = _whitening(A, np.diag(scorer.G)[own])
+        U = _whitening(A, np.diagonal(mine_with[:, own]))
         nearest = float(np.linalg.norm(W.T @ cross @ U, 2)) if U.shape[1] else 0.0
         out.append(
             Rival(

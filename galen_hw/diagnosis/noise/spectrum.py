@@ -12,6 +12,7 @@ from scipy.fft import dct, idct, next_fast_len
 
 from galen_hw.diagnosis.noise.low_frequency import shelves, smoothed, walking, whitest
 from galen_hw.diagnosis.noise.resolution import RESOLUTION
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.sampling import Mask, Rows
 from galen_hw.lazy import cached_property
 from galen_hw.spatial import Array
@@ -203,6 +204,30 @@ class Noise:
             return np.zeros_like(self.sigma), self.sigma
         slow, quick = np.split(self._all / len(self.rows), [2 * RESOLUTION.wanders])
         return np.sqrt(slow.sum(axis=0)), np.sqrt(quick.sum(axis=0))
+
+    @property
+    def ringing(self) -> tuple[Array, Array]:
+        """(C,) frequency, cycles a row, and rms of the band that rings: it holds more than all others and stands out of them.
+
+        nan and 0 where none does. A band that rings is no slow memory: the spectrum falls from it to both sides.
+        """
+        frequency, size = np.full(len(self.sigma), np.nan), np.zeros(len(self.sigma))
+        M = len(self.rows)
+        at = np.linspace(0.25 / M, 0.5 - 0.25 / M, M)
+        for c in range(len(self.sigma)) if len(self.centres) > 4 else ():
+            top = int(np.argmax(self.levels[:, c]))
+            far = np.abs(np.arange(len(self.centres)) - top) > 1
+            beside = [
+                self.levels[side & far, c]
+                for side in (self.centres < self.centres[top], self.centres > self.centres[top])
+            ]
+            if min(map(len, beside)) == 0 or max(map(np.max, beside)) * CRITERIA.outstanding > self.levels[top, c]:
+                continue
+            own = (at > self.edges[max(top - 1, 0)]) & (at < self.edges[min(top + 2, len(self.edges) - 1)])
+            power = self._all[:, c] / M
+            if power[own].sum() > power[~own].sum():
+                frequency[c], size[c] = self.centres[top], np.sqrt(power[own].sum())
+        return frequency, size
 
     @cached_property
     def _all(self) -> Array:

@@ -26,6 +26,7 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sou
     found = steps.steps(bench.scene, rest, bench.noise) + steps.staircases(bench.scene, rest, bench.noise)
     found += contacts(bench.scene, rest)
     found += steps.slips(bench.scene, rest, bench.rows.average)
+    found += steps.loads(bench.scene, rest, bench.rows.average)
     found += drift.walks(bench.scene, rest, bench.noise)
     found += drift.drifts(bench.scene, rest, bench.rows.average(bench.scene.time))
     found += drift.temperatures(bench.scene, rest, bench.rows.average)

@@ -145,6 +145,7 @@ def apply(model: Model, scene: Scene, good: Mask | None = None, besides: Array |
 def _moments(scene: Scene, rest: Array, rows: Rows) -> list[float]:
     """Times at which something may have jumped in a recording; its start where nothing did."""
     jumps = steps.steps(scene, rest) + steps.slips(scene, rest, rows.average)
+    jumps += steps.loads(scene, rest, rows.average)
     found = [s.effect.jump for s in jumps if s.effect.jump is not None]
     return sorted(set(found)) or [float(scene.time[0])]
 

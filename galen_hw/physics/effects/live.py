@@ -10,7 +10,7 @@ from galen_hw.errors import UsageError
 from galen_hw.kinematics import Robot
 from galen_hw.physics.effects.interactions import Placed, compound
 from galen_hw.physics.effects.registry import effect_of
-from galen_hw.physics.effects.terms import DATED, why_not_live
+from galen_hw.physics.effects.terms import is_dated, why_not_live
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.scenes.wrench import WRENCH, WrenchScene
 from galen_hw.spatial import Array
@@ -43,14 +43,16 @@ class EffectStream:
     """Effects that stand beside each other, with their memory.
 
     Args:
-        effects: the pieces of physics with their linear parameters (k,); those of the wall clock (`DATED`) by themselves.
+        effects: the pieces of physics with their linear parameters (k,); those of the wall clock (`is_dated`) by themselves.
+        dated: they go by the wall clock.
         joint_names: order of the joints in the samples.
         belief: robot, and for errors of geometry the bodies.
     """
 
-    def __init__(self, effects: Sequence[Placed], joint_names: Sequence[str], belief: Belief) -> None:
-        self.effects, self.belief = effects, belief
-        self._dated = any(effect.KEY in DATED for effect, _ in effects)
+    def __init__(
+        self, effects: Sequence[Placed], joint_names: Sequence[str], belief: Belief, *, dated: bool = False
+    ) -> None:
+        self.effects, self.belief, self._dated = effects, belief, dated
         self._columns = [f"joint.{name}.position" for name in joint_names]
         self._order = [list(joint_names).index(n) for n in belief.robot.joint_names] if belief.robot else []
         self._memory: Memory = {}
@@ -110,10 +112,11 @@ def build_streams(
         UsageError: an effect that is not known, is not about wrenches, or cannot be predicted live.
     """
     known = replace(belief or Belief(), robot=robot)
-    placed = [_placed(_plain(term), joint_names, known) for term in terms]
-    together = [one for one in placed if one[0].KEY not in DATED]
-    apart = [[one] for one in placed if one[0].KEY in DATED]
-    return [EffectStream(effects, joint_names, known) for effects in (together, *apart) if effects]
+    each = [_plain(term) for term in terms]
+    placed = [(_placed(term, joint_names, known), is_dated(term)) for term in each]
+    together = [one for one, dated in placed if not dated]
+    streams = [EffectStream(together, joint_names, known)] if together else []
+    return streams + [EffectStream([one], joint_names, known, dated=True) for one, dated in placed if dated]
 
 
 def _plain(term: Any) -> dict[str, Any]:

@@ -27,7 +27,8 @@ class Payload(Effect):
     I = m (c.c 1 - c c^T), by its slopes in m and m c where c is `at`; what is small has hardly more, and a motion that
     turns about one axis alone would give it any). `joint`: not what is carried, but the link that this joint moves, in efforts:
     "mass" is a point at its believed centre of mass. `still`: its weight alone, of a recording whose baseline holds no more (a
-    filtered sensor, a simulation of poses). Visible when gravity turns in the sensor. Confused with gain and
+    filtered sensor, a simulation of poses). `since`: from that moment (s) on, as what is picked up, put down or slips in its
+    clamp; such moments are sought in the residual. Visible when gravity turns in the sensor. Confused with gain and
     cross_talk, and with bias where it does not turn.
     """
 
@@ -39,6 +40,7 @@ class Payload(Effect):
     ALIKE: ClassVar = {
         "sensor_mounting": "a shifted sensor changes the torque as a moved centre of mass does",
         "cable_drag": "over these poses the cable pulls much as a weight does",
+        "step": "where gravity hardly turns, another body from a moment on is another offset",
     }
     COMPLEXITY = 1
     RIGID = True
@@ -46,6 +48,7 @@ class Payload(Effect):
     at: tuple[float, float, float] | None = None
     still: bool = False
     joint: str = ""
+    since: float | None = None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -69,13 +72,42 @@ class Payload(Effect):
         """Where it is one point."""
         return self.at is not None
 
+    @property
+    def jump(self) -> float | None:
+        """When it changed."""
+        return self.since
+
+    def jumping(self, moment: float) -> Self:
+        """Changed at another moment."""
+        return replace(self, since=moment)
+
+    def staged(self, start: float, length: float) -> Self:
+        """In the middle, if it changes at all."""
+        return self if self.since is None else self.jumping(start + 0.5 * length)
+
+    @property
+    def location(self) -> tuple[str, ...]:
+        """What changed at a moment is beside what was there all along."""
+        return super().location if self.since is None else (*super().location, "later")
+
+    @property
+    def remark(self) -> str:
+        """When it changed."""
+        return "" if self.since is None else f"It is so from {self.since:.4g} s on."
+
     def told_by(self, theta: Array, *, farthest: float = 0.5) -> Self | None:
         """A small body where mass and moment (4 and more,) say that it is; None if that is no place near a sensor.
 
         Args:
             farthest: m from the sensor to the middle of what a hand or a clip may have put on the tool.
         """
-        if self.still or self.joint or self.part not in ("body", "full", "point") or theta[0] == 0.0:
+        if (
+            self.still
+            or self.joint
+            or self.since is not None
+            or self.part not in ("body", "full", "point")
+            or theta[0] == 0.0
+        ):
             return None
         x, y, z = (float(v) for v in theta[1:4] / theta[0])
         return replace(self, part="point", at=(x, y, z)) if x * x + y * y + z * z < farthest**2 else None
@@ -94,7 +126,10 @@ class Payload(Effect):
             return self._of_link(scene)
         port = scene.weight_port() if self.still else scene.body_port()
         assert port is not None, "proposed only where there is a port"
-        return Columns(tuple(range(len(scene.channels))), port @ self._bodies(scene))
+        values = port @ self._bodies(scene)
+        if self.since is not None:
+            values = values * (scene.time >= self.since)[:, None, None]
+        return Columns(tuple(range(len(scene.channels))), values)
 
     def _of_link(self, scene: Scene) -> Columns:
         link = scene.link_port(self.joint) if isinstance(scene, EffortScene) else None
@@ -105,8 +140,8 @@ class Payload(Effect):
         return Columns(tuple(range(len(scene.channels))), port @ bodies)
 
     def body(self, scene: Scene, theta: Array) -> Array | None:
-        """Return what it changes of a body at the sensor, (10,); None: it is on a link."""
-        if self.joint:
+        """Return what it changes of a body at the sensor, (10,); None: it is on a link, or not there all along."""
+        if self.joint or self.since is not None:
             return None
         return np.asarray(self._bodies(scene) @ theta)
 

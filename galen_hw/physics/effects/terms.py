@@ -25,8 +25,8 @@ NOT_LIVE: Final[dict[str, str]] = {
 }
 """What joints and time alone cannot predict, and why."""
 
-DATED: Final[dict[str, str]] = {"drift": "start", "step": "moment"}
-"""Effects of moments that last beyond their recording, and the parameter that dates them: in a file in s since the epoch."""
+DATED: Final[dict[str, str]] = {"drift": "start", "step": "moment", "payload": "since"}
+"""Effects that last from a moment on, and the parameter that dates them: in a file in s since the epoch."""
 
 
 def why_not_live(term: Term, group: str = "wrench") -> str:
@@ -37,11 +37,16 @@ def why_not_live(term: Term, group: str = "wrench") -> str:
     return NOT_LIVE.get(term["effect"], "")
 
 
+def is_dated(term: Term) -> bool:
+    """Return whether a term says from when on it holds: of a payload only what changed."""
+    return term.get("parameters", {}).get(DATED.get(term["effect"], "")) is not None
+
+
 def dated(term: Term, shift: float) -> dict[str, Any]:
     """A term with its moment, if it has one, moved by `shift` s: from a recording's clock to the epoch or back."""
     parameters = dict(term["parameters"])
-    name = DATED.get(term["effect"])
-    if name is not None and name in parameters:
+    if is_dated(term):
+        name = DATED[term["effect"]]
         parameters[name] = float(parameters[name]) + shift
     return {**term, "parameters": parameters}
 
@@ -60,5 +65,5 @@ def known_change(scene: "Scene", terms: Sequence[Term]) -> Array:
 def usable(scene: "Scene", terms: Sequence[Term]) -> list[dict[str, Any]]:
     """The terms that a scene's simulation can hold, on its own clock."""
     group, epoch = scene.observations.predict, scene.belief.epoch
-    found = [t for t in terms if not why_not_live(t, group) and (epoch is not None or t["effect"] not in DATED)]
+    found = [t for t in terms if not why_not_live(t, group) and (epoch is not None or not is_dated(t))]
     return [dated(t, -epoch if epoch is not None else 0.0) for t in found]
