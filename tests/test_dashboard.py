@@ -16,17 +16,18 @@ pytest.importorskip("starlette", reason="the extra [dashboard] is not installed"
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from galen_hw.bus import Subscriber
 from galen_hw.config.paths import Addresses
 from galen_hw.errors import CommandRejectedError
 from galen_hw.kinematics import GalenRobot
-from galen_hw.messages import Vector3, WrenchCompensated, WrenchRaw
+from galen_hw.messages import Vector3, WrenchCompensated, WrenchRaw, encode
 from galen_hw.tools.dashboard import frames
 from galen_hw.tools.dashboard.access import Access
 from galen_hw.tools.dashboard.actions import Actions, report_file, reports, requests_of, tools
 from galen_hw.tools.dashboard.arm import arm_lines
 from galen_hw.tools.dashboard.bins import KEPT, Bins
 from galen_hw.tools.dashboard.calibration import Calibration
-from galen_hw.tools.dashboard.feed import Feed, why_not_valid
+from galen_hw.tools.dashboard.feed import BATCH, Feed, why_not_valid
 from galen_hw.tools.dashboard.server import MOST_PAGES, MOST_REFUSALS, Dashboard, listen, make_server
 from tests.daemon_tree import daemon_tree
 
@@ -288,6 +289,8 @@ def test_why_a_wrench_must_not_be_used_is_said_in_an_operators_words() -> None:
     assert why_not_valid(now, raw(t, 0), wrench(t, 0)) == ""
     assert "not zeroed" in why_not_valid(now, raw(t, 0), wrench(t, 0, valid=False, unzeroed=True))
     assert why_not_valid(now, raw(t - 3 * 10**9, 0), wrench(t, 0)) == "The sensor is silent for 3 s"
+    assert why_not_valid(now, raw(t - 3 * 10**9, 0), wrench(t, 0), 3.0) == "The sensor is silent for 3 s"
+    assert "too busy" in why_not_valid(now, raw(t - 3 * 10**9, 0), wrench(t, 0), 0.01)
     assert why_not_valid(now, None, None) == "The sensor is silent"
     assert why_not_valid(now, raw(t, 0), None) == "The compensation is silent"
     assert "at its limit" in why_not_valid(now, raw(t, 0, saturated=True), wrench(t, 0, valid=False))
@@ -349,6 +352,36 @@ def test_nothing_is_heard_while_no_page_is_open(tree: Any) -> None:
             thread.join(5)
         assert feed.bins.count > before
         assert not any(thread.is_alive() for thread in feed._threads)
+
+
+def test_what_had_piled_up_is_read_past(tree: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A server that could not keep up shows the present at its next turn, and leaves a gap in the traces."""
+    frames = [(b"wrench/raw", encode(raw(n * 1_000_000, n))) for n in range(3 * BATCH)]
+    monkeypatch.setattr(Subscriber, "receive_bytes", lambda _self, _wait: frames.pop(0) if frames else None)
+    feed = Feed(tree.addresses)
+    feed.open()
+    until = time.monotonic() + 10
+    while frames and time.monotonic() < until:
+        feed._end.wait(0.02)
+    feed.close()
+    for thread in feed._threads:
+        thread.join(5)
+    last = feed.last("wrench/raw")
+    assert last is not None
+    assert last.t_ns == (3 * BATCH - 1) * 1_000_000
+    assert feed.bins.count == BATCH // 20 - 1
+
+
+def test_a_page_that_is_opened_later_knows_nothing_of_before(tree: Any) -> None:
+    """Nobody looked for an hour: that is no silence of the sensor."""
+    feed = Feed(tree.addresses)
+    feed._take(b"wrench/raw", encode(raw(1, 0.0)), feed.bins)
+    feed.open()
+    feed.close()
+    for thread in feed._threads:
+        thread.join(5)
+    heard = feed.last("wrench/raw")
+    assert heard is None or heard.t_ns != 1
 
 
 def test_a_daemon_that_ends_is_said_within_seconds(tree: Any) -> None:

@@ -29,7 +29,9 @@ from galen_hw.tools.dashboard.arm import arm_lines, positions
 from galen_hw.tools.dashboard.bins import Bins
 
 TURN_S: Final = 0.02
-BATCH: Final = 4000
+BATCH: Final = 500
+"""Messages that one turn looks into, a fifth of a second of them: where more had piled up, the rest is only read past, for the
+present is what is wanted."""
 LOOK_S: Final = 1.0
 ANSWER_S: Final = 0.5
 SILENT_S: Final = 0.5
@@ -76,6 +78,7 @@ class Feed:
             self._pages += 1
             if self._pages == 1:
                 self._end = threading.Event()
+                self._last, self._heard_s = {}, {}  # what was heard before nobody looked is no silence of anything
                 jobs = (self._hear, self._look)
                 self._threads = [threading.Thread(target=job, daemon=True) for job in jobs]
                 for thread in self._threads:
@@ -103,24 +106,24 @@ class Feed:
         end, bins = self._end, self.bins
         with Subscriber(self._addresses.bus, SHOWN) as subscriber:
             while not end.wait(TURN_S):
-                for _ in range(BATCH):
-                    frames = subscriber.receive_bytes(0.0)
-                    if frames is None:
-                        break
-                    self._take(*frames, bins)
+                taken = 0
+                while (frames := subscriber.receive_bytes(0.0)) is not None and not end.is_set():
+                    self._take(*frames, bins if taken < BATCH else None)
+                    taken += 1
 
-    def _take(self, topic: bytes, payload: bytes, bins: Bins) -> None:
+    def _take(self, topic: bytes, payload: bytes, bins: Bins | None) -> None:
+        """Take a message; without `bins` the traces stay empty where it was measured."""
         name = topic.decode(errors="replace")
         self._last[name] = payload
         self._heard_s[name] = time.monotonic()
-        if name not in WRENCHES and name != "fault":
+        if (bins is None or name not in WRENCHES) and name != "fault":
             return
         try:
             message = decode_message(topic, payload)[1]
         except UnreadableError:
             self.unreadable += 1
             return
-        if isinstance(message, WrenchRaw | WrenchCompensated):
+        if bins is not None and isinstance(message, WrenchRaw | WrenchCompensated):
             bins.add(message)
         elif isinstance(message, Fault):
             said = {"at": message.timestamp, "where": message.where or message.source}
@@ -184,9 +187,9 @@ class Feed:
         """See `why_not_valid`."""
         if not self.info:
             return "No robot: the daemon does not run"
-        return why_not_valid(
-            now, raw if isinstance(raw, WrenchRaw) else None, done if isinstance(done, WrenchCompensated) else None
-        )
+        raw = raw if isinstance(raw, WrenchRaw) else None
+        done = done if isinstance(done, WrenchCompensated) else None
+        return why_not_valid(now, raw, done, now - self._heard_s.get("wrench/raw", -SILENT_S))
 
     def _arm(self, joints: JointsState, done: Message | None) -> dict[str, Any]:
         found: dict[str, Any] = {}
@@ -222,17 +225,26 @@ class Feed:
         }
 
 
-def why_not_valid(now: float, raw: WrenchRaw | None, done: WrenchCompensated | None) -> str:
-    """Why the wrench must not be used at `now` (monotonic s), in an operator's words; empty if it may be."""
-    if raw is None or now - raw.t_ns / 1e9 > SILENT_S:
-        return "The sensor is silent" + (f" for {now - raw.t_ns / 1e9:.0f} s" if raw is not None else "")
+def why_not_valid(
+    now: float, raw: WrenchRaw | None, done: WrenchCompensated | None, unheard_s: float = float("inf")
+) -> str:
+    """Why the wrench must not be used at `now` (monotonic s), in an operator's words; empty if it may be.
+
+    Args:
+        now: monotonic s; raw, done: the newest that were heard.
+        unheard_s: how long ago `raw` came: an old sample that has only just come is no silence of the sensor.
+    """
+    if raw is None or (age_s := now - raw.t_ns / 1e9) > SILENT_S:
+        if raw is not None and unheard_s <= SILENT_S:
+            return f"What is shown is {age_s:.0f} s old: this computer is too busy to keep up"
+        return "The sensor is silent" + (f" for {age_s:.0f} s" if raw is not None else "")
     if done is None or now - done.t_ns / 1e9 > SILENT_S:
         return "The compensation is silent"
     reasons = (
         (raw.saturated, "The sensor is at its limit: take the load off"),
         (done.valid, ""),
         (done.tool_unseen, "Zeroed, and the tool not felt since: put it on, or zero again with it off"),
-        (done.unzeroed, "The sensor is not zeroed: take the tool off, then press Zero"),
+        (done.unzeroed, "The sensor is not zeroed: take the tool off, then press Zero the sensor"),
         (done.joints_extrapolated, "The joints are silent or late"),
         (not raw.valid, "The sensor does not vouch for its samples"),
     )

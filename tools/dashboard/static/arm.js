@@ -78,7 +78,7 @@ export function showArm(arm, stale) {
   ctx.font = "13px system-ui, sans-serif";
   if (!arm?.lines && !arm?.tip) {
     ctx.fillStyle = colour("soft");
-    ctx.fillText(arm ? "no drawing: the joints or the robot's settings are not known" : "nothing is heard of the arm", 12, 24);
+    ctx.fillText(arm ? "no drawing yet: the robot's settings are being read, or cannot be read from here" : "nothing is heard of the arm", 12, 24);
     return;
   }
   drawArm(ctx, arm, stale, width, height);
@@ -135,7 +135,12 @@ function drawForce(ctx, arm, tip, at) {
   const end = at(tip.map((x, i) => x + factor * arm.force[i]));
   ctx.strokeStyle = ctx.fillStyle = colour("bad");
   arrow(ctx, at(tip), end, 4);
-  ctx.fillText(`${size.toFixed(1)} N`, end[0] + 10, end[1] + 4);
+  // Beyond the head, where neither the arrow nor the arm is.
+  const start = at(tip);
+  const length = Math.max(1, Math.hypot(end[0] - start[0], end[1] - start[1]));
+  ctx.textAlign = "center";
+  ctx.fillText(`${size.toFixed(1)} N`, end[0] + (30 * (end[0] - start[0])) / length, end[1] + (18 * (end[1] - start[1])) / length + 4);
+  ctx.textAlign = "start";
 }
 
 function drawGive(ctx, arm, tip, at) {

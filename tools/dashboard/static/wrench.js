@@ -34,6 +34,8 @@ function setBar(bar, value) {
   bar.fill.style.width = `${Math.abs(share)}%`;
 }
 
+const minus = (number) => String(number).replace("-", "−");
+
 function signed(value, digits) {
   const text = Math.abs(value).toFixed(digits);
   return value < 0 && Number(text) ? `−${text}` : text;
@@ -98,7 +100,7 @@ function makePlot(id, least) {
     cursor: { show: false },
     series,
     scales: { x: { time: false, range: () => [-SPAN_S, 0] }, y: { range } },
-    axes: [{ ...axis, size: 24, values: (u, at) => at.map((t) => `${t} s`) }, { ...axis, size: 46 }],
+    axes: [{ ...axis, size: 24, values: (u, at) => at.map((t) => `${minus(t)} s`) }, { ...axis, size: 46, values: (u, at) => at.map(minus) }],
     hooks: { drawClear: [paintInvalid] },
   };
   const plot = new uPlot(options, [[], [], [], [], [], [], [], []], place);
