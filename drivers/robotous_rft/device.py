@@ -9,11 +9,12 @@ from typing import Any, Final
 from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.drivers.device import CanFrame, Output
 from galen_hw.drivers.dialogue import Dialogue, DialogueError
+from galen_hw.drivers.pairing import Pairer
 from galen_hw.drivers.reporting import FAR_NS
 from galen_hw.drivers.robotous_rft import codec
 from galen_hw.drivers.robotous_rft.codec import DATA, OVERLOAD_MASK, Command
 from galen_hw.drivers.robotous_rft.start import AXES, RobotousIdentity, RobotousSettings, identify
-from galen_hw.drivers.robotous_rft.stream import Pairer
+from galen_hw.drivers.robotous_rft.stream import pairer
 from galen_hw.drivers.robotous_rft.zero import DeviceBias
 from galen_hw.drivers.wrench_sensor import Phase, WrenchSensor
 from galen_hw.errors import CommandRejectedError
@@ -137,7 +138,7 @@ class RobotousRft(WrenchSensor[CanFrame, RobotousIdentity]):
     def _new_pairer(self) -> Pairer:
         period_ns = NS_PER_S // self._settings.rate_hz
         window_ns = min(round(self._settings.pair_window_s * NS_PER_S), period_ns // 2)
-        return Pairer(period_ns, window_ns, round(self._settings.stall_s * NS_PER_S), self._counters)
+        return pairer(period_ns, window_ns, round(self._settings.stall_s * NS_PER_S), self._counters)
 
     def _new_dialogue(self, now_ns: int) -> Dialogue[RobotousIdentity]:
         if self._bias.zeroings:

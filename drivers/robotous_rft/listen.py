@@ -9,7 +9,7 @@ import numpy as np
 from galen_hw.drivers.listening import Frames, Heard
 from galen_hw.drivers.robotous_rft import codec
 from galen_hw.drivers.robotous_rft.codec import DATA, LENGTH, MODELS, OVERLOAD_MASK, Command
-from galen_hw.drivers.robotous_rft.stream import Pairer
+from galen_hw.drivers.robotous_rft.stream import pairer
 from galen_hw.errors import UsageError
 
 KEYS: Final = ("transmitter1_id", "transmitter2_id", "model", "counts_per_newton", "counts_per_newton_metre")
@@ -68,12 +68,12 @@ def _responses(frames: Frames, ids: tuple[int, int]) -> tuple[list[Response], di
     times = np.array([t for f, t in frames if f.arbitration_id == ids[0] and f.data[:1] == _NUMBER], dtype=np.int64)
     period_ns = int(np.median(np.diff(times))) if len(times) > 1 else WINDOW_NS
     counters = dict.fromkeys(("lost", "late", "doubled", "short"), 0)
-    pairer = Pairer(max(1, period_ns), max(1, min(WINDOW_NS, period_ns // 2)), 2**62, counters)
+    pairs = pairer(max(1, period_ns), max(1, min(WINDOW_NS, period_ns // 2)), 2**62, counters)
     out = []
     for frame, t_ns in frames:
         if frame.arbitration_id == ids[0]:
-            pairer.first(frame.data, t_ns)
-        elif frame.arbitration_id == ids[1] and (found := pairer.second(frame.data, t_ns)) is not None:
+            pairs.first(frame.data, t_ns)
+        elif frame.arbitration_id == ids[1] and (found := pairs.second(frame.data, t_ns)) is not None:
             out.append((found, t_ns))
     return out, {
         "a sample of which one frame is missing": counters["lost"],

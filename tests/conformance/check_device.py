@@ -299,8 +299,9 @@ def check_time_is_an_argument(case: Case) -> None:
 
 
 def _is_part_of(case: Case, module: str) -> bool:
-    """The files of a driver share the first word of its name."""
-    return module.rpartition(".")[2].startswith(case.name.partition("_")[0]) and not module.endswith("transport")
+    """A driver's file or folder begins with the first word of its name; a transport or process of its own is the wire."""
+    within = module.split(".")[2:]
+    return within[0].startswith(case.name.partition("_")[0]) and not within[-1].endswith(("transport", "process"))
 
 
 CHECKS = [value for key, value in sorted(globals().items()) if key.startswith("check_")]
