@@ -9,6 +9,7 @@ from typing import Final
 DRIVERS: Final[dict[str, str]] = {
     "ati_netcanoem": "galen_hw.drivers.ati_netcanoem:AtiNetcanoem",
     "robotous_rft": "galen_hw.drivers.robotous_rft:RobotousRft",
+    "iit_strain": "galen_hw.drivers.iit_strain:IitStrain",
     "galil_dmc": "galen_hw.drivers.galil_dmc:GalilDmc",
     "ndi_tracker": "galen_hw.drivers.ndi_tracker:NdiTracker",
     "bota": "galen_hw.drivers.bota.device:Bota",
@@ -17,6 +18,7 @@ DRIVERS: Final[dict[str, str]] = {
 VIRTUAL_DEVICES: Final[dict[str, str]] = {
     "ati_netcanoem": "galen_hw.drivers.virtual.ati_netcanoem:VirtualAtiNetcanoem",
     "robotous_rft": "galen_hw.drivers.virtual.robotous_rft:VirtualRobotousRft",
+    "iit_strain": "galen_hw.drivers.virtual.iit_strain:VirtualIitStrain",
     "galil_dmc": "galen_hw.drivers.virtual.galil_dmc:VirtualGalilDmc",
     "ndi_tracker": "galen_hw.drivers.virtual.ndi_tracker:VirtualNdiTracker",
 }

@@ -20,6 +20,7 @@ from galen_hw.drivers.table import VIRTUAL_DEVICES
 from galen_hw.drivers.virtual.ati_netcanoem import AtiSettings, VirtualAtiNetcanoem
 from galen_hw.drivers.virtual.commands import Commands
 from galen_hw.drivers.virtual.control import VirtualControl
+from galen_hw.drivers.virtual.iit_strain import VirtualIitStrain
 from galen_hw.drivers.virtual.robotous_rft import VirtualRobotousRft
 from galen_hw.drivers.virtual.start import start_virtual, virtual_robot
 from galen_hw.drivers.virtual.world import World
@@ -264,7 +265,8 @@ def test_bad_control_answers_are_usage_errors(robot):
 def test_the_manual_names_every_fault_and_every_word():
     """docs/virtual.md has a row for each fault of each device and each word of the control socket."""
     text = (Path(__file__).parents[1] / "docs" / "virtual.md").read_text()
-    known = {*VirtualAtiNetcanoem.FAULTS, *VirtualRobotousRft.FAULTS, *Commands(World(), {}, {}, int).known_faults()}
+    sensors = (VirtualAtiNetcanoem, VirtualRobotousRft, VirtualIitStrain)
+    known = {*(fault for sensor in sensors for fault in sensor.FAULTS), *Commands(World(), {}, {}, int).known_faults()}
     words = {f"| `{word}` |" for word in Commands(World(), {}, {}, int)._words}
     assert {name for name in known if name not in text} == set()
     assert {word for word in words if word not in text} == set()

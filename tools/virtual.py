@@ -11,7 +11,7 @@ from galen_hw.errors import UsageError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("--dir", type=Path, help="folder of the links can0, motors, tracker and the socket control")
-    parser.add_argument("--sensor", default="ati_netcanoem", help="ati_netcanoem (default) or robotous_rft")
+    parser.add_argument("--sensor", default="ati_netcanoem", help="ati_netcanoem (default), robotous_rft or iit_strain")
     parser.add_argument("--can", default="slcan", help="slcan (default), socketcan, udp_multicast or socketcand")
     parser.add_argument("--channel", default="", help="of --can: vcan0, a multicast address, a TCP port")
     parser.add_argument("--tool", help="in the holder at first: pointer or retractor; default none")

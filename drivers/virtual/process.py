@@ -27,7 +27,7 @@ from galen_hw.drivers.virtual.ptys import Pty
 from galen_hw.drivers.virtual.world import World
 from galen_hw.errors import HardwareError, UsageError
 
-SENSORS: Final = ("ati_netcanoem", "robotous_rft")
+SENSORS: Final = ("ati_netcanoem", "robotous_rft", "iit_strain")
 _SERIAL: Final = {"motors": "galil_dmc", "tracker": "ndi_tracker"}
 _LONGEST_SOCKET_PATH: Final = 107
 _IDLE_S: Final = 0.1

@@ -8,10 +8,12 @@ from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.drivers.ati_netcanoem import AtiNetcanoem
 from galen_hw.drivers.device import CanFrame, Device
 from galen_hw.drivers.galil_dmc import GalilDmc
+from galen_hw.drivers.iit_strain import IitStrain
 from galen_hw.drivers.ndi_tracker import NdiTracker
 from galen_hw.drivers.robotous_rft import RobotousRft
 from galen_hw.drivers.virtual.ati_netcanoem import AtiSettings, VirtualAtiNetcanoem
 from galen_hw.drivers.virtual.galil_dmc import VirtualGalilDmc
+from galen_hw.drivers.virtual.iit_strain import StrainSettings, VirtualIitStrain
 from galen_hw.drivers.virtual.robotous_rft import RftSettings, VirtualRobotousRft
 from galen_hw.drivers.virtual.world import World
 
@@ -88,6 +90,13 @@ def robotous() -> Callable[[bytes], None]:
     """A Robotous sensor that streams."""
     device = RobotousRft("ft", RobotousRft.Settings(), TimeBase())
     noisy = Noisy(device, VirtualRobotousRft(RftSettings.model_validate({}), World()))
+    return lambda data: noisy.take(frames_of(data))
+
+
+def iit() -> Callable[[bytes], None]:
+    """Make an IIT sensor that streams."""
+    device = IitStrain("ft", IitStrain.Settings(), TimeBase())
+    noisy = Noisy(device, VirtualIitStrain(StrainSettings.model_validate({}), World()))
     return lambda data: noisy.take(frames_of(data))
 
 

@@ -223,6 +223,7 @@ TARGETS: Final[dict[str, Target]] = {
     "wire: socketcand": Target(_socketcand, (b"< hi >< ok >< frame 200 1.5 0A0B >< error 4 >",)),
     "wire: ATI": Target(devices.ati, (bytes([8, 2, 0, *range(8)]), bytes([6, 2, 1, *range(6)]))),
     "wire: Robotous": Target(devices.robotous, (bytes([8, 0, 1, 0x0B, *range(7)]),)),
+    "wire: IIT": Target(devices.iit, (bytes([6, 3, 0x1A, *range(6)]), bytes([4, 2, 0x10, 0x18, 0, 5, 220]))),
     "wire: Galil": Target(devices.galil, (b"\x05QR\r\n:?12.5\r\n:",)),
     "wire: NDI": Target(devices.ndi, (b"\x20OKAYA896\r", b"\x10RESETBE6F\r")),
     "file: tool": Target(lambda: own_errors_only(lambda d: parse_tool(d.decode(errors="replace"), "tool")), _TOOLS),
