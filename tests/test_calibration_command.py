@@ -21,6 +21,7 @@ from galen_hw.recording.session import Session
 from galen_hw.services.calibration.settings import AxisSettings, CalibrationSettings
 from galen_hw.spatial import quaternion_from_rotation
 from galen_hw.tools.calibration.command import _can_be_fitted
+from galen_hw.tools.calibration.sweep import patience
 
 SETTINGS = CalibrationSettings(
     axes={"tilt": AxisSettings(low=-0.6, high=0.6, count=4), "roll": AxisSettings(low=-0.9, high=0.9, count=5)},
@@ -313,3 +314,9 @@ def test_real_poses_of_a_real_sensor_give_the_known_numbers(capsys):
     (remark,) = (line for line in found["remarks"] if line.startswith("Fx"))
     assert "above noise" in remark
     assert "no cause in weight, gain, cross-talk or mounting" in remark
+
+
+def test_a_simulated_robot_on_a_busy_machine_is_slow_and_not_silent():
+    """Progress comes by the robot's own time; beside a real one two seconds without it are the end."""
+    assert patience({"speed": 1.0}) == patience({}) == 2.0
+    assert patience({"speed": 10.0}) == 20.0

@@ -21,6 +21,8 @@ from galen_hw.messages import CalibrationProgress
 
 SILENT_S: Final = 2.0
 """Without progress, which comes five times a second, the service is gone; where it ends in order, it says so itself."""
+SIMULATED_SILENT_S: Final = 20.0
+"""The same where five times a second is of simulated time, which a busy machine makes at a tenth of the clock's pace."""
 HEARTBEAT_S: Final = 0.2
 ANSWER_S: Final = 0.3
 STOP_S: Final = 1.0
@@ -136,16 +138,22 @@ def _stopping(client: CommandClient, owner: str) -> Iterator[None]:
         raise
 
 
+def patience(info: dict[str, Any]) -> float:
+    """Return how long the service may say nothing, s, for a daemon that tells this of itself."""
+    return SILENT_S if info.get("speed", 1.0) == 1.0 else SIMULATED_SILENT_S
+
+
 def _follow(
     subscriber: Subscriber, client: CommandClient, operator: Operator, console: Console, started: dict[str, Any]
 ) -> str:
     """Show progress until the end; why it stopped early, or empty."""
+    patience_s = patience(client.call("daemon", "info"))
     with Display(console, int(started["poses"])) as display:
         heard, resumed = time.monotonic(), False
         while True:
             received = subscriber.receive(0.2)
             if received is None or not isinstance(received[1], CalibrationProgress):
-                if time.monotonic() - heard > SILENT_S:
+                if time.monotonic() - heard > patience_s:
                     raise HardwareError("the calibration service is silent", where="bus", todo="galen-hw monitor")
                 continue
             heard, message = time.monotonic(), received[1]
