@@ -32,6 +32,8 @@ ROWS: Final = 100
 STEP_S: Final = 0.12
 NOISE: Final = np.array([0.05] * 3 + [0.0025] * 3)
 COM_M: Final = np.array([0.01, 0.0, 0.06])
+LONGEST_S: Final = 3600.0
+"""Waited for a third of the recordings."""
 
 
 def recording(seed: int) -> Recording:
@@ -103,14 +105,24 @@ def asked(folder: Path, workers: int, meanwhile: Callable[[Any], None] | None = 
     return Pass(took, others, [{key: value for key, value in answer.items() if key != "date"} for answer in answers])
 
 
-def killed_after(seconds: float, killed: list[int]) -> Callable[[Any], None]:
-    """What kills a worker that is at work, so many seconds from now; its process is noted."""
+def done(cluster: Any) -> int:
+    """Return how many tasks the cluster has done so far, those that are forgotten by now included."""
+    return sum(prefix.state_counts["memory"] for prefix in list(cluster.scheduler.task_prefixes.values()))
+
+
+def killed_after(recordings: int, killed: list[int]) -> Callable[[Any], None]:
+    """Return what kills a worker at work when so many recordings are done; its process is noted.
+
+    Not after a time: what an earlier pass took says little on a machine whose other programs come and go.
+    """
     from distributed import Client
 
     connect: Any = Client
 
     def kill(cluster: Any) -> None:
-        time.sleep(seconds)
+        until = time.monotonic() + LONGEST_S
+        while done(cluster) < recordings and time.monotonic() < until:
+            time.sleep(0.05)
         with connect(cluster.scheduler_address) as client:
             until = time.monotonic() + 60.0
             while not killed and time.monotonic() < until:
@@ -131,7 +143,7 @@ def row(count: int, workers: int) -> Row:
         alone = asked(folder, 1)
         several = asked(folder, workers)
         killed: list[int] = []
-        wounded = asked(folder, workers, killed_after(several.took / 3, killed))
+        wounded = asked(folder, workers, killed_after(count // 3, killed))
     truth = alone.answers
     differ = {
         one["recording"]
