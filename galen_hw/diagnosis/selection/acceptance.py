@@ -27,8 +27,8 @@ def improvement(
         i: the effect that is asked for, None: several.
 
     Returns:
-        What falls of the excess that there was before anything was chosen, and the share of it that the trial leaves: both in
-        the channels in which the effect acts, and of a touch that stands out from all other times the latter while it lasts.
+        What falls of the excess that there was before anything was chosen, and the share of it that the trial leaves where the
+        effect acts: in its channels, and of a touch that stands out from all other times while it lasts.
     """
     bench, scorer = out.bench, out.scorer
     sigma = np.ones(bench.width) if whitened else bench.noise.sigma
@@ -40,8 +40,8 @@ def improvement(
     if not len(out.begun):
         out.begun = errors(bench, scorer, out.chosen) ** 2
     begun = np.mean(errors(bench, scorer, [], whitened=True) ** 2, axis=0) if whitened else out.start
+    gain = paired(without, rest, begun / sigma**2 - 1.0)
     own = list(range(bench.width)) if h is None else list(h.raw.channels)
-    gain = paired(without, rest, begun / sigma**2 - 1.0, own=own)
     rows = _moments(h, bench, without[:, own])
     square = np.mean(rest[rows][:, own] ** 2, axis=0)
     left = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0) * np.mean(rows))

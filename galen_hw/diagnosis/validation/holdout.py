@@ -83,20 +83,19 @@ def _ask(
         models: with all effects, without the one asked for, and without any; elsewhere: another recording judges.
     """
     model, part, baseline = models
-    # Asked for in its own channels: of an arm's joints one misses little of what all of them do.
-    own = _channels(model, key)
-    told, gain, tests = test.could_tell(part, questions), test.gain(part), test.gains(part, own)
+    told, tests = test.could_tell(part, questions), test.gains(part)
     if not effect_class(key).lasting():
         # In another recording these rows speak of the others' sizes alone.
         if not elsewhere and told and all(one.fall < 0.0 for one in tests):
             judged.refused.add(key)
-        tests = [gain := _at_moments(model, part, baseline)]
+        tests = [_at_moments(model, part, baseline)]
     elif elsewhere and not told:
         judged.at_home.add(key)
-        tests = [gain := _at_home(model, part)]
-    elif test.belied(part, own, questions):
+        tests = [_at_home(model, part)]
+    elif test.belied(part, _channels(model, key), questions):
         judged.refused.add(key)
-    judged.gains[key], judged.tests[key] = gain, tests
+    # Raw errors are the first that were asked.
+    judged.gains[key], judged.tests[key] = tests[0], tests
 
 
 def _at_moments(model: Model, part: Model, baseline: Model) -> Gain:
@@ -180,7 +179,7 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
         judged = judge(model, holdout, judged)
         asked = len(judged.tests)
         weak = [
-            (max(one.share for one in tests), key)
+            (judged.gains[key].share, key)
             for key, tests in judged.tests.items()
             if key in judged.refused
             or not (_supported(judged, tests, _beside(model, key), asked) or _is_needed(model, key))

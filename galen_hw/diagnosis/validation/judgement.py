@@ -68,23 +68,17 @@ class Judged:
         return self.gains[key].share
 
     def unexplained(self, channels: Sequence[int]) -> float:
-        """Share of the excess of some channels that is left with all effects, in those of them that hold more than noise."""
-        own = np.isin(np.arange(len(self.after)), channels)
-        more = own & (self.after > CRITERIA.noise_alone * self.floor)
-        return max(self.share(np.where(more, self.after - self.floor, 0.0), own), 0.0)
+        """Share of the excess that is left with all effects, in those of some channels that hold more than noise."""
+        more = np.isin(np.arange(len(self.after)), channels) & (self.after > CRITERIA.noise_alone * self.floor)
+        return max(self.share(np.where(more, self.after - self.floor, 0.0)), 0.0)
 
     def unnamed_gain(self) -> float:
         """The same of what is predicted without a name."""
         return 0.0 if self.unnamed is None else self.share(self.after - self.unnamed)
 
-    def share(self, lost: Array, of: Mask | None = None) -> float:
-        """Return the share of the held-out excess, channels weighed by their noise, that mean squares (C,) are.
-
-        Args:
-            of: (C,) channels whose excess is meant, None: all.
-        """
-        each = np.maximum(self.before - self.floor, 0.0) / self.floor
-        excess = float(np.sum(each if of is None else each[of]))
+    def share(self, lost: Array) -> float:
+        """Return the share of the held-out excess, channels weighed by their noise, that mean squares (C,) are."""
+        excess = float(np.sum(np.maximum(self.before - self.floor, 0.0) / self.floor))
         return float(np.clip(np.sum(lost / self.floor) / excess, -1.0, 1.0)) if excess > 0 else 0.0
 
     def fit(self, bench: Bench, left: list[Left]) -> dict[str, dict[str, float]]:
