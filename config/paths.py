@@ -39,6 +39,11 @@ class Addresses:
         return f"ipc://{self.runtime / 'bus.pub'}"
 
     @property
+    def batches(self) -> str:
+        """The same in batches, for who only looks (see `galen_hw.bus.Batcher`)."""
+        return f"ipc://{self.runtime / 'batches'}"
+
+    @property
     def command(self) -> str:
         """Requests (connect a REQ or DEALER)."""
         return f"ipc://{self.runtime / 'command'}"
@@ -65,7 +70,7 @@ class Addresses:
 
     def remove_sockets(self) -> None:
         """Take away what is left of a daemon that has ended; only for whom holds the lock."""
-        for address in (self.bus, self.command, self.inward, self.control):
+        for address in (self.bus, self.batches, self.command, self.inward, self.control):
             Path(address.removeprefix("ipc://")).unlink(missing_ok=True)
 
     def require_daemon(self) -> None:

@@ -20,11 +20,15 @@ from msgspec.structs import replace
 from galen_hw.decoding import LARGEST_REQUEST, UnreadableError, decode_message, decode_reply, limit
 from galen_hw.errors import CommandRejectedError, GalenError, HardwareError, UsageError
 from galen_hw.keys import prove
-from galen_hw.messages import STREAMS, TOPICS, CommandError, Message, Reply, Request, encode, too_old
+from galen_hw.messages import STREAMS, TOPICS, CommandError, Message, Reply, Request, encode, encode_batch, too_old
 from galen_hw.permission import require_permission
 
 QUEUE_LENGTH: Final = 5000
 """Messages kept for one slow subscriber: about two seconds of everything at 1 kHz, then it loses."""
+
+BATCH_TOPIC: Final = "batch"
+LARGEST_BATCH: Final = 32
+"""Messages: about ten milliseconds of a wrench and its compensation at 1 kHz."""
 
 LARGEST_SUBSCRIPTION: Final = 256
 """Bytes of what a subscriber may ask of a publisher: topics are shorter."""
@@ -131,6 +135,43 @@ class HeedingPublisher(Publisher):
                 self._asked -= {beginning}
         asked = tuple(self._asked) if len(news) < MOST_ASKED else (b"",)
         self.unasked = frozenset(name for name in STREAMS if not TOPIC_BYTES[name].startswith(asked))
+
+
+class Batcher:
+    """A second bus for who only looks: one message now and then that holds what was published meanwhile.
+
+    At 1 kHz each message costs a wake-up here and one in every process that takes it, whatever it then does with it. A
+    screen can wait some hundredths of a second, and the samples of those who cannot are not held up for it.
+
+    A batch is published under `BATCH_TOPIC`. Who subscribes to that subscribes to topics beside it, and takes from a batch
+    what it asked for: what one asks for is in the batches of all.
+    """
+
+    def __init__(self, address: str, queue: int = QUEUE_LENGTH, mode: int | None = None) -> None:
+        self._publisher = HeedingPublisher(address, queue=queue, mode=mode)
+        self._batch: list[tuple[bytes, bytes]] = []
+
+    @property
+    def unasked(self) -> frozenset[str]:
+        """See `HeedingPublisher`."""
+        return self._publisher.unasked
+
+    def add(self, topic: bytes, payload: bytes) -> None:
+        """Put a message into the batch, which is sent when it is full."""
+        self._batch.append((topic, payload))
+        if len(self._batch) >= LARGEST_BATCH:
+            self.send()
+
+    def send(self) -> None:
+        """Send what there is, and look who asks for what by now; call it some twenty times a second."""
+        if self._batch:
+            self._publisher.publish_bytes(BATCH_TOPIC.encode(), encode_batch(self._batch))
+            self._batch.clear()
+        self._publisher.look()
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._publisher.close()
 
 
 class Subscriber(_Socket):

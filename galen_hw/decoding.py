@@ -65,6 +65,7 @@ _REQUEST: Final = Reader(Request)
 _REPLY: Final = Reader(Reply)
 _ID: Final = Reader(_Id)
 _MESSAGES: Final = {name: Reader(topic.message) for name, topic in TOPICS.items()}
+_BATCH: Final = Reader(list[tuple[bytes, bytes]])
 _BY_BYTES: Final = {name.encode(): (name, reader) for name, reader in _MESSAGES.items()}
 
 
@@ -83,6 +84,15 @@ def decode_message(topic: bytes, payload: bytes) -> tuple[str, Message]:
     if row is None:
         raise UnreadableError("no topic of the table", where=topic[:LONGEST_NAME].decode(errors="replace"))
     return row[0], row[1](payload)
+
+
+def decode_batch(payload: bytes) -> list[tuple[bytes, bytes]]:
+    """Topics and payloads of a batch (see `Batcher`), in the order in which they were published.
+
+    Raises:
+        UnreadableError: it is no batch.
+    """
+    return _BATCH(payload)
 
 
 def decode_request(payload: bytes, largest: int = LARGEST_REQUEST) -> Request | CommandError:

@@ -409,3 +409,5 @@ def too_old(topic: str, t_ns: int, now_ns: int) -> bool:
 
 encode: Final[Callable[[msgspec.Struct], bytes]] = msgspec.msgpack.Encoder().encode
 """Msgpack map of a message, keys in the order of its declaration."""
+encode_batch: Final[Callable[[list[tuple[bytes, bytes]]], bytes]] = msgspec.msgpack.Encoder().encode
+"""Msgpack list of [topic, payload] pairs."""

@@ -14,7 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from galen_hw.bus import (
+    BATCH_TOPIC,
+    LARGEST_BATCH,
     MOST_ASKED,
+    Batcher,
     CommandClient,
     HeedingPublisher,
     Publisher,
@@ -22,7 +25,7 @@ from galen_hw.bus import (
     command_error,
     command_exception,
 )
-from galen_hw.decoding import decode_request
+from galen_hw.decoding import decode_batch, decode_message, decode_request
 from galen_hw.errors import CommandRejectedError, GalenError, HardwareError, UsageError
 from galen_hw.messages import STREAMS, TOPICS, CommandError, Reply, Request, Vector3, WrenchRaw, encode
 
@@ -245,3 +248,30 @@ def test_error_there_and_back(kind: str) -> None:
 def test_every_topic_has_an_encoder() -> None:
     """The table has no topic that cannot be published."""
     assert all(name == name.strip("/").lower() for name in TOPICS)
+
+
+def test_a_batch_holds_what_was_published_in_its_order(bus: str) -> None:
+    """Full ones at once, the rest when asked for; who asks for one stream asks for no other."""
+    batcher = Batcher(bus)
+    with Subscriber(bus, (BATCH_TOPIC, "wrench/raw")) as subscriber:
+        until = time.monotonic() + 5.0
+        while "wrench/raw" in batcher.unasked or not batcher.unasked:
+            batcher.send()
+            assert time.monotonic() < until
+        sent = [wrench(seq) for seq in range(LARGEST_BATCH + 3)]
+        for message in sent:
+            batcher.add(b"wrench/raw", encode(message))
+        full = subscriber.receive_bytes(1.0)
+        early = subscriber.receive_bytes(0.05)
+        batcher.send()
+        rest = subscriber.receive_bytes(1.0)
+    unasked = batcher.unasked
+    batcher.close()
+
+    assert full is not None
+    assert rest is not None
+    assert early is None
+    assert [len(decode_batch(frames[1])) for frames in (full, rest)] == [LARGEST_BATCH, 3]
+    found = [decode_message(*pair)[1] for frames in (full, rest) for pair in decode_batch(frames[1])]
+    assert found == sent
+    assert unasked == STREAMS - {"wrench/raw"}

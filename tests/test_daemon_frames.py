@@ -115,7 +115,7 @@ def test_sockets_of_the_processes_are_the_owners_alone(running: Tree) -> None:
     """The directory of this test is the owner's (0700), and so are all its sockets."""
     modes = {
         name: (running.addresses.runtime / name).stat().st_mode & 0o777
-        for name in ("bus.pub", "command", "inward", "control")
+        for name in ("bus.pub", "batches", "command", "inward", "control")
     }
 
     assert modes == dict.fromkeys(modes, 0o700)

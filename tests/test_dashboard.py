@@ -20,14 +20,14 @@ from galen_hw.bus import Subscriber
 from galen_hw.config.paths import Addresses
 from galen_hw.errors import CommandRejectedError
 from galen_hw.kinematics import GalenRobot
-from galen_hw.messages import Vector3, WrenchCompensated, WrenchRaw, encode
+from galen_hw.messages import Vector3, WrenchCompensated, WrenchRaw, encode, encode_batch
 from galen_hw.tools.dashboard import frames
 from galen_hw.tools.dashboard.access import Access
 from galen_hw.tools.dashboard.actions import Actions, report_file, reports, requests_of, tools
 from galen_hw.tools.dashboard.arm import arm_lines
 from galen_hw.tools.dashboard.bins import KEPT, Bins
 from galen_hw.tools.dashboard.calibration import Calibration
-from galen_hw.tools.dashboard.feed import BATCH, Feed, why_not_valid
+from galen_hw.tools.dashboard.feed import MOST, Feed, why_not_valid
 from galen_hw.tools.dashboard.server import MOST_PAGES, MOST_REFUSALS, Dashboard, listen, make_server
 from tests.daemon_tree import daemon_tree
 
@@ -356,7 +356,8 @@ def test_nothing_is_heard_while_no_page_is_open(tree: Any) -> None:
 
 def test_what_had_piled_up_is_read_past(tree: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A server that could not keep up shows the present at its next turn, and leaves a gap in the traces."""
-    frames = [(b"wrench/raw", encode(raw(n * 1_000_000, n))) for n in range(3 * BATCH)]
+    sent = [(b"wrench/raw", encode(raw(n * 1_000_000, n))) for n in range(3 * MOST)]
+    frames = [(b"batch", encode_batch(sent[k : k + 25])) for k in range(0, len(sent), 25)]
     monkeypatch.setattr(Subscriber, "receive_bytes", lambda _self, _wait: frames.pop(0) if frames else None)
     feed = Feed(tree.addresses)
     feed.open()
@@ -368,8 +369,8 @@ def test_what_had_piled_up_is_read_past(tree: Any, monkeypatch: pytest.MonkeyPat
         thread.join(5)
     last = feed.last("wrench/raw")
     assert last is not None
-    assert last.t_ns == (3 * BATCH - 1) * 1_000_000
-    assert feed.bins.count == BATCH // 20 - 1
+    assert last.t_ns == (3 * MOST - 1) * 1_000_000
+    assert feed.bins.count == MOST // 20 - 1
 
 
 def test_a_page_that_is_opened_later_knows_nothing_of_before(tree: Any) -> None:

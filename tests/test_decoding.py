@@ -20,6 +20,7 @@ from galen_hw.decoding import (
     LONGEST_NAME,
     Reader,
     UnreadableError,
+    decode_batch,
     decode_message,
     decode_reply,
     decode_request,
@@ -90,6 +91,7 @@ def test_any_bytes_are_what_the_socket_takes_or_the_typed_error(frame: bytes, to
     assert isinstance(id_of(frame), str)
     assert isinstance(take(lambda: decode_reply(frame)), Reply | UnreadableError)
     assert isinstance(take(lambda: Reader(Beat)(frame)), Beat | UnreadableError)
+    assert isinstance(take(lambda: decode_batch(frame)), list | UnreadableError)
     message = take(lambda: decode_message(topic, frame))
     assert isinstance(message, UnreadableError) or isinstance(message[1], Message)
 

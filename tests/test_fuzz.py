@@ -72,5 +72,5 @@ def test_no_frame_ends_a_process_of_a_running_daemon(tmp_path: Path, capsys: pyt
     page = tmp_path / "fuzz.md"
     page.write_text("# Fuzzing\n")
     assert live.main(["--frames", "2000", "--append", str(page)]) == 0
-    assert capsys.readouterr().out.count("| 2000 |") == 4
-    assert page.read_text().count("| none |") == 4
+    assert capsys.readouterr().out.count("| 2000 |") == 5
+    assert page.read_text().count("| none |") == 5

@@ -64,7 +64,7 @@ def service() -> Iterator[Tree]:
         finally:
             os.umask(before)
         # What systemd does with Group=: the sockets are of the group that the daemon runs as.
-        for name in ("command", "bus.pub"):
+        for name in ("command", "bus.pub", "batches"):
             os.chown(runtime / name, -1, OPERATORS)
         yield tree
 
@@ -100,10 +100,10 @@ def test_a_member_of_the_group_commands_and_others_are_told_at_once(service: Tre
 @as_root
 def test_only_the_clients_sockets_are_the_groups(service: Tree) -> None:
     """A member of the group commands; he does not speak for the daemon's own processes."""
-    names = ("command", "bus.pub", "control", "inward")
+    names = ("command", "bus.pub", "batches", "control", "inward")
     modes = [(service.addresses.runtime / name).stat().st_mode & 0o777 for name in names]
 
-    assert modes == [OF_THE_GROUP, OF_THE_GROUP, OWN, OWN]
+    assert modes == [OF_THE_GROUP, OF_THE_GROUP, OF_THE_GROUP, OWN, OWN]
 
 
 @as_root

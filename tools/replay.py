@@ -152,9 +152,9 @@ def _viewers(given: str | None) -> str:
 
 def publish(logged: "list[Logged]", args: argparse.Namespace) -> int:
     """Put the recorded messages on a bus, at their pace."""
-    from galen_hw.bus import Publisher
+    from galen_hw.bus import TOPIC_BYTES, Batcher, Publisher
     from galen_hw.config.paths import make_runtime, runtime_dir
-    from galen_hw.messages import TOPICS
+    from galen_hw.messages import TOPICS, encode
     from galen_hw.permission import socket_mode
 
     if not 0.0 < args.speed <= 1000.0:
@@ -166,14 +166,21 @@ def publish(logged: "list[Logged]", args: argparse.Namespace) -> int:
         raise UsageError("a daemon publishes here", where=str(addresses.runtime), todo=todo)
     known = [item for item in logged if item.topic in TOPICS]
     with ExitStack() as stack:
-        bus = stack.enter_context(Publisher(addresses.bus, mode=socket_mode(addresses.runtime)))
-        stack.callback((addresses.runtime / "bus.pub").unlink, missing_ok=True)
+        mode = socket_mode(addresses.runtime)
+        bus = stack.enter_context(Publisher(addresses.bus, mode=mode))
+        batcher = Batcher(addresses.batches, mode=mode)
+        for name in ("bus.pub", "batches"):
+            stack.callback((addresses.runtime / name).unlink, missing_ok=True)
+        stack.callback(batcher.close)
         places = [addresses.bus, *([bus.offer(wanted)] if wanted else [])]
         print(f"publishing {len(known)} messages at {' and '.join(places)}; Ctrl-C ends it", flush=True)
         begin, first = time.monotonic(), known[0].log_ns if known else 0
         for item in known:
             ahead = (item.log_ns - first) * 1e-9 / args.speed - (time.monotonic() - begin)
             if ahead > 1e-3:
+                batcher.send()
                 time.sleep(ahead)
-            bus.publish(item.topic, item.message)
+            topic, payload = TOPIC_BYTES[item.topic], encode(item.message)
+            bus.publish_bytes(topic, payload)
+            batcher.add(topic, payload)
     return EXIT_OK

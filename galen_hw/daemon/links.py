@@ -10,7 +10,7 @@ import msgspec
 import zmq
 from msgspec.structs import replace
 
-from galen_hw.bus import TOPIC_BYTES, HeedingPublisher, bind, receive_all
+from galen_hw.bus import TOPIC_BYTES, Batcher, HeedingPublisher, bind, receive_all
 from galen_hw.config.paths import Addresses
 from galen_hw.decoding import UnreadableError, decode_message, limit
 from galen_hw.messages import MAX_AGE_NS, STREAMS, Message, Reply, Request, encode, too_old
@@ -162,7 +162,9 @@ class CoreLink(_Link):
     """
 
     def __init__(self, name: str, addresses: Addresses, origin: Origin, queue: int) -> None:
-        self._publisher = HeedingPublisher(addresses.bus, queue=queue, mode=socket_mode(addresses.runtime))
+        mode = socket_mode(addresses.runtime)
+        self._publisher = HeedingPublisher(addresses.bus, queue=queue, mode=mode)
+        self._batcher = Batcher(addresses.batches, queue, mode)
         inward: zmq.Socket[Any] = zmq.Context.instance().socket(zmq.PULL)
         inward.setsockopt(zmq.RCVHWM, INWARD_QUEUE)
         limit(inward)
@@ -174,14 +176,20 @@ class CoreLink(_Link):
 
         What comes seldom is sent in any case: who has asked a moment ago has not been seen yet, and the next is far away.
         """
-        if topic in self._publisher.unasked:
+        promptly, later = topic not in self._publisher.unasked, topic not in self._batcher.unasked
+        if not promptly and not later:
             return
-        self._publisher.publish(topic, replace(message, robot=self._robot, virtual=self._virtual))
+        name, payload = TOPIC_BYTES[topic], encode(replace(message, robot=self._robot, virtual=self._virtual))
+        if promptly:
+            self._publisher.publish_bytes(name, payload)
+        if later:
+            self._batcher.add(name, payload)
 
     def adapt(self, wanted: Collection[str]) -> None:
         """See what subscribers ask for by now; services here are handed what is published here without the bus."""
         del wanted
         self._publisher.look()
+        self._batcher.send()
 
     def messages(self, ready: Sequence[int]) -> list[tuple[bytes, bytes]]:
         """What the other processes have published since; passed on to the bus already."""
@@ -196,6 +204,8 @@ class CoreLink(_Link):
                     self.backlog += 1
                     continue
                 self._publisher.publish_bytes(topic, payload)
+                if _AGING[topic] not in self._batcher.unasked:
+                    self._batcher.add(topic, payload)
                 found.append((topic, payload))
             else:
                 self.unreadable += 1
@@ -204,6 +214,7 @@ class CoreLink(_Link):
     def close(self) -> None:
         """Close every socket."""
         self._publisher.close()
+        self._batcher.close()
         super().close()
 
 

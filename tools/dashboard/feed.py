@@ -6,12 +6,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from galen_hw.bus import CommandClient, Subscriber
+from galen_hw.bus import BATCH_TOPIC, CommandClient, Subscriber
 from galen_hw.config.load import load
 from galen_hw.config.paths import Addresses
 from galen_hw.config.robot import build_robot
 from galen_hw.daemon.tables import TABLES
-from galen_hw.decoding import UnreadableError, decode_message
+from galen_hw.decoding import UnreadableError, decode_batch, decode_message
 from galen_hw.errors import GalenError
 from galen_hw.kinematics import Robot
 from galen_hw.messages import (
@@ -29,7 +29,7 @@ from galen_hw.tools.dashboard.arm import arm_lines, positions
 from galen_hw.tools.dashboard.bins import Bins
 
 TURN_S: Final = 0.02
-BATCH: Final = 500
+MOST: Final = 500
 """Messages that one turn looks into, a fifth of a second of them: where more had piled up, the rest is only read past, for the
 present is what is wanted."""
 LOOK_S: Final = 1.0
@@ -104,12 +104,22 @@ class Feed:
 
     def _hear(self) -> None:
         end, bins = self._end, self.bins
-        with Subscriber(self._addresses.bus, SHOWN) as subscriber:
+        with Subscriber(self._addresses.batches, (BATCH_TOPIC, *SHOWN)) as subscriber:
             while not end.wait(TURN_S):
                 taken = 0
                 while (frames := subscriber.receive_bytes(0.0)) is not None and not end.is_set():
-                    self._take(*frames, bins if taken < BATCH else None)
-                    taken += 1
+                    taken += self._take_batch(frames[1], bins if taken < MOST else None)
+
+    def _take_batch(self, batch: bytes, bins: Bins | None) -> int:
+        """Take the messages of a batch; return how many there were."""
+        try:
+            messages = decode_batch(batch)
+        except UnreadableError:
+            self.unreadable += 1
+            return 0
+        for topic, payload in messages:
+            self._take(topic, payload, bins)
+        return len(messages)
 
     def _take(self, topic: bytes, payload: bytes, bins: Bins | None) -> None:
         """Take a message; without `bins` the traces stay empty where it was measured."""

@@ -107,6 +107,7 @@ def _showers(addresses: Addresses, args: argparse.Namespace) -> int:
         "control": (addresses.control, zmq.DEALER),
         "inward": (addresses.inward, zmq.PUSH),
         "bus.pub": (addresses.bus, zmq.XSUB),
+        "batches": (addresses.batches, zmq.XSUB),
     }
     before, ended = alive(addresses), 0
     rows: list[str] = []

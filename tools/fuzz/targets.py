@@ -19,6 +19,7 @@ from galen_hw.decoding import (
     LARGEST_REQUEST,
     Reader,
     UnreadableError,
+    decode_batch,
     decode_message,
     decode_reply,
     decode_request,
@@ -40,6 +41,7 @@ from galen_hw.messages import (
     Vector3,
     WrenchRaw,
     encode,
+    encode_batch,
 )
 from galen_hw.recording import read_recording
 from galen_hw.recording.session import Session
@@ -86,6 +88,11 @@ def _command(data: bytes) -> None:
 def _control(data: bytes) -> None:
     kind, frame = data[:1], data[1:]
     encode(decode_reply(frame) if kind < b"\x80" else Reader(Beat)(frame))
+
+
+def _batch(data: bytes) -> None:
+    for topic, payload in decode_batch(data):
+        decode_message(topic, payload)
 
 
 def _bus(data: bytes) -> None:
@@ -218,6 +225,9 @@ TARGETS: Final[dict[str, Target]] = {
             bytes([sorted(TOPICS).index("status")])
             + encode(Status(timestamp=0.0, t_ns=1, seq=1, valid=True, state="ready")),
         ),
+    ),
+    "socket: batches": Target(
+        lambda: own_errors_only(_batch), (encode_batch([(b"wrench/raw", encode(_wrench(1))), (b"status", b"")]),)
     ),
     "wire: slcan": Target(lambda: own_errors_only(_slcan), (b"t2003010203\rz\rV1013\rF00\r",)),
     "wire: socketcand": Target(_socketcand, (b"< hi >< ok >< frame 200 1.5 0A0B >< error 4 >",)),
