@@ -132,7 +132,7 @@ class SweepFile:
             "zeroed_at": zeroed_at if galen else quaternion_from_rotation(R0).tolist(),
             "gravity": [float(g) for g in self._robot.gravity],
             "predict": "wrench",
-            "model": {"bias": "free"},
+            "model": {"bias": "free", "dynamics": "static"},
             "sensor_serial": self._about.get("sensor_serial", ""),
             "virtual": bool(self._about.get("virtual")),
             "notes": "static poses of a calibration sweep, averaged; see sweep.json",

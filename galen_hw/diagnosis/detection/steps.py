@@ -197,7 +197,8 @@ def loads(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[
     Args:
         average: rows (N, ...) to (M, ...).
     """
-    port = scene.body_port() if scene.clock and scene.observations.predict in ("wrench", "effort") else None
+    # Efforts of an arm that somebody pushes are those of a load too.
+    port = scene.body_port() if scene.clock and scene.observations.predict == "wrench" else None
     if port is None or len(rest) < FEW_ROWS:
         return []
     out = []

@@ -34,7 +34,7 @@ def premises(scene: Scene, *, short: int = 100) -> Premise:
         raise UsageError(f"no column of the group {group!r} is there to compare", where="recording", todo="see predict")
     _drivable(scene)
     out = Premise(scene)
-    for step in (_measured, _ordered, _parted, _driven):
+    for step in (_measured, _with_tool, _ordered, _parted, _driven):
         out.scene = step(out.scene, out.notes)
     out.scene = _complete(out.scene, out.notes, out.wrong)
     out.scene = quiet(out.scene)
@@ -51,7 +51,7 @@ def held_out(scene: Scene, notes: list[str]) -> Scene:
         UsageError: as `premises`.
     """
     mine: list[str] = []
-    for step in (_ordered, _parted, _driven, _complete):
+    for step in (_with_tool, _ordered, _parted, _driven, _complete):
         scene = step(scene, mine)
     notes += [f"held-out recording: {line}" for line in mine]
     return quiet(scene)
@@ -86,6 +86,16 @@ def _measured(scene: Scene, notes: list[str]) -> Scene:
         return scene
     notes += [f"{name} was not measured and is left out" for name in sorted(empty)]
     return scene_of(replace(scene.observations, columns={k: v for k, v in columns.items() if k not in empty}))
+
+
+def _with_tool(scene: Scene, notes: list[str]) -> Scene:
+    """Without the poses of a calibration sweep in which nothing hung on the sensor: the tool that is named was not there."""
+    tool = scene.observations.columns.get("covariate.tool")
+    bare = np.zeros(len(scene), dtype=bool) if tool is None else np.asarray(tool < 0.5)
+    if scene.observations.predict != "wrench" or not bare.any() or bare.all():
+        return scene
+    notes.append(f"{int(bare.sum())} rows without the tool (covariate.tool) are left out")
+    return scene_of(scene.observations.taken(~bare))
 
 
 def _ordered(scene: Scene, notes: list[str], *, most: float = 0.05) -> Scene:
