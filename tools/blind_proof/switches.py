@@ -44,6 +44,14 @@ def _first(_bench: Any, _scorer: Any, _chosen: Any, _scores: Any, able: list[int
     return able[0]
 
 
+def _in_order(_scorer: Any, able: list[int]) -> list[int]:
+    return able
+
+
+def _alone(_scorer: Any, rivals: dict[int, Any], i: int) -> float:
+    return float(rivals[i].rank)
+
+
 def _one(*_: Any, **__: Any) -> float:
     return 1.0
 
@@ -76,6 +84,13 @@ SWITCHES: Final[dict[str, Switch]] = {
     "one_clock": Switch(f"{MOVES}.timing:one_clock", _no, "one clock for all joints"),
     "reclock": Switch(f"{MOVES}.timing:reclocked", _no, "clocks of all effects at once"),
     "pairs": Switch(f"{MOVES}.pairs:hidden", _no, "two effects that are significant together alone"),
+    "kinds first": Switch(f"{MOVES}.add:_kinds_first", _in_order, "the best of each kind before a second of any"),
+    "its kind": Switch(
+        f"{SELECTION}.kinds:with_its_kind", _alone, "an effect in many channels against all joints' own"
+    ),
+    "alike": Switch(
+        "galen_hw.diagnosis.first_look:Known.alike", _nothing, "other forms than were seen first are no noise"
+    ),
     "drop": Switch(f"{MOVES}.drop:dropped", _no, "effects that others have made needless"),
     "swap": Switch(f"{MOVES}.swap:swapped", _no, "each effect for its look-alikes"),
     "simplified": Switch(f"{MOVES}.swap:simplified", _no, "a plainer kind for one no better than what is missing"),

@@ -65,9 +65,10 @@ def residuals(traces: Traces, floor: Mapping[str, float]) -> bytes:
 
 
 def _residual(ax: Any, traces: Traces, c: int, keep: Array, level: float) -> None:
-    """One channel in a unit that reads well."""
+    """One channel, in the unit that reads well of all channels of its quantity."""
     before, after, name = traces.before[:, c], traces.after[:, c], traces.channels[c]
-    factor, unit = _scale(before, traces.units[c])
+    alike = [k for k in _channels(traces) if traces.units[k] == traces.units[c]]
+    factor, unit = _scale(traces.before[:, alike].ravel(), traces.units[c])
     middle = float(np.nanmedian(after))
     style: dict[str, Any] = {"lw": 0.7} if len(traces.time) > 200 else {"lw": 0.8, "marker": "o", "ms": 3}
     if level:
