@@ -38,7 +38,10 @@ class EffortUnits:
             for c, name in enumerate(scene.channels)
         ]
         known = [(name, s) for name, s in found if s is not None]
-        if not known or len(known) < 0.5 * len(found):
+        # A wrist that carries hardly anything tells nothing: those have to speak that carry most of the arm.
+        carried = np.var(scene.simulated, axis=0)
+        told = [s is not None for _, s in found]
+        if not known or np.sum(carried[told]) < CRITERIA.half * np.sum(carried):
             return
         slopes = np.array([s for _, s in known])
         low, high = 1.0 / CRITERIA.least_factor, CRITERIA.least_factor

@@ -86,7 +86,9 @@ class EffortGravity:
         found: Array = np.asarray(np.linalg.lstsq(X, y, rcond=CRITERIA.small_turn)[0], dtype=float)
         length = float(np.linalg.norm(found) / np.linalg.norm(named))
         if length < CRITERIA.gross_left:
-            yield from self._compensated(seen, efforts, moving)
+            whole = efforts.own(scene.measured[:, :, None])[:, 0]
+            alone = port @ np.linalg.lstsq(X, whole, rcond=CRITERIA.small_turn)[0]
+            yield from self._compensated(seen, efforts, moving, alone)
             return
         if abs(length - 1.0) > CRITERIA.gross_left or angle_between(named, found) <= CRITERIA.least_turn:
             return
@@ -97,15 +99,16 @@ class EffortGravity:
             return
         yield gravity_remark(self.KEY, seen, gravity, scene.channels)
 
-    def _compensated(self, seen: Observations, efforts: Efforts, moving: Array) -> Iterator[Remark]:
+    def _compensated(self, seen: Observations, efforts: Efforts, moving: Array, alone: Array) -> Iterator[Remark]:
         """Yield a remark where the efforts are those of an arm without weight: a driver has taken its model's gravity off.
 
         Args:
-            moving: (N, C) efforts of the motion alone.
+            moving: (N, C) efforts of the motion; alone: those of a little gravity that explain the measured ones best without.
         """
-        plain = efforts.unexplained(efforts.scene.simulated)
-        # Efforts in another unit are small too, but then those of the motion are none of theirs.
-        if efforts.unexplained(moving) > min(1.0 + CRITERIA.gross_left, CRITERIA.gross_gain * plain):
+        without = efforts.unexplained(moving)
+        # Efforts in another unit are small too, but then a little gravity explains them, and their motion does not.
+        most = (1.0 + CRITERIA.gross_left) * min(1.0, efforts.unexplained(alone))
+        if without > min(most, CRITERIA.gross_gain * efforts.unexplained(efforts.scene.simulated)):
             return
         robot, none = efforts.robot.under(np.zeros(3)), np.zeros(3)
         repaired = replace(seen, belief=replace(seen.belief, gravity=none, robot=robot))

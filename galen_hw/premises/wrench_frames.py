@@ -14,6 +14,7 @@ from galen_hw.premises.gravity import angle_between, gravity_remark
 from galen_hw.premises.rotations import angle_of, as_axes, as_turn, nearest_axes, signed_permutations
 from galen_hw.premises.wrench_reading import (
     FORCE,
+    INVERSE,
     ORIENTATION,
     TORQUE,
     Reading,
@@ -29,6 +30,7 @@ from galen_hw.premises.wrench_reading import (
 from galen_hw.spatial import Array, rotation_log
 
 IDENTITY: Final = np.eye(3)
+HALF_ABOUT_Z: Final = np.diag([-1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,11 @@ class WrenchFrames:
         alike = np.allclose(torque_axes, Q)
         if not mirrored and alike:
             if says:
-                return self._repaired(seen, [*says, f"the sensor is turned by {as_turn(Q.T)} on its link"], turn=Q.T)
+                turned = f"the sensor is turned by {as_turn(Q.T)} on its link"
+                if says == [INVERSE] and angle_of(Q @ HALF_ABOUT_Z) <= CRITERIA.least_turn:
+                    # Of Rx(c) Ry(b) Rz(a) in the place of Rz(a) Ry(b) Rx(c) gravity shows no more.
+                    turned += " (or Euler angles were put together in the other order)"
+                return self._repaired(seen, [*says, turned], turn=Q.T)
             return self._mounting(seen, Q.T, tool_turns=not kept_tool)
         if angle_of(axes.T @ Q) > CRITERIA.least_turn or away > CRITERIA.least_turn:
             says.append(f"the axes of the force are {'mirrored and ' if mirrored else ''}turned")

@@ -18,6 +18,7 @@ ORIENTATION = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
 FORCE = tuple(f"wrench.force.{axis}" for axis in "xyz")
 TORQUE = tuple(f"wrench.torque.{axis}" for axis in "xyz")
 IN_BASE = "the wrench is in axes of the base"
+INVERSE = "the quaternions take base to sensor (the inverse)"
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ def _orientations(seen: Observations) -> Iterator[tuple[str, Observations]]:
     x, y, z, w = (seen.columns[name] for name in ORIENTATION)
     yield "the quaternions have w first", with_columns(seen, dict(zip(ORIENTATION, (y, z, w, x), strict=True)))
     yield (
-        "the quaternions take base to sensor (the inverse)",
+        INVERSE,
         with_columns(seen, dict(zip(ORIENTATION, (-x, -y, -z, w), strict=True))),
     )
     yield (
