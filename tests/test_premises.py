@@ -344,6 +344,19 @@ def test_a_reading_that_runs_over_its_integer_is_counted_on(bits, step):
     assert "overflow" not in keys(examined(seen(original | {FORCE[2]: step * counts})))
 
 
+def test_a_channel_that_is_stuck_from_a_moment_on_was_not_measured_then():
+    """At its last value, while the weight turns on; what is recorded before stays."""
+    columns = moving()
+    late = columns["time"] >= 18.0
+    first = int(np.argmax(late))
+    stuck = np.where(late, columns[TORQUE[1]][first], columns[TORQUE[1]])
+    found = examined(seen(columns | {TORQUE[1]: stuck}, named=True))
+    (remark,) = found.remarks
+    assert "is stuck at" in remark.what
+    assert "from 18 to 29.98 s" in remark.what
+    assert np.array_equal(np.isfinite(found.observations.columns[TORQUE[1]]), ~late | (np.arange(len(late)) == first))
+
+
 def test_a_column_that_was_exported_twice_is_named():
     """Row by row the same as another."""
     columns = static()

@@ -30,6 +30,7 @@ PREMISES: Final = (
     "imu.ImuUnits",
     "units.ToolSize",
     "channels.DeadChannels",
+    "channels.StuckChannels",
     "wrench_frames.WrenchFrames",
     "units.WrenchUnits",
     "effort_units.EffortUnits",

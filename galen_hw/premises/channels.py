@@ -1,4 +1,4 @@
-"""Compared channels that cannot be what they are called: copies, dead ones, joints that read with the other sign."""
+"""Compared channels that cannot be what they are called: copies, dead and stuck ones, joints with the other sign."""
 
 from collections.abc import Iterator
 from typing import ClassVar, Final
@@ -63,8 +63,7 @@ class DeadChannels:
             if name not in scene.channels:
                 continue
             c = scene.channels.index(name)
-            kin = [d for d, unit in enumerate(scene.units) if unit == scene.units[c]]
-            if moves[c] > DEAD * max(moves[d] for d in kin):
+            if moves[c] > DEAD * max(moves[d] for d in _kin(scene, c)):
                 value = float(seen.columns[name][0])
                 what = (
                     f"{name} stands still at {value:.4g} while its simulation moves by {moves[c]:.3g} {scene.units[c]}"
@@ -73,6 +72,68 @@ class DeadChannels:
                 yield Remark(self.KEY, what, f"{why}: leave its column out", (name,), Action.REFUSED)
             else:
                 yield Remark(self.KEY, f"{name} is constant: the channel may be dead", "", (name,))
+
+
+class StuckChannels:
+    """Tests for channels of a wrench that stay at one reading for a while, to the last bit, while their simulation moves.
+
+    A joint may stand by its friction, and a reading at its limit is the search's.
+    """
+
+    KEY: ClassVar[str] = "stuck_channels"
+    STAGE: ClassVar[Stage] = Stage.FRAMES
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield a remark for each channel; while it is stuck it was not measured."""
+        time = seen.time
+        found = (
+            {} if time is None else {n: r for n in compared_names(seen) if (r := _longest(seen.columns[n])) is not None}
+        )
+        scene = scene_of(seen) if found else None
+        if time is None or scene is None:
+            return
+        for name, rows in found.items():
+            c = scene.channels.index(name) if name in scene.channels else None
+            if c is None or not np.isfinite(scene.simulated[rows, c]).all():
+                continue
+            moves = float(np.ptp(scene.simulated[rows, c]))
+            steps = np.abs(np.diff(seen.columns[name]))
+            usual = float(np.median(steps[steps > 0.0]))
+            if moves < max(DEAD * float(np.nanmax(np.ptp(scene.simulated, axis=0)[_kin(scene, c)])), 10.0 * usual):
+                continue
+            values = seen.columns[name].copy()
+            stuck, values[rows.start + 1 : rows.stop] = float(values[rows.start]), np.nan
+            seen = with_columns(seen, {name: values})
+            what = (
+                f"{name} is stuck at {stuck:.4g} from {time[rows.start]:.4g} to {time[rows.stop - 1]:.4g} s while its simulation "
+                f"moves by {moves:.3g} {scene.units[c]}: taken as not measured"
+            )
+            yield Remark(self.KEY, what, "", (name,), Action.REPAIRED, seen)
+
+
+STUCK_ROWS: Final = 50
+STUCK_SHARE: Final = 0.02
+"""Of the recording, at least: what is shorter is the search's (`glitches`)."""
+
+
+def _longest(values: Array) -> slice | None:
+    """The longest run of one reading in (N,) values that change from row to row else; None where it is short, or they do not."""
+    same = values[1:] == values[:-1]
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]]))).reshape(-1, 2)
+    if not len(edges):
+        return None
+    first, last = edges[int(np.argmax(edges[:, 1] - edges[:, 0]))].tolist()
+    length = last - first
+    if length < max(STUCK_ROWS, STUCK_SHARE * len(values)) or length > 0.9 * len(values):
+        return None
+    others = np.delete(same, slice(first, last))
+    at_limit = values[first] in (np.nanmin(values), np.nanmax(values))
+    return None if at_limit or np.mean(others) >= CRITERIA.half else slice(first, last + 1)
+
+
+def _kin(scene: Scene, c: int) -> list[int]:
+    """Channels of the unit of channel c."""
+    return [d for d, unit in enumerate(scene.units) if unit == scene.units[c]]
 
 
 class CopiedColumns:
