@@ -561,6 +561,16 @@ def test_a_part_that_was_picked_up_is_found_with_its_moment():
     assert np.sqrt(np.mean(left**2)) < 0.02
 
 
+@pytest.mark.parametrize("hangs", [1, 2])
+def test_a_tool_that_is_a_link_of_the_model_too_is_counted_once(hangs):
+    """Where the wrench holds one of them; two that hang there are two."""
+    columns = static(40)
+    columns |= {n: hangs * columns[n] for n in FORCE + TORQUE}
+    found = examined(seen(columns, named=True, distal=(Body(MASS, COM + 1e-4),)))
+    assert keys(found) == ["tool_twice"] * (hangs == 1)
+    assert len(found.observations.belief.distal) == hangs - 1
+
+
 def test_a_sensor_zeroed_anew_between_poses_is_refused_with_the_pose():
     """Its offset jumps; two fits stand on either side."""
     columns = static(40)

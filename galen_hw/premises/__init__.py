@@ -42,6 +42,7 @@ PREMISES: Final = (
     "pushes.PushSigns",
     "joint_reading.JointReading",
     "link_lengths.LinkLengths",
+    "load.ToolTwice",
     "load.LoadChange",
 )
 """Modules and classes, in order."""

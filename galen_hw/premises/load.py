@@ -8,6 +8,7 @@ import numpy as np
 
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
+from galen_hw.physics.rigid import Body
 from galen_hw.premises.base import Action, Claim, Remark, Stage, with_columns
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.wrench_reading import FORCE, TORQUE, at_rest, comparable
@@ -36,6 +37,46 @@ class _Split:
     std: Array
     cost: float
     left: Array
+
+
+class ToolTwice:
+    """Tests whether the named tool is a link of the robot's model beyond the sensor as well, and hangs there once."""
+
+    KEY: ClassVar[str] = "tool_twice"
+    STAGE: ClassVar[Stage] = Stage.LOAD
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield at most one remark, where bodies alike are named twice and the wrench holds one of them."""
+        tool, belief = seen.belief.tool, seen.belief
+        twins = [k for k, body in enumerate(belief.distal) if _alike(body, tool)]
+        if seen.predict != "wrench" or seen.simulation is not None or tool.mass <= 0.0 or not twins:
+            return
+        once = replace(
+            seen, belief=replace(belief, distal=tuple(b for k, b in enumerate(belief.distal) if k != twins[0]))
+        )
+        left = [_missed(comparable(one)) for one in (once, seen)]
+        if left[0] > CRITERIA.gross_gain * left[1]:
+            return
+        what = (
+            f"the tool and a link of the model beyond the sensor are one body of {tool.mass:.4g} kg, "
+            "which the wrench holds once: counted once"
+        )
+        yield Remark(self.KEY, what, "", (*FORCE, *TORQUE), Action.REPAIRED, once)
+
+
+def _alike(body: Body, tool: Body) -> bool:
+    """Return whether two bodies are one, as far as a file's digits and a change of frames may say."""
+    return bool(
+        abs(body.mass - tool.mass) <= CRITERIA.small_turn * tool.mass
+        and np.linalg.norm(body.com - tool.com) <= CRITERIA.small_turn * max(float(np.linalg.norm(tool.com)), 0.1)
+    )
+
+
+def _missed(seen: Observations) -> float:
+    """Mean square of what the simulation misses beside a constant, each channel over its own variance."""
+    scene = scene_of(seen)
+    missed = np.var(scene.measured - scene.simulated, axis=0)
+    return float(np.mean(missed / np.maximum(np.var(scene.measured, axis=0), 1e-300)))
 
 
 class LoadChange:
