@@ -76,7 +76,7 @@ class _Stacks:
         else:
             stack.append(_Beside.of(at, X))
 
-    def parts(self, channel: int, first: int = 0) -> Iterator[tuple[Index, Array]]:
+    def parts(self, channel: int, first: int) -> Iterator[tuple[Index, Array]]:
         """Yield numbers and columns (n, k) of a channel, in order, from a number on."""
         for part in self.channels[channel]:
             skip = int(np.searchsorted(part.at, first)) if first else 0
@@ -136,7 +136,7 @@ class InnerProducts:
         finally:
             self.__dict__.update(kept)
 
-    def with_targets(self, targets: list[Array], first: int = 0) -> Array:
+    def with_targets(self, targets: list[Array], first: int) -> Array:
         """(len - first, k) inner products of the columns from a number on with targets, (n, k) of each channel."""
         out = np.zeros((len(self) - first, targets[0].shape[1]))
         for c, target in enumerate(targets):
@@ -190,12 +190,12 @@ class InnerProducts:
         self._table[old : self._rows, :size] = 0.0
         self._row[new] = np.arange(old, self._rows)
         for c in range(self._width):
-            for at, X in self._known.parts(c):
+            for at, X in self._known.parts(c, 0):
                 for more, Y in self._stacks.parts(c, reach):
                     self._table[np.ix_(self._row[at], more)] += X.T @ Y
-            own = [(at[asked], X[:, asked]) for at, X in self._stacks.parts(c) if (asked := np.isin(at, new)).any()]
+            own = [(at[asked], X[:, asked]) for at, X in self._stacks.parts(c, 0) if (asked := np.isin(at, new)).any()]
             if own:
                 at, X = np.concatenate([at for at, _ in own]), np.concatenate([X for _, X in own], axis=1)
                 self._known.push(c, at, X)
-                for more, Y in self._stacks.parts(c):
+                for more, Y in self._stacks.parts(c, 0):
                     self._table[np.ix_(self._row[at], more)] += X.T @ Y

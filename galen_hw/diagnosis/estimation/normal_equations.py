@@ -114,7 +114,7 @@ class Scorer:
     def retarget(self, y: Array) -> None:
         """Another residual (M, C) for the same columns: what nonlinear effects predict beyond their slope is taken off."""
         self.white = self.bench.whitened(y)
-        self.b = self.products.with_targets(self._white_rows)[:, 0]
+        self.b = self.products.with_targets(self._white_rows, 0)[:, 0]
 
     @property
     def _white_rows(self) -> list[Array]:
