@@ -7,7 +7,6 @@ import numpy as np
 from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.effects.cable import CableDrag
 from galen_hw.physics.effects.clocks import BETWEEN
-from galen_hw.physics.effects.creep import Creep
 from galen_hw.physics.effects.drift import Drift
 from galen_hw.physics.effects.events import Contact, Glitches, Step, Vibration
 from galen_hw.physics.effects.friction import TorqueRipple
@@ -110,8 +109,6 @@ def proposals(group, static=False):
     clocks = [TimeDelay(between="bows"), *(Lag(0.2, between=x) for x in BETWEEN)]
     clocks += [Lag(0.2, damping=0.4, between=x) for x in BETWEEN]
     found += clocks if made.clock else []
-    if group in ("pose", "targets"):
-        found += [e.with_searched({"friction": 0.05}) for e in found if isinstance(e, Creep) and e.joint]
     found += [richer for e in found for richer in e.richer(made)]
     found += [Glitches((first,), (3, 9))] + ([TorqueRipple("elbow", 9.0)] if group == "effort" else [])
     return made, list({(e.family, *e.searched()): e for e in found}.values())

@@ -10,7 +10,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from diagnosis_cases import Array, lagged, played, tracked
+from diagnosis_cases import Array, played, tracked
 
 from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.report.effect_curves import axis_of
@@ -30,12 +30,6 @@ def rubbing_and_loose(_t: Array, moment: Array) -> Array:
     return 2e-3 * (felt - moment) + 8e-4 * np.tanh(felt / 0.02)
 
 
-def rubbing_and_creeping(t: Array, moment: Array) -> Array:
-    """The spring that the friction spares goes on giving."""
-    felt = played(moment, FRICTION)
-    return 1.5e-3 * (felt - moment) + 4e-3 * lagged(t, felt, 3.0)
-
-
 def explained(law: Callable[[Array, Array], Array]) -> tuple[Work, dict[str, Finding]]:
     """The diagnosis of one motion, judged on another, and its findings by name; it must leave nothing."""
     learnt, other = (scene_of(tracked(seed=seed, rows=ROWS, law=law)) for seed in (3, 4))
@@ -53,14 +47,6 @@ def test_play_behind_friction_is_play_and_friction() -> None:
     assert play.friction == pytest.approx(FRICTION, rel=0.1)
     curve = axis_of(work, play, 0, np.zeros(ROWS), [])
     assert (curve.label, curve.unit, curve.loop) == ("tilt load", "N m", True), "its page shows it over what throws it"
-
-
-@pytest.mark.inject
-def test_creep_behind_friction_is_creep_and_friction() -> None:
-    _, found = explained(rubbing_and_creeping)
-    assert set(found) == {"creep", "hysteresis"}
-    assert found["creep"].parameters["constant"].value == pytest.approx(3.0, rel=0.1)
-    assert found["creep"].parameters["compliance"].value == pytest.approx(4e-3, rel=0.05)
 
 
 def test_a_play_narrower_than_the_noise_of_its_joint_is_none() -> None:

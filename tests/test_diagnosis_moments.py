@@ -1,7 +1,6 @@
 """What belongs to moments is learnt where it is; the rest of the model is learnt beside it as it is."""
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +19,8 @@ from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.selection.moves.step_times import timed
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats import paired_test
-from galen_hw.diagnosis.validation.contact_or_place import outstanding
-from galen_hw.diagnosis.validation.holdout import earned, judge
+from galen_hw.diagnosis.validation.holdout import earned
 from galen_hw.diagnosis.validation.judgement import Judged
-from galen_hw.diagnosis.validation.verdict import beyond
 from galen_hw.physics.effects.drift import Drift
 from galen_hw.physics.effects.events import Contact, Step, Vibration
 from galen_hw.physics.effects.registry import scene_of
@@ -167,47 +164,6 @@ def test_readings_that_clip_at_both_ends_are_limits_and_no_touch() -> None:
     said = work.diagnosis.findings[0].parameters
     assert said[f"{WRENCH[1]} low: limit"].value == pytest.approx(-limit, abs=near)
     assert said[f"{WRENCH[1]} high: limit"].value == pytest.approx(limit, abs=near)
-
-
-@pytest.mark.parametrize(("level", "event"), [(3.0, False), (8.0, True)])
-def test_a_touch_below_what_physics_leaves_is_a_part_of_that(level: float, event: bool) -> None:
-    """What hardly stands out, while it lasts, from what has no name besides is not an event that anybody could vouch for."""
-    case = Bench(7, rows=4000)
-    work = diagnose(scene_of(case.observations()))
-    bench = work.bench
-    touch = bench.add(Contact(WRENCH[:1], ((50.0, 60.0),)))
-    y = bench.whole + level * SIGMA[0] * touch.raw.values[:, 0, :1] * (np.arange(6) == 0)
-    bench.whole = y
-    bench.stand(y=y)
-    jump = bench.add(Step(WRENCH[1:2], 100.0))
-    model = Model(bench, work.model.nuisances, [touch, jump], bench.whitened(y))
-    more = replace(work.judged, after=work.judged.floor + 4.0 * SIGMA**2)
-    assert outstanding(model, more, []) is model
-    rest = beyond(more, model)
-    assert outstanding(model, work.judged, rest) is model
-    kept = outstanding(model, more, rest)
-    assert kept is model if event else kept.effects == [jump]
-
-
-def test_of_a_touch_the_moments_alone_are_told_that_stand_out() -> None:
-    """Three of them, in one of which it takes no more than physics leaves anywhere."""
-    bench = diagnose(scene_of(Bench(7, rows=4000).observations())).bench
-    episodes = ((30.0, 34.0), (90.0, 94.0), (150.0, 154.0))
-    touch = bench.add(Contact(WRENCH[:1], episodes), 100)
-    size = np.array([8.0, 3.0, 12.0]) * SIGMA[0]
-    y = bench.whole.copy()
-    y[:, 0] += sum(
-        s * bench.raw(Contact(WRENCH[:1], (one,))).values[:, 0, 0] for s, one in zip(size, episodes, strict=True)
-    )
-    bench.whole = y
-    bench.stand(y=y)
-    nuisances = [bench.made(None, columns) for columns in bench.constants()]
-    model = Model(bench, nuisances, [touch], bench.whitened(y))
-    judged = judge(model, None)
-    judged.after = judged.floor + 4.0 * SIGMA**2
-    (kept,) = outstanding(model, judged, beyond(judged, model)).effects
-    assert kept.effect == Contact(WRENCH[:1], (episodes[0], episodes[2]))
-    assert kept.looked == 100
 
 
 def test_a_jump_goes_to_the_moment_that_the_present_model_gives_it() -> None:

@@ -292,27 +292,6 @@ def test_a_limit_clips_all_that_is_carried(offset: float) -> None:
 
 
 @pytest.mark.inject
-def test_servos_that_are_all_late_have_one_clock_and_no_viscous_friction_each() -> None:
-    """Dry friction in two simulated servos under one delay: a viscous part in each joint does the same with a number more."""
-    servo, T, band, dt = Servo(seed=2, rows=12000, rate=100.0), 0.04, 3.3e-4, 0.01
-    simulated = np.stack([cases.lagged(servo.t, x, T) for x in servo.command.T], axis=1)
-    for j, command in enumerate(servo.command.T):
-        q, sticks = command[0], []
-        for c in command.tolist():
-            q += (1.0 - np.exp(-dt / T)) * np.sign(c - q) * max(abs(c - q) - band, 0.0)
-            sticks.append(q)
-        servo.position[:, j] = np.interp(servo.t - 7e-4, servo.t, sticks)
-    servo.sigma = 4e-4
-    seen = servo.observations()
-    names = [f"joint.{name}.position" for name in ("pan", "lift")]
-    given = dict(zip(names, simulated.T, strict=True))
-    work = diagnose(scene_of(dataclasses.replace(seen, simulation=given)))
-    assert set(named(work)) == {"friction", "time_delay"}
-    (delay,) = [f for f in work.diagnosis.findings if f.effect == "time_delay"]
-    assert delay.parameters["delay"].value == pytest.approx(7e-4, rel=0.2)
-
-
-@pytest.mark.inject
 def test_no_bias_beside_a_compliance_that_accounts_for_it() -> None:
     """A bent lift under the tool's weight is lower all along: a bias with less compliance is as good, with a number more."""
     rng, robot, rate = np.random.default_rng(1), GalenRobot(), 60.0

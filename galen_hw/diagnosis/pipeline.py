@@ -15,10 +15,8 @@ from galen_hw.diagnosis.preprocessing.checks import held_out, premises
 from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.searching import held_up, searched, searched_again
 from galen_hw.diagnosis.selection.proposals import library
-from galen_hw.diagnosis.validation.contact_or_place import outstanding
 from galen_hw.diagnosis.validation.flexible_effects import left_by, left_of_another, might_yield, predict_unnamed
-from galen_hw.diagnosis.validation.holdout import earned
-from galen_hw.diagnosis.validation.verdict import beyond, strong, verdict_of
+from galen_hw.diagnosis.validation.verdict import strong, verdict_of
 from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.registry import scene_of
@@ -76,10 +74,6 @@ def diagnose(
     learn(bench, generic)
     tell("choosing effects", 0.5)
     searches, left = searched(bench, effects, columns, generic, blind=bool(premise.wrong), start=known.effects)
-    if not left and not premise.wrong and (faint := outliers.faint(searches[0][1])) is not None:
-        glitch = outliers.marked(searches[0][1].bench, faint)
-        before = searches[0][1]
-        searches, left = searched_again(before.bench, effects, columns, generic, learn, before.placed())
     if not left and not premise.wrong and (passed := trees.hidden(searches[0][1])):
         # What passed for slow noise hides others too: all is asked again beside it.
         generic += [structure_test.Family(one.kind, one.basis, local=False) for one in passed]
@@ -94,10 +88,6 @@ def diagnose(
     if model is not chosen:
         left = left_by([model], generic)[0]
     left = strong(left, judged, bench)
-    plain = outstanding(model, judged, left or beyond(judged, model))
-    if plain is not model:
-        model, judged = earned(plain, holdout, judged)
-        left = strong(left_by([model], generic)[0], judged, bench)
     glitch = [] if premise.wrong else outliers.confirmed(glitch, model)
     if (left or might_yield(model)) and not premise.wrong:
         model, judged, left = predict_unnamed(generic, model, holdout, judged, left)

@@ -60,10 +60,6 @@ def _zero(*_: Any, **__: Any) -> float:
     return 0.0
 
 
-def _as_it_was(model: Any, *_: Any, **__: Any) -> Any:
-    return model
-
-
 @dataclass(frozen=True)
 class Switch:
     """Names one rule or move.
@@ -79,9 +75,7 @@ class Switch:
 
 SWITCHES: Final[dict[str, Switch]] = {
     "tendon": Switch(f"{MOVES}.tighten:tightened", _no, "a spring as the tendon that it may be"),
-    "creep_friction": Switch(f"{MOVES}.alternatives:replaced", _no, "a creep behind friction"),
     "exchange": Switch(f"{MOVES}.exchange:regrouped", _no, "two effects for others that stand for both"),
-    "one_clock": Switch(f"{MOVES}.timing:one_clock", _no, "one clock for all joints"),
     "reclock": Switch(f"{MOVES}.timing:reclocked", _no, "clocks of all effects at once"),
     "pairs": Switch(f"{MOVES}.pairs:hidden", _no, "two effects that are significant together alone"),
     "kinds first": Switch(f"{MOVES}.add:_kinds_first", _in_order, "the best of each kind before a second of any"),
@@ -101,11 +95,7 @@ SWITCHES: Final[dict[str, Switch]] = {
     "budget": Switch("galen_hw.diagnosis.stats.criteria:Criteria.standard_errors", _one, "one budget of false alarms"),
     "discrepancy": Switch("galen_hw.diagnosis.validation.verdict:tolerated", _zero, "what laws may miss"),
     "plausible": Switch(f"{SELECTION}.acceptance:plausible", _yes, "parameters that a machine can have"),
-    "faint": Switch("galen_hw.diagnosis.detection.outliers:faint", _none, "faint outliers, and all asked again"),
     "trees": Switch("galen_hw.diagnosis.lack_of_fit.trees:hidden", _nothing, "structure that trees find"),
-    "outstanding": Switch(
-        "galen_hw.diagnosis.validation.contact_or_place:outstanding", _as_it_was, "contacts that recur"
-    ),
     "unsteady": Switch("galen_hw.diagnosis.validation.verdict:unsteady", _nothing, "a standing machine, not steady"),
     "band": Switch("galen_hw.physics.signals.recorded_band:recorded_band", _none, "the cut-off of a recorded wrench"),
 }

@@ -10,7 +10,7 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.physics.effects.events import Glitches
-from galen_hw.physics.signals.differentiation import ALONE, isolated
+from galen_hw.physics.signals.differentiation import isolated
 from galen_hw.spatial import Array
 
 FEWEST: Final = 2
@@ -22,11 +22,10 @@ MOST_SPOILT = 0.03
 """Share of a channel's samples: more isolated ones are another kind of noise."""
 
 
-def marked(bench: Bench, faint: Mask | None = None) -> list[Glitches]:
-    """Marks isolated and repeated samples, and those (N, C) that a model has shown, and leaves them out of everything."""
+def marked(bench: Bench) -> list[Glitches]:
+    """Mark isolated and repeated samples, and leave them out of everything."""
     spiky = spikes(bench.scene.raw_residual, tuple(bench.scene.segments))
     spiky |= repeated(bench.scene)
-    spiky = spiky if faint is None else spiky | faint
     spoilt = np.asarray(spiky.any(axis=1))
     rows = np.flatnonzero(spoilt)
     if len(rows) < FEWEST:
@@ -70,33 +69,6 @@ def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
         if kept.sum() >= FEWEST:
             out.append(Glitches(names, tuple(int(r) for r in rows[kept])))
     return out
-
-
-def faint(model: Model, *, samples: float = 2.0) -> Mask | None:
-    """(N, C) isolated samples that stand off what the model says, but too little off their neighbours; None where there are none.
-
-    What noise does to the neighbours, and steps of a coarse converter, hide what is six to nine standard deviations large. At the
-    ends of a segment nobody knows what is late, and where the motion bends or friction turns no model knows the moment to a
-    sample: what is off there is not spoilt for that.
-
-    Args:
-        samples: by which a model may be early or late at a bend of the motion: what that explains is not spoilt.
-    """
-    bench, rest = model.bench, off(model)
-    z = deviations(bench, rest)
-    said = bench.scene.simulated + bench.scene.raw_residual - rest
-    far, out = z > FAR, np.zeros(z.shape, dtype=bool)
-    for c in np.flatnonzero(far.any(axis=0)):
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], far[:, c], [False]]).astype(int)))
-        for a, b in edges.reshape(-1, 2):
-            first, last = a - ALONE, b + ALONE
-            if b - a <= ALONE and any(part.start <= first and last <= part.stop for part in bench.scene.segments):
-                quick = np.max(np.abs(np.diff(said[first:last, c])))
-                beside = np.max(z[[*range(first, a), *range(b, last)], c])
-                out[a:b, c] = beside < NEAR and samples * quick < np.min(np.abs(rest[a:b, c]))
-    out &= ~_heavy_tailed(z, out.sum(axis=0)) & (out.sum(axis=0) <= MOST_SPOILT * len(out))
-    out &= ~(bench.spoilt | bench.scene.ends | bench.scene.unanswered)[:, None]
-    return out if out.any(axis=1).sum() >= FEWEST else None
 
 
 def _heavy_tailed(z: Array, far: Array) -> Mask:

@@ -1,7 +1,6 @@
 """Whether what passes for touches is an event or a place: nobody pushes by the arm's position."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -15,7 +14,7 @@ from galen_hw.diagnosis.lack_of_fit.basis_functions import POSITION, Inputs
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.sampling import Mask
-from galen_hw.diagnosis.validation.judgement import Judged, touched
+from galen_hw.diagnosis.validation.judgement import touched
 
 AROUND: Final = 0.5
 """Of a touch's length: how long before and after it nothing is learnt about it either."""
@@ -24,33 +23,6 @@ AROUND: Final = 0.5
 def touches_of(model: Model) -> list[Hypothesis]:
     """Contacts that a model believes in."""
     return [h for h in model.effects if h.effect is not None and h.effect.touches]
-
-
-def outstanding(model: Model, judged: Judged, rest: Sequence[Left]) -> Model:
-    """The model without those moments of its touches that take hardly more, where they are largest, than physics leaves there.
-
-    What bends otherwise than any name leaves most where the arm goes furthest, in episodes as if it were touched. Asked in the
-    channels of which more than noise is left (`rest`); the same model where all moments stand out.
-    """
-    more, kept = {one.channel for one in rest}, list[Hypothesis]()
-    left = np.maximum(judged.after - judged.floor, 0.0)
-    time = model.bench.rows.average(model.bench.scene.time)
-    for h, at in zip(model.parts, model.slices(), strict=True):
-        if h.effect is None or not h.effect.touches:
-            kept += [h] if h.effect is not None else []
-            continue
-        channels, does = list(h.raw.channels), h.raw.values @ model.final[at]
-        episodes = []
-        for start, end in h.effect.touches:
-            taken = np.mean(does[(time >= start) & (time <= end)] ** 2, axis=0)
-            most = int(np.argmax(taken / judged.floor[channels]))
-            if channels[most] not in more or taken[most] >= CRITERIA.outstanding * left[channels[most]]:
-                episodes.append((start, end))
-        if len(episodes) == len(h.effect.touches):
-            kept.append(h)
-        elif episodes:
-            kept.append(model.bench.add(h.effect.during(tuple(episodes)), h.looked))
-    return model if kept == model.effects else replace(model, effects=kept)
 
 
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]

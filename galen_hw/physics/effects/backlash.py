@@ -7,7 +7,6 @@ from typing import ClassVar, Self
 import numpy as np
 
 from galen_hw.physics.effects.base import Effect
-from galen_hw.physics.effects.bearing import let_through
 from galen_hw.physics.effects.columns import Columns, through
 from galen_hw.physics.effects.parameters import Parameter, Searched, duration, log_grid, spacing
 from galen_hw.physics.effects.traits import Follows
@@ -209,7 +208,8 @@ class Backlash(Effect):
                 return through(scene, self.joint, [(given - scene.play("play", given, 1.0))[:, 0]])
             assert self.transition is not None, "proposed with one"
             if self.friction is not None:
-                load = let_through(scene, load, self.friction)
+                # A bearing with dry friction F lets through P_F of its load: a play of it as wide as that.
+                load = scene.play("bearing", load[:, None], self.friction)[:, 0]
             return through(scene, self.joint, [np.tanh(load / self.transition)])
         x = scene.q[:, [scene.joint_index(self.joint)]]
         start = scene.resting(f"joint.{self.joint}.position")

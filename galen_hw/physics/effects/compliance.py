@@ -55,10 +55,6 @@ class Compliance(Effect):
         """A joint and a structure may give side by side."""
         return (*super().location, self.form)
 
-    def gives_in(self, joint: str) -> bool:
-        """Return whether it is a give of the joint in proportion to its load."""
-        return self.form == "joint" and self.joint == joint
-
     def follows(self, scene: Scene, channel: int) -> Follows:
         """Its load."""
         return (

@@ -2,20 +2,16 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import ClassVar, Self
 
 import numpy as np
 
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import LOADS, Effect
-from galen_hw.physics.effects.bearing import begun, let_through
 from galen_hw.physics.effects.columns import Columns, in_all, in_channel, through
-from galen_hw.physics.effects.compliance import Compliance
 from galen_hw.physics.effects.drift import Drift
-from galen_hw.physics.effects.hysteresis import Hysteresis
 from galen_hw.physics.effects.parameters import FARTHEST_SCALE, Parameter, Searched, duration, log_grid
-from galen_hw.physics.effects.traits import Alternative, Follows
+from galen_hw.physics.effects.traits import Follows
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.initial_state import Beginning, Lagging
 from galen_hw.spatial import Array
@@ -31,11 +27,10 @@ class Creep(Effect):
     T dz/dt = x - z; r = a z ("more" to come after the load, a Kelvin element in series with what the model has) or
     r = a (z - x) ("less" at first, as relaxation is seen by a calibrated sensor).
 
-    x is a channel's simulated load (sensor), or the load of a joint (pose: the joint gives by a z), with `friction` F what the
-    bearing lets through of it, P_F[x]. Settled at the start, or `rested`: the load comes on with the first row. What settles
-    within a third of a second does not creep: that is a filter. With `spread` D it settles in no single time, as most matter
-    does: z is the mean over constants from T / D to T D, evenly in their logarithm (the box spectrum of Nowick and Berry,
-    Anelastic Relaxation, 1972, ch. 4, as `KELVIN` elements).
+    x is a channel's simulated load (sensor), or the load of a joint (pose: the joint gives by a z). Settled at the start, or
+    `rested`: the load comes on with the first row. What settles within a third of a second does not creep: that is a filter.
+    With `spread` D it settles in no single time, as most matter does: z is the mean over constants from T / D to T D, evenly in
+    their logarithm (the box spectrum of Nowick and Berry, Anelastic Relaxation, 1972, ch. 4, as `KELVIN` elements).
     Visible in rests of a few T after a change of load. Confused with lag (short T), compliance or gain (T below the rests) and
     drift.
     """
@@ -52,7 +47,6 @@ class Creep(Effect):
     FLEXIBLE = True
     SEARCHED: ClassVar = {
         "constant": Searched(0.3, 1e4, "s"),
-        "friction": Searched(1e-9, 1e6, "N m or N"),
         "spread": Searched(1.2, 1e3, "1"),
     }
     NEEDS_CLOCK = True
@@ -62,7 +56,6 @@ class Creep(Effect):
     form: str = "more"
     longest: float = np.inf
     rested: bool = False
-    friction: float | None = None
     spread: float | None = None
 
     @classmethod
@@ -110,26 +103,6 @@ class Creep(Effect):
         spread = (1.0,) if self.spread is None else (1.0 / self.spread, 1.0, self.spread)
         places = () if self.joint else tuple(i for i, name in enumerate(scene.channels) if self.channel in ("", name))
         return tuple(Lagging(places, self.constant * ratio, self.joint) for ratio in spread)
-
-    def alternatives(self, model: Sequence[Effect | None]) -> Iterator[Alternative]:
-        """A joint's creep behind its friction, told from either end: the load that it feels is what the friction lets through.
-
-        Apart, each is told wrong: friction with the widths that creep makes of it, and what both miss as a jump, or as a give of
-        the joint, which then goes.
-        """
-        if not self.joint or self.friction is not None:
-            return
-        gives = tuple(k for k, e in enumerate(model) if isinstance(e, Compliance) and e.gives_in(self.joint))
-        for k, loop in enumerate(model):
-            if isinstance(loop, Hysteresis) and loop.rubs_in(self.joint):
-                values, steps = begun(loop.scale, self.constant)
-                yield Alternative((k,), gives, partial(self._behind, loop), ((0, 2), (1, 2)), values, steps, 1)
-
-    def _behind(self, loop: "Hysteresis", at: Array) -> list[Effect]:
-        """Creep from either end, and the friction, at the logarithms of friction and constant."""
-        friction, constant = np.exp(at).tolist()
-        creeps = [one.with_searched({"friction": friction, "constant": constant}) for one in (self, self.otherwise())]
-        return [*creeps, loop.stuck_by(friction)]
 
     def beginning(self, scene: Scene, theta: Array, others: Sequence[Effect]) -> Beginning:
         """Where an offset fades as one that has not settled does: settled and rested are not all that may have been before."""
@@ -180,8 +153,6 @@ class Creep(Effect):
         load = scene.load(self.joint)
         if load is None or scene.observations.predict == "position":
             load = scene.q[:, scene.joint_index(self.joint)]
-        if self.friction is not None:
-            load = let_through(scene, load, self.friction)
         return through(scene, self.joint, [self._slow(scene, load)])
 
     def _slow(self, scene: Scene, x: Array) -> Array:

@@ -227,11 +227,6 @@ class Friction(Effect):
         """How quickly the joint goes."""
         return Follows("speed")
 
-    def timely(self) -> Self | None:
-        """A servo without its viscous part c follows sooner by c."""
-        viscous = self.form.endswith("servo_viscous")
-        return replace(self, form=self.form.removesuffix("_viscous")) if viscous else None
-
     @property
     def stripped(self) -> Self:
         """A servo that holds for good while it sticks."""

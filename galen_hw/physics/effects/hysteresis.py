@@ -133,14 +133,6 @@ class Hysteresis(Effect):
             return Follows("position", joint, memory=True)
         return Follows("signal", memory=True)
 
-    def rubs_in(self, joint: str) -> bool:
-        """Return whether it is a joint's friction beside its spring."""
-        return not self.channel and self.wear is None and self.driver == f"load:{joint}"
-
-    def stuck_by(self, friction: float) -> Self:
-        """One sharp element of so much friction (N or N m) in its place."""
-        return replace(self, widths=(), reach=friction, gap=None, linear=False)
-
     @property
     def joints(self) -> tuple[str, ...]:
         """The joint that drives it."""

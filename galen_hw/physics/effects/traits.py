@@ -1,6 +1,6 @@
 """What the engine asks of an effect beside its columns, each with the answer of most: what it is like, where and when it acts."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Protocol, Self
 
@@ -50,27 +50,6 @@ class Follows:
     period: float = 0.0
     memory: bool = False
     values: Array | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Alternative:
-    """Effects that may stand together in the place of some of a model's, with searched values that they share.
-
-    Args:
-        instead_of: places in the model, beside the one that is asked, of those that they replace.
-        may_go: places of those that then may be needless.
-        made: effects at the logarithms (k,) of the shared values; groups: which of them make up each form, by their places.
-        begun: (n, k) logarithms of values from which the best is sought, by first steps (k + 1, k).
-        shared: numbers that are counted in several of the effects.
-    """
-
-    instead_of: tuple[int, ...]
-    may_go: tuple[int, ...]
-    made: Callable[[Array], list["Effect"]]
-    groups: tuple[tuple[int, ...], ...]
-    begun: Array
-    steps: Array
-    shared: int
 
 
 class Averages(Protocol):
@@ -258,10 +237,6 @@ class Traits(Words):
         del between
         return self
 
-    def timely(self) -> Self | None:
-        """The same without a part of it that is late by as much in all that it does, as a clock is; None where there is none."""
-        return None
-
     def staged(self, start: float, length: float) -> Self:
         """The same in a recording that is still to be made, which begins at `start` and takes so long, s."""
         del start, length
@@ -313,9 +288,4 @@ class Traits(Words):
     def richer_starts(self, scene: Scene, theta: Array) -> Iterator[list[tuple["Effect", Array]]]:
         """Form by form the same with more parameters, and where their search begins, of what is curved and found at theta."""
         del scene, theta
-        yield from ()
-
-    def alternatives(self, model: Sequence["Effect | None"]) -> Iterator[Alternative]:
-        """What may stand in its place, and of others in the model."""
-        del model
         yield from ()

@@ -5,14 +5,13 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from galen_hw.diagnosis.selection.moves.add import added
-from galen_hw.diagnosis.selection.moves.alternatives import replaced
 from galen_hw.diagnosis.selection.moves.drop import dropped
 from galen_hw.diagnosis.selection.moves.exchange import regrouped
 from galen_hw.diagnosis.selection.moves.pairs import hidden
 from galen_hw.diagnosis.selection.moves.refine import refined
 from galen_hw.diagnosis.selection.moves.swap import simplified, swapped, swapped_again
 from galen_hw.diagnosis.selection.moves.tighten import tightened
-from galen_hw.diagnosis.selection.moves.timing import one_clock, reclocked
+from galen_hw.diagnosis.selection.moves.timing import reclocked
 from galen_hw.diagnosis.selection.search_state import Selection
 
 
@@ -34,9 +33,7 @@ class Move:
 MOVES: Final = (
     Move("add", added),
     Move("exchange", tightened),
-    Move("exchange", replaced),
     Move("exchange", regrouped),
-    Move("timing", one_clock),
     Move("timing", reclocked),
     Move("swap", swapped_again),
     Move("add", hidden),

@@ -18,14 +18,13 @@ from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
 from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.estimation.nonlinear import settle
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.acceptance import improves, left_out, no_worse
+from galen_hw.diagnosis.selection.acceptance import improves, left_out
 from galen_hw.diagnosis.selection.moves.timing_search import Clocks, ClockSearch, numbers
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.paired_test import paired
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.clocks import Shift
-from galen_hw.physics.effects.registry import clocks as clocks_of
 from galen_hw.physics.effects.registry import effect_class, shifts
 from galen_hw.spatial import Array
 
@@ -104,32 +103,6 @@ def _sought(
         searches = [ClockSearch(bench, beside, e, some, swings) for e, some in zip(ends, mine, strict=True)]
         clocks = [clock for search in searches for clock in search.either()]
         yield clocks, {one: other for search in searches for one, other in search.instead.items()}
-
-
-def one_clock(out: Selection) -> bool:
-    """Whether a delay or lag of the whole stream was taken for what had been a viscous part of the friction in several joints.
-
-    A servo with a viscous part c follows by c later. The search finds friction joint by joint, each with the lateness of all.
-    """
-    bench, scorer = out.bench, out.scorer
-    sooner = {i: e.timely() for i in out.chosen if (e := scorer.library[i].effect) is not None}
-    late = [i for i, effect in sooner.items() if effect is not None]
-    proposed = [e for e in clocks_of(bench.scene) if not e.joint]
-    if len(late) < 2 or not proposed or _ends(scorer, out.chosen):
-        return False
-    plain = [bench.add(effect, scorer.library[i].looked) for i, effect in sooner.items() if effect is not None]
-    first = len(scorer.library)
-    scorer.append([*plain, *(bench.add(end) for end in proposed)])
-    kept = [*(i for i in out.chosen if i not in late), *range(first, first + len(plain))]
-    trials = [[*kept, first + len(plain) + k] for k in range(len(proposed))]
-    best = min(trials, key=lambda trial: scorer.solve(trial)[2])
-    saved = (len(late) - 1) * float(np.log(bench.noise.effective))
-    if scorer.solve(best)[2] - scorer.solve(out.chosen)[2] >= saved:
-        return False
-    if not no_worse(left_out(out, out.chosen), left_out(out, best)):
-        return False
-    out.chosen = best
-    return True
 
 
 def _has_clock(effect: Effect) -> bool:
