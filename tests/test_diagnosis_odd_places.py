@@ -14,6 +14,7 @@ from physics_scenes import scene
 
 from galen_hw.diagnosis.detection import spectral_lines
 from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.physics.effects.events import Vibration
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
@@ -113,7 +114,7 @@ def test_a_line_that_may_wander_as_far_as_it_is_high_is_no_vibration() -> None:
     rng, t, R = turning(11, rows=1400, rate=100.0)
     made = scene_of(seen(t, R, hanging(R), rng))
     rest = rng.normal(size=(len(t), 6)) + np.sin(2.0 * np.pi * 11.0 * t)[:, None]
-    runs = (slice(0, len(t)),)
+    runs = Rows((slice(0, len(t)),))
     for found in (spectral_lines.lines(made, rest, runs), spectral_lines.lines(made, rest, runs, narrow=0.02)):
         hums = [one.effect for one in found]
         assert all(isinstance(h, Vibration) and h.breadth(made) <= 0.1 * h.frequency for h in hums)

@@ -20,8 +20,9 @@ from galen_hw.diagnosis.detection.contacts import contacts
 from galen_hw.diagnosis.detection.steps import _jumps
 from galen_hw.diagnosis.estimation.dataset import Bench as DiagnosisBench
 from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.noise.estimator import estimate
 from galen_hw.diagnosis.noise.low_frequency import shelves, whitest
-from galen_hw.diagnosis.noise.spectrum import Noise, estimate
+from galen_hw.diagnosis.noise.spectrum import Noise
 from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.diagnosis.validation.other_recording import noisier
 from galen_hw.physics.effects.columns import Columns
@@ -188,7 +189,7 @@ def test_a_touch_too_weak_for_its_single_samples_names_the_channels_that_feel_it
     n, rng = len(scene), np.random.default_rng(4)
     rest = rng.normal(size=(n, len(scene.channels)))
     rest[n // 3 : n // 3 + n // 50, :2] += 1.2
-    found = [s.effect.channels for s in contacts(scene, rest)]
+    found = [s.effect.channels for s in contacts(scene, rest, Rows(tuple(scene.segments)))]
     assert scene.channels[:2] in [tuple(names) for names in found]
 
 

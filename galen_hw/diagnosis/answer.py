@@ -70,11 +70,9 @@ def answer(
 
 def _limit(bench: Bench) -> str:
     """Return the smallest effect that would have been seen, in words: a slow one, where noise is slow."""
-    rows = max(int(bench.train.sum()), 1)
-    least = np.sqrt(2.0 * 14.0 / rows * np.maximum(bench.noise.slow, bench.noise.sigma**2))
-    read = np.flatnonzero(~bench.unread)
-    worst = ", ".join(f"{bench.scene.channels[c]} {least[c]:.2g}" for c in read)
-    return f"an effect of this rms in one channel would have been seen: {worst}"
+    least = bench.detectable
+    each = ", ".join(f"{bench.scene.channels[c]} {least[c]:.2g}" for c in np.flatnonzero(~bench.unread))
+    return f"an effect of this rms in one channel would have been seen: {each}"
 
 
 def _wandering(model: Model) -> list[str]:

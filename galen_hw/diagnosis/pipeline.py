@@ -55,7 +55,8 @@ def diagnose(
     """
     tell = progress or _silent
     tell("checking the recording", 0.0)
-    examination, raw = examined(scene.observations, repair=repair), holdout or scene
+    examination = examined(scene.observations, repair=repair)
+    raw = scene if holdout is None else holdout
     premise = _comparable(scene, examination)
     scene = premise.scene
     held = 0.0 if holdout is not None else share

@@ -5,7 +5,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
 from galen_hw.diagnosis.detection.proposal import FEW_ROWS, Sought, moment
-from galen_hw.diagnosis.stats.sampling import Mask
+from galen_hw.diagnosis.stats.sampling import Mask, Rows
 from galen_hw.physics.effects.events import Contact
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
@@ -16,6 +16,7 @@ Episode = tuple[int, int]
 def contacts(
     scene: Scene,
     rest: Array,
+    rows: Rows,
     *,
     shares: tuple[float, ...] = (0.004, 0.01, 0.02),
     most: int = 12,
@@ -61,7 +62,7 @@ def contacts(
             narrow = [own] if poses > N or max(b - a for a, b in own) <= length else []
         for own in (wide, *narrow):
             for names in _felt(scene, own, away, z):
-                times = tuple((moment(scene, a, N), moment(scene, b - 1, N)) for a, b in own)
+                times = tuple((moment(scene, rows, a), moment(scene, rows, b - 1)) for a, b in own)
                 touch = Contact(names, times)
                 out.setdefault(touch, Sought(touch, N // length))
     return list(out.values())

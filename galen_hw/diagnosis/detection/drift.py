@@ -1,12 +1,12 @@
 """Slow movement in a residual: wanders, drifts and temperatures that several channels share."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from galen_hw.diagnosis.detection.proposal import FEW_ROWS, SHARED, Sought, slow_spread
 from galen_hw.diagnosis.noise.spectrum import Noise
+from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.physics.effects.drift import WALK, Drift, Temperature
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
@@ -19,15 +19,15 @@ def walks(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
     return [Sought(replace(proposed[name], waves=WALK), 1) for name in walking if name in proposed]
 
 
-def drifts(scene: Scene, rest: Array, time: Array) -> list[Sought]:
+def drifts(scene: Scene, rest: Array, rows: Rows) -> list[Sought]:
     """Slow movement that several channels share: of each form the one that takes most, in the channels that it is in.
 
     Args:
-        rest: (M, C); time: (M,) of its rows, s.
+        rest: (M, C).
     """
     if len(scene.channels) < 2 or len(rest) < FEW_ROWS:
         return []
-    z, best = _scaled(rest), dict[str, tuple[float, Drift]]()
+    z, best, time = _scaled(rest), dict[str, tuple[float, Drift]](), rows.average(scene.time)
     proposed = {(d.form, d.constant): d for d in Drift.propose(scene)}
     for one in proposed.values():
         names, gain = _shared(scene, z, one.shapes(time))
@@ -36,20 +36,20 @@ def drifts(scene: Scene, rest: Array, time: Array) -> list[Sought]:
     return [Sought(effect, len(scene.channels)) for _, effect in best.values()]
 
 
-def temperatures(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[Sought]:
+def temperatures(scene: Scene, rest: Array, rows: Rows) -> list[Sought]:
     """Every thermometer that several channels follow, in these: a drift in all of them at once would be before it in one.
 
     At once, and with the delay that takes most.
 
     Args:
-        rest: (M, C); average: rows (N, ...) to (M, ...).
+        rest: (M, C).
     """
     if len(scene.channels) < 2 or len(rest) < FEW_ROWS:
         return []
     z, best = _scaled(rest), dict[tuple[str, bool], tuple[float, Temperature]]()
     for one in {(t.place, t.constant): t for t in Temperature.propose(scene)}.values():
         kind = one.place, one.constant is None
-        names, gain = _shared(scene, z, average(one.warmth(scene)[:, None]))
+        names, gain = _shared(scene, z, rows.average(one.warmth(scene)[:, None]))
         if len(names) > 1 and gain > best.get(kind, (0.0, one))[0]:
             best[kind] = gain, replace(one, channel="", channels=names, form="zero")
     return [Sought(effect, len(scene.channels)) for _, effect in best.values()]

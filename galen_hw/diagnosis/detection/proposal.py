@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
@@ -30,7 +31,6 @@ def slow_spread(x: Array) -> Array:
     return np.asarray(np.std(np.diff(x, axis=0), axis=0) / np.sqrt(2.0) + 0.05 * np.std(x, axis=0))
 
 
-def moment(scene: Scene, row: int, rows: int) -> float:
-    """Time of a row of the averaged rest."""
-    place = min(round(row * len(scene) / rows), len(scene) - 1)
-    return float(scene.time[place])
+def moment(scene: Scene, rows: Rows, row: int) -> float:
+    """Return the time at which an averaged row begins, s."""
+    return float(scene.time[rows.starts[row]])

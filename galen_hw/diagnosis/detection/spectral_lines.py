@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from galen_hw.diagnosis.detection.proposal import Sought
-from galen_hw.diagnosis.noise.spectrum import quantisation
+from galen_hw.diagnosis.noise.estimator import quantisation
+from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.events import Vibration
 from galen_hw.physics.effects.friction import TorqueRipple
@@ -17,7 +18,7 @@ from galen_hw.spatial import Array
 def lines(
     scene: Scene,
     rest: Array,
-    runs: tuple[slice, ...],
+    rows: Rows,
     known: Sequence[tuple[tuple[int, ...], Line]] = (),
     *,
     narrow: float = 0.1,
@@ -37,21 +38,17 @@ def lines(
         stands_out: times the power further away that the one within reach of the widest form must have for this
             form to be proposed.
     """
-    long = max(runs, key=lambda r: r.stop - r.start)
+    long = max(rows.runs, key=lambda r: r.stop - r.start)
     n = long.stop - long.start
     if not scene.clock or n < 256:
         return []
-    span = (
-        scene.time[min(len(scene) - 1, int(long.stop * len(scene) / len(rest)) - 1)]
-        - scene.time[int(long.start * len(scene) / len(rest))]
-    )
     x = rest[long] - rest[long].mean(axis=0)
     pad = 4 * n
     power = np.abs(np.fft.rfft(x * np.hanning(n)[:, None], pad, axis=0)) ** 2
     ground = _ground(power, 4 * 61) + 1e-300
     ratio = power / ground
-    ratio[: _above_motion(scene, runs, pad, n)] = 0.0
-    dt = span / max(n - 1, 1)
+    ratio[: _above_motion(scene, rows, pad, n)] = 0.0
+    dt = float(np.ptp(scene.time[rows.starts[long]])) / (n - 1)
     frequency = np.arange(len(ratio)) / (pad * dt)
     for places, line in known:
         near = np.abs(frequency - line.frequency) < line.breadth
@@ -93,13 +90,12 @@ def _ground(power: Array, width: int) -> Array:
     return np.stack([np.interp(lines, at, middle[:, c]) for c in range(power.shape[1])], axis=-1)
 
 
-def _above_motion(scene: Scene, runs: tuple[slice, ...], pad: int, n: int) -> int:
+def _above_motion(scene: Scene, rows: Rows, pad: int, n: int) -> int:
     """First place of the padded spectrum that lies above what the arm itself does: a line below is motion."""
     least = (pad // n) * 8
-    rows = np.linspace(0, len(scene) - 1, sum(run.stop - run.start for run in runs)).astype(int)
     moving = [scene.joint_index(joint) for joint in scene.moved]
     # Where no joints are known, what is simulated of a recorded orientation shows the motion.
-    x = scene.q[rows][:, moving] if moving else scene.simulated[rows]
+    x = scene.q[rows.starts][:, moving] if moving else scene.simulated[rows.starts]
     x = x[:, np.ptp(x, axis=0) > 0.0]
     if not x.shape[1]:
         return least
@@ -109,7 +105,7 @@ def _above_motion(scene: Scene, runs: tuple[slice, ...], pad: int, n: int) -> in
     return max(least, int(2.0 * reach * pad / len(x)))
 
 
-def ripples(scene: Scene, rest: Array) -> list[Sought]:
+def ripples(scene: Scene, rest: Array, rows: Rows) -> list[Sought]:
     """For every joint effort the wave number at which a sine of the joint's position fits best.
 
     A period is longer than two steps of the position's reading: finer ones are aliases of its rounding (a standing arm's, above
@@ -118,12 +114,11 @@ def ripples(scene: Scene, rest: Array) -> list[Sought]:
     if scene.observations.predict != "effort":
         return []
     out = []
-    rows = np.linspace(0, len(scene) - 1, len(rest)).astype(int)
     for c, name in enumerate(scene.channels):
         joint = joint_of(name)
         if joint not in scene.moved:
             continue
-        q = scene.q[rows, scene.joint_index(joint)]
+        q = rows.average(scene.q[:, scene.joint_index(joint)])
         reach = float(np.ptp(q))
         numbers = np.arange(2.5, 160.0, 0.4) * 2.0 * np.pi / reach / 2.0
         numbers = numbers[numbers * quantisation(scene.q[:, [scene.joint_index(joint)]])[0] < np.pi]

@@ -1,7 +1,6 @@
 """Where a residual jumps: once, or several times, of which none may tell by itself."""
 
 import itertools
-from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeGuard
 
@@ -10,6 +9,7 @@ from scipy.fft import dct, fft, idct
 
 from galen_hw.diagnosis.detection.proposal import FEW_ROWS, SHARED, Sought, moment, slow_spread
 from galen_hw.diagnosis.noise.spectrum import Noise
+from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.events import Step
 from galen_hw.physics.effects.load import Payload
@@ -17,7 +17,7 @@ from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
 
-def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]:
+def steps(scene: Scene, rest: Array, rows: Rows, noise: Noise | None = None) -> list[Sought]:
     """The moment at which a jump takes most out of the rest (M, C), channel by channel and over all together.
 
     Where the noise is known to have a memory its slow wander is told from a jump.
@@ -26,13 +26,13 @@ def steps(scene: Scene, rest: Array, noise: Noise | None = None) -> list[Sought]
     if N < FEW_ROWS:
         return []
     gain, names, places = _gains(rest, noise), scene.channels, places_of(N)
-    found = [Sought(Step((names[c],), moment(scene, int(np.argmax(gain[:, c])) + 1, N)), places) for c in range(C)]
+    found = [Sought(Step((names[c],), moment(scene, rows, int(np.argmax(gain[:, c])) + 1)), places) for c in range(C)]
     if C > 1:
         row = int(np.argmax(gain.sum(axis=1)))
-        found.append(Sought(Step(tuple(names), moment(scene, row + 1, N)), places))
+        found.append(Sought(Step(tuple(names), moment(scene, rows, row + 1)), places))
         some = tuple(n for n, g in zip(names, gain[row], strict=True) if g > SHARED * gain[row].max())
         if 1 < len(some) < C:
-            found.append(Sought(Step(some, moment(scene, row + 1, N)), places))
+            found.append(Sought(Step(some, moment(scene, rows, row + 1)), places))
     return found
 
 
@@ -58,7 +58,7 @@ def staircases(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
     out = []
     for own, rows in found:
         if len(rows) > 1 and not _returns(rest[:, own], rows):
-            first, *later = (moment(scene, row, N) for row in sorted(rows))
+            first, *later = (moment(scene, noise.rows, row) for row in sorted(rows))
             step = Step(tuple(scene.channels[c] for c in own), first, later=tuple(later))
             out.append(Sought(step, places_of(N) ** len(rows)))
     return out
@@ -127,7 +127,7 @@ def again(scene: Scene, rest: Array, step: Step, noise: Noise) -> Sought:
     """
     own = [scene.channels.index(name) for name in step.channels]
     row = int(np.argmax(_gains(rest[:, own], noise, own).sum(axis=1)))
-    return Sought(replace(step, moment=moment(scene, row + 1, len(rest))), places_of(len(rest)))
+    return Sought(replace(step, moment=moment(scene, noise.rows, row + 1)), places_of(len(rest)))
 
 
 def _gains(rest: Array, noise: Noise | None, own: list[int] | None = None) -> Array:
@@ -167,35 +167,29 @@ def _jumps(rest: Array, noise: Noise, own: list[int] | None = None) -> Array:
     return np.asarray(inner**2 / square)
 
 
-def slips(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[Sought]:
+def slips(scene: Scene, rest: Array, rows: Rows) -> list[Sought]:
     """For all that the arm carries the moment at which a slip of it takes most out of the rest (M, C).
 
     The baseline places what is carried by the whole recording: it takes the same columns of all rows, of which S is the square.
     Behind a moment these leave A - A S^-1 A of the square A of a slip.
-
-    Args:
-        average: rows (N, ...) to (M, ...).
     """
     if len(rest) < FEW_ROWS:
         return []
     out = []
     for one in scene.slipping():
         own = list(one.channels)
-        X, r = _in_noise(average(one.values), rest[:, own])
+        X, r = _in_noise(rows.average(one.values), rest[:, own])
         A, b, moments = _behind(X, r)
         whole = np.linalg.pinv(np.einsum("mck,mcl->kl", X, X), rcond=1e-9, hermitian=True)
-        when = _most(scene, A - A @ whole @ A, b, moments, len(rest))
+        when = _most(scene, A - A @ whole @ A, b, moments, rows)
         out.append(Sought(Step(tuple(scene.channels[c] for c in own), when, one.name), places_of(len(rest))))
     return out
 
 
-def loads(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[Sought]:
+def loads(scene: Scene, rest: Array, rows: Rows) -> list[Sought]:
     """The moment at which another load takes most out of the rest (M, C): a part picked up, or one that slips in its clamp.
 
     The offsets of the channels, which are free, take their part of it.
-
-    Args:
-        average: rows (N, ...) to (M, ...).
     """
     # Efforts of an arm that somebody pushes are those of a load too.
     port = scene.body_port() if scene.clock and scene.observations.predict == "wrench" else None
@@ -203,10 +197,10 @@ def loads(scene: Scene, rest: Array, average: Callable[[Array], Array]) -> list[
         return []
     out = []
     for part, body in (("moment", slice(1, 4)), ("body", slice(0, 4))):
-        X, r = _in_noise(average(port[:, :, body]), rest)
+        X, r = _in_noise(rows.average(port[:, :, body]), rest)
         A, b, moments = _behind(X, r)
         sums = np.cumsum(X[::-1], axis=0)[::-1][moments]
-        when = _most(scene, A - np.einsum("mck,mcl->mkl", sums, sums) / len(rest), b, moments, len(rest))
+        when = _most(scene, A - np.einsum("mck,mcl->mkl", sums, sums) / len(rest), b, moments, rows)
         out.append(Sought(Payload(part, since=when), places_of(len(rest))))
     return out
 
@@ -231,7 +225,7 @@ def _behind(X: Array, rest: Array, *, count: int = 400) -> tuple[Array, Array, A
     return A, b, moments
 
 
-def _most(scene: Scene, free: Array, b: Array, moments: Array, rows: int) -> float:
+def _most(scene: Scene, free: Array, b: Array, moments: Array, rows: Rows) -> float:
     """The moment, s, with the largest gain b A^-1 b of free squares A (m, k, k) and products b (m, k)."""
     gain = np.einsum("mk,mkl,ml->m", b, np.linalg.pinv(free, rcond=1e-6, hermitian=True), b)
-    return moment(scene, int(moments[int(np.argmax(gain))]), rows)
+    return moment(scene, rows, int(moments[int(np.argmax(gain))]))

@@ -12,7 +12,7 @@ from galen_hw.spatial import Array
 
 def errors(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False, whitened: bool = False) -> Array:
     """(n, C) errors of a model on the training rows, raw or whitened, each predicted from blocks that it is not in."""
-    model = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
+    model = scorer.parts(chosen)
     return _errors(bench, model, scorer.white, fine=fine, whitened=whitened)
 
 

@@ -15,7 +15,8 @@ from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.signal_chain import Timing as Ends
 from galen_hw.diagnosis.estimation.signal_chain import through
-from galen_hw.diagnosis.noise.spectrum import Noise, estimate, quantisation
+from galen_hw.diagnosis.noise.estimator import estimate, quantisation
+from galen_hw.diagnosis.noise.spectrum import Noise
 from galen_hw.diagnosis.stats.linear_algebra import orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.stats.sampling import Index, Mask, Rows, blocks, set_aside
 from galen_hw.lazy import cached_property
@@ -72,6 +73,8 @@ class Bench:
     hollow: Mask = field(init=False)
     unread: Mask = field(init=False)
     """(C,) channels that read one value in every row, as simulated, while others do not (a sensor without them)."""
+    read: int = field(init=False)
+    """Channels that hold data: the others add no degree of freedom."""
     dropped: Mask = field(init=False)
     noise: Noise = field(init=False)
     state: ModelState = field(init=False)
@@ -89,6 +92,7 @@ class Bench:
         self.aside = set_aside(self.block, self.held, self.seed) if self.held > 0 else np.zeros(len(self.rows), bool)
         still = np.ptp(self.scene.measured, axis=0) + np.ptp(self.scene.simulated, axis=0) == 0.0
         self.unread = still & ~still.all()
+        self.read = int((~self.unread).sum())
         self.whole = np.where(self.unread, 0.0, self.rows.average(self.scene.residual))
         self.state = ModelState(self.whole, self.scene)
         self.steps = quantisation(self.scene.measured)
@@ -236,12 +240,28 @@ class Bench:
             return np.where(good, self.y[:, c] - fit, 0.0), Q
 
         rest, basis = zip(
-            *Parallel(n_jobs=2, require="sharedmem")(delayed(left)(c) for c in range(self.width)), strict=True
+            *Parallel(n_jobs=2, require="sharedmem")(delayed(left)(c) for c in np.flatnonzero(~self.unread).tolist()),
+            strict=True,
         )
         rows, whole = self.rows, np.stack(rest, axis=-1)
         self.noise = estimate(
-            whole, list(basis), rows, ordered=self.ordered, apart=self.apart, steps=self.steps, above=above
-        ).without(self.unread)
+            whole,
+            list(basis),
+            rows,
+            ordered=self.ordered,
+            apart=self.apart,
+            steps=self.steps[~self.unread],
+            above=above,
+        ).padded(self.unread)
+
+    @property
+    def detectable(self) -> Array:
+        """(C,) rms of the smallest effect in one channel alone that the training rows would show; of a slow one in slow noise.
+
+        Half the log-likelihood ratio that is asked of the best of a library is about 14.
+        """
+        variance = np.maximum(self.noise.slow, self.noise.sigma**2)
+        return np.asarray(np.sqrt(2.0 * 14.0 / max(int(self.train.sum()), 1) * variance))
 
     @property
     def ordered(self) -> bool:

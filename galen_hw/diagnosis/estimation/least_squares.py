@@ -51,5 +51,6 @@ def missed(bench: Bench, scorer: Scorer, chosen: list[int]) -> float:
 
     Physics that is missing passes for slow noise in the weights of a short recording; a single sample knows better.
     """
-    rest = rests(bench, scorer, chosen)[0][bench.train]
-    return max(scorer.misfit(chosen), float(np.mean(rest**2 / (bench.noise.sigma**2 * bench.noise.slower))))
+    rest = rests(bench, scorer, chosen)[0][np.ix_(bench.train, ~bench.unread)]
+    noise = (bench.noise.sigma**2 * bench.noise.slower)[~bench.unread]
+    return max(scorer.misfit(chosen), float(np.mean(rest**2 / noise)))

@@ -10,7 +10,7 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import rests
 from galen_hw.diagnosis.estimation.linearisation import does, tangent
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.stats.linear_algebra import solve_sym
+from galen_hw.diagnosis.stats.linear_algebra import inverse_root, solve_sym
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.spatial import Array
 
@@ -22,22 +22,23 @@ class Beside:
     """What one more hypothesis would add to a model, from inner products with that model's columns alone."""
 
     def __init__(self, bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
-        model = [scorer.library[i] for i in [*range(len(scorer.base)), *chosen]]
-        model = [h for h in model if np.isnan(h.held).all()]
+        model = [h for h in scorer.parts(chosen) if np.isnan(h.held).all()]
         rest, rows = rests(bench, scorer, chosen)[1], bench.train
         self.train, self.width, self.scene = rows, bench.width, bench.scene
         self.rest = [rest[rows, c] for c in range(bench.width)]
         ends = np.cumsum([0, *(h.count for h in model)])
         self.at: list[Index] = []
         self.columns: list[Array] = []
-        self.G = np.zeros((ends[-1], ends[-1]))
+        G = np.zeros((ends[-1], ends[-1]))
         for c in range(bench.width):
             mine = [(h, k) for k, h in enumerate(model) if c in h.white.channels and h.count]
             at = [np.arange(ends[k], ends[k + 1]) for _, k in mine]
             parts = [h.white.values[:, h.white.channels.index(c)][rows] for h, _ in mine]
             self.at.append(np.concatenate([np.empty(0, dtype=np.intp), *at]))
             self.columns.append(np.concatenate([np.empty((int(rows.sum()), 0)), *parts], axis=1))
-            self.G[np.ix_(self.at[c], self.at[c])] += self.columns[c].T @ self.columns[c]
+            G[np.ix_(self.at[c], self.at[c])] += self.columns[c].T @ self.columns[c]
+        # Once: a search asks for hundreds of trial points beside one model.
+        self.root = inverse_root(G)
 
     def gain(self, h: Hypothesis) -> float:
         """Fall of the whitened sum of squares when it joins."""
@@ -52,15 +53,14 @@ class Beside:
 
     def products(self, h: Hypothesis) -> tuple[Array, Array]:
         """(k, k) of its columns beside the model, and (k,) with what that leaves."""
-        own, r, cross = np.zeros((h.count, h.count)), np.zeros(h.count), np.zeros((len(self.G), h.count))
+        own, r, cross = np.zeros((h.count, h.count)), np.zeros(h.count), np.zeros((len(self.root), h.count))
         for i, c in enumerate(h.white.channels):
             X = h.white.values[:, i][self.train]
             own += X.T @ X
             r += X.T @ self.rest[c]
             cross[self.at[c]] += self.columns[c].T @ X
-        if len(self.G):
-            own -= cross.T @ solve_sym(self.G, cross)
-        return own, r
+        explained = self.root.T @ cross
+        return own - explained.T @ explained, r
 
 
 def descended(

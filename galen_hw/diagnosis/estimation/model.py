@@ -268,7 +268,7 @@ class Model:
         bread = solve_sym(G, np.eye(size))
         blocks = max(len(np.unique(self.bench.block[rows])), 2)
         meat = scores.T @ scores * blocks / max(blocks - 1, 1)
-        variance = max(1.0, total / max(len(rows) * self.bench.width - size, 1))
+        variance = max(1.0, total / max(len(rows) * self.bench.read - size, 1))
         robust, plain = bread @ meat @ bread, bread * variance
         ratio = np.sqrt(np.maximum(np.diag(robust), 0.0) / np.maximum(np.diag(plain), 1e-300))
         smooth = np.diag(bread @ even @ bread) / np.maximum(np.diag(bread), 1e-300)

@@ -69,6 +69,7 @@ class Scorer:
         self._occam = _occam(library)
         self.b, self.fakes = np.empty(0), np.empty((0, self.fake.shape[2]))
         self.places: list[slice] = []
+        self.families = Counter[object]()
         self.products = InnerProducts(bench.width)
         self.append([*self.base, *library])
 
@@ -79,6 +80,7 @@ class Scorer:
             self.places.append(slice(first, first + h.count))
             first += h.count
         self.library += new
+        self.families.update(h.family for h in new)
         self.products.append([self._group(h) for h in new])
         self.b = np.concatenate([self.b, self.products.with_targets(self._white_rows, old)[:, 0]])
         self.fakes = np.concatenate([self.fakes, self.products.with_targets(self._fake_rows, old)])
@@ -91,6 +93,7 @@ class Scorer:
     def retime(self) -> None:
         """All columns anew as the bench's late or lagging stream delivers them; whitened a part of the library at a time."""
         library, self.library, self.places = self.library, [], []
+        self.families.clear()
         self.products = InnerProducts(self.bench.width)
         self.b, self.fakes = np.empty(0), np.empty((0, self.fake.shape[2]))
         for start in range(0, len(library), BUDGET.at_once):
@@ -146,6 +149,7 @@ class Scorer:
                 self.append(new)
                 yield
             finally:
+                self.families.subtract(h.family for h in self.library[len(kept[0]) :])
                 self.library, self.places, self.b, self.fakes = kept
 
     @property
@@ -203,7 +207,6 @@ class Scorer:
         rest_f = every[own] - cross.T @ P[:, K + 1 :]
         out: dict[int, Score] = {}
         highest = np.zeros(every.shape[1])
-        families = self._families()
         by_count: dict[int, list[int]] = {}
         for i in asked:
             if i not in chosen and self.library[i].count:
@@ -218,7 +221,7 @@ class Scorer:
             for m, i in enumerate(group):
                 pinned = self.library[i].pinned_gain(self.bench.scene, A[m], rest_b[rows[m]])
                 gains[m] = gains[m] if pinned is None else pinned
-            looked = np.array([self.library[i].ways(self._train) + np.log(families[i]) for i in group])
+            looked = np.array([self.library[i].ways(self._train) + np.log(self._forms(i)) for i in group])
             surprise = self._surprise(gains, counts) - looked
             # What was sought in the residual has no counterpart in the surrogates: `looked` pays for it instead.
             mirrored = (counts > 0) & (np.array([self.library[i].looked for i in group]) == 1)
@@ -256,18 +259,16 @@ class Scorer:
     def misfit(self, chosen: list[int]) -> float:
         """Whitened mean square of a model's rest: 1 when only noise is left, more when physics is missing."""
         _, at, rest = self.solve(chosen)
-        return max(1.0, rest / max(int(self._train.sum()) * self.bench.width - len(at), 1))
+        return max(1.0, rest / max(int(self._train.sum()) * self.bench.read - len(at), 1))
 
     def _key(self, i: int) -> str:
         effect = self.library[i].effect
         return "" if effect is None else effect.KEY
 
-    def _families(self) -> list[float]:
-        names = [h.family for h in self.library]
-        counts: dict[object, int] = {}
-        for name in names:
-            counts[name] = counts.get(name, 0) + 1
-        return [1.0 if name is None else float(min(counts[name], 8)) for name in names]
+    def _forms(self, i: int) -> int:
+        """Return how many hypotheses differ from one by their searched values alone, eight at most: neighbours are alike."""
+        family = self.library[i].family
+        return 1 if family is None else min(self.families[family], 8)
 
     def _surprise(self, gain: Array, count: Index) -> Array:
         """Minus log p; by F where the noise rests on few degrees of freedom."""

@@ -49,7 +49,7 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
     for n, h in enumerate(parts):
         s = where[id(h)]
         signal[:, list(h.raw.channels)] += h.does(model.final[s])
-        variance[list(h.raw.channels)] += _rms_variance(h, model.final[s], model.covariance[s, s], free)
+        variance[list(h.raw.channels)] += _rms_variance(h, model.final[s], model.joint.covariance[s, s], free)
         parameters |= _parameters(model, h, s, prefix=_prefix(h) if len(parts) > 1 else "", number=n)
     power = np.mean((signal - free * signal.mean(axis=0)) ** 2, axis=0)
     energy = power / bench.noise.sigma**2

@@ -64,7 +64,7 @@ def where_of(model: Model, *, least: float = 0.5) -> list[dict[str, Any]]:
     bench = model.bench
     rest = baseline_rest(model)
     known = variables(bench)
-    energy = np.sum(rest**2 / bench.noise.sigma**2 - 1.0, axis=1)
+    energy = np.sum((rest**2 / bench.noise.sigma**2 - 1.0)[:, ~bench.unread], axis=1)
     found = regions(bench, known, energy)
     out = [_region_entry(one) for one in found]
     named = {one.parts[0][0].name for one in found}

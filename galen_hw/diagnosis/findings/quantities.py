@@ -46,7 +46,7 @@ def readable(value: float, std: float, unit: str, name: str = "") -> Shown:
     """SI in a unit that people read: mm, mrad or deg, ms, g, N mm, per cent."""
     if name in PERCENT and unit == "1":
         return Shown(100.0 * value, 100.0 * std, "%")
-    size = abs(value)
+    size = max(abs(value), std) if math.isfinite(std) else abs(value)
     table: dict[str, list[tuple[float, float, str]]] = {
         "m": [(1e-4, 1e6, "um"), (0.5, 1e3, "mm")],
         "rad": [(2e-4, 1e6, "urad"), (0.1, 1e3, "mrad"), (math.inf, math.degrees(1.0), "deg")],

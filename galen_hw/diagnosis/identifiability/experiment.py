@@ -302,9 +302,10 @@ def _halving(model: Model, h: Hypothesis, error: float) -> Advice | None:
 def _smaller(model: Model) -> str:
     """With nothing found: the smallest effect that would have been seen, and how to see smaller ones."""
     bench = model.bench
-    rows = max(int(bench.train.sum()), 1)
-    least = np.sqrt(2.0 * 14.0 / rows) * bench.noise.sigma
-    c = int(np.argmax(least / bench.noise.sigma))
+    least = bench.detectable
+    # Of channels in different units, the one in which most of what is simulated could hide.
+    reach = np.ptp(bench.simulated, axis=0)
+    c = int(np.argmax(np.where(bench.unread, -np.inf, least / np.maximum(reach, least))))
     unit, name = bench.scene.units[c], bench.scene.channels[c]
     return (
         f"Nothing is open: an effect of {least[c]:.2g} {unit} rms in {name} alone would have been seen. "

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from galen_hw.diagnosis.findings.variables import joint_units
 from galen_hw.physics.effects.registry import kinds
@@ -85,6 +86,7 @@ class Room:
         joints: that moved; index: their places; q0: (n,) median pose.
         low, high, speed: (n,) range, rad or m, and usual top speed.
         step: least time between rows, s.
+        ramp: (n,) time in which it usually comes to top speed, s.
     """
 
     joints: tuple[str, ...]
@@ -94,14 +96,18 @@ class Room:
     high: Array
     speed: Array
     step: float
+    ramp: Array
 
 
 def room_of(scene: Scene, step: float) -> Room:
     """From the recording's own motion."""
     index = tuple(scene.joint_index(j) for j in scene.moved)
     q = np.where(np.isfinite(scene.q), scene.q, 0.0)
-    speed = np.quantile(np.abs(scene.rates[0]), 0.95, axis=0) if scene.clock else np.ones(q.shape[1])
-    return Room(scene.moved, index, np.median(q, axis=0), q.min(axis=0), q.max(axis=0), speed, step)
+    speed, ramp = np.ones(q.shape[1]), np.zeros(q.shape[1])
+    if scene.clock:
+        speed, quickest = (np.quantile(np.abs(rate), 0.95, axis=0) for rate in scene.rates)
+        ramp = np.divide(speed, quickest, out=ramp, where=quickest > 0.0)
+    return Room(scene.moved, index, np.median(q, axis=0), q.min(axis=0), q.max(axis=0), speed, step, ramp)
 
 
 def recipes(scene: Scene, step: float, joints: tuple[str, ...]) -> Iterator[Recipe]:
@@ -203,8 +209,17 @@ def _joined(room: Room, name: str, says: str, j: int, legs: list[tuple[Array, Ar
         t, x = np.concatenate([t, t[-1] + 1e-3 + more]), np.concatenate([x, y])
     time = _grid(float(t[-1]), room.step)
     q = np.tile(room.q0, (len(time), 1))
-    q[:, j] = np.interp(time, t, x)
+    q[:, j] = _ramped(np.interp(time, t, x), time, float(room.ramp[j]))
     return Recipe(name, says, float(t[-1]) / 60.0, (Part(time, q),))
+
+
+def _ramped(x: Array, time: Array, ramp: float) -> Array:
+    """Return a path (N,) of straight legs with corners rounded: speeds change evenly within `ramp` (s), as the robot's did.
+
+    Differentiated as it is, a corner has an acceleration of the speed over the time between two rows: of the grid, not the robot.
+    """
+    rows = max(round(ramp / float(time[1] - time[0])), 1) if len(time) > 1 else 1
+    return np.asarray(uniform_filter1d(x, rows, mode="nearest"))
 
 
 def _grid(length: float, step: float) -> Array:
@@ -257,7 +272,8 @@ def _poses(room: Room, *, clock: bool) -> Recipe:
     times = 5.0 * np.arange(count)
     corners = np.sort(np.concatenate([times, times + 3.0]))
     time = _grid(float(corners[-1]), room.step)
-    moved = np.stack([np.interp(time, corners, np.repeat(q[:, j], 2)) for j in range(q.shape[1])], axis=-1)
+    legs = (np.interp(time, corners, np.repeat(q[:, j], 2)) for j in range(q.shape[1]))
+    moved = np.stack([_ramped(x, time, ramp) for x, ramp in zip(legs, room.ramp.tolist(), strict=True)], axis=-1)
     return Recipe("random poses with returns", says + ", 3 s in each", float(time[-1]) / 60.0, (Part(time, moved),))
 
 

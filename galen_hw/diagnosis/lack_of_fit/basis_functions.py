@@ -1,7 +1,7 @@
 """Generic functions of the known inputs and their past: what explains without a name is sought, and predicted, with these."""
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -69,7 +69,7 @@ class Inputs:
         load: (M, c) simulated channels; rate, second: (M, p) of the positions, by the row; empty without a clock.
         reach: (p,) of the positions.
         warmth: (M, w) thermometers that move; beside: (M, b) covariates that do, where nothing else moves.
-        lags: rows by which the past is taken.
+        lags: rows by which the past is taken; runs: of successive rows, which have no past before them.
         scales: of position, load, rate, second, warmth and covariates; joints, forces: which columns the positions are; places:
             of warmth; covariates: of `beside`.
         period: s a row.
@@ -84,6 +84,7 @@ class Inputs:
     warmth: Array
     beside: Array
     lags: tuple[int, ...]
+    runs: tuple[slice, ...]
     scales: tuple[Scale, Scale, Scale, Scale, Scale, Scale]
     joints: tuple[str, ...]
     forces: tuple[str, ...]
@@ -142,9 +143,9 @@ class Inputs:
         position = scale(raw)
         weight = Scale.of(load) if like is None else like.scales[1]
         still = np.zeros((len(rows), 0))
-        rate = np.gradient(position, axis=0) if scene.clock else still
+        rate = rows.differences(position) if scene.clock else still
         speed = Scale.of(rate) if like is None else like.scales[2]
-        second = np.gradient(speed(rate), axis=0) if scene.clock else still
+        second = rows.differences(speed(rate)) if scene.clock else still
         bend = Scale.of(second) if like is None else like.scales[3]
         reach = np.maximum(np.ptp(position, axis=0), 1e-9) if like is None else like.reach
         period = float(np.median(np.diff(rows.average(scene.time)))) if scene.clock and len(rows) > 1 else 0.0
@@ -161,6 +162,7 @@ class Inputs:
             heat(warm),
             others(rest),
             lags,
+            rows.runs,
             scales,
             *named,
             period,
@@ -179,9 +181,10 @@ class Inputs:
 
     @cached_property
     def past(self) -> Array:
-        """(M, lags p) changes of the positions since some rows ago; since the first row where there is no such row."""
-        z = self.position
-        each = [np.concatenate([np.repeat(z[:1], k, axis=0), z[:-k]]) - z for k in self.lags]
+        """(M, lags p) changes of the positions since some rows ago; since the run's first row where there is no such row."""
+        z, row = self.position, np.arange(len(self.position))
+        first = np.concatenate([np.full(run.stop - run.start, run.start) for run in self.runs])
+        each = [z[np.maximum(row - k, first)] - z for k in self.lags]
         return np.concatenate(each, axis=1) if each else z[:, :0]
 
     @property
@@ -229,7 +232,7 @@ def broad(inputs: Inputs) -> Iterator[tuple[str, Array]]:
         if load.shape[1]:
             yield "the simulated channels times speeds", _products(load, rate)
         for low in (0.004, 0.012, 0.035, 0.1):
-            yield "a resonance that motion excites", _resonators(second, low)
+            yield "a resonance that motion excites", _resonators(second, low, inputs.runs)
         if inputs.lags:
             yield "the past of the inputs", inputs.past
 
@@ -328,13 +331,13 @@ def _waves(z: Array, scale: float) -> Array:
     return np.asarray(np.cos(z @ w + phase))
 
 
-def _resonators(x: Array, frequency: float) -> Array:
-    """Two-pole resonances of (M, n) inputs around a frequency in cycles a row, in and out of phase."""
+def _resonators(x: Array, frequency: float, runs: Sequence[slice]) -> Array:
+    """Return two-pole resonances (M, n k) of inputs (M, n) around a frequency (cycles a row), at rest before each run."""
     out = []
     for f in frequency * np.array([1.0, 1.3, 1.7, 2.2]):
         if f > 0.45:
             continue
         r = np.exp(-2.0 * np.pi * f * 0.05)
         a = [1.0, -2.0 * r * np.cos(2.0 * np.pi * f), r * r]
-        out += [lfilter([1.0], a, x, axis=0), lfilter([1.0, -1.0], a, x, axis=0)]
+        out += [np.concatenate([lfilter(b, a, x[run], axis=0) for run in runs]) for b in ([1.0], [1.0, -1.0])]
     return np.concatenate(out, axis=1) if out else x[:, :0]

@@ -104,7 +104,7 @@ def leftovers(bench: Bench, generic: list[Family], models: Sequence[Fitted]) -> 
         for model in models:
             own = [x.values[:, x.channels.index(c)] for x in model.columns if c in x.channels and x.count]
             whole = np.concatenate([*own, np.zeros((len(model.rest), 0))], axis=1)[good]
-            base = orthonormal(scaled(whole), weakest=1e-12)
+            base = orthonormal(scaled(whole), weakest=1e-9)
             asked.append(([], base, model.white[good, c] - base @ (base.T @ model.white[good, c])))
         for place, (one, transformed) in enumerate(zip(generic, known, strict=True)):
             Xw = bench.noise.whitened(transformed, c)[good]

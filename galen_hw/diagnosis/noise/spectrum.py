@@ -1,6 +1,6 @@
-"""The noise of every channel: its spectrum from what a rich fit leaves, whitening by it, and surrogates that look like it.
+"""The noise of every channel: its spectrum, whitening by it, and surrogates that look like it.
 
-The spectrum is a level per logarithmic band, corrected for what the rich fit itself took out of each band. Below the slowest band
+The spectrum is a level per logarithmic band. Below the slowest band
 that a recording of this length can tell from drift it is continued: flat where it has a corner for certain, else as a power law.
 """
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.fft import dct, idct, next_fast_len
 
-from galen_hw.diagnosis.noise.low_frequency import shelves, smoothed, walking, whitest
+from galen_hw.diagnosis.noise.low_frequency import shelves, smoothed, walking
 from galen_hw.diagnosis.noise.resolution import RESOLUTION
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.sampling import Mask, Rows
@@ -30,6 +30,7 @@ class Noise:
         degrees: degrees of freedom that the estimate rests on.
         correlation: (C, C) between channels.
         steps: (C,) quantisation step of the raw readings, 0 where there is none.
+        unread: (C,) channels without data; none: all have data.
     """
 
     rows: Rows
@@ -39,6 +40,7 @@ class Noise:
     degrees: float
     correlation: Array
     steps: Array
+    unread: Mask | None = None
     kept: dict[tuple[int, float], Array] = field(default_factory=dict, compare=False)
 
     def spectrum(self, frequency: Array) -> Array:
@@ -123,16 +125,31 @@ class Noise:
         smooth = smoothed(self.centres, self.levels, self.lines)
         return np.asarray(np.log(smooth / self.levels))
 
-    def without(self, unread: Mask, *, beyond: float = 1e9) -> "Noise":
-        """Let channels (C,) that read nothing count for nothing.
+    def padded(self, unread: Mask, *, beyond: float = 1e9) -> "Noise":
+        """Return this noise of the other channels with those (C,) without data among them, which then count for nothing.
 
         Args:
             beyond: standard deviation of their noise, larger than all that could be in them, in any unit.
         """
         if not unread.any():
             return self
-        levels = np.where(unread, beyond**2, self.levels) if len(self.levels) else self.levels
-        return replace(self, sigma=np.where(unread, beyond, self.sigma), levels=levels, kept={})
+
+        def among(x: Array, fill: float) -> Array:
+            out = np.full((*x.shape[:-1], len(unread)), fill)
+            out[..., ~unread] = x
+            return out
+
+        correlation = np.eye(len(unread))
+        correlation[np.ix_(~unread, ~unread)] = self.correlation
+        return replace(
+            self,
+            levels=among(self.levels, beyond**2),
+            sigma=among(self.sigma, beyond),
+            correlation=correlation,
+            steps=among(self.steps, 0.0),
+            unread=unread,
+            kept={},
+        )
 
     def flat(self) -> "Noise":
         """White noise at the lowest level of the spectrum: the least that the noise can be."""
@@ -242,8 +259,9 @@ class Noise:
 
     @cached_property
     def effective(self) -> float:
-        """Number of independent values that a slow regressor meets, over all channels."""
-        return float(max(np.sum(len(self.rows) * np.minimum(1.0, self.sigma**2 / self.slow)), 20.0))
+        """Number of independent values that a slow regressor meets, over all channels with data."""
+        independent = len(self.rows) * np.minimum(1.0, self.sigma**2 / self.slow)
+        return float(max(np.sum(independent, where=True if self.unread is None else ~self.unread), 20.0))
 
 
 def _line(at: Array, centres: Array, level: Array, shelf: float, *, steepest: float = -1.0) -> Array:
@@ -271,136 +289,3 @@ def _slope(x: Array, y: Array) -> float:
     value = inverse @ A.T @ y
     rest = y - A @ value
     return float(value[1] - np.sqrt(rest @ rest / max(len(x) - 2, 1) * inverse[1, 1]))
-
-
-def estimate(
-    rest: Array,
-    basis: list[Array],
-    rows: Rows,
-    *,
-    ordered: bool,
-    steps: Array,
-    above: float = 0.0,
-    apart: bool = False,
-) -> Noise:
-    """Noise from what is left (M, C) after a fit with an orthonormal basis (M, r) in each channel.
-
-    Args:
-        rest, basis: of the fit; rows: of the bench; ordered: if not, noise is white; steps: of rounded readings.
-        above: cycles a row below which physics may still be in the rest: there the noise is taken as at that frequency.
-        apart: whether each row is a pose by itself, so that what rows next to each other share is no noise.
-    """
-    M, C = rest.shape
-    freedom = np.array([max(M - b.shape[1], 2) for b in basis], dtype=float)
-    sigma = np.sqrt(np.sum(rest**2, axis=0) / freedom)
-    sigma = np.maximum(sigma, 1e-12 * (np.max(np.abs(rest)) + 1e-300) + 1e-15)
-    with np.errstate(invalid="ignore"):  # of a channel that reads nothing
-        correlation = np.nan_to_num(np.corrcoef((rest / sigma).T)) if C > 1 else np.ones((1, 1))
-    np.fill_diagonal(correlation, 1.0)
-    long = [run for run in rows.runs if run.stop - run.start >= RESOLUTION.shortest]
-    if not ordered or not long:
-        sigma = np.minimum(sigma, _by_neighbours(rest, sigma, freedom, rows)) if apart else sigma
-        return Noise(rows, np.empty(0), np.empty((0, C)), sigma, float(freedom.sum()), correlation, steps)
-    edges = _bands(max(run.stop - run.start for run in long))
-    levels = np.stack([_levels(rest[:, c], basis[c], long, edges, above) for c in range(C)], axis=-1)
-    if len(levels) < RESOLUTION.fewest:
-        levels = whitest(levels, sum(run.stop - run.start for run in long) * np.diff(edges))
-    noise = Noise(rows, edges, levels, sigma, float(freedom.sum()), correlation, steps)
-    # What the bands say the variance is, so that one sample's sigma holds the slow part too, as far as it was measured.
-    f = np.maximum((np.arange(4096) + 0.5) / 8192, np.sqrt(edges[0] * edges[1]))
-    total = np.sqrt(np.mean(noise.spectrum(f), axis=0))
-    return Noise(rows, edges, levels, total, float(freedom.sum()), correlation, steps)
-
-
-def _by_neighbours(rest: Array, sigma: Array, freedom: Array, rows: Rows, *, surely: float = 2.5) -> Array:
-    """(C,) standard deviation by the differences of neighbours, where these are surely smaller than noise of sigma (C,) has.
-
-    In white noise half the mean squared difference over the variance is 1, with a deviation of 1 / sqrt(n) (von Neumann 1941).
-
-    Args:
-        surely: standard deviations of that ratio by which the differences must be smaller.
-    """
-    difference = np.concatenate([np.diff(rest[run], axis=0) for run in rows.runs])
-    square = 0.5 * np.mean(difference**2, axis=0) * len(rest) / freedom
-    return np.where(square < (1.0 - surely / np.sqrt(freedom)) * sigma**2, np.sqrt(square), sigma)
-
-
-def _bands(n: int, *, lines: int = 18, per_decade: int = 6, slowest: float = 7.0) -> Array:
-    """Limits in cycles a row: at least so many lines of the spectrum in a band, equal ratios where there are more.
-
-    Args:
-        n: rows of a segment.
-        lines: in a band; per_decade: bands.
-        slowest: cycles in a segment below which the spectrum is continued, not measured.
-    """
-    edges, ratio = [slowest / n], 10.0 ** (1.0 / per_decade)
-    while edges[-1] < 0.5:
-        edges.append(max(edges[-1] * ratio, edges[-1] + lines / n))
-    if len(edges) > 2 and 0.5 - edges[-2] < lines / n:
-        edges.pop(-2)
-    return np.array([*edges[:-1], 0.5])
-
-
-def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array, above: float, *, least: float = 5.0) -> Array:
-    """(B,) level a band: what the rich fit has left there over the share of the band that it could not reach.
-
-    The rest of a fit with an orthonormal basis Q has at frequency f the expected power (1 - t) S, t the basis' own power
-    there (residual likelihood; Patterson and Thompson 1971, in the frequency domain).
-
-    Args:
-        least: lines of a band that the rich fit must leave; else it is not measured, but read off its neighbours.
-    """
-    lines, free, place = [], [], []
-    for run in runs:
-        n = run.stop - run.start
-        window = np.hanning(n + 2)[1:-1]
-        window /= np.sqrt(np.mean(window**2))
-        f = np.fft.rfftfreq(n)
-        lines.append(np.abs(np.fft.rfft(rest[run] * window)) ** 2 / n)
-        taken = np.zeros(len(f))
-        for start in range(0, basis.shape[1], 32):
-            part = basis[run, start : start + 32] * window[:, None]
-            taken += np.sum(np.abs(np.fft.rfft(part, axis=0)) ** 2, axis=1) / n
-        free.append(np.clip(1.0 - taken, 0.0, 1.0))
-        place.append(np.where(f > 0, np.searchsorted(edges, f, side="right") - 1, -1).clip(-1, len(edges) - 2))
-    line, left, band = np.concatenate(lines), np.concatenate(free), np.concatenate(place)
-    level = np.full(len(edges) - 1, np.nan)
-    for b in range(len(level)):
-        inside = (band == b) & (left > 0.02)
-        if np.sum(left[inside]) < least or edges[b] < above:
-            continue
-        # A single line (mains, a periodic motion) must not pass for noise; of few lines one may well be the largest.
-        single, told = line[inside] / left[inside], left[inside] > 0.3
-        many = told.sum() >= 12 and len(level) >= RESOLUTION.fewest
-        usual = np.median(single[told]) / 0.69 if many else np.inf
-        good = single < 8.0 * usual
-        level[b] = np.sum(line[inside][good]) / np.sum(left[inside][good])
-    return _filled(level, edges)
-
-
-def _filled(level: Array, edges: Array) -> Array:
-    """Bands that could not be measured: between their neighbours in logarithms, as the nearest one at the ends.
-
-    At the slow end this may be too little noise: what is then chosen too boldly goes when the noise is learnt again from
-    what the first model leaves.
-    """
-    centres, known = np.log(np.sqrt(edges[1:] * edges[:-1])), np.isfinite(level) & (level > 0.0)
-    if not known.any():
-        return np.full(len(level), 1e-30)
-    level = np.exp(np.interp(centres, centres[known], np.log(level[known])))
-    return np.asarray(np.maximum(level, 1e-7 * level.max() + 1e-30))
-
-
-def quantisation(y: Array) -> Array:
-    """(C,) step of readings (N, C) that stand on a grid, else 0."""
-    out = np.zeros(y.shape[1])
-    for c in range(y.shape[1]):
-        values = np.unique(y[np.isfinite(y[:, c]), c])
-        if len(values) < 3 or len(values) > 0.2 * len(y):
-            continue
-        gaps = np.diff(values)
-        step = float(np.median(gaps[gaps <= np.quantile(gaps, 0.5)]))
-        ratio = gaps / step
-        if step > 0 and np.mean(np.abs(ratio - np.round(ratio)) < 0.05) > 0.9 and np.mean(np.round(ratio) == 1) > 0.3:
-            out[c] = step
-    return out

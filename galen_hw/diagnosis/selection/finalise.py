@@ -24,14 +24,14 @@ def settle_model(bench: Bench, scorer: Scorer, selection: Selection) -> Model:
     questioned = [h for h in scorer.base if h not in allowed]
     as_effects = [_named(bench, h) for h in questioned]
     model = Model(bench, allowed, [*as_effects, *chosen], scorer.white)
-    misfit = max(1.0, float(np.mean(model.rest(white=True)[bench.train] ** 2)))
+    misfit = max(1.0, float(np.mean(model.rest(white=True)[np.ix_(bench.train, ~bench.unread)] ** 2)))
     z = np.abs(model.final) / np.sqrt(np.maximum(np.diag(model.covariance), 1e-300))
     keep = []
     for h, s in zip(model.parts, model.slices(), strict=True):
         if h not in as_effects:
             continue
         c = h.raw.channels[0]
-        matters = float(model.final[s][0] ** 2) > CRITERIA.least_share * bench.noise.sigma[c] ** 2 * max(misfit, 1.0)
+        matters = float(model.final[s][0] ** 2) > CRITERIA.least_share * bench.noise.sigma[c] ** 2 * misfit
         if z[s][0] > np.sqrt(2.0 * selection.needed * misfit) and matters:
             keep.append(h)
     return together(Model(bench, allowed, [*keep, *chosen], scorer.white))

@@ -23,22 +23,22 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sou
     """What the rest of the present model shows by itself."""
     load(bench, scorer, chosen)
     rest, _ = rests(bench, scorer, chosen)
-    found = steps.steps(bench.scene, rest, bench.noise) + steps.staircases(bench.scene, rest, bench.noise)
-    found += contacts(bench.scene, rest)
-    found += steps.slips(bench.scene, rest, bench.rows.average)
-    found += steps.loads(bench.scene, rest, bench.rows.average)
+    found = steps.steps(bench.scene, rest, bench.rows, bench.noise) + steps.staircases(bench.scene, rest, bench.noise)
+    found += contacts(bench.scene, rest, bench.rows)
+    found += steps.slips(bench.scene, rest, bench.rows)
+    found += steps.loads(bench.scene, rest, bench.rows)
     found += drift.walks(bench.scene, rest, bench.noise)
-    found += drift.drifts(bench.scene, rest, bench.rows.average(bench.scene.time))
-    found += drift.temperatures(bench.scene, rest, bench.rows.average)
+    found += drift.drifts(bench.scene, rest, bench.rows)
+    found += drift.temperatures(bench.scene, rest, bench.rows)
     # A limit that was found before something else was is sought again as if it had not been.
     added = bench.rows.average(np.asarray(bench.stream.standing + bench.stream.carried))
-    stream, seen = bench.rows.average(bench.scene.simulated) + added, ~bench.dropped
+    stream, seen = bench.simulated + added, ~bench.dropped
     found += clipping.saturations(bench.scene, np.asarray(bench.whole - added)[seen], stream[seen])
     hums = [(h.raw.channels, line) for h in (scorer.library[i] for i in chosen) if (line := h.line(bench.scene))]
     return (
         found
-        + spectral_lines.lines(bench.scene, rest, bench.rows.runs, hums)
-        + spectral_lines.ripples(bench.scene, rest)
+        + spectral_lines.lines(bench.scene, rest, bench.rows, hums)
+        + spectral_lines.ripples(bench.scene, rest, bench.rows)
     )
 
 
@@ -51,5 +51,6 @@ def known(bench: Bench, scorer: Scorer, effect: Effect) -> bool:
 def at_first_sight(bench: Bench) -> list[proposal.Sought]:
     """What belongs to moments and shows in the residual itself: it must not pass for noise, whatever it is to be called."""
     rest = bench.whole - np.median(bench.whole, axis=0)
-    found = contacts(bench.scene, rest) + spectral_lines.lines(bench.scene, rest, bench.rows.runs, narrow=np.inf)
-    return found + steps.steps(bench.scene, rest)[:-1]
+    found = contacts(bench.scene, rest, bench.rows)
+    found += spectral_lines.lines(bench.scene, rest, bench.rows, narrow=np.inf)
+    return found + steps.steps(bench.scene, rest, bench.rows)[:-1]

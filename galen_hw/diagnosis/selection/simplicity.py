@@ -45,7 +45,7 @@ def undecided(bench: Bench, scorer: Scorer, model: list[int]) -> float:
     """Difference of rank that says nothing between models: a part of what the better one leaves above the noise."""
     over = missed(bench, scorer, model)
     return (
-        CRITERIA.beside_unexplained * (over - 1.0) * bench.train.sum() * bench.width
+        CRITERIA.beside_unexplained * (over - 1.0) * bench.train.sum() * bench.read
         if over > CRITERIA.noise_alone
         else 0.0
     )

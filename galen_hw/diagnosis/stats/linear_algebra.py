@@ -12,16 +12,24 @@ MANY = 4000.0
 """Degrees of freedom of the noise from which F is as good as chi square."""
 
 
-def solve_sym(A: Array, B: Array) -> Array:
-    """A^-1 B for a symmetric positive semidefinite A, weak and empty directions left out (scaled to a unit diagonal)."""
+def inverse_root(A: Array) -> Array:
+    """Return W (k, r) with W W' = A^-1 for a symmetric positive semidefinite A (k, k), scaled to a unit diagonal.
+
+    Weak and empty directions are left out.
+    """
     size = np.sqrt(np.diag(A).clip(0.0))
     size[size <= 0.0] = np.inf
     if not len(size):
-        return np.asarray(B)
+        return np.zeros((0, 0))
     value, vector = np.linalg.eigh(A / np.outer(size, size))
     good = value > 1e-9 * max(value[-1], 1e-300)
-    V = vector[:, good] / size[:, None]
-    return np.asarray(V @ ((V.T @ B) / value[good][:, None]))
+    return np.asarray(vector[:, good] / size[:, None] / np.sqrt(value[good]))
+
+
+def solve_sym(A: Array, B: Array) -> Array:
+    """Return A^-1 B for a symmetric positive semidefinite A, see `inverse_root`."""
+    W = inverse_root(A)
+    return np.asarray(W @ (W.T @ B))
 
 
 def quadratic(A: Array, before: Array, r: Array, fakes: Array) -> tuple[Array, Array, Index]:

@@ -93,6 +93,11 @@ class Rows:
             out[part] = np.where(gaps, np.nan, passed).reshape(out[part].shape)
         return out
 
+    def differences(self, x: Array) -> Array:
+        """Return central differences (M, k) of averaged columns, by the row and within each run; 0 in a run of one row."""
+        parts = (x[run] for run in self.runs)
+        return np.concatenate([np.gradient(part, axis=0) if len(part) > 1 else np.zeros_like(part) for part in parts])
+
     def spread(self, x: Mask) -> Mask:
         """(M,) mask of the groups that hold any marked row (N,)."""
         return np.asarray(np.logical_or.reduceat(x, self.starts))

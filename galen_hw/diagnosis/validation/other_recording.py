@@ -104,7 +104,7 @@ def undisturbed(model: Model, scene: Scene) -> tuple[Mask, tuple[tuple[float, fl
     if not any(h.effect is not None and h.effect.touches for h in model.effects):
         return good, episodes
     for _ in range(2):
-        found = [one.effect.touches for one in contacts(scene, apply(model, scene, good))]
+        found = [one.effect.touches for one in contacts(scene, apply(model, scene, good), rows)]
         episodes = max(found, key=lambda each: sum(end - start for start, end in each), default=())
         good = whole.copy()
         for start, end in episodes:
@@ -144,8 +144,8 @@ def apply(model: Model, scene: Scene, good: Mask | None = None, besides: Array |
 
 def _moments(scene: Scene, rest: Array, rows: Rows) -> list[float]:
     """Times at which something may have jumped in a recording; its start where nothing did."""
-    jumps = steps.steps(scene, rest) + steps.slips(scene, rest, rows.average)
-    jumps += steps.loads(scene, rest, rows.average)
+    jumps = steps.steps(scene, rest, rows) + steps.slips(scene, rest, rows)
+    jumps += steps.loads(scene, rest, rows)
     found = [s.effect.jump for s in jumps if s.effect.jump is not None]
     return sorted(set(found)) or [float(scene.time[0])]
 
