@@ -49,7 +49,13 @@ class Identity(Protocol):
 class Zeroing(Protocol):
     """A `zero` that may be under way."""
 
+    active: bool
+    zeroings: int
     deadline_ns: int
+
+    def expire(self) -> list[Output]:
+        """Answer it as failed, for its time is up."""
+        ...
 
     def give_up(self, kind: str, what: str) -> list[Output]:
         """Answer it as failed, if it is under way."""
