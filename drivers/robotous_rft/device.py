@@ -15,7 +15,6 @@ from galen_hw.drivers.robotous_rft import codec
 from galen_hw.drivers.robotous_rft.codec import OVERLOAD_MASK, Command
 from galen_hw.drivers.robotous_rft.start import RobotousIdentity, RobotousSettings, identify
 from galen_hw.drivers.robotous_rft.zero import DeviceBias
-from galen_hw.errors import CommandRejectedError
 from galen_hw.messages import Reply, Request
 
 
@@ -49,20 +48,6 @@ class RobotousRft(PairedSensor[RobotousIdentity]):
             zero_kept_s=0.0,
         )
 
-    def request(self, request: Request, now_ns: int) -> list[Output]:
-        """Carry out `zero` {samples}, `unzero`, `restart`; see `Device.request`."""
-        if request.name == "zero":
-            self._wires += self._bias.zero(request, now_ns, ready=self.ready)
-            return []
-        if request.name == "unzero":
-            wires, replies = self._bias.unzero(request, ready=self.ready)
-            self._wires += wires
-            return replies
-        if request.name == "restart":
-            return self._restart(request, now_ns)
-        todo = "it knows zero, unzero, restart"
-        raise CommandRejectedError(f"unknown request {request.name!r}", where=self.name, todo=todo)
-
     def snapshot(self, now_ns: int) -> dict[str, Any]:
         """That it was zeroed, to say that it is not known any more: the bias is the sensor's own, and has no read-out."""
         serial = "" if self._identity is None else self._identity.serial_number
@@ -72,6 +57,15 @@ class RobotousRft(PairedSensor[RobotousIdentity]):
         """See `Device.restore`: never used, since a sensor that was off meanwhile looks the same."""
         unknown = "the sensor holds it and cannot be asked whether it still does"
         super().restore(state, obstacle or unknown)
+
+    def _zero(self, request: Request, now_ns: int) -> list[Output]:
+        self._wires += self._bias.zero(request, now_ns, ready=self.ready)
+        return []
+
+    def _unzero(self, request: Request, now_ns: int) -> list[Output]:
+        wires, replies = self._bias.unzero(request, ready=self.ready)
+        self._wires += wires
+        return replies
 
     def _questions(self, now_ns: int) -> Generator[Query, bytes, RobotousIdentity]:
         if self._bias.zeroings:
