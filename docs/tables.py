@@ -107,9 +107,10 @@ def _section(heading: str, kind: type[BaseModel]) -> Iterator[str]:
     yield f"## {heading}\n"
     yield f"{_words(summary(kind))}\n"
     said = described(kind, kind.model_fields)
+    own = inspect.get_annotations(kind)
     rows = [
         (f"`{name}`", _type(field.annotation), _default(field), _bounds(field), said[name])
-        for name, field in kind.model_fields.items()
+        for name, field in sorted(kind.model_fields.items(), key=lambda named: named[0] not in own)
     ]
     if rows:
         yield _table(("key", "type", "default", "bounds", "meaning"), rows)

@@ -7,7 +7,6 @@ from galen_hw.clock import TimeBase
 from galen_hw.drivers.device import Output, Wire
 from galen_hw.drivers.host_bias import HostBias
 from galen_hw.drivers.wrench_sensor import Found, WrenchSensor
-from galen_hw.errors import CommandRejectedError
 from galen_hw.messages import Request
 
 
@@ -23,25 +22,20 @@ class HostBiasedSensor(WrenchSensor[Wire, Found]):
         self._bias = bias
         self._zeroed_serial = ""
 
-    def request(self, request: Request, now_ns: int) -> list[Output]:
-        """`zero` {samples}, `unzero`, `restart`; see `Device.request`."""
-        if request.name == "zero":
-            self._bias.zero(request, now_ns, ready=self.ready)
-            return []
-        if request.name == "unzero":
-            replies = self._bias.unzero(request)
-            self._use_bias()
-            return replies
-        if request.name == "restart":
-            return self._restart(request, now_ns)
-        todo = "it knows zero, unzero, restart"
-        raise CommandRejectedError(f"unknown request {request.name!r}", where=self.name, todo=todo)
-
     def snapshot(self, now_ns: int) -> dict[str, Any]:
         """Return the bias, of a sensor that has a number; see `Device.snapshot`."""
         serial = "" if self._identity is None else self._identity.serial_number
         values = [] if self._bias.offset is None else self._bias.offset.tolist()
         return self._kept_zero.record(serial, self._bias.zeroings if serial else 0, values, now_ns, seen=self.ready)
+
+    def _zero(self, request: Request, now_ns: int) -> list[Output]:
+        self._bias.zero(request, now_ns, ready=self.ready)
+        return []
+
+    def _unzero(self, request: Request, now_ns: int) -> list[Output]:
+        replies = self._bias.unzero(request)
+        self._use_bias()
+        return replies
 
     def _bias_for(self, identity: Found, count: int, now_ns: int) -> None:
         """Keep the bias if the same sensor answers, lose it if another does, take up that of an earlier process.

@@ -1,7 +1,7 @@
-"""Which frames of a stream whose samples come as two frames each are one sample, where the protocol numbers nothing.
+"""Pair the frames of a stream whose samples come as two CAN frames each, where the protocol numbers nothing.
 
 A sample is believed only if everything about it fits: the second frame follows the first at once (no other frame of the
-stream between, within `window_ns`), both are of one kind, and the reader has kept up. After a silence of `stall_ns` frames
+stream between, within `window_ns`), both have one length, and the reader has kept up. After a silence of `stall_ns` frames
 may have been dropped on the way and the rest has lost its times: pairs are counted as late until one comes at its own pace
 again. What remains is a loss of exactly a second frame and the next first one within the window, which is at most half a
 period: not possible as long as the frames' times are told apart.
@@ -10,23 +10,39 @@ period: not possible as long as the frames' times are told apart.
 from dataclasses import dataclass
 
 
-@dataclass(slots=True)
-class Pairer:
-    """Pairs the frames of the stream.
+@dataclass(frozen=True, slots=True)
+class PairLayout:
+    """Describe the two frames of a sample.
 
     Args:
-        period_ns: of the stream; `window_ns`: from first to second frame; `stall_ns`: see above.
-        counters: of the device; counts lost, late, doubled, short.
-        lengths: that a frame of the stream may have, in bytes; both of a sample have the same one.
+        first_id, second_id: their CAN identifiers, 11 bits.
+        lengths: that they may have, bytes; both of a sample have the same one.
         head: how the data of a first frame begin.
     """
 
+    first_id: int
+    second_id: int
+    lengths: tuple[int, ...]
+    head: bytes = b""
+
+
+@dataclass(slots=True)
+class Pairer:
+    """Pair the frames of one stream.
+
+    Args:
+        layout: of its samples.
+        period_ns: from sample to sample, ns.
+        window_ns: from first to second frame at most, ns.
+        stall_ns: after a silence this long what had piled up is late, ns; see above.
+        counters: of the device; counts lost, late, doubled, short, in frames (lost: in samples).
+    """
+
+    layout: PairLayout
     period_ns: int
     window_ns: int
     stall_ns: int
     counters: dict[str, int]
-    lengths: tuple[int, ...]
-    head: bytes = b""
     _first: bytes = b""
     _first_ns: int = 0
     _last: bytes = b""
@@ -36,12 +52,12 @@ class Pairer:
     _behind: bool = False
 
     def first(self, data: bytes, t_ns: int) -> None:
-        """Take a first frame."""
+        """Take a first frame that was read at `t_ns`, ns."""
         self._pace(t_ns)
-        if len(data) not in self.lengths:
+        if len(data) not in self.layout.lengths:
             self.counters["short"] += 1
             self._drop()
-        elif not data.startswith(self.head):
+        elif not data.startswith(self.layout.head):
             self.counters["late"] += 1  # a response nobody waits for; its second half must not be ours
             self._drop()
         elif self._first == data and t_ns - self._first_ns <= self.window_ns:
@@ -51,10 +67,10 @@ class Pairer:
             self._first, self._first_ns = data, t_ns
 
     def second(self, data: bytes, t_ns: int) -> bytes | None:
-        """Take a second frame; the bytes of both once they are certain to be one sample."""
+        """Take a second frame that was read at `t_ns`, ns; return the bytes of both if they are certain to be one sample."""
         self._pace(t_ns)
         first, self._first = self._first, b""
-        if len(data) not in self.lengths:
+        if len(data) not in self.layout.lengths:
             self.counters["short"] += 1
             self.counters["lost"] += bool(first)
             return None
@@ -67,6 +83,7 @@ class Pairer:
         return self._whole(first, data, t_ns)
 
     def _whole(self, first: bytes, second: bytes, t_ns: int) -> bytes | None:
+        """Return the bytes of both unless they came before, or had piled up."""
         response = first + second
         pace_ns = t_ns - self._last_ns
         if self._began and response == self._last and pace_ns < self.period_ns * 3 // 4:
@@ -88,6 +105,7 @@ class Pairer:
             self.counters["lost"] += 1
 
     def _drop(self) -> None:
+        """Count a first frame without its second."""
         if self._first:
             self.counters["lost"] += 1
             self._first = b""

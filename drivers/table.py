@@ -26,5 +26,6 @@ VIRTUAL_DEVICES: Final[dict[str, str]] = {
 LISTENERS: Final[dict[str, str]] = {
     "ati_netcanoem": "galen_hw.drivers.ati_netcanoem.listen",
     "robotous_rft": "galen_hw.drivers.robotous_rft.listen",
+    "iit_strain": "galen_hw.drivers.iit_strain.listen",
 }
 """Drivers that also decode a log of their bus: modules with `KEYS`, `recognises` and `listen` (see `listening`)."""

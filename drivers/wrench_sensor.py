@@ -49,7 +49,13 @@ class Identity(Protocol):
 class Zeroing(Protocol):
     """A `zero` that may be under way."""
 
+    active: bool
+    zeroings: int
     deadline_ns: int
+
+    def expire(self) -> list[Output]:
+        """Answer it as failed, for its time is up."""
+        ...
 
     def give_up(self, kind: str, what: str) -> list[Output]:
         """Answer it as failed, if it is under way."""
@@ -137,6 +143,22 @@ class WrenchSensor(Device[Wire], Generic[Wire, Found]):
     def counters(self) -> dict[str, int]:
         """Whole numbers that only grow."""
         return dict(self._counters)
+
+    def request(self, request: Request, now_ns: int) -> list[Output]:
+        """Carry out `zero` {samples}, `unzero`, `restart`; see `Device.request`."""
+        known = {"zero": self._zero, "unzero": self._unzero, "restart": self._restart}
+        if request.name not in known:
+            todo = f"it knows {', '.join(known)}"
+            raise CommandRejectedError(f"unknown request {request.name!r}", where=self.name, todo=todo)
+        return known[request.name](request, now_ns)
+
+    @abstractmethod
+    def _zero(self, request: Request, now_ns: int) -> list[Output]:
+        """Begin to zero; the reply may come later."""
+
+    @abstractmethod
+    def _unzero(self, request: Request, now_ns: int) -> list[Output]:
+        """Take the zero away."""
 
     @abstractmethod
     def _new_dialogue(self, now_ns: int) -> Conversation[Wire, Found]:

@@ -24,6 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from galen_hw.drivers.ati_netcanoem import codec as ati
+from galen_hw.drivers.iit_strain import codec as strain
 from galen_hw.drivers.robotous_rft import codec as rft
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.recording.recording import SENSOR_ORIENTATION, WRENCH
@@ -331,6 +332,26 @@ def rft_frames() -> list[can.Message]:
     return out
 
 
+def strain_frames(*, start: bool = True) -> list[can.Message]:
+    """An IIT sensor at address 3 that streams, after it has said its full scales and its number."""
+    out, scales = [], np.array([300, 300, 400, 10, 10, 8])
+
+    def add(identifier: int, data: bytes, ns: int) -> None:
+        out.append(can.Message(timestamp=ns * 1e-9, arbitration_id=identifier, data=data, is_extended_id=False))
+
+    if start:
+        before = EPOCH_NS - 10**9
+        add(strain.answer_id(3), bytes([strain.Command.GET_SERIAL_NUMBER]) + b"SN042\0\0", before)
+        for channel, scale in enumerate(scales.tolist()):
+            data = bytes([strain.Command.GET_FULL_SCALE, channel, *scale.to_bytes(2, "big")])
+            add(strain.answer_id(3), data, before + (channel + 1) * 10**6)
+    for i, row in enumerate(wrench()):
+        counts = np.round(row * 0x8000 / scales).astype(int).tolist()
+        for kind, part, late_ns in ((strain.Stream.FORCE, counts[:3], 200_000), (strain.Stream.TORQUE, counts[3:], 0)):
+            add(strain.stream_id(3, kind), strain.encode_vector(tuple(part)), int(NS[i]) - late_ns)
+    return out
+
+
 def can_log(folder: Path, kind: str = "log", frames: list[can.Message] | None = None) -> Path:
     """The log, how the sensor stood in a CSV beside it, and the map that names it."""
     path = folder / f"sensor.{kind}"
@@ -365,6 +386,10 @@ def candump_terminal(folder: Path) -> Path:
 
 def robotous_log(folder: Path) -> Path:
     return can_log(folder, "log", rft_frames())
+
+
+def strain_log(folder: Path) -> Path:
+    return can_log(folder, "log", strain_frames())
 
 
 # ---------------------------------------------------------------- robots and trackers
@@ -521,6 +546,7 @@ WRENCHES: Final[dict[str, Make]] = {
     "CAN log, .csv": lambda folder: can_log(folder, "csv"),
     "CAN log, .mf4": lambda folder: can_log(folder, "mf4"),
     "candump -L, Robotous": robotous_log,
+    "candump -L, IIT": strain_log,
     "MATLAB 4": matlab4,
     "MATLAB 5 to 7, struct": matlab5,
     "MATLAB 5 to 7, table": matlab_table,

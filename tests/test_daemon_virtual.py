@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -79,6 +80,42 @@ def test_run_virtual_end_to_end(tmp_path: Path) -> None:
     finally:
         process.kill()
         process.communicate()
+
+
+@pytest.mark.parametrize(("driver", "serial"), [("robotous_rft", "HA01-2041"), ("iit_strain", "SN042")])
+def test_run_virtual_with_a_sensor_that_streams(tmp_path: Path, driver: str, serial: str) -> None:
+    """`driver` alone chooses the sensor on the virtual wire: ready, valid samples at its pace, zeroed on request."""
+    config = tmp_path / "galen.toml"
+    config.write_text(ROBOTOUS.replace("robotous_rft", driver))
+    process = galen(tmp_path, "run", "--virtual", "--config", str(config))
+    addresses = Addresses(tmp_path / "run")
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        assert line.startswith("ready: ft ready"), line
+        samples: list[WrenchRaw] = []
+        published = Subscriber(addresses.bus, ["wrench/raw"], as_published=True)
+        with published as bus, CommandClient(addresses.command) as client:
+
+            def heard(zeroings: int) -> bool:
+                while (received := bus.receive(0.0)) is not None:
+                    assert isinstance(received[1], WrenchRaw)
+                    samples.append(received[1])
+                return sum(sample.zeroings == zeroings for sample in samples) >= 100
+
+            assert within(15.0, lambda: heard(0))
+            assert client.call("ft", "zero", {"samples": 50})["samples"] == 50
+            assert within(15.0, lambda: heard(1))
+    finally:
+        process.terminate()
+        process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert [sample for sample in samples if not (sample.valid and sample.virtual)] == []
+    assert {(sample.source, sample.serial_number) for sample in samples} == {("ft", serial)}
+    assert [b.seq - a.seq for a, b in pairwise(samples)] == [1] * (len(samples) - 1)
+    assert abs(samples[0].force.z) > 5.0, "the sensor's own offset"
+    last = samples[-50:]
+    assert abs(sum(sample.force.z for sample in last) / len(last)) < 0.2
 
 
 def _roll(seen: dict[str, Message]) -> float:

@@ -8,9 +8,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from conformance.peer import Run
+from conformance.peer import virtual_run
 
-from galen_hw.clock import TimeBase
 from galen_hw.drivers.ati_netcanoem import AtiNetcanoem
 from galen_hw.drivers.gauge_watch import GaugeWatch, most_of, noise_of
 from galen_hw.drivers.robotous_rft import RobotousRft
@@ -25,31 +24,11 @@ SENSORS = {
 }
 
 
-class Far:
-    """A virtual sensor as the peer of a run."""
-
-    def __init__(self, make):
-        self.world = World(seed=1)
-        self.device = make(self.world)
-
-    def take(self, wires, now_ns):
-        self.world.advance(now_ns)
-        for wire in wires:
-            self.device.feed(wire, now_ns)
-
-    def give(self, now_ns):
-        self.world.advance(now_ns)
-        return self.device.poll(now_ns)
-
-    @property
-    def due_ns(self):
-        return self.device.wakeup_ns
-
-
 def zeroed(kind, **settings):
     """A run whose sensor has been zeroed; what it said until then is forgotten."""
     cls, make = SENSORS[kind]
-    run = Run(cls("ft", cls.Settings(**settings), TimeBase()), Far(make)).start().seconds(1.5)
+    world = World(seed=1)
+    run = virtual_run(cls, make(world), world, **settings).seconds(1.5)
     run.outputs += run.device.request(Request(id="z", target="ft", name="zero", args={"samples": 100}), run.now_ns)
     run.seconds(2.0)
     assert run.replies[-1].error is None

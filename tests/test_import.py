@@ -424,6 +424,29 @@ def test_a_can_log_without_a_matrix_wants_one(tmp_path: Path) -> None:
     held(read(made.can_log(tmp_path, "log", made.ati_frames(asked=False))), "candump -L")
 
 
+def test_a_can_log_of_an_iit_sensor_wants_its_full_scales(tmp_path: Path) -> None:
+    """Of the log, else of the map. A channel at its limit is left empty; a lost half and other nodes' frames are no sample."""
+    path = made.can_log(tmp_path, "log", made.strain_frames(start=False))
+    with pytest.raises(UsageError, match=r"does not hold the sensor's full scales.*can.full_scales"):
+        read(path)
+    also = path.with_name(path.name + ".map.toml")
+    also.write_text('also = ["poses.csv"]\n[can]\nfull_scales = [300, 300, 400, 10, 10]\n')
+    with pytest.raises(UsageError, match=r"not 6 positive numbers"):
+        read(path)
+    also.write_text('also = ["poses.csv"]\n[can]\nfull_scales = [300, 300, 400, 10, 10, 8]\n')
+    scaled = read(path)
+    frames = made.strain_frames()
+    for half in frames[-10:-8]:
+        half.data, half.dlc = bytes([*half.data, 0b101]), 7
+    del frames[-5]
+    found = read(made.can_log(tmp_path, "log", frames))
+    force = "wrench.force.x"
+    np.testing.assert_array_equal(scaled.columns[force][:20], found.columns[force][:20])
+    said = " ".join(found.warnings)
+    assert "1 samples: a channel at its limit (left empty)" in said
+    assert "dropped: a sample of which one frame is missing" in said
+
+
 def test_a_log_of_another_bus_names_its_identifiers(tmp_path: Path) -> None:
     """And what is known."""
     (tmp_path / "a.log").write_text("".join(f"({i}.0) can0 7A{i % 3}#0102\n" for i in range(30)))

@@ -12,7 +12,7 @@ from galen_hw.recording import Recording
 from galen_hw.recording.recording import SENSOR_ORIENTATION, WRENCH
 from tests.import_files import ARMS, MASS, OFFSET, WRENCHES, N, table
 
-COUNTS = {"candump -L, Robotous": (0.011, 2.6e-4)}
+COUNTS = {"candump -L, Robotous": (0.011, 2.6e-4), "candump -L, IIT": (0.0062, 1.6e-4)}
 """Formats that bring whole counts of the sensor: half a count of force and torque."""
 
 

@@ -7,45 +7,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from conformance.peer import Run
-from rft_sensor import force, wrenches
+from conformance.peer import virtual_run
+from paired_peer import ask as ask_driver
+from paired_peer import force, wrenches
 
-from galen_hw.clock import NS_PER_S, TimeBase
+from galen_hw.clock import NS_PER_S
 from galen_hw.drivers.device import CanFrame
 from galen_hw.drivers.iit_strain import IitStrain
 from galen_hw.drivers.virtual.iit_strain import NEVER_NS, StrainSettings, VirtualIitStrain
 from galen_hw.drivers.virtual.world import World
-from galen_hw.messages import Request
 
 T0 = NS_PER_S
 MS = 1_000_000
 VECTORS = json.loads((Path(__file__).parent / "vectors" / "iit_strain.json").read_text())["frames"]
 SCALES = np.array(StrainSettings().full_scales) / 0x8000
-
-
-class Far:
-    """The virtual board as the peer of a run."""
-
-    def __init__(self, device, world):
-        self.device, self.world = device, world
-
-    def take(self, wires, now_ns):
-        self.world.advance(now_ns)
-        for wire in wires:
-            self.device.feed(wire, now_ns)
-
-    def give(self, now_ns):
-        self.world.advance(now_ns)
-        return self.device.poll(now_ns)
-
-    @property
-    def due_ns(self):
-        return self.device.wakeup_ns
 
 
 def sensor(**settings):
@@ -133,46 +111,15 @@ def test_a_limited_channel_repeats_the_last_good_sample_and_says_so():
     assert [f.data[6] for f in frames] == [0b1, 0b100001]
 
 
-@pytest.mark.parametrize(
-    ("fault", "lengths"),
-    [("ft.lost_first", [(0x31B, 6)]), ("ft.lost_second", [(0x31A, 6)]), ("ft.short", [(0x31A, 6), (0x31B, 5)]),
-     ("ft.late", [(0x31A, 6)]), ("ft.doubled", [(0x31A, 6), (0x31B, 6)] * 2),
-     ("ft.foreign", [(0x80, 0), (0x31A, 6), (0x31B, 6)]), ("ft.silent", [])],
-)  # fmt: skip
-def test_faults_of_the_stream(fault, lengths):
-    """Samples suffer as the fault's name says."""
+def test_the_hosts_zero_outlives_the_boards_power():
+    """The virtual board off and on: the driver starts it anew, and its samples bear the same zero."""
     device, world = sensor()
-    world.faults.add(fault)
-    assert [(f.arbitration_id, len(f.data)) for f in ask(device, 0x07, 0)] == lengths
-
-
-@given(st.lists(st.tuples(st.integers(0, 0x7FF), st.binary(max_size=8)), max_size=30))
-def test_no_frame_upsets_the_sensor(frames):
-    """Any traffic: no exception, and its number afterwards."""
-    device, _ = sensor()
-    for k, (identifier, data) in enumerate(frames):
-        device.feed(CanFrame(identifier, data), T0 + k)
-        device.poll(T0 + k)
-    ask(device, 0x07, 1)
-    device.poll(T0 + 10 * NS_PER_S)
-    assert len(ask(device, 0x1A, t=T0 + 10 * NS_PER_S)) == 1
-
-
-def test_the_driver_reads_what_the_virtual_board_feels():
-    """Two readings of one protocol agree: the load and the offset, to a count; after `zero`, what has changed since."""
-    device, world = sensor()
-    run = Run(IitStrain("ft", IitStrain.Settings(), TimeBase()), Far(device, world)).start().seconds(1.0)
-    assert run.device.ready
-    whole = world.load(run.now_ns) + StrainSettings().offset
-    assert (np.abs(force(wrenches(run)[-1]) - whole) <= SCALES).all()
-    run.outputs += run.device.request(Request(id="1", target="ft", name="zero", args={"samples": 20}), run.now_ns)
+    run = virtual_run(IitStrain, device, world).seconds(1.0)
+    ask_driver(run, "zero", samples=20)
     run.seconds(0.5)
     assert run.replies[-1].error is None
-    before = world.load(run.now_ns)
-    world.attach(None)
-    run.seconds(0.1)
-    assert (np.abs(force(wrenches(run)[-1]) - world.load(run.now_ns) + before) <= 2 * SCALES).all()
     device.power_cycle(run.now_ns)
     run.seconds(3.0)
     assert run.device.ready
     assert wrenches(run)[-1].zeroings == 1
+    assert (np.abs(force(wrenches(run)[-1])) <= 2 * SCALES).all()

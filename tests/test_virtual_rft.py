@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.drivers.device import CanFrame
@@ -176,46 +174,3 @@ def test_the_filter_slows_a_step():
     for k in range(1, 17):
         last = wrench(answer(device, 0x0A, t=T0 + k * MS))[0]
     assert last - before == pytest.approx(10.0 * (1 - np.exp(-2 * np.pi * 10 * 0.016)), abs=0.05)
-
-
-@pytest.mark.parametrize(
-    ("fault", "lengths"),
-    [("ft.lost_first", [(2, 8)]), ("ft.lost_second", [(1, 8)]), ("ft.short", [(1, 8), (2, 6)]), ("ft.late", [(1, 8)]),
-     ("ft.doubled", [(1, 8), (2, 8)] * 2), ("ft.foreign", [(0x80, 0), (1, 8), (2, 8)]), ("ft.silent", [])],
-)  # fmt: skip
-def test_faults_of_the_stream(fault, lengths):
-    """Samples suffer, answers to commands do not."""
-    device, world = sensor()
-    world.faults.add(fault)
-    assert [(f.arbitration_id, len(f.data)) for f in ask(device, 0x0A)] == lengths
-    if fault != "ft.silent":
-        assert len(ask(device, 0x02, t=T0 + NS_PER_S)) >= 2
-
-
-def test_a_restart_ends_the_stream():
-    """The sensor comes back idle, as after power-up."""
-    device, world = sensor()
-    ask(device, 0x0B)
-    world.faults.add("ft.reset")
-    assert device.poll(T0 + 20 * MS) == []
-    assert device.wakeup_ns == NEVER_NS
-
-
-def test_a_host_that_slept_gets_the_last_samples_only():
-    """Ten at most after a pause of the event loop, in order, and the grid of time is kept."""
-    device, _ = sensor(rate_code=8)
-    ask(device, 0x0B)
-    assert len(device.poll(T0 + NS_PER_S)) == 20
-    assert device.wakeup_ns == T0 + NS_PER_S + MS
-
-
-@given(st.lists(st.tuples(st.integers(0, 0x7FF), st.binary(max_size=8)), max_size=30))
-def test_no_frame_upsets_the_sensor(frames):
-    """Any traffic: no exception, and a reading afterwards."""
-    device, _ = sensor()
-    for k, (identifier, data) in enumerate(frames):
-        device.feed(CanFrame(identifier, data), T0 + k)
-        device.poll(T0 + k)
-    ask(device, 0x0C)
-    device.poll(T0 + NS_PER_S)
-    assert len(ask(device, 0x0A, t=T0 + NS_PER_S)) == 2

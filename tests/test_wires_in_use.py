@@ -57,7 +57,7 @@ def longest_silence(bus, seconds, until=lambda: False):
     return longest
 
 
-@pytest.mark.parametrize("sensor", ["ati_netcanoem", "robotous_rft"])
+@pytest.mark.parametrize("sensor", ["ati_netcanoem", "robotous_rft", "iit_strain"])
 def test_a_check_of_another_folder_leaves_the_wire_alone(tmp_path, sensor):
     """`check` with the same wires and another --dir: it says who has the wire, and the samples flow on."""
     with virtual_robot(sensor=sensor) as robot, daemon_on(robot, tmp_path, sensor) as (addresses, environ):
@@ -79,7 +79,7 @@ def test_a_check_of_another_folder_leaves_the_wire_alone(tmp_path, sensor):
         assert robot.control.state()["counters"]["can0"]["refused"] == 0
 
 
-@pytest.mark.parametrize("sensor", ["ati_netcanoem", "robotous_rft"])
+@pytest.mark.parametrize("sensor", ["ati_netcanoem", "robotous_rft", "iit_strain"])
 def test_a_channel_that_is_closed_behind_our_back_is_opened_again(tmp_path, sensor):
     """Another program writes `C`, three times: samples again within 2 s, and the sensor's zero is kept."""
     with virtual_robot(sensor=sensor) as robot, daemon_on(robot, tmp_path, sensor) as (addresses, _):

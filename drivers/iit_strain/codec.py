@@ -19,20 +19,20 @@ from enum import IntEnum
 from typing import Final
 
 from galen_hw.drivers.device import CanFrame
+from galen_hw.drivers.pairing import PairLayout
 
 HOST: Final = 0
 CLASS_COMMAND, CLASS_STREAM = 2, 3
 LENGTHS: Final = (6, 7)
 """Of a frame of the stream, in bytes: the longer one tells which channels are at their limit."""
 ZERO: Final = 0x8000
-AXES: Final = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 LIMITS: Final = {1: "low", 2: "high"}
 """Of a channel in the seventh byte: two bits each from bit 2 up, below them whether there is any."""
 _VECTOR: Final = struct.Struct("<3H")
 
 
 class Command(IntEnum):
-    """Numbers of the commands that are used here."""
+    """Number the commands that are used here."""
 
     SET_TRANSMISSION = 0x07
     SET_PERIOD = 0x08
@@ -43,7 +43,7 @@ class Command(IntEnum):
 
 
 class Stream(IntEnum):
-    """Kinds of messages of class 3 that are used here."""
+    """Number the kinds of messages of class 3 that are used here."""
 
     FORCE = 0xA
     TORQUE = 0xB
@@ -83,6 +83,11 @@ def stream_id(address: int, kind: Stream) -> int:
     return CLASS_STREAM << 8 | address << 4 | kind
 
 
+def layout(address: int) -> PairLayout:
+    """Return what the two frames of a sample are: force, then torque."""
+    return PairLayout(stream_id(address, Stream.FORCE), stream_id(address, Stream.TORQUE), LENGTHS)
+
+
 def command(address: int, number: Command, *parameters: int) -> CanFrame:
     """Encode a command.
 
@@ -97,7 +102,7 @@ def command(address: int, number: Command, *parameters: int) -> CanFrame:
 
 
 def decode_vector(data: bytes) -> tuple[tuple[int, int, int], int]:
-    """Decode force or torque in counts (signed, full scale 0x8000), and the seventh byte, 0 where there is none."""
+    """Decode force or torque in counts (signed, 0x8000 a full scale in N or N m), and the seventh byte, 0 where there is none."""
     x, y, z = _VECTOR.unpack_from(data)
     return (x - ZERO, y - ZERO, z - ZERO), data[6] if len(data) > 6 else 0
 

@@ -4,43 +4,30 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.drivers.dialogue import DialogueError, Expect, Query
 from galen_hw.drivers.iit_strain import codec
-from galen_hw.drivers.iit_strain.codec import AXES, Command
+from galen_hw.drivers.iit_strain.codec import Command
+from galen_hw.drivers.paired_sensor import AXES, PairedSettings
 
 MS_PER_S = 1000
 
 
-class IitStrainSettings(BaseModel):
-    """Keys of an `iit_strain` device.
+class IitStrainSettings(PairedSettings):
+    """Set up an `iit_strain` device.
 
     Args:
         rate_hz: of the stream: 1000 divided by a whole number up to 255. What a board keeps up with is not published: the
             status tells what comes.
         address: of the board on the bus, 1 to 14, as it was set when the sensor was configured.
-        serial_number: refuse any other sensor; none accepts what answers.
-        pair_window_s: the torque of a sample comes within this time of the force (at most half a period).
-        stall_s: after a silence this long, what had piled up on the way is dropped: its times are not known.
-        sample_timeout_s: a stream silent for this long is started anew.
-        reply_timeout_s, tries, retry_s: patience with the questions of the start.
         zero_samples: averaged for `zero`, unless the request says otherwise.
         zero_kept_s: a restarted daemon goes on with the zero it had if the sensor was out of its sight for no longer.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
     rate_hz: float = Field(default=100.0, gt=0.0, le=1000.0)
     address: int = Field(default=1, ge=1, le=14)
-    serial_number: str | None = None
-    pair_window_s: float = Field(default=0.005, gt=0.0)
-    stall_s: float = Field(default=0.02, gt=0.0)
-    sample_timeout_s: float = Field(default=0.5, gt=0.0)
-    reply_timeout_s: float = Field(default=0.1, gt=0.0, le=10.0)
-    tries: int = Field(default=3, ge=1, le=100)
-    retry_s: float = Field(default=1.0, gt=0.0, le=60.0)
     zero_samples: int = Field(default=100, ge=1, le=1_000_000)
     zero_kept_s: float = Field(default=60.0, ge=0.0, le=86400.0)
 
@@ -55,18 +42,18 @@ class IitStrainSettings(BaseModel):
 
     @property
     def period_ms(self) -> int:
-        """From sample to sample, ms."""
+        """Return the time from sample to sample, ms."""
         return round(MS_PER_S / self.rate_hz)
 
     @property
     def period_ns(self) -> int:
-        """From sample to sample, ns."""
+        """Return the time from sample to sample, ns."""
         return self.period_ms * NS_PER_S // MS_PER_S
 
 
 @dataclass(frozen=True)
 class IitStrainIdentity:
-    """What the start found out: who answers, and its full scales in N and N m."""
+    """Hold what the start found out: who answers, and its full scales, (6,) N and N m."""
 
     board: str
     serial_number: str
@@ -75,14 +62,14 @@ class IitStrainIdentity:
 
     @property
     def described(self) -> str:
-        """For people."""
+        """Describe the sensor for people, full scales in N and N m."""
         *force, tx, ty, tz = self.full_scales
         scales = f"full scales {', '.join(map(str, force))} N, {tx}, {ty}, {tz} N m"
         return f"{self.board}, sensor {self.serial_number or 'of unknown number'}, firmware {self.firmware}, {scales}"
 
 
 def query(settings: IitStrainSettings, name: str, number: Command, *parameters: int, wait_s: float = 0.001) -> Query:
-    """Return the question of a command; what has no answer is left in peace for `wait_s`."""
+    """Return the question of a command; what has no answer is left in peace for `wait_s`, s."""
     request = codec.command(settings.address, number, *parameters)
     if number not in codec.ANSWER_LENGTHS:
         return Query(name, request, wait_ns=round(wait_s * NS_PER_S))
@@ -92,7 +79,7 @@ def query(settings: IitStrainSettings, name: str, number: Command, *parameters: 
 
 
 def identify(settings: IitStrainSettings) -> Generator[Query, bytes, IitStrainIdentity]:
-    """Stop, ask, set: everything but the start of the stream.
+    """Stop, ask, set: everything but the start of the stream; full scales in N and N m, the period in ms.
 
     The board's own tare is taken away: whether another program made one is not known, and it is lost with the power.
 
@@ -109,11 +96,7 @@ def identify(settings: IitStrainSettings) -> Generator[Query, bytes, IitStrainId
             f"another address than {settings.address}?",
         )
     serial_number = codec.decode_text((yield query(settings, "the serial number", Command.GET_SERIAL_NUMBER)))
-    if settings.serial_number not in (None, serial_number):
-        raise DialogueError(
-            f"sensor {serial_number} answers, but sensor {settings.serial_number} is configured",
-            "connect the right sensor or change its serial_number in the configuration",
-        )
+    settings.require(serial_number)
     full_scales = []
     for channel, axis in enumerate(AXES):
         answer = yield query(settings, f"the full scale of {axis}", Command.GET_FULL_SCALE, channel)

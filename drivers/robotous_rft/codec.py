@@ -10,6 +10,7 @@ from enum import IntEnum
 from typing import Final
 
 from galen_hw.drivers.device import CanFrame
+from galen_hw.drivers.pairing import PairLayout
 
 LENGTH: Final = 8
 DATA: Final = struct.Struct(">x6hB2x")
@@ -76,6 +77,11 @@ MODELS: Final = {
     "RFT82-HA02": Model(50.0, 1000.0, 1000),
     "RFT80-6A01": Model(50.0, 1000.0, 1000),
 }
+
+
+def layout(transmitter1_id: int, transmitter2_id: int) -> PairLayout:
+    """Return what the two frames of a sample are; the first bears the stream's number."""
+    return PairLayout(transmitter1_id, transmitter2_id, (LENGTH,), bytes([Command.START_OUTPUT]))
 
 
 def command(receiver_id: int, number: Command, *parameters: int) -> CanFrame:

@@ -4,15 +4,16 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.drivers.dialogue import DialogueError, Expect, Query
+from galen_hw.drivers.paired_sensor import AXES, PairedSettings
 from galen_hw.drivers.robotous_rft import codec
 from galen_hw.drivers.robotous_rft.codec import Command, Model
 
 
-class RobotousSettings(BaseModel):
+class RobotousSettings(PairedSettings):
     """Keys of a `robotous_rft` device.
 
     Args:
@@ -22,16 +23,9 @@ class RobotousSettings(BaseModel):
         receiver_id, transmitter1_id, transmitter2_id: CAN identifiers, 1 to 255, all different.
         model: instead of the name that the sensor gives.
         counts_per_newton, counts_per_newton_metre: instead of the model's scaling (the manual's DF and DT).
-        serial_number: refuse any other sensor; none accepts what answers.
-        pair_window_s: the second frame of a sample comes within this time of the first (at most half a period).
-        stall_s: after a silence this long, what had piled up on the way is dropped: its times are not known.
-        sample_timeout_s: a stream silent for this long is started anew.
-        reply_timeout_s, tries, retry_s: patience with the questions of the start.
         zero_samples: samples that show whether a `zero` took, unless the request says otherwise.
         zero_force_n, zero_torque_nm: what their mean may be at most.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     rate_hz: int = 200
     filter_hz: int | None = None
@@ -41,13 +35,6 @@ class RobotousSettings(BaseModel):
     model: str | None = None
     counts_per_newton: float | None = Field(default=None, gt=0.0)
     counts_per_newton_metre: float | None = Field(default=None, gt=0.0)
-    serial_number: str | None = None
-    pair_window_s: float = Field(default=0.005, gt=0.0)
-    stall_s: float = Field(default=0.02, gt=0.0)
-    sample_timeout_s: float = Field(default=0.5, gt=0.0)
-    reply_timeout_s: float = Field(default=0.1, gt=0.0, le=10.0)
-    tries: int = Field(default=3, ge=1, le=100)
-    retry_s: float = Field(default=1.0, gt=0.0, le=60.0)
     zero_samples: int = Field(default=100, ge=1, le=1_000_000)
     zero_force_n: float = Field(default=1.0, gt=0.0)
     zero_torque_nm: float = Field(default=0.05, gt=0.0)
@@ -63,6 +50,11 @@ class RobotousSettings(BaseModel):
         if self.model is not None and self.model not in codec.MODELS and not self._scaled:
             raise ValueError(f"model must be one of {sorted(codec.MODELS)}, or counts_per_newton and _metre be given")
         return self
+
+    @property
+    def period_ns(self) -> int:
+        """Return the time from sample to sample, ns."""
+        return NS_PER_S // self.rate_hz
 
     @property
     def _scaled(self) -> bool:
@@ -110,11 +102,7 @@ def identify(settings: RobotousSettings) -> Generator[Query, bytes, RobotousIden
         yield query(settings, "stop", Command.STOP_OUTPUT, wait_s=0.02)
     model = codec.decode_text((yield query(settings, "the model name", Command.READ_MODEL)))
     serial_number = codec.decode_text((yield query(settings, "the serial number", Command.READ_SERIAL_NUMBER)))
-    if settings.serial_number not in (None, serial_number):
-        raise DialogueError(
-            f"sensor {serial_number} answers, but sensor {settings.serial_number} is configured",
-            "connect the right sensor or change its serial_number in the configuration",
-        )
+    settings.require(serial_number)
     firmware = codec.decode_text((yield query(settings, "the firmware version", Command.READ_FIRMWARE)))
     scaling = _scaling(settings, settings.model or model)
     yield from _set_rate_and_filter(settings)
@@ -163,6 +151,3 @@ def _accept(key: str, response: bytes) -> None:
     error = codec.decode_result(response)
     if error:
         raise DialogueError(f"the sensor refuses {key}: {error}", f"choose a {key} that this model knows")
-
-
-AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")

@@ -6,6 +6,7 @@ import numpy as np
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.drivers.device import CanFrame, Output
+from galen_hw.drivers.paired_sensor import told
 from galen_hw.drivers.reporting import FAR_NS
 from galen_hw.drivers.robotous_rft.codec import Command, command
 from galen_hw.drivers.robotous_rft.start import RobotousSettings
@@ -72,22 +73,20 @@ class DeviceBias:
         self._samples.append(wrench)
         if len(self._samples) < self._wanted:
             return [], []
-        mean = np.mean(self._samples, axis=0)
+        samples = np.array(self._samples)
+        mean = samples.mean(axis=0)
         force, torque = float(np.linalg.norm(mean[:3])), float(np.linalg.norm(mean[3:]))
         if force <= self.settings.zero_force_n and torque <= self.settings.zero_torque_nm:
             self._done += 1
             self.active, self.zeroings, self.deadline_ns = False, self._done, FAR_NS
-            result = {
-                "samples": len(self._samples),
-                "mean_force_n": mean[:3].tolist(),
-                "mean_torque_nm": mean[3:].tolist(),
-                "std_force_n": np.std(self._samples, axis=0)[:3].tolist(),
-                "std_torque_nm": np.std(self._samples, axis=0)[3:].tolist(),
-            }
-            return [], [Reply(id=self._request_id, result=result)]
+            return [], [Reply(id=self._request_id, result=told(samples))]
         if self._tries < self.settings.tries:
             return self._send(t_ns), []
         return [], self.give_up("fault", f"{force:.2f} N and {torque:.3f} N m remain: it is touched, or does not obey")
+
+    def expire(self) -> list[Output]:
+        """The samples did not come in time."""
+        return self.give_up("timeout", "too few samples came in time")
 
     def give_up(self, kind: str, what: str) -> list[Output]:
         """End a zeroing that cannot succeed."""

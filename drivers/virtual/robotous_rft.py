@@ -5,38 +5,25 @@ Commands are eight bytes to the receiver's identifier; a response is sixteen byt
 
 import struct
 from collections.abc import Callable
-from heapq import heappop, heappush
-from typing import ClassVar, Final, Literal, TypeAlias
+from typing import ClassVar, Final, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.drivers.device import CanFrame
-from galen_hw.drivers.virtual.faults import FaultPicker
+from galen_hw.drivers.virtual.paired_sensor import FAULTS, NEVER_NS, VirtualPairedSensor
 from galen_hw.drivers.virtual.world import World
 from galen_hw.spatial import Array
 
-NEVER_NS: Final = 2**63 - 1
 _READ_ONCE, _START, _STOP, _BIAS = 0x0A, 0x0B, 0x0C, 0x11
 _RATES_HZ: Final = (200, 10, 20, 50, 100, 200, 333, 500, 1000)
 _CUTOFFS_HZ: Final = (0, 500, 300, 200, 150, 100, 50, 40, 30, 20, 10, 5, 3, 2, 1)
 _UNSUPPORTED, _OUT_OF_RANGE, _FAILED = 1, 2, 3
 _OVERLOAD: Final = 1.2
 _Command: TypeAlias = Callable[[bytes, int], bytes]
-_FAULTS: Final = {
+_FAULTS: Final = FAULTS | {
     "ft.saturated": "the axis of that number (0) reads full scale and is flagged",
-    "ft.noise": "that many counts (20) of extra noise on every axis",
-    "ft.stuck": "all axes keep their values",
-    "ft.stuck_axis": "the axis of that number (0) keeps its value",
-    "ft.lost_first": "the first frame of a sample is lost",
-    "ft.lost_second": "the second frame of a sample is lost",
-    "ft.late": "the second frame of a sample comes late by `late_s`",
-    "ft.doubled": "a sample comes twice",
-    "ft.short": "the second frame of a sample has six bytes",
-    "ft.foreign": "frames of other nodes around each sample",
-    "ft.silent": "no answer and no sample at all",
-    "ft.reset": "the sensor restarts once, and is idle",
     "ft.set_fails": "settings cannot be stored (error 3)",
 }
 
@@ -67,7 +54,7 @@ class RftSettings(BaseModel):
     late_s: float = Field(0.03, ge=0.0)
 
 
-class VirtualRobotousRft:
+class VirtualRobotousRft(VirtualPairedSensor):
     """The sensor; idle after power-up.
 
     Args:
@@ -76,14 +63,13 @@ class VirtualRobotousRft:
     """
 
     Settings: ClassVar = RftSettings
-    wire: ClassVar[Literal["can"]] = "can"
     FAULTS: ClassVar = _FAULTS
-    bit_rate: Final = 1_000_000
+    SEED: ClassVar = 7
+    SHORT: ClassVar = 6
 
     def __init__(self, settings: RftSettings, world: World) -> None:
-        self._settings, self._world = settings, world
-        self._faults = FaultPicker(world, frozenset(_FAULTS))
-        self._rng = np.random.default_rng(world.seed + 7)
+        super().__init__(world, settings.late_s)
+        self._settings = settings
         self._scale = np.repeat([settings.df, settings.dt], 3)
         self._rating = np.asarray(settings.rating)
         self._stored_ids = settings.ids
@@ -104,25 +90,15 @@ class VirtualRobotousRft:
             0x10: lambda _d, _t: bytes((self._rate_code,)),
             0x12: lambda _d, _t: bytes(self._overloads),
         }
-        self.counters = {"commands": 0, "samples": 0, "ignored": 0}
         self.power_cycle(0)
-
-    @property
-    def wakeup_ns(self) -> int:
-        """When `poll` has something to send."""
-        queued = self._queue[0][0] if self._queue else NEVER_NS
-        return min(queued, self._next_sample_ns)
 
     def power_cycle(self, t_ns: int) -> None:
         """Switch off and on: identifiers and baud rate come into force, the bias is gone, the output is stopped."""
-        del t_ns
+        self._idle()
         self._ids, self._baud = self._stored_ids, (self._baud[1], self._baud[1])
-        self._queue: list[tuple[int, int, CanFrame]] = []
-        self._sent, self._next_sample_ns = 0, NEVER_NS
         self._bias: Array = np.zeros(6)
         self._filtered: tuple[int, Array] | None = None
         self._overloads, self._over = [0] * 6, [False] * 6
-        self._last: Array = np.zeros(6)
 
     def feed(self, wire: CanFrame, t_ns: int) -> None:
         """Take a frame from the bus."""
@@ -144,34 +120,12 @@ class VirtualRobotousRft:
         else:
             self._respond(command, self._commands.get(command, self._unsupported)(wire.data[1:], t_ns), t_ns)
 
-    def poll(self, now_ns: int) -> list[CanFrame]:
-        """Frames whose time has come; a stream that was not asked for long sends at most its last ten samples."""
-        if self._next_sample_ns <= now_ns:
-            if not (self._faults.any and self._broken(now_ns)):
-                self._stream(now_ns)
-            elif self._next_sample_ns != NEVER_NS:  # Silent, not restarted: it goes on measuring.
-                self._next_sample_ns = now_ns + self._period
-        out: list[CanFrame] = []
-        while self._queue and self._queue[0][0] <= now_ns:
-            out.append(heappop(self._queue)[2])
-        return out
-
     @property
-    def _period(self) -> int:
+    def _period_ns(self) -> int:
         return NS_PER_S // _RATES_HZ[self._rate_code]
 
-    def _stream(self, now_ns: int) -> None:
-        backlog = (now_ns - self._next_sample_ns) // self._period
-        self._next_sample_ns += max(0, backlog - 9) * self._period
-        while self._next_sample_ns <= now_ns:
-            self._respond(_START, self._reading(self._next_sample_ns), self._next_sample_ns)
-            self._next_sample_ns += self._period
-
-    def _broken(self, t_ns: int) -> bool:
-        if self._faults.begins("ft.reset"):
-            self.power_cycle(t_ns)
-            return True
-        return self._faults.strikes("ft.silent")
+    def _sample(self, t_ns: int) -> None:
+        self._respond(_START, self._reading(t_ns), t_ns)
 
     def _measured(self, t_ns: int) -> Array:
         """(6,) N, N m, offset and filter included, bias not."""
@@ -187,45 +141,22 @@ class VirtualRobotousRft:
         """R1..R13: six big-endian int16 and the overload flags, bit 5 for Fx to bit 0 for Tz."""
         self.counters["samples"] += 1
         load = self._measured(t_ns)
-        saturated = {number or 0 for number in self._faults.hits("ft.saturated")}
+        saturated = self._saturated()
         over = [k in saturated or abs(load[k]) > _OVERLOAD * self._rating[k] for k in range(6)]
         for k in range(6):
             self._overloads[k] = min(255, self._overloads[k] + (over[k] and not self._over[k]))
         self._over = over
-        exact = (load - self._bias) * self._scale
-        for sigma in self._faults.hits("ft.noise"):
-            exact = exact + self._rng.standard_normal(6) * (20 if sigma is None else sigma)
-        exact[sorted(saturated)] = 32767
-        stuck = sorted({number or 0 for number in self._faults.hits("ft.stuck_axis")})
-        exact[stuck] = self._last[stuck]
-        self._last = self._last if self._faults.strikes("ft.stuck") else exact
-        counts = np.clip(np.rint(self._last), -32768, 32767).astype(int).tolist()
+        exact = self._noisy((load - self._bias) * self._scale)
+        exact[sorted(saturated)] = 0x7FFF
+        counts = self._held(exact)
         return struct.pack(">6hB", *counts, sum(flag << (5 - k) for k, flag in enumerate(over)))
 
     def _respond(self, command: int, parameters: bytes, t_ns: int) -> None:
         """Two frames; samples pass through the faults."""
         data = bytes((command,)) + parameters.ljust(15, b"\x00")
         first, second = CanFrame(self._ids[1], data[:8]), CanFrame(self._ids[2], data[8:])
-        if command not in {_READ_ONCE, _START} or not self._faults.any:
-            self._send(t_ns, first, second)
-            return
-        strikes = self._faults.strikes
-        before = [CanFrame(0x080)] if strikes("ft.foreign") else []
-        if not strikes("ft.lost_first"):
-            before.append(first)
-        after = [] if strikes("ft.lost_second") else [second]
-        if strikes("ft.short"):
-            after = [CanFrame(second.arbitration_id, second.data[:6])]
-        if strikes("ft.doubled"):
-            after += [*before, *after]
-        late = round(self._settings.late_s * NS_PER_S) if strikes("ft.late") else 0
-        self._send(t_ns, *before)
-        self._send(t_ns + late, *after)
-
-    def _send(self, t_ns: int, *frames: CanFrame) -> None:
-        for frame in frames:
-            self._sent += 1
-            heappush(self._queue, (t_ns, self._sent, frame))
+        send = self._send_sample if command in {_READ_ONCE, _START} else self._send
+        send(t_ns, first, second)
 
     def _unsupported(self, _data: bytes, _t_ns: int) -> bytes:
         return bytes((0, _UNSUPPORTED))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from galen_hw.clock import TimeBase
 from galen_hw.drivers.device import CanFrame, Device, Output
 
 VECTORS = Path(__file__).parents[1] / "vectors"
@@ -72,6 +73,27 @@ class Peer:
 
 
 @dataclass
+class Virtual:
+    """A virtual device, in its world, as a peer."""
+
+    device: Any
+    world: Any
+
+    def take(self, wires: list[Any], now_ns: int) -> None:
+        self.world.advance(now_ns)
+        for wire in wires:
+            self.device.feed(wire, now_ns)
+
+    def give(self, now_ns: int) -> list[Any]:
+        self.world.advance(now_ns)
+        return list(self.device.poll(now_ns))
+
+    @property
+    def due_ns(self) -> int:
+        return int(self.device.wakeup_ns)
+
+
+@dataclass
 class Run:
     """A device, its peer, and all that came of it.
 
@@ -83,7 +105,7 @@ class Run:
     """
 
     device: Device[Any]
-    peer: Peer
+    peer: Any
     now_ns: int = 1_000_000_000
     spoil: Callable[[Any], list[Any]] = lambda wire: [wire]
     outputs: list[Output] = field(default_factory=list)
@@ -136,3 +158,8 @@ class Run:
     @property
     def replies(self) -> list[Any]:
         return [output for output in self.outputs if not isinstance(output, tuple)]
+
+
+def virtual_run(driver: Any, device: Any, world: Any, **settings: Any) -> Run:
+    """A started driver against a virtual device."""
+    return Run(driver("ft", driver.Settings(**settings), TimeBase()), Virtual(device, world)).start()
