@@ -12,11 +12,13 @@ from galen_hw.premises.base import Action, Claim, Examination, Premise, Remark, 
 
 PREMISES: Final = (
     "cells.LostValues",
+    "blanks.BlankSamples",
     "sampling.OuterJoin",
     "clock.RowOrder",
     "clock.ClockUnit",
     "cells.DoubledRows",
     "clock.ClockSteps",
+    "cuts.CutMotion",
     "cells.PoseRows",
     "clock.RoundedClock",
     "overflow.Overflow",
@@ -24,6 +26,7 @@ PREMISES: Final = (
     "joints.WrappedJoints",
     "clock.ClockRate",
     "sampling.Staircase",
+    "simulated_motion.SimulatedMotion",
     "position_units.PositionUnits",
     "joints.VelocityColumns",
     "joints.SignMagnitude",
@@ -43,6 +46,7 @@ PREMISES: Final = (
     "joint_reading.JointReading",
     "link_lengths.LinkLengths",
     "load.ToolTwice",
+    "tool_inertia.ToolInertia",
     "load.LoadChange",
 )
 """Modules and classes, in order."""
