@@ -70,7 +70,7 @@ def test_what_a_start_waits_for_is_said():
     """Processes first, then devices that have not answered, then samples; nothing once all is there."""
     ready, silent = (DeviceState(wire="open", ready=r, optional=False) for r in (True, False))
     tracker = DeviceState(wire="opening", ready=False, optional=True)
-    assert waits_for({"ft": silent}, ["core", "motion"], flows=False) == "processes core, motion"
+    assert waits_for({"ft": silent}, ["core", "motion"], flows=False) == "processes core, motion to start"
     assert waits_for({"ft": silent, "m": ready, "t": tracker}, [], flows=False) == "an answer of ft, t (optional)"
-    assert waits_for({"ft": ready, "m": ready}, [], flows=False) == "samples"
+    assert waits_for({"ft": ready, "m": ready}, [], flows=False) == "samples to flow"
     assert waits_for({"ft": ready}, [], flows=True) == ""

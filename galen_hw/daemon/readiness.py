@@ -68,15 +68,16 @@ class Readiness:
 
 
 def waits_for(states: Mapping[str, DeviceState], missing: Sequence[str], *, flows: bool) -> str:
-    """What a start still waits for, for people.
+    """Return what a start still waits for, in words.
 
     Args:
         states: of all devices; missing: processes that have not spoken; flows: samples flow.
     """
     if missing:
-        return f"processes {', '.join(missing)}"
+        of = "process" if len(missing) == 1 else "processes"
+        return f"{of} {', '.join(missing)} to start"
     silent = [f"{n}{' (optional)' if s.optional else ''}" for n, s in states.items() if not s.ready]
-    return f"an answer of {', '.join(silent)}" if silent else "samples" if not flows else ""
+    return f"an answer of {', '.join(silent)}" if silent else "samples to flow" if not flows else ""
 
 
 def _spoken(state: DeviceState | None) -> bool:

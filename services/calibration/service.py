@@ -318,7 +318,9 @@ class CalibrationService(Service):
     def _watch(self, run: Run, now_ns: int) -> None:
         """Raise if the client or the data have gone."""
         if now_ns - self._heartbeat_ns > run.settings.heartbeat_s * NS_PER_S:
-            raise SweepStoppedError("the client that started the sweep is gone", "start it again", kind="lost")
+            silent_s = (now_ns - self._heartbeat_ns) / NS_PER_S
+            what = f"the client that started the sweep is gone, or too busy: silent for {silent_s:.1f} s"
+            raise SweepStoppedError(what, "start it again", kind="lost")
         if run.paused or not (who := run.silent()):
             return
         if self._script is None or run.state not in ("moving", "settling", "averaging") or run.kind == "check":
