@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from galen_hw.kinematics import NOMINAL_GRAVITY, Robot
+from galen_hw.kinematics import NOMINAL_GRAVITY, Robot, UrdfRobot
 from galen_hw.physics.rigid import Body
 from galen_hw.spatial import Array
 
@@ -59,6 +59,10 @@ class Belief:
         """What weighs on the sensor: the tool, links of the robot, and what hung there before the tool."""
         bodies = (self.tool, *self.distal) if self.bias_body is None else (self.tool, *self.distal, self.bias_body)
         return tuple(body for body in bodies if body.mass > 0.0)
+
+    def slides(self, joint: str) -> bool:
+        """Return whether a joint is prismatic: as the URDF says, without one by the names of the Galen's carriages."""
+        return self.robot.slides(joint) if isinstance(self.robot, UrdfRobot) else joint.startswith("carriage")
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from galen_hw.kinematics import Robot, UrdfRobot
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
@@ -39,7 +38,7 @@ class PositionUnits:
             return
         # A prismatic joint's limits are metres, mostly below one: told apart by what the robot itself says.
         for slides, units in ((False, ANGLES), (True, LENGTHS)):
-            joints = [k for k, name in enumerate(robot.joint_names) if _slides(robot, k) is slides]
+            joints = [k for k, name in enumerate(robot.joint_names) if seen.belief.slides(name) is slides]
             names = [f"joint.{robot.joint_names[k]}.position" for k in joints]
             present = [(n, k) for n, k in zip(names, joints, strict=True) if n in seen.columns]
             beyond = [
@@ -149,13 +148,6 @@ def _velocity_scale(seen: Observations, joint: str) -> float | None:
         return None
     change, told = found
     return float(np.sum(told * change) / np.sum(change**2))
-
-
-def _slides(robot: Robot, k: int) -> bool:
-    """Return whether joint k of a robot is prismatic."""
-    if isinstance(robot, UrdfRobot):
-        return bool(robot.model.joints[k + 1].shortname().startswith("JointModelP"))
-    return robot.joint_names[k].startswith("carriage")
 
 
 def _beyond(values: Array, low: float, high: float, *, slides: bool) -> float:

@@ -113,7 +113,7 @@ class Compliance(Effect):
             return (Parameter("compliance", f"{scene.units[0]} a unit"),)
         if self.form != "joint":
             return tuple(Parameter(f"compliance_{letter}", "m/N") for letter in "xyz")
-        return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
+        return (Parameter("compliance", scene.compliance_unit(self.joint)),)
 
     def _links(self, scene: Scene) -> list[str]:
         names = [joint_of(name) for name in scene.channels]
@@ -184,7 +184,7 @@ class Hardening(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Give per power of the load."""
         if self.knee is not None:
-            return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
+            return (Parameter("compliance", scene.compliance_unit(self.joint)),)
         return (Parameter("coefficient", f"rad or m/(load)^{self.power}"),)
 
     def follows(self, scene: Scene, channel: int) -> Follows:

@@ -138,7 +138,7 @@ class Creep(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Settled share of the load, or give of the joint."""
         if self.joint and scene.observations.predict != "position":
-            return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
+            return (Parameter("compliance", scene.compliance_unit(self.joint)),)
         # What is missing at first by more than that is behind a filter: matter that gives so much is no part of a machine.
         return (Parameter("share", "1", furthest=FARTHEST_SCALE),)
 

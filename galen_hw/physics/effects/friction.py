@@ -151,7 +151,7 @@ class Friction(Effect):
         unit = scene.units[_place(scene, self.joint)]
         low, high = (0.0, np.inf) if _is_effort(scene) else (-np.inf, 0.0)
         c = Parameter("coulomb", unit, low, high)
-        v = Parameter("viscous", f"{unit}/(rad/s)" if unit != "N" else "N s/m")
+        v = Parameter("viscous", {"N m": "N m/(rad/s)", "N": "N s/m"}.get(unit, "s"))
         if self.form == "asymmetric":
             return (
                 Parameter("coulomb_forward", unit, low, high),

@@ -6,7 +6,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.channels import joint_of, joint_unit
+from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns, in_all
 from galen_hw.physics.effects.parameters import FARTHEST_SCALE, Parameter
@@ -69,7 +69,7 @@ class JointOffset(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Error of the zero."""
-        return (Parameter("offset", joint_unit(self.joint)),)
+        return (Parameter("offset", scene.joint_units(self.joint)[0]),)
 
     def columns(self, scene: Scene) -> Columns:
         """Slope of the misread arm, else the joint's port."""

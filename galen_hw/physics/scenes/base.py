@@ -299,6 +299,14 @@ class Scene(Operated):
         """Place of a joint."""
         return self.joint_names.index(name)
 
+    def joint_units(self, joint: str) -> tuple[str, str]:
+        """Return the units of a joint's position and load: m and N where it slides, rad and N m where it turns."""
+        return ("m", "N") if self.belief.slides(joint) else ("rad", "N m")
+
+    def compliance_unit(self, joint: str) -> str:
+        """Return the unit of a joint's compliance: m/N where it slides, rad/(N m) where it turns."""
+        return "m/N" if self.belief.slides(joint) else "rad/(N m)"
+
     @cached_property
     def moved(self) -> tuple[str, ...]:
         """Joints whose position is known and changes."""

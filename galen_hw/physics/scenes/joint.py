@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.lazy import cached_property
+from galen_hw.physics.channels import joint_of
 from galen_hw.physics.scenes.base import Scene, once
 from galen_hw.physics.signals.differentiation import CUT, has_line, smoothed
 from galen_hw.spatial import Array
@@ -35,15 +36,9 @@ class JointScene(Scene):
 
     @property
     def units(self) -> tuple[str, ...]:  # type: ignore[override]
-        """N m or rad; N or m for a prismatic joint of a URDF."""
-        turn, slide = ("N m", "N") if self.kind == "effort" else ("rad", "m")
-        return tuple(slide if self._prismatic(name) else turn for name in self.channels)
-
-    def _prismatic(self, channel: str) -> bool:
-        robot = self.belief.robot
-        if not isinstance(robot, UrdfRobot):
-            return channel.startswith("joint.carriage")
-        return robot.slides(_joint(channel))
+        """N m or rad; N or m for a prismatic joint."""
+        which = ("position", "effort").index(self.kind)
+        return tuple(self.joint_units(joint_of(name))[which] for name in self.channels)
 
     def channel_of(self, joint: str) -> int | None:
         """Place of a joint's channel; None where it is not compared."""
@@ -66,7 +61,7 @@ class JointScene(Scene):
 
     def _along(self, values: Array) -> Array:
         """Columns of compared joints, coarse rows brought to all rows."""
-        order = [self.joint_index(_joint(name)) for name in self.channels]
+        order = [self.joint_index(joint_of(name)) for name in self.channels]
         return np.asarray(values[:, order])
 
     def _coarse(self, run: Callable[[Any], Array], *, most: int = 4000) -> Array:
@@ -264,7 +259,7 @@ class EffortScene(JointScene):
             return np.swapaxes(robot.link_jacobian(q, joint) if joint else robot.sensor_jacobian(q), 1, 2)
 
         pose, jacobian = self._coarse(pose_of), self._coarse(turned)
-        order = [self.joint_index(_joint(name)) for name in self.channels]
+        order = [self.joint_index(joint_of(name)) for name in self.channels]
         return pose, -jacobian[:, order]
 
     @once
@@ -312,7 +307,7 @@ class PositionScene(JointScene):
         for instead in (self.observations.joints("command"), np.zeros(out.shape)):
             out = np.where(np.isfinite(out).all(axis=0), out, instead)
         for place, name in enumerate(self.channels):
-            out[:, self.joint_index(_joint(name))] = self.simulated[:, place]
+            out[:, self.joint_index(joint_of(name))] = self.simulated[:, place]
         return out
 
     @once
@@ -327,7 +322,7 @@ class PositionScene(JointScene):
         if channel not in self.channels:
             return None
         place = self.channels.index(channel)
-        v = self.rates[0][:, self.joint_index(_joint(channel))]
+        v = self.rates[0][:, self.joint_index(joint_of(channel))]
         quick = 0.3 * float(np.std(v))
         ways = [self.residual[way, place] for way in (v > quick, v < -quick)]
         known = quick > 0.0 and all(np.isfinite(way).sum() >= FEW for way in ways)
@@ -393,8 +388,3 @@ class PositionScene(JointScene):
         if robot is None:
             return None
         return -np.asarray(robot.inverse_dynamics(self.q, *(np.zeros_like(self.q) for _ in range(2))))
-
-
-def _joint(channel: str) -> str:
-    """NAME of joint.NAME.kind."""
-    return channel.split(".", 1)[1].rsplit(".", 1)[0]
