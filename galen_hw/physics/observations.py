@@ -126,6 +126,10 @@ class Observations:
         """Return whether any column begins so."""
         return any(name.startswith(prefix) for name in self.columns)
 
+    def has_all(self, *names: str) -> bool:
+        """Return whether every one of these columns is there."""
+        return all(name in self.columns for name in names)
+
     def taken(self, rows: Any) -> "Observations":
         """The same with only some rows (slice, mask or indices)."""
         simulation = self.simulation

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.physics.observations import Observations
-from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Remark, Stage
 from galen_hw.spatial import Array
 
 Mask = NDArray[np.bool_]
@@ -167,6 +167,8 @@ def _copies(values: Array) -> Mask:
 
 def _same_stamp(time: Array, values: Array) -> Mask:
     """(N,) rows with the stamp and all values of an earlier one."""
+    if np.all(np.diff(time) > 0.0):
+        return np.zeros(len(time), dtype=bool)
     _, first = np.unique(np.column_stack([time, values]), axis=0, return_index=True)
     out = np.ones(len(time), dtype=bool)
     out[first] = False
@@ -193,6 +195,8 @@ class PoseRows:
         """Yield one remark; each pose becomes one row, with its number of samples and their standard deviations."""
         if seen.simulation is not None or seen.predict not in ("wrench", "pose", "targets"):
             return
+        if seen.time is not None and np.all(np.diff(seen.time) != 0.0):
+            return  # a clock of the rows: where poses end need not be known
         bounds = pose_bounds(seen)
         counts = np.diff([*bounds, len(seen)])
         if seen.time is not None and np.any(np.delete(np.diff(seen.time), np.array(bounds[1:], dtype=int) - 1) != 0.0):
@@ -247,8 +251,3 @@ def _spreads(seen: Observations, bounds: list[int]) -> dict[str, Array]:
         variance = np.maximum(square - mean**2, 0.0) * counts / np.maximum(counts - 1, 1)
         out[f"covariate.std.{name.removeprefix('wrench.')}"] = np.where(counts > 1, np.sqrt(variance), np.nan)
     return out
-
-
-def replaced(seen: Observations, names: list[str], values: Array) -> Observations:
-    """Return the recording with columns `names` set to values (N, k)."""
-    return with_columns(seen, dict(zip(names, values.T, strict=True)))

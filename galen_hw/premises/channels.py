@@ -9,9 +9,9 @@ import numpy as np
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
-from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known_rows, with_columns
 from galen_hw.premises.criteria import CRITERIA
-from galen_hw.premises.sampling import compared_names
+from galen_hw.premises.sampling import compared_names, measured
 from galen_hw.spatial import Array
 
 DEAD: Final = 0.05
@@ -33,10 +33,9 @@ def compared(seen: Observations) -> Scene | None:
 
 
 def _stretch(seen: Observations) -> Scene | None:
-    names = compared_names(seen)
-    robot = seen.belief.robot
-    driven = [] if robot is None else [n for j in robot.joint_names if (n := f"joint.{j}.position") in seen.columns]
-    rows = np.flatnonzero(np.isfinite(seen.matrix(*names, *driven)).all(axis=1))
+    seen = measured(seen)
+    names, robot, driven = compared_names(seen), seen.belief.robot, joint_positions(seen)
+    rows = known_rows(seen, (*names, *driven))
     if not names or len(rows) < CRITERIA.fewest_vectors:
         return None
     # In one piece: what accelerates is part of the simulation.

@@ -11,6 +11,7 @@ from galen_hw.physics.scenes.imu import turn_rates
 from galen_hw.premises.base import Action, Remark, Stage, with_columns
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.rotations import scaled
+from galen_hw.premises.wrench_reading import ORIENTATION, sensor_rotations
 from galen_hw.spatial import Array
 
 ACCELERATION: Final = tuple(f"imu.acceleration.{axis}" for axis in "xyz")
@@ -28,18 +29,17 @@ class ImuUnits:
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield a remark for each of the two."""
         time = seen.time
-        names = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
-        if seen.predict != "wrench" or seen.belief.robot is not None or not all(n in seen.columns for n in names):
+        if seen.predict != "wrench" or seen.belief.robot is not None or not seen.has_all(*ORIENTATION):
             return
-        if not seen.has("imu.") or len(seen) < 50 or not np.isfinite(seen.matrix(*names)).all():
+        if not seen.has("imu.") or len(seen) < 50 or not np.isfinite(seen.matrix(*ORIENTATION)).all():
             return
-        R = np.asarray(scene_of(seen).R)  # type: ignore[attr-defined]
+        R = sensor_rotations(scene_of(seen))
         up = -np.einsum("nji,j->ni", R, seen.belief.gravity)
         turning = np.zeros((len(seen), 3))
         if time is not None:
             turning = np.einsum("nji,nj->ni", R, turn_rates(np.asarray(time), R, seen.segments)[0])
         for columns, expected, table in ((ACCELERATION, up, ACCELERATIONS), (OMEGA, turning, RATES)):
-            if not all(name in seen.columns for name in columns):
+            if not seen.has_all(*columns):
                 continue
             scale = _scale(expected, seen.matrix(*columns))
             unit = next((u for u, f in table.items() if scale and abs(np.log(scale / f)) < CRITERIA.same_factor), None)

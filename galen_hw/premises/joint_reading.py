@@ -12,12 +12,12 @@ from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.pose import QUATERNION
-from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known_rows, with_columns
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.effort_units import beside_friction
 from galen_hw.premises.registration import poses
 from galen_hw.premises.rotations import scaled, turned_alike
-from galen_hw.premises.sampling import compared_names
+from galen_hw.premises.sampling import compared_names, measured
 from galen_hw.premises.wrench_reading import FORCE, at_rest, readings
 from galen_hw.spatial import Array, rotation_from_quaternion
 
@@ -117,17 +117,17 @@ class JointReading:
 
 def _thinned(seen: Observations) -> Observations | None:
     """Rows on which all joints and what is compared are known, evenly chosen; at rest where too far apart for a motion."""
-    robot, names = seen.belief.robot, compared_names(seen)
+    seen = measured(seen)
+    robot, names, driven = seen.belief.robot, compared_names(seen), joint_positions(seen)
     if not names or (robot is None and seen.simulation is None and seen.predict != "position"):
         return None
-    driven = () if robot is None else tuple(f"joint.{j}.position" for j in robot.joint_names)
-    if seen.simulation is None and not all(name in seen.columns for name in driven):
+    lacking = robot is not None and len(driven) < len(robot.joint_names)
+    if lacking and seen.simulation is None and seen.predict != "position":
         return None
-    driven = tuple(name for name in driven if name in seen.columns)
-    rows = np.flatnonzero(np.isfinite(seen.matrix(*names, *driven)).all(axis=1))
+    rows = known_rows(seen, (*names, *driven))
     if len(rows) < CRITERIA.fewest_vectors:
         return None
-    some = seen.taken(rows[:: max(len(rows) // CRITERIA.most_rows, 1)])
+    some = seen.taken(rows[:: -(-len(rows) // CRITERIA.most_rows)])
     spaced = some.time is not None and float(np.median(np.diff(some.time))) <= DIFFERENTIABLE_S
     return some if spaced or seen.simulation is not None else at_rest(some)
 
@@ -208,7 +208,7 @@ def _left(some: Observations, rates: Rates) -> Array | None:
 
 def _of_wrench(some: Observations) -> Array | None:
     """Of the force, whatever weighs there."""
-    if not all(name in some.columns for name in FORCE):
+    if not some.has_all(*FORCE):
         return None
     one = next(iter(readings(some))).plain
     return np.array([one.unexplained if one.Q[0, 0] > 0.0 else 1.0])
@@ -221,7 +221,7 @@ def _of_pose(some: Observations) -> Array | None:
         return None
     one = scaled(scene.simulated[:, :3], scene.measured[:, :3])
     left = [one.unexplained if one.Q[0, 0] > 0.0 else 1.0]
-    if all(name in some.columns for name in QUATERNION):
+    if some.has_all(*QUATERNION):
         expected = poses(scene)
         R = rotation_from_quaternion(some.matrix(*QUATERNION))
         spread = turned_alike(np.tile(np.eye(3), (len(some), 1, 1)), expected)[1]

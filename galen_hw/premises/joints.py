@@ -1,7 +1,6 @@
 """Joints: angles that wrap, columns of velocity that are none, numbers that were read as unsigned."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import combinations
 from typing import ClassVar, Final
 
@@ -11,11 +10,12 @@ from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns, without_columns
 from galen_hw.premises.clock import travelled
 from galen_hw.premises.criteria import CRITERIA
-from galen_hw.premises.sampling import compared_names
+from galen_hw.premises.sampling import compared_names, steps_within, unwrapped
 from galen_hw.spatial import Array
 
 TURN: Final = 2.0 * np.pi
-WRAPS: Final = {"rad": TURN, "degrees": 360.0}
+WRAPS: Final = (TURN, 360.0)
+"""A turn in rad and in degrees."""
 SURELY_MOVED: Final = 50.0
 """Times the noise of a reading that a joint must have gone before its velocities are doubted."""
 FEWEST_JUMPS: Final = 3
@@ -52,18 +52,14 @@ class WrappedJoints:
         columns, jumps = {}, 0
         for name in [*joint_columns(seen, "position"), *joint_columns(seen, "command")]:
             values = seen.columns[name]
-            there = np.isfinite(values)
-            if there.sum() < 8:
+            step = np.abs(steps_within(values, seen.segments))
+            if len(step) < 7:
                 continue
-            q = values[there]
-            step = np.abs(np.diff(q))
             usual = float(np.quantile(step, 0.95))
-            for turn in WRAPS.values():
+            for turn in WRAPS:
                 wraps = np.abs(step - turn) < max(0.05 * turn, 2.0 * usual)
-                if wraps.any() and usual < 0.1 * turn and np.ptp(q) < 1.01 * turn:
-                    fixed = values.copy()
-                    fixed[there] = np.unwrap(q, period=turn)
-                    columns[name], jumps = fixed, jumps + int(wraps.sum())
+                if wraps.any() and usual < 0.1 * turn and np.nanmax(values) - np.nanmin(values) < 1.01 * turn:
+                    columns[name], jumps = unwrapped(values, seen.segments, turn), jumps + int(wraps.sum())
                     break
         if columns:
             names = ", ".join(columns)
@@ -177,9 +173,7 @@ class SignMagnitude:
             return
         if columns:
             what = f"{', '.join(columns)} jump{'s' if len(columns) == 1 else ''} by {how} where the value passes zero"
-            yield Remark(
-                self.KEY, what, "", tuple(columns), Action.REPAIRED, replace(seen, columns=dict(seen.columns) | columns)
-            )
+            yield Remark(self.KEY, what, "", tuple(columns), Action.REPAIRED, with_columns(seen, columns))
 
 
 def _folded(values: Array) -> bool:

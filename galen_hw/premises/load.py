@@ -9,7 +9,7 @@ import numpy as np
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.rigid import Body
-from galen_hw.premises.base import Action, Claim, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Claim, Remark, Stage, with_matrix
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.wrench_reading import FORCE, TORQUE, at_rest, comparable
 from galen_hw.spatial import Array
@@ -91,11 +91,7 @@ class LoadChange:
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield at most one remark; in a motion a picked-up part is repaired and claimed, in poses it is refused."""
-        if (
-            seen.predict != "wrench"
-            or seen.simulation is not None
-            or not all(n in seen.columns for n in (*FORCE, *TORQUE))
-        ):
+        if seen.predict != "wrench" or seen.simulation is not None or not seen.has_all(*FORCE, *TORQUE):
             return
         split, some = self._split(_with_tool(seen))
         if split is None:
@@ -144,7 +140,7 @@ class LoadChange:
         parameters = {"mass": (mass, float(std[0]), "kg"), "moment": (at, 0.0, "s")}
         parameters |= {f"com_{a}": (float(com[k]), float(std[1 + k] / abs(mass)), "m") for k, a in enumerate("xyz")}
         claim = Claim("payload", parameters, (*FORCE, *TORQUE))
-        repaired = with_columns(seen, dict(zip((*FORCE, *TORQUE), wrench.T, strict=True)))
+        repaired = with_matrix(seen, (*FORCE, *TORQUE), wrench)
         text = f"the load changes by {mass:+.4g} +- {std[0]:.2g} kg from {at:.4g} s on"
         return Remark(self.KEY, text, "record each load by itself", (*FORCE, *TORQUE), Action.REPAIRED, repaired, claim)
 
@@ -257,10 +253,10 @@ def _scan(A: Array, b: Array, columns: slice) -> tuple[int, float]:
 def _fitted(A: Array, b: Array, columns: slice, row: int, kind: str) -> _Split:
     part = np.where((np.arange(len(A)) >= row)[:, None, None], A[:, :, columns], 0.0)
     X, y = np.concatenate([A, part], axis=2).reshape(-1, A.shape[2] + part.shape[2]), b.reshape(-1)
-    theta = np.linalg.lstsq(X, y, rcond=None)[0]
+    theta, _, rank, _ = np.linalg.lstsq(X, y, rcond=1e-6)
     left = y - X @ theta
     cost = float(left @ left)
-    covariance = np.linalg.pinv(X.T @ X) * cost / max(len(y) - X.shape[1], 1)
+    covariance = np.linalg.pinv(X.T @ X, rcond=1e-12, hermitian=True) * cost / max(len(y) - int(rank), 1)
     at = slice(A.shape[2], None)
     spread = np.sqrt(np.mean(left.reshape(-1, 6) ** 2, axis=0))
     return _Split(row, kind, theta[at], np.sqrt(np.maximum(np.diag(covariance)[at], 0.0)), cost, spread)

@@ -9,7 +9,7 @@ import numpy as np
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.pose import POSITION, QUATERNION
-from galen_hw.premises.base import Action, Claim, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Remark, Stage, with_columns, with_matrix
 from galen_hw.premises.channels import slope
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.registration import poses, registered, sampled
@@ -18,19 +18,21 @@ from galen_hw.premises.rotations import (
     angle_of,
     as_axes,
     as_turn,
+    mounting_claim,
     nearest_axes,
+    other_quaternions,
     scaled,
     signed_permutations,
     similarity,
     turned_alike,
 )
-from galen_hw.spatial import Array, rotation_from_quaternion, rotation_log
+from galen_hw.spatial import Array, rotation_from_quaternion
 
 LENGTHS: Final = {"mm": 1e3, "cm": 1e2, "inches": 1.0 / 0.0254, "feet": 1.0 / 0.3048, "km": 1e-3}
 
 
 def length_unit(scale: float) -> tuple[str, float] | None:
-    """Return the unit of which a metre has `scale`, within a twentieth; None: none that is known, or metres."""
+    """Return the unit of which a metre has `scale`, within a sensor's gain error; None: none that is known, or metres."""
     return next(((u, f) for u, f in LENGTHS.items() if abs(np.log(scale / f)) < CRITERIA.same_factor), None)
 
 
@@ -42,7 +44,7 @@ class PoseFrames:
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield a remark on unit and axes of the position, then one on the orientation."""
-        if seen.predict != "pose" or seen.belief.robot is None or not all(name in seen.columns for name in POSITION):
+        if seen.predict != "pose" or seen.belief.robot is None or not seen.has_all(*POSITION):
             return
         some = sampled(seen, POSITION)
         if len(some) < CRITERIA.fewest_vectors:
@@ -54,7 +56,7 @@ class PoseFrames:
         for remark in self._position(seen, some):
             yield remark
             seen = remark.repaired or seen
-        if all(name in seen.columns for name in QUATERNION):
+        if seen.has_all(*QUATERNION):
             yield from self._orientation(seen)
 
     def _column(self, seen: Observations, some: Observations) -> Iterator[Remark]:
@@ -130,59 +132,32 @@ class PoseFrames:
         if len(some) < CRITERIA.fewest_vectors:
             return
         expected = poses(scene_of(some))
-        x, y, z, w = (some.columns[name] for name in QUATERNION)
-        tries = {
-            "": (x, y, z, w),
-            "have w first": (y, z, w, x),
-            "are inverted": (-x, -y, -z, w),
-            "have w first and are inverted": (-y, -z, -w, x),
+        q = some.matrix(*QUATERNION)
+        misses = {
+            says: turned_alike(expected, rotation_from_quaternion(one))
+            for says, one in {"": q, **other_quaternions(q)}.items()
         }
-        misses = {}
-        for says, quaternion in tries.items():
-            R = rotation_from_quaternion(np.stack(quaternion, axis=1))
-            misses[says] = turned_alike(expected, R)
         spread = turned_alike(np.tile(np.eye(3), (len(some), 1, 1)), expected)[1]
         if spread < CRITERIA.least_turn:
             return  # an arm that hardly turns cannot tell
         turn, left = misses[""]
-        best = min(tries, key=lambda says: misses[says][1])
+        best = min(misses, key=lambda says: misses[says][1])
         if best and misses[best][1] < 0.25 * left and misses[best][1] < 0.25 * spread:
-            order = {"": (0, 1, 2, 3), "have w first": (1, 2, 3, 0), "are inverted": (0, 1, 2, 3)}.get(
-                best, (1, 2, 3, 0)
-            )
-            values = seen.matrix(*QUATERNION)[:, order]
-            if "inverted" in best:
-                values = values * np.array([-1.0, -1.0, -1.0, 1.0])
-            seen = with_columns(seen, dict(zip(QUATERNION, values.T, strict=True)))
-            yield Remark(
-                self.KEY,
-                f"the pose's quaternions {best.replace('inverted', 'the inverse')}",
-                "",
-                QUATERNION,
-                Action.REPAIRED,
-                seen,
-            )
+            seen = with_matrix(seen, QUATERNION, other_quaternions(seen.matrix(*QUATERNION))[best])
+            yield Remark(self.KEY, f"the pose's quaternions {best}", "", QUATERNION, Action.REPAIRED, seen)
             turn, left = misses[best]
         if angle_of(turn) > CRITERIA.least_turn and left < 0.25 * spread:
             yield self._flange(seen, turn)
 
     def _flange(self, seen: Observations, turn: Array) -> Remark:
-        """The tracked body sits turned on the flange by (3, 3), exactly."""
-        vector = rotation_log(turn)
-        parameters = {f"turn_{a}": (float(v), 0.0, "rad") for a, v in zip("xyz", vector, strict=True)}
-        term = {"effect": "sensor_mounting", "parameters": {"part": "turn", **{k: v[0] for k, v in parameters.items()}}}
-        belief = replace(seen.belief, tip_rotation=seen.belief.tip_rotation @ turn)
-        what = f"the tracked body is turned by {as_turn(turn)} on its link"
-        claim = Claim("sensor_mounting", parameters, QUATERNION[:3], terms=(term,))
-        return Remark(
-            self.KEY,
-            what,
+        """Return the repair and the claim of a tracked body that sits turned on its flange by (3, 3), exactly."""
+        repaired = replace(seen, belief=replace(seen.belief, tip_rotation=seen.belief.tip_rotation @ turn))
+        what, todo = (
+            f"the tracked body is turned by {as_turn(turn)} on its link",
             "turn the tip's link in the model by it",
-            QUATERNION,
-            Action.REPAIRED,
-            replace(seen, belief=belief),
-            claim,
         )
+        claim = mounting_claim(turn, "turn", QUATERNION[:3])
+        return Remark(self.KEY, what, todo, QUATERNION, Action.REPAIRED, repaired, claim)
 
 
 def _axes(expected: Array, measured: Array, plain: Similarity | None) -> Similarity | None:

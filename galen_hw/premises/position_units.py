@@ -8,12 +8,12 @@ import numpy as np
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known_rows, with_columns
 from galen_hw.premises.channels import compared, slope
 from galen_hw.premises.clock import travelled
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.joints import TURN, joint_columns, wrong_velocity
-from galen_hw.premises.sampling import compared_names
+from galen_hw.premises.sampling import compared_names, measured
 from galen_hw.premises.wrench_reading import at_rest, readings
 from galen_hw.spatial import Array
 
@@ -192,12 +192,13 @@ def _shares(seen: Observations) -> Array:
     """The same by channel (K,); a single 1 where nothing is known."""
     robot = seen.belief.robot
     assert robot is not None, "asked only with a robot"
-    driven = [n for name in robot.joint_names if (n := f"joint.{name}.position") in seen.columns]
-    rows = np.flatnonzero(np.isfinite(seen.matrix(*compared_names(seen), *driven)).all(axis=1))
+    seen = measured(seen)
+    driven = joint_positions(seen)
+    rows = known_rows(seen, (*compared_names(seen), *driven), CRITERIA.most_rows)
     unknown = np.ones(3 if seen.predict == "pose" else len(compared_names(seen)))
     if len(rows) < CRITERIA.fewest_vectors or len(driven) < len(robot.joint_names):
         return unknown
-    some = at_rest(seen.taken(rows[np.linspace(0, len(rows) - 1, min(len(rows), CRITERIA.most_rows)).astype(int)]))
+    some = at_rest(seen.taken(rows))
     if seen.predict == "wrench" and not some.belief.hanging:
         return np.array([next(iter(readings(some))).plain.unexplained])
     scene = scene_of(some)

@@ -103,7 +103,7 @@ class WrenchUnits:
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield at most one remark for single columns, then one for the whole wrench."""
-        if seen.predict != "wrench" or not all(name in seen.columns for name in (*FORCE, *TORQUE)):
+        if seen.predict != "wrench" or not seen.has_all(*FORCE, *TORQUE):
             return
         some = at_rest(comparable(seen, CRITERIA.most_rows))
         if len(some) < CRITERIA.fewest_vectors:

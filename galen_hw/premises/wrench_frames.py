@@ -8,10 +8,10 @@ import numpy as np
 
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.premises.base import Action, Claim, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Remark, Stage, with_matrix
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.gravity import angle_between, gravity_remark
-from galen_hw.premises.rotations import angle_of, as_axes, as_turn, nearest_axes, signed_permutations
+from galen_hw.premises.rotations import angle_of, as_axes, as_turn, mounting_claim, nearest_axes, signed_permutations
 from galen_hw.premises.wrench_reading import (
     FORCE,
     INVERSE,
@@ -24,10 +24,11 @@ from galen_hw.premises.wrench_reading import (
     lever_fit,
     readings,
     reread,
+    sensor_rotations,
     turn_sensor,
     turn_wrench,
 )
-from galen_hw.spatial import Array, rotation_log
+from galen_hw.spatial import Array
 
 IDENTITY: Final = np.eye(3)
 HALF_ABOUT_Z: Final = np.diag([-1.0, -1.0, 1.0])
@@ -57,7 +58,7 @@ class WrenchFrames:
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield at most one remark on force and torque together."""
-        if seen.predict != "wrench" or not all(name in seen.columns for name in (*FORCE, *TORQUE)):
+        if seen.predict != "wrench" or not seen.has_all(*FORCE, *TORQUE):
             return
         found = self._found(at_rest(comparable(seen, CRITERIA.most_rows)))
         named = (
@@ -147,17 +148,13 @@ class WrenchFrames:
         return Remark(self.KEY, "; ".join(says), "", columns, Action.REPAIRED, seen)
 
     def _mounting(self, seen: Observations, turn: Array, *, tool_turns: bool) -> Remark:
-        vector = rotation_log(turn)
-        parameters = {f"turn_{a}": (float(v), 0.0, "rad") for a, v in zip("xyz", vector, strict=True)}
-        part = "turn" if tool_turns else "turn_alone"
-        term = {"effect": "sensor_mounting", "parameters": {"part": part, **{k: v[0] for k, v in parameters.items()}}}
         what = f"the sensor is turned by {as_turn(turn)} on its link"
         repaired = turn_sensor(seen, turn)
         if not tool_turns:
             tool = repaired.belief.tool
             turned = replace(tool, com=turn.T @ tool.com, inertia=turn.T @ tool.inertia @ turn)
             repaired = replace(repaired, belief=replace(repaired.belief, tool=turned))
-        claim = Claim("sensor_mounting", parameters, (*FORCE, *TORQUE), terms=(term,))
+        claim = mounting_claim(turn, "turn" if tool_turns else "turn_alone", (*FORCE, *TORQUE))
         todo = "turn the sensor's link in the robot's model by it"
         return Remark(self.KEY, what, todo, (*FORCE, *TORQUE), Action.REPAIRED, repaired, claim)
 
@@ -213,7 +210,7 @@ def _gravity(reading: Reading) -> tuple[Array, float]:
     seen, force = reading.seen, reading.force
     if seen.belief.dynamic and seen.time is not None and seen.simulation is None and len(seen.belief.hanging):
         force = force - (scene_of(seen).simulated - scene_of(at_rest(seen)).simulated)[:, :3]
-    return any_gravity(_rotations(seen), force)
+    return any_gravity(sensor_rotations(scene_of(seen)), force)
 
 
 def _sign_or_gravity(seen: Observations, sign: _Found) -> _Found:
@@ -235,10 +232,6 @@ def _weighs(option: _Found) -> bool:
         return True
     one = reading.plain if option.kind == "plain" else reading.turned(int(np.sign(np.linalg.det(option.Q))))
     return 1.0 / CRITERIA.least_factor < one.scale / mass < CRITERIA.least_factor
-
-
-def _rotations(seen: Observations) -> Array:
-    return np.asarray(scene_of(seen).R)  # type: ignore[attr-defined]
 
 
 def _tool_known(seen: Observations) -> bool:
@@ -290,7 +283,7 @@ def _about_tip(seen: Observations) -> bool:
 def _about_origin(seen: Observations) -> Observations:
     """Return the recording with moments about the sensor's origin that were about the tip of the tool."""
     moment = seen.matrix(*TORQUE) + np.cross(seen.belief.tip, seen.matrix(*FORCE))
-    return with_columns(seen, dict(zip(TORQUE, moment.T, strict=True)))
+    return with_matrix(seen, TORQUE, moment)
 
 
 def _others(Q: Array) -> list[Array]:
