@@ -122,13 +122,13 @@ def _held(values: Array) -> Mask:
     if len(values) * float(np.prod(np.mean(alike[~same[1:]], axis=0))) < 1.0:
         return same
     out = np.zeros_like(same)
-    for start, stop in _runs(same):
+    for start, stop in runs(same):
         out[start:stop] = stop - start >= HELD_ROWS - 1
     return out if np.sum(same & ~out) <= 0.01 * len(values) else np.zeros_like(out)
 
 
-def _runs(flags: Mask) -> list[tuple[int, int]]:
-    """(start, stop) of each run of True."""
+def runs(flags: Mask) -> list[tuple[int, int]]:
+    """Return (start, stop) of each run of True in (N,) flags."""
     edges = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))
     return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
 

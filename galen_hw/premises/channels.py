@@ -10,6 +10,7 @@ from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known_rows, with_columns
+from galen_hw.premises.cells import runs
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.sampling import compared_names, measured
 from galen_hw.spatial import Array
@@ -118,10 +119,7 @@ STUCK_SHARE: Final = 0.02
 def _longest(values: Array) -> slice | None:
     """The longest run of one reading in (N,) values that change from row to row else; None where it is short, or they do not."""
     same = values[1:] == values[:-1]
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]]))).reshape(-1, 2)
-    if not len(edges):
-        return None
-    first, last = edges[int(np.argmax(edges[:, 1] - edges[:, 0]))].tolist()
+    first, last = max(runs(same), key=lambda run: run[1] - run[0], default=(0, 0))
     length = last - first
     if length < max(STUCK_ROWS, STUCK_SHARE * len(values)) or length > 0.9 * len(values):
         return None

@@ -57,10 +57,8 @@ class EffortUnits:
         equal = float(np.max(np.abs(np.log(slopes / np.median(slopes))))) < CRITERIA.same_factor
         table = FORCES if all(scene.units[scene.channels.index(name)] == "N" for name in names) else TORQUES
         units = units_of(float(np.median(slopes)), table) if equal else []
-        if seen.simulation is not None and not units and slopes[0] > 1.0:
-            return  # what someone else simulated may leave out most of an effort
-        if len(known) == 1 and not units and slopes[0] > 1.0:
-            return  # one joint may carry what the model does not know
+        if not units and slopes[0] > 1.0 and (seen.simulation is not None or len(known) == 1):
+            return  # somebody else's simulation may leave out most of an effort, and one joint carry what no model knows
         over = [c for c in scene.channels if (limit := _limit(seen, c)) and _reach(scene.simulated, scene, c) > limit]
         if over and seen.simulation is None:
             # What was measured is within the limits, or it would have been said.
@@ -134,9 +132,8 @@ def _reach(values: Array, scene: Scene, channel: str) -> float:
     return float(np.max(np.abs(values[:, scene.channels.index(channel)])))
 
 
-def _speed(scene: object, channel: str) -> Array:
-    joint = joint_of(channel)
-    return np.asarray(scene.rates[0][:, scene.joint_index(joint)])  # type: ignore[attr-defined]
+def _speed(scene: Scene, channel: str) -> Array:
+    return scene.rates[0][:, scene.joint_index(joint_of(channel))]
 
 
 def _slope(expected: Array, measured: Array, speed: Array) -> float | None:
