@@ -146,10 +146,6 @@ class Contact(_Shaped):
         """Its episodes."""
         return self.episodes
 
-    def during(self, touches: tuple[Span, ...]) -> Self:
-        """With other episodes."""
-        return replace(self, episodes=touches)
-
     def finer(self, time: Array, *, hand: int = 5, finest: int = 96, rows: int = 4, most: int = 1000) -> Iterator[Self]:
         """With more half waves than it has, twice as many each time, and no more than its episodes and memory can bear.
 
@@ -167,7 +163,7 @@ class Contact(_Shaped):
 
     def staged(self, start: float, length: float) -> Self:
         """Once, for a tenth of the time."""
-        return self.during(((start + 0.3 * length, start + 0.4 * length),))
+        return replace(self, episodes=((start + 0.3 * length, start + 0.4 * length),))
 
     def follows(self, scene: Scene, channel: int) -> Follows:
         """The clock."""
@@ -198,13 +194,14 @@ class Contact(_Shaped):
         return (self.parted(parts), *edges)
 
     def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
-        """Box and half sines of every episode."""
+        """Return box and half sines of every episode; averaged one by one, since there may be a thousand of them."""
         out = []
         for start, end in self.episodes:
             inside = ((scene.time >= start) & (scene.time <= end)).astype(float)
             phase = np.pi * (scene.time - start) / max(end - start, 1e-9)
-            out += [inside, *(inside * np.sin(i * phase) for i in range(1, self.waves + 1))]
-        return average(np.stack(out, axis=-1))
+            out.append(average(inside))
+            out += [average(inside * np.sin(i * phase)) for i in range(1, self.waves + 1)]
+        return np.stack(out, axis=-1)
 
 
 @dataclass(frozen=True)
