@@ -50,6 +50,7 @@ class Creep(Effect):
         "spread": Searched(1.2, 1e3, "1"),
     }
     NEEDS_CLOCK = True
+    READ_ORDER = 1
     constant: float
     channel: str = ""
     joint: str = ""

@@ -21,7 +21,45 @@ FURTHEST = {"m": 0.05, "rad": 0.5}
 
 
 @dataclass(frozen=True)
-class JointOffset(Effect):
+class _Encoder(Effect):
+    """An error of a joint's encoder, q' = (1 + scale) q + offset, of which one of the two is its parameter."""
+
+    ERROR: ClassVar[str] = ""
+    """The parameter: "offset" or "scale"."""
+    joint: str
+
+    def columns(self, scene: Scene) -> Columns:
+        """Return the slope of the misread arm, else the joint's port times what the error moves it by."""
+        slope = _slope(lambda x: self._misread(scene, x))
+        port = slope if slope is not None else _less_zero(scene, self._port)
+        assert port is not None, "proposed only where there is a port"
+        return in_all([port], len(scene.channels))
+
+    def _port(self, scene: Scene) -> Array | None:
+        port = scene.joint_port(self.joint)
+        return None if port is None else port * self._moved(scene)[:, None]
+
+    def _moved(self, scene: Scene) -> Array:
+        """Return how far the error moves the joint (N,), per unit of the parameter."""
+        return scene.q[:, scene.joint_index(self.joint)] if self.ERROR == "scale" else np.ones(len(scene))
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """Return the change of the misread arm itself, or of the turned one, where its screws are known."""
+        misread = self._misread(scene, float(theta[0]))
+        if misread is not None:
+            return misread
+        return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * self._moved(at)))
+
+    def stands(self, scene: Scene, theta: Array) -> Scene | None:
+        """Return the scene with the joint where it really is."""
+        return scene.standing_at(self.joint, **{self.ERROR: float(theta[0])})
+
+    def _misread(self, scene: Scene, value: float) -> Array | None:
+        return _less_zero(scene, lambda at: at.misread(self.joint, **{self.ERROR: value}))
+
+
+@dataclass(frozen=True)
+class JointOffset(_Encoder):
     """A joint's zero is off: q' = q + d.
 
     Visible where the channels answer differently in different poses. Confused with bias (position), base_tilt (a first
@@ -43,7 +81,8 @@ class JointOffset(Effect):
     COMPLEXITY = 0
     RIGID = True
     LOAD_POWER = True
-    joint: str
+    GEOMETRY_ORDER = 1
+    ERROR = "offset"
 
     @classmethod
     def always_fitted(cls, predict: str) -> bool:
@@ -71,30 +110,9 @@ class JointOffset(Effect):
         """Error of the zero."""
         return (Parameter("offset", scene.joint_units(self.joint)[0]),)
 
-    def columns(self, scene: Scene) -> Columns:
-        """Slope of the misread arm, else the joint's port."""
-        slope = _slope(lambda x: self._misread(scene, x))
-        port = slope if slope is not None else _less_zero(scene, lambda at: at.joint_port(self.joint))
-        assert port is not None, "proposed only where there is a port"
-        return in_all([port], len(scene.channels))
-
-    def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """The misread arm itself, or the turned one, where its screws are known."""
-        misread = self._misread(scene, float(theta[0]))
-        if misread is not None:
-            return misread
-        return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * np.ones(len(at))))
-
-    def stands(self, scene: Scene, theta: Array) -> Scene | None:
-        """With the joint where it really is."""
-        return scene.standing_at(self.joint, offset=float(theta[0]))
-
-    def _misread(self, scene: Scene, offset: float) -> Array | None:
-        return _less_zero(scene, lambda at: at.misread(self.joint, offset=offset))
-
 
 @dataclass(frozen=True)
-class JointScale(Effect):
+class JointScale(_Encoder):
     """A joint's scale (gear, encoder) is off: q' = (1 + k) q.
 
     Visible over a wide range of the joint. Confused with joint_offset over a narrow one, with gain.
@@ -107,7 +125,8 @@ class JointScale(Effect):
     HEAD = ("scale_error",)
     ALIKE: ClassVar = {"compliance": "the load is nearly proportional to the joint's travel"}
     RIGID = True
-    joint: str
+    GEOMETRY_ORDER = 0
+    ERROR = "scale"
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -117,31 +136,6 @@ class JointScale(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Relative error of the scale."""
         return (Parameter("scale_error", "1", furthest=FARTHEST_SCALE),)
-
-    def columns(self, scene: Scene) -> Columns:
-        """Slope of the misread arm, else the joint's port times its position."""
-        slope = _slope(lambda x: self._misread(scene, x))
-        stretched = slope if slope is not None else _less_zero(scene, self._stretched)
-        assert stretched is not None, "proposed only where there is a port"
-        return in_all([stretched], len(scene.channels))
-
-    def _stretched(self, scene: Scene) -> Array | None:
-        port = scene.joint_port(self.joint)
-        return None if port is None else port * scene.q[:, [scene.joint_index(self.joint)]]
-
-    def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """The misread arm itself, or the turned one, where its screws are known."""
-        misread = self._misread(scene, float(theta[0]))
-        if misread is not None:
-            return misread
-        return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * at.q[:, at.joint_index(self.joint)]))
-
-    def stands(self, scene: Scene, theta: Array) -> Scene | None:
-        """With the joint where it really is."""
-        return scene.standing_at(self.joint, scale=float(theta[0]))
-
-    def _misread(self, scene: Scene, scale: float) -> Array | None:
-        return _less_zero(scene, lambda at: at.misread(self.joint, scale=scale))
 
 
 @dataclass(frozen=True)
@@ -161,6 +155,7 @@ class LinkGeometry(Effect):
     ALIKE: ClassVar = {"sensor_mounting": "a tilt behind the last axis is the sensor's seat"}
     TOLD_APART: ClassVar = {"sensor_mounting": "turn the tool by 180 degrees on its flange and repeat the poses"}
     RIGID = True
+    GEOMETRY_ORDER = 3
     joint: str
     errors: tuple[str, ...]
 
@@ -228,6 +223,7 @@ class SensorMounting(Effect):
     CONFIRMED_BY = "repeat the poses with the tool turned by 180 degrees"
     HEAD = ("turn_.", "shift_.")
     RIGID = True
+    GEOMETRY_ORDER = 4
     part: str = "turn"
 
     @classmethod

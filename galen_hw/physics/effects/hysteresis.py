@@ -54,6 +54,7 @@ class Hysteresis(Effect):
         "gap": Searched(0.02, 0.95, "1"),
         "wear": Searched(0.1, 1.0, "1"),
     }
+    READ_ORDER = 0
     channel: str = ""
     driver: str = ""
     scale: float = 1.0

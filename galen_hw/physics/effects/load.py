@@ -223,6 +223,7 @@ class BaseTilt(Effect):
     }
     COMPLEXITY = 1
     RIGID = True
+    GEOMETRY_ORDER = 2
     axis: str = "xy"
 
     @classmethod
@@ -276,6 +277,7 @@ class Inertial(Effect):
     COMPLEXITY = 1
     HEAD = ("share", "lever_.", "rotor_inertia")
     NEEDS_CLOCK = True
+    MEETS_BODIES = False
     lever: str = ""
     joint: str = ""
 

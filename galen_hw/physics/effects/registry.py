@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from galen_hw.errors import UsageError
 from galen_hw.physics.effects.base import Effect
-from galen_hw.physics.effects.clocks import Shift, Timing
+from galen_hw.physics.effects.clocks import Shift
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
 
@@ -74,11 +74,6 @@ def kinds() -> list[type[Effect]]:
 def shifts(scene: Scene) -> list[Shift]:
     """Return the clocks that a scene allows and that deliver all as it was, and later."""
     return [one for kind in kinds() if issubclass(kind, Shift) for one in kind.propose(scene)]
-
-
-def clocks(scene: Scene) -> list[Timing]:
-    """Return all clocks that a scene allows."""
-    return [one for kind in kinds() if issubclass(kind, Timing) for one in kind.propose(scene)]
 
 
 def constant_of(channel: str, predict: str) -> Effect:

@@ -93,6 +93,7 @@ class Gain(Effect):
     }
     COMPLEXITY = 1
     MIMICS_RIGID = True
+    READ_ORDER = 3
     channel: str
 
     @classmethod
@@ -138,6 +139,7 @@ class CrossTalk(Effect):
         "sensor_mounting": "a turned sensor is a skew matrix of cross-talk",
     }
     FLEXIBLE = True
+    READ_ORDER = 2
     channel: str
     source: str
 
@@ -182,7 +184,6 @@ class Saturation(Downstream):
     SAYS = "the readings clip at a limit"
     KNOWN_BY = "readings pile up at the limit where the simulation goes on"
     HEAD = ("limit",)
-    SEARCHED: ClassVar = {}
     BRIEF: ClassVar[bool] = True
     channel: str
     limit: float

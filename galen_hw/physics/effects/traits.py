@@ -37,8 +37,8 @@ class Follows:
     """What an effect is a function of.
 
     Args:
-        quantity: "time"; "position", "speed" or "load" of a joint, "force" at the tip where none moves; "signal" that is
-            simulated in a channel, or its "rate"; "column" of the recording.
+        quantity: "time"; "position", "speed" or "load" of a joint; "signal" that is simulated in a channel, or its "rate";
+            "column" of the recording.
         name: of the joint, channel or column; "": the first of its joints that moves, the channel that is looked at.
         period: with which it repeats along that, 0: not at all.
         memory: whether it goes another way back.
@@ -130,6 +130,12 @@ class Traits(Words):
     """It may come from warmth, and shows as the machine warms and cools."""
     SIDE_BY_SIDE: ClassVar[bool] = False
     """Several of its kind may stand in one place."""
+    READ_ORDER: ClassVar[float] = np.inf
+    """Of what acts on a load as it is read, see `Effect.reads`: its place in the order in which the load meets them."""
+    GEOMETRY_ORDER: ClassVar[float] = np.inf
+    """Of what is wrong about how the arm stands: its place in the order in which each meets what those before have made of it."""
+    MEETS_BODIES: ClassVar[bool] = True
+    """Its change is another one where a body more hangs on the arm; not of inertia, which that body's own change has in it."""
 
     @classmethod
     def lasting(cls) -> bool:
@@ -158,11 +164,6 @@ class Traits(Words):
     def touches(self) -> tuple[Span, ...]:
         """Episodes outside which it is nothing, each of which was found by itself and tells of its own numbers."""
         return ()
-
-    def during(self, touches: tuple[Span, ...]) -> Self:
-        """The same in other episodes."""
-        del touches
-        return self
 
     def finer(self, time: Array) -> Iterator[Self]:
         """The same with an ever finer course in its episodes, as far as rows at times (M,), s, can bear."""
