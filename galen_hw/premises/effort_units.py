@@ -12,7 +12,7 @@ from galen_hw.physics.scenes.base import Scene
 from galen_hw.premises.base import Action, Remark, Stage
 from galen_hw.premises.channels import compared
 from galen_hw.premises.criteria import CRITERIA
-from galen_hw.premises.units import FORCES, TORQUES, units_of
+from galen_hw.premises.unit_tables import FORCES, TORQUES, units_of
 from galen_hw.spatial import Array
 
 

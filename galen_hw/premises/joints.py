@@ -9,11 +9,10 @@ import numpy as np
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns, without_columns
 from galen_hw.premises.clock import travelled
-from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.sampling import compared_names, steps_within, unwrapped
+from galen_hw.premises.unit_tables import TURN, VELOCITY_RATIOS, unit_of
 from galen_hw.spatial import Array
 
-TURN: Final = 2.0 * np.pi
 WRAPS: Final = (TURN, 360.0)
 """A turn in rad and in degrees."""
 SURELY_MOVED: Final = 50.0
@@ -24,14 +23,6 @@ BY_CHANCE: Final = 0.01
 """Chance that is taken that columns seem to be folded at one and the same number."""
 LEAST_MOTION: Final = 0.02
 """rad or m, the same of an encoder without noise."""
-RATIOS: Final = {
-    "degrees a second": 180.0 / np.pi,
-    "radians, the position in degrees": np.pi / 180.0,
-    "revolutions a minute": 60.0 / TURN,
-    "radians, the position in revolutions": TURN,
-    "mm": 1e3,
-}
-"""Velocity over the change of position, where they are in different units."""
 
 
 def joint_columns(seen: Observations, kind: str) -> list[str]:
@@ -134,8 +125,8 @@ def _unlike(change: Array, told: Array) -> str:
     if correlation < -0.9:
         return "the opposite sign of the position's change"
     if correlation > 0.9 and not 0.2 < scale < 5.0:
-        hint = next((u for u, f in RATIOS.items() if abs(np.log(scale / f)) < CRITERIA.same_factor), "")
-        return f"{scale:.3g} times the position's change (is it in {hint or 'degrees or mm'}?)"
+        hint = unit_of(scale, VELOCITY_RATIOS) or "degrees or mm"
+        return f"{scale:.3g} times the position's change (is it in {hint}?)"
     return ""
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
 
@@ -26,14 +26,8 @@ from galen_hw.premises.rotations import (
     similarity,
     turned_alike,
 )
+from galen_hw.premises.unit_tables import TRACKED_LENGTHS, unit_of
 from galen_hw.spatial import Array, rotation_from_quaternion
-
-LENGTHS: Final = {"mm": 1e3, "cm": 1e2, "inches": 1.0 / 0.0254, "feet": 1.0 / 0.3048, "km": 1e-3}
-
-
-def length_unit(scale: float) -> tuple[str, float] | None:
-    """Return the unit of which a metre has `scale`, within a sensor's gain error; None: none that is known, or metres."""
-    return next(((u, f) for u, f in LENGTHS.items() if abs(np.log(scale / f)) < CRITERIA.same_factor), None)
 
 
 class PoseFrames:
@@ -64,13 +58,13 @@ class PoseFrames:
         expected, measured = scene_of(some).simulated[:, :3], some.matrix(*POSITION)
         found = [slope(x, y) for x, y in zip(expected.T, measured.T, strict=True)]
         scales = {k: scale for k, scale in enumerate(found) if scale is not None and scale > 0.0}
-        units = {k: told for k, scale in scales.items() if (told := length_unit(scale)) is not None}
+        units = {k: unit for k, scale in scales.items() if (unit := unit_of(scale, TRACKED_LENGTHS))}
         if len(units) != 1 or len(scales) < 2:
             return
-        ((k, (unit, factor)),) = units.items()
+        ((k, unit),) = units.items()
         if any(abs(np.log(scale)) > np.log(CRITERIA.least_factor) for n, scale in scales.items() if n != k):
             return
-        repaired = with_columns(seen, {POSITION[k]: seen.columns[POSITION[k]] / factor})
+        repaired = with_columns(seen, {POSITION[k]: seen.columns[POSITION[k]] / TRACKED_LENGTHS[unit]})
         what = f"{POSITION[k]} moves {scales[k]:.4g} times as far as the arm, the others do not: it is in {unit}"
         yield Remark(self.KEY, what, "", (POSITION[k],), Action.REPAIRED, repaired)
 
@@ -81,24 +75,24 @@ class PoseFrames:
             yield from self._standing(seen, expected.mean(axis=0), measured.mean(axis=0))
             return
         right = plain.Q[0, 0] > 0.0 and plain.unexplained <= CRITERIA.small_turn
-        found, unit = _axes(expected, measured, plain if right else None), None
+        found, factor = _axes(expected, measured, plain if right else None), 1.0
         if found is None:
             return
         if not 0.5 < found.scale < 2.0:
-            unit = length_unit(found.scale)
+            unit = unit_of(found.scale, TRACKED_LENGTHS) if found.scale else ""
             text = f"the tracked position moves {found.scale:.4g} times as far as the arm"
-            if unit is None:
+            if not unit:
                 yield Remark(self.KEY, f"{text}: it is not in metres", "give metres", POSITION, Action.REFUSED)
                 return
-            seen = with_columns(seen, {name: seen.columns[name] / unit[1] for name in POSITION})
-            yield Remark(self.KEY, f"{text}: it is in {unit[0]}", "", POSITION, Action.REPAIRED, seen)
+            factor = TRACKED_LENGTHS[unit]
+            seen = with_columns(seen, {name: seen.columns[name] / factor for name in POSITION})
+            yield Remark(self.KEY, f"{text}: it is in {unit}", "", POSITION, Action.REPAIRED, seen)
         if right:
             return
         axes, away = nearest_axes(found.Q)
         mirrored = np.linalg.det(found.Q) < 0.0
         if not mirrored and angle_of(found.Q) <= CRITERIA.least_turn:
             return
-        factor = 1.0 if unit is None else unit[1]
         repaired = registered(seen, found.Q, measured / factor, expected)
         if mirrored:
             what = f"the tracker's axes are left-handed: {as_axes(axes)} of the base"
@@ -112,10 +106,10 @@ class PoseFrames:
     def _standing(self, seen: Observations, expected: Array, measured: Array) -> Iterator[Remark]:
         """Yield a remark on unit or handedness of an arm that stands: read so its place (3,) in the base is the simulated one."""
         far, near = float(np.linalg.norm(measured)), float(np.linalg.norm(expected))
-        unit = length_unit(far / near) if near > 0.0 else None
-        if unit is not None and float(measured @ expected) > np.cos(CRITERIA.least_turn) * far * near:
-            repaired = with_columns(seen, {name: seen.columns[name] / unit[1] for name in POSITION})
-            text = f"the tracked position lies {far / near:.4g} times as far from the base as the arm reaches: it is in {unit[0]}"
+        unit = unit_of(far / near, TRACKED_LENGTHS) if near > 0.0 and far > 0.0 else ""
+        if unit and float(measured @ expected) > np.cos(CRITERIA.least_turn) * far * near:
+            repaired = with_columns(seen, {name: seen.columns[name] / TRACKED_LENGTHS[unit] for name in POSITION})
+            text = f"the tracked position lies {far / near:.4g} times as far from the base as the arm reaches: it is in {unit}"
             yield Remark(self.KEY, text, "", POSITION, Action.REPAIRED, repaired)
             return
         plain = float(np.linalg.norm(measured - expected))
@@ -193,7 +187,7 @@ class TargetFrames:
         if first <= CRITERIA.small_turn**2:
             return
         size = _size(some, names)
-        units = [("", 1.0), *((unit, f) for unit, f in LENGTHS.items() if 0.1 < size / f < 10.0)]
+        units = [("", 1.0), *((unit, f) for unit, f in TRACKED_LENGTHS.items() if 0.1 < size / f < 10.0)]
         tries = [(unit, f, mirror) for unit, f in units for mirror in (False, True)]
         left = {one: _left(some, names, one[1], mirror=one[2]) for one in tries[1:]}
         best = min(left, key=lambda one: left[one], default=None)

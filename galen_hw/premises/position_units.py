@@ -1,7 +1,7 @@
 """Units of joint positions: degrees, revolutions or mm, by the robot's limits, measured velocities and the simulation."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,13 +12,11 @@ from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known
 from galen_hw.premises.channels import compared, slope
 from galen_hw.premises.clock import travelled
 from galen_hw.premises.criteria import CRITERIA
-from galen_hw.premises.joints import TURN, joint_columns, wrong_velocity
+from galen_hw.premises.joints import joint_columns, wrong_velocity
 from galen_hw.premises.sampling import compared_names, measured
+from galen_hw.premises.unit_tables import JOINT_ANGLES, JOINT_LENGTHS, TURN
 from galen_hw.premises.wrench_reading import at_rest, readings
 from galen_hw.spatial import Array
-
-ANGLES: Final = {"degrees": 180.0 / np.pi, "revolutions": 1.0 / TURN, "mrad": 1e3}
-LENGTHS: Final = {"mm": 1e3, "cm": 1e2, "um": 1e6}
 
 
 class PositionUnits:
@@ -37,7 +35,7 @@ class PositionUnits:
             yield from self._by_size(seen)
             return
         # A prismatic joint's limits are metres, mostly below one: told apart by what the robot itself says.
-        for slides, units in ((False, ANGLES), (True, LENGTHS)):
+        for slides, units in ((False, JOINT_ANGLES), (True, JOINT_LENGTHS)):
             joints = [k for k, name in enumerate(robot.joint_names) if seen.belief.slides(name) is slides]
             names = [f"joint.{robot.joint_names[k]}.position" for k in joints]
             present = [(n, k) for n, k in zip(names, joints, strict=True) if n in seen.columns]
@@ -87,7 +85,7 @@ class PositionUnits:
             return None
         slopes = [slope(x, y) for x, y in zip(scene.simulated.T, scene.measured.T, strict=True)]
         known = [abs(s) for s in slopes if s is not None]
-        units = (LENGTHS if set(scene.units) == {"m"} else ANGLES).items()
+        units = (JOINT_LENGTHS if set(scene.units) == {"m"} else JOINT_ANGLES).items()
         for unit, factor in units:
             if known and all(abs(np.log(s / factor)) < CRITERIA.same_factor for s in known):
                 joints = [joint_of(name) for name in scene.channels]

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,45 +12,9 @@ from galen_hw.premises.base import Action, Remark, Stage, with_columns
 from galen_hw.premises.channels import slope
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.rotations import scaled
+from galen_hw.premises.unit_tables import FORCES, TORQUES, units_of
 from galen_hw.premises.wrench_reading import FORCE, TORQUE, at_rest, comparable, lever_fit, readings
 from galen_hw.spatial import Array
-
-FORCES: Final = {
-    "N": 1.0,
-    "kgf": 1.0 / 9.80665,
-    "lbf": 1.0 / 4.4482216,
-    "ozf": 16.0 / 4.4482216,
-    "gf": 1000.0 / 9.80665,
-    "mN": 1e3,
-    "cN": 1e2,
-    "dN": 10.0,
-    "daN": 0.1,
-    "kN": 1e-3,
-}
-TORQUES: Final = {
-    "N m": 1.0,
-    "N mm": 1e3,
-    "N cm": 1e2,
-    "mN m": 1e3,
-    "kgf m": 1.0 / 9.80665,
-    "kgf cm": 100.0 / 9.80665,
-    "kgf mm": 1e3 / 9.80665,
-    "lbf in": 1.0 / 0.112984829,
-    "lbf ft": 1.0 / 1.355817948,
-    "ozf in": 16.0 / 0.112984829,
-    "gf cm": 1e5 / 9.80665,
-    "kN m": 1e-3,
-}
-"""Of each unit in a newton or newton metre (NIST SP 811)."""
-
-
-def units_of(scale: float, table: dict[str, float]) -> list[str]:
-    """Return the units of a table that a scale against SI may be, SI itself left out."""
-    return [
-        u
-        for u, f in table.items()
-        if abs(np.log(scale / f)) < CRITERIA.same_factor and abs(np.log(f)) > CRITERIA.same_factor
-    ]
 
 
 def _of_one_system(forces: list[str], torques: list[str]) -> tuple[list[str], list[str]]:
