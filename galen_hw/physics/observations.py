@@ -84,7 +84,7 @@ class Observations:
     apart: bool = False
 
     def __len__(self) -> int:
-        """Number of samples."""
+        """Return the number of samples."""
         return len(next(iter(self.columns.values()), ()))
 
     @property
@@ -110,7 +110,7 @@ class Observations:
         return tuple(dict.fromkeys(found))
 
     def matrix(self, *names: str) -> Array:
-        """(N, k) of the named columns; NaN where one is absent."""
+        """Return the named columns (N, k); NaN where one is absent."""
         missing = np.full(len(self), np.nan)
         return (
             np.stack([np.asarray(self.columns.get(n, missing)) for n in names], axis=-1)
@@ -119,7 +119,7 @@ class Observations:
         )
 
     def joints(self, kind: str) -> Array:
-        """(N, n) joint positions, velocities, efforts or commands; NaN where a joint has none."""
+        """Return joint positions, velocities, efforts or commands (N, n); NaN where a joint has none."""
         return self.matrix(*(f"joint.{name}.{kind}" for name in self.joint_names))
 
     def has(self, prefix: str) -> bool:
@@ -131,7 +131,7 @@ class Observations:
         return all(name in self.columns for name in names)
 
     def taken(self, rows: Any) -> "Observations":
-        """The same with only some rows (slice, mask or indices)."""
+        """Return the same with only some rows (slice, mask or indices)."""
         simulation = self.simulation
         cut = None if simulation is None else {k: v[rows] for k, v in simulation.items()}
         return Observations(self.predict, {k: v[rows] for k, v in self.columns.items()}, cut, self.belief, self.apart)

@@ -156,7 +156,7 @@ def examine(seen: Observations, premises: Sequence[Premise], *, repair: bool = T
 
 
 def _unrepaired(remark: Remark) -> Remark:
-    """The same remark, refusing what it would have repaired."""
+    """Return the same remark, refusing what it would have repaired."""
     if remark.action is not Action.REPAIRED:
         return remark
     todo = remark.todo or "put it right in the file, or leave out --no-repair"

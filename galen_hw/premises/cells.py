@@ -71,7 +71,7 @@ class LostValues:
 
 
 def _tracked(columns: dict[str, Array]) -> list[list[str]]:
-    """Groups of columns that a tracker loses together."""
+    """Return the groups of columns that a tracker loses together."""
     pose = [name for name in POSE if name in columns]
     targets: dict[str, list[str]] = {}
     for name in columns:
@@ -81,14 +81,14 @@ def _tracked(columns: dict[str, Array]) -> list[list[str]]:
 
 
 def _origin(values: Array, group: list[str]) -> Mask:
-    """(N,) rows that read exactly zeros, with or without the identity, where most others do not."""
+    """Return which rows (N,) read exactly zeros, with or without the identity, where most others do not."""
     position = [k for k, name in enumerate(group) if ".position." in name]
     zero = np.all(values[:, position] == 0.0, axis=1)
     return zero if 0 < zero.sum() < 0.5 * len(values) else np.zeros(len(values), dtype=bool)
 
 
 def _far(values: Array, group: list[str]) -> Mask:
-    """(N,) rows that all read one place to the last bit, as far from every other as these are from one another, or farther.
+    """Return which rows (N,) read one place to the last bit that is as far from every other as these are apart, or farther.
 
     What moves does not come back to the last bit; a number that stands for "lost" (9999, -1000) does nothing else.
     """
@@ -109,7 +109,7 @@ def _far(values: Array, group: list[str]) -> Mask:
 
 
 def _held(values: Array) -> Mask:
-    """(N,) rows that repeat the row before to the last bit: all where chance makes none, else those in runs if nearly all change.
+    """Return which rows (N,) repeat the row before to the last bit: all if that is no chance, else runs where nearly all change.
 
     The first row of a run was measured.
     """
@@ -157,7 +157,7 @@ class DoubledRows:
 
 
 def _copies(values: Array) -> Mask:
-    """(N,) rows that stood before, anywhere, where columns are otherwise never the same twice."""
+    """Return which rows (N,) stood before, anywhere, where columns are otherwise never the same twice."""
     unique, first = np.unique(values, axis=0, return_index=True)
     out = np.ones(len(values), dtype=bool)
     out[first] = False
@@ -166,7 +166,7 @@ def _copies(values: Array) -> Mask:
 
 
 def _same_stamp(time: Array, values: Array) -> Mask:
-    """(N,) rows with the stamp and all values of an earlier one."""
+    """Return which rows (N,) have the stamp and all values of an earlier one."""
     if np.all(np.diff(time) > 0.0):
         return np.zeros(len(time), dtype=bool)
     _, first = np.unique(np.column_stack([time, values]), axis=0, return_index=True)
@@ -176,7 +176,7 @@ def _same_stamp(time: Array, values: Array) -> Mask:
 
 
 def _side_by_side(values: Array) -> Mask:
-    """(N,) rows that repeat the one before, where throughout the recording each stands so many times."""
+    """Return which rows (N,) repeat the one before, where throughout the recording each stands so many times."""
     same = np.zeros(len(values), dtype=bool)
     same[1:] = np.all(values[1:] == values[:-1], axis=1)
     starts = np.flatnonzero(~same)
@@ -234,7 +234,7 @@ def pose_bounds(seen: Observations) -> list[int]:
 
 
 def _means(values: Array, bounds: list[int]) -> Array:
-    """(P,) means of runs, without the cells that were not measured."""
+    """Return the means (P,) of runs, without the cells that were not measured."""
     there = np.isfinite(values)
     total = np.add.reduceat(np.where(there, values, 0.0), bounds)
     count = np.add.reduceat(there.astype(float), bounds)
@@ -242,7 +242,7 @@ def _means(values: Array, bounds: list[int]) -> Array:
 
 
 def _spreads(seen: Observations, bounds: list[int]) -> dict[str, Array]:
-    """Standard deviations within each pose of the wrench's columns, as a sweep of our own has them."""
+    """Return the standard deviations within each pose of the wrench's columns, as a sweep of our own has them."""
     out = {}
     for name in (n for n in seen.columns if n.startswith("wrench.")):
         mean = _means(seen.columns[name], bounds)

@@ -117,7 +117,7 @@ STUCK_SHARE: Final = 0.02
 
 
 def _longest(values: Array) -> slice | None:
-    """The longest run of one reading in (N,) values that change from row to row else; None where it is short, or they do not."""
+    """Return the longest run of one reading in (N,) values that change else; None where it is short, or they do not change."""
     same = values[1:] == values[:-1]
     first, last = max(runs(same), key=lambda run: run[1] - run[0], default=(0, 0))
     length = last - first
@@ -129,7 +129,7 @@ def _longest(values: Array) -> slice | None:
 
 
 def _kin(scene: Scene, c: int) -> list[int]:
-    """Channels of the unit of channel c."""
+    """Return the channels of the unit of channel c."""
     return [d for d, unit in enumerate(scene.units) if unit == scene.units[c]]
 
 
@@ -175,7 +175,7 @@ class JointSigns:
 
 
 def _turned(y: Array, x: Array) -> bool:
-    """Whether -y (N,) is as x (N,), its constant too: a constant that the sign does not explain says that more is wrong."""
+    """Return whether -y (N,) is as x (N,), its constant too: one that the sign does not explain says that more is wrong."""
     return bool(np.sum((y + x) ** 2) < CRITERIA.gross_left * np.sum((y - x) ** 2))
 
 

@@ -130,7 +130,7 @@ def travelled(seen: Observations, q: Array, v: Array) -> tuple[Array, Array] | N
 
 
 def _scale(seen: Observations, q: Array, v: Array) -> float | None:
-    """Change of position per time over velocity; None where the two are not one signal."""
+    """Return the change of position per time over velocity; None where the two are not one signal."""
     found = travelled(seen, q, v)
     if found is None:
         return None
@@ -164,7 +164,7 @@ class RowOrder:
 
 
 def _roughness(q: Array) -> float:
-    """Mean squared step of q (N,) over its variance."""
+    """Return the mean squared step of q (N,) over its variance."""
     return float(np.mean(np.diff(q) ** 2)) / max(float(np.var(q)), 1e-300)
 
 
@@ -199,7 +199,7 @@ class ClockSteps:
 
 
 def _lasting(time: Array) -> NDArray[np.bool_]:
-    """(N - 1,) steps after which stamps stay behind: not a stamp or three by themselves that are off."""
+    """Return the steps (N - 1,) after which stamps stay behind: not a stamp or three by themselves that are off."""
     out = np.ones(len(time) - 1, dtype=bool)
     for k in range(1, ALONE + 1):
         before, after = np.full(len(out), -np.inf), np.full(len(out), np.inf)
@@ -244,7 +244,7 @@ class RoundedClock:
 
 
 def _even(row: Array, t: Array) -> tuple[float, float]:
-    """Slope and start of evenly spaced times by the rows at which the stamp changes, which are exact to one row."""
+    """Return slope and start of evenly spaced times by the rows at which the stamp changes, which are exact to one row."""
     change = np.flatnonzero(np.diff(t) > 0.0) + 1
     if len(change) < 3:
         slope = float(np.ptp(t)) / max(len(t) - 1, 1)
@@ -254,7 +254,7 @@ def _even(row: Array, t: Array) -> tuple[float, float]:
 
 
 def _floored(even: Array, t: Array) -> float:
-    """1 where stamps lie below the even times on average (cut off), 0 where about them (rounded)."""
+    """Return 1 where stamps lie below the even times on average (cut off), 0 where about them (rounded)."""
     return 1.0 if float(np.mean(even - t)) > 0.0 else 0.0
 
 

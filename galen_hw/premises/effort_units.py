@@ -119,7 +119,7 @@ def _beyond_limits(seen: Observations, scene: Scene) -> Remark | None:
 
 
 def _limit(seen: Observations, channel: str) -> float:
-    """What the URDF says that a joint's motor can do, N m or N; 0 where it says nothing."""
+    """Return what the URDF says that a joint's motor can do, N m or N; 0 where it says nothing."""
     robot, name = seen.belief.robot, joint_of(channel)
     if not isinstance(robot, UrdfRobot) or not robot.model.existJointName(name):
         return 0.0
@@ -128,7 +128,7 @@ def _limit(seen: Observations, channel: str) -> float:
 
 
 def _reach(values: Array, scene: Scene, channel: str) -> float:
-    """The largest size of a channel of values (N, C)."""
+    """Return the largest size of a channel of values (N, C)."""
     return float(np.max(np.abs(values[:, scene.channels.index(channel)])))
 
 
@@ -137,7 +137,7 @@ def _speed(scene: Scene, channel: str) -> Array:
 
 
 def _slope(expected: Array, measured: Array, speed: Array) -> float | None:
-    """Slope of measured over expected beside friction of any size; None where the model's effort cannot be told from that."""
+    """Return the slope of measured over expected given friction of any size; None where the two cannot be told apart."""
     good = np.isfinite(expected) & np.isfinite(measured) & np.isfinite(speed)
     if good.sum() < 50 or np.std(expected[good]) == 0.0:
         return None

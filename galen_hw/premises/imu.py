@@ -50,7 +50,7 @@ class ImuUnits:
 
 
 def _scale(expected: Array, measured: Array) -> float:
-    """Slope of measured (N, 3) over expected where they are one signal; 0 where they are not, or not known."""
+    """Return the slope of measured (N, 3) over expected where they are one signal; 0 where they are not, or not known."""
     good = np.isfinite(measured).all(axis=1) & np.isfinite(expected).all(axis=1)
     if good.sum() < 50:
         return 0.0

@@ -117,7 +117,7 @@ def wrong_velocity(seen: Observations, q: Array, v: Array) -> str:
 
 
 def _unlike(change: Array, told: Array) -> str:
-    """How two signals differ that should be one; empty where they do not."""
+    """Say how two signals differ that should be one; empty where they do not."""
     correlation = float(np.corrcoef(change, told)[0, 1])
     scale = float(np.sum(told * change) / np.sum(change**2))
     if abs(correlation) < 0.5:
@@ -198,18 +198,18 @@ def _sharp(band: Array) -> bool:
 
 
 def _apart(count: int) -> float:
-    """Relative spread of so many numbers that has this chance if they have nothing to do with one another; a tenth at most."""
+    """Return the relative spread of so many numbers that has this chance if they are unrelated; a tenth at most."""
     return float(min(BY_CHANCE ** (1.0 / (count - 1)), 0.1))
 
 
 def _upper_band(values: Array) -> tuple[float, float]:
-    """Where the upper of two bands begins and ends."""
+    """Return where the upper of two bands begins and ends."""
     levels = np.unique(values[np.isfinite(values)])
     return float(levels[int(np.argmax(np.diff(levels))) + 1]), float(levels[-1])
 
 
 def _signed(values: Array) -> tuple[Array, str] | None:
-    """The values with their signs, and in words what was read as unsigned; None where nothing was."""
+    """Return the values with their signs, and in words what was read as unsigned; None where nothing was."""
     there = np.isfinite(values)
     v = values[there]
     if len(v) < 40 or v.min() < 0.0 or v.max() == 0.0:

@@ -155,7 +155,7 @@ class PoseFrames:
 
 
 def _axes(expected: Array, measured: Array, plain: Similarity | None) -> Similarity | None:
-    """The axes to believe: those that are named where they do, else a turn, else a mirror; None where none does nearly."""
+    """Return the axes to believe: those that are named, else a turn, else a mirror; None where none does nearly."""
     if plain is not None:
         return plain
     before = scaled(expected, measured)
@@ -183,13 +183,13 @@ class TargetFrames:
         some = sampled(seen, names)
         if len(some) < CRITERIA.fewest_vectors:
             return
-        first = _left(some, names, 1.0, mirror=False)
+        first = _unexplained(some, names, 1.0, mirror=False)
         if first <= CRITERIA.small_turn**2:
             return
         size = _size(some, names)
         units = [("", 1.0), *((unit, f) for unit, f in TRACKED_LENGTHS.items() if 0.1 < size / f < 10.0)]
         tries = [(unit, f, mirror) for unit, f in units for mirror in (False, True)]
-        left = {one: _left(some, names, one[1], mirror=one[2]) for one in tries[1:]}
+        left = {one: _unexplained(some, names, one[1], mirror=one[2]) for one in tries[1:]}
         best = min(left, key=lambda one: left[one], default=None)
         if best is None or left[best] > min(CRITERIA.small_turn, CRITERIA.gross_gain * first):
             return
@@ -200,19 +200,19 @@ class TargetFrames:
 
 
 def _read(seen: Observations, names: tuple[str, ...], factor: float, *, mirror: bool) -> dict[str, Array]:
-    """Target columns in another unit, mirrored or not."""
+    """Return the target columns in another unit, mirrored or not."""
     return {n: seen.columns[n] / factor * (-1.0 if mirror and n.endswith(".x") else 1.0) for n in names}
 
 
-def _left(some: Observations, names: tuple[str, ...], factor: float, *, mirror: bool) -> float:
-    """Unexplained share of the targets' motion, read so."""
+def _unexplained(some: Observations, names: tuple[str, ...], factor: float, *, mirror: bool) -> float:
+    """Return the unexplained share of the targets' motion, read so."""
     scene = scene_of(with_columns(some, _read(some, names, factor, mirror=mirror)))
     moved = scene.measured - scene.measured.mean(axis=0)
     return float(np.sum(scene.residual**2) / max(float(np.sum(moved**2)), 1e-300))
 
 
 def _size(some: Observations, names: tuple[str, ...]) -> float:
-    """Times the arm's motion that the targets move, at its largest."""
+    """Return how many times the arm's motion the targets move, at its largest."""
     robot = some.belief.robot
     assert robot is not None, "asked only with a robot"
     q = some.matrix(*(f"joint.{name}.position" for name in robot.joint_names))

@@ -69,7 +69,7 @@ class PositionUnits:
                 seen = by_velocity.repaired
                 yield by_velocity
                 continue
-            chosen = _told(seen, moving, fitting) if len(fitting) != 1 else fitting[0][0]
+            chosen = _unit_told(seen, moving, fitting) if len(fitting) != 1 else fitting[0][0]
             if chosen:
                 columns = _scaled(seen, moving, units[chosen])
                 seen = with_columns(seen, columns)
@@ -79,7 +79,7 @@ class PositionUnits:
                 yield Remark(self.KEY, f"{what}: is it in {hint}?", "give rad and m", (name,), Action.REFUSED)
 
     def _beside_simulation(self, seen: Observations) -> Remark | None:
-        """Compared positions that are all the same unit's factor of their simulation."""
+        """Return a remark on compared positions that are all the same unit's factor of their simulation."""
         scene = compared(seen)
         if scene is None or not np.isfinite(scene.simulated).all():
             return None
@@ -95,7 +95,7 @@ class PositionUnits:
         return None
 
     def _by_velocity(self, seen: Observations, joints: Sequence[str], units: Mapping[str, float]) -> Remark | None:
-        """Within all limits: measured velocities of all joints, in SI, are the change of positions in another unit."""
+        """Return a remark where velocities of all joints, in SI, are the change of positions in another unit."""
         scales = [s for joint in joints if (s := _velocity_scale(seen, joint)) is not None]
         if len(scales) < 2:
             return None
@@ -109,7 +109,7 @@ class PositionUnits:
         return Remark(self.KEY, f"{what}: joints are in {unit}", "", tuple(columns), Action.REPAIRED, repaired)
 
     def _by_simulation(self, seen: Observations, joints: Sequence[str], units: Mapping[str, float]) -> Remark | None:
-        """Within all limits, as revolutions are: another unit with which the simulation follows, unlike the named one."""
+        """Return a remark where the simulation follows in another unit, unlike in the named one: revolutions break no limit."""
         if not joints:
             return None
         shares = {"": _shares(seen)}
@@ -130,7 +130,7 @@ class PositionUnits:
         )
 
     def _by_size(self, seen: Observations) -> Iterator[Remark]:
-        """Without a robot nobody knows a limit: only what no joint reaches is said."""
+        """Yield what can be said without a robot, whose limits nobody knows: only what no joint reaches."""
         for name in joint_columns(seen, "position"):
             values = seen.columns[name]
             if seen.predict == "wrench" and np.isfinite(values).any() and float(np.nanmax(np.abs(values))) > 4.0 * TURN:
@@ -149,7 +149,7 @@ def _velocity_scale(seen: Observations, joint: str) -> float | None:
 
 
 def _beyond(values: Array, low: float, high: float, *, slides: bool) -> float:
-    """How far values go beyond limits, as a share of their span; 0 where there are none. A whole turn more is the same angle.
+    """Return how far values go beyond limits over their span; 0 where there are none. A whole turn more is the same angle.
 
     Of each value by itself: angles read between -pi and pi lie a turn off in a part of the rows.
     """
@@ -162,7 +162,7 @@ def _beyond(values: Array, low: float, high: float, *, slides: bool) -> float:
 
 
 def _scaled(seen: Observations, joints: Sequence[str], factor: float) -> dict[str, Array]:
-    """Columns of some joints in another unit; velocities too, unless they are already those of the position so read."""
+    """Return the columns of joints in another unit; velocities too, unless they are already those of the position so read."""
     out = {}
     for joint in joints:
         for kind in ("position", "command", "velocity"):
@@ -175,19 +175,19 @@ def _scaled(seen: Observations, joints: Sequence[str], factor: float) -> dict[st
     return out
 
 
-def _told(seen: Observations, joints: Sequence[str], fitting: Sequence[tuple[str, float]]) -> str:
-    """The unit in which the simulation follows what is compared; empty where it cannot tell."""
+def _unit_told(seen: Observations, joints: Sequence[str], fitting: Sequence[tuple[str, float]]) -> str:
+    """Return the unit in which the simulation follows what is compared; empty where it cannot tell."""
     left = sorted((_unexplained(with_columns(seen, _scaled(seen, joints, f))), unit) for unit, f in fitting)
     return left[0][1] if left and left[0][0] < CRITERIA.half * min(1.0, left[1][0]) else ""
 
 
 def _unexplained(seen: Observations) -> float:
-    """Mean share of the compared channels' variance that their simulation at rest does not explain; 1 where nothing is known."""
+    """Return the mean share of variance that the simulation at rest does not explain; 1 where nothing is known."""
     return float(np.mean(_shares(seen)))
 
 
 def _shares(seen: Observations) -> Array:
-    """The same by channel (K,); a single 1 where nothing is known."""
+    """Return the unexplained shares by channel (K,); ones where nothing is known."""
     robot = seen.belief.robot
     assert robot is not None, "asked only with a robot"
     seen = measured(seen)

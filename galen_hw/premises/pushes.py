@@ -43,7 +43,7 @@ class PushSigns:
         size = float(np.sum(force**2)) * float(np.sum(give**2))
         if not np.isfinite(size) or size == 0.0:
             return
-        slope, spread = _given(force, give)
+        slope, spread = _compliance(force, give)
         stands = arm <= float(np.sum(np.var(give, axis=0)))
         alike = float(np.sum(force * give)) / np.sqrt(size)
         if slope < -CRITERIA.standard_errors * spread and (stands or alike < -CRITERIA.half):
@@ -53,8 +53,8 @@ class PushSigns:
             yield Remark(self.KEY, what, "turn applied.force round, in all sets alike", FORCE, Action.REFUSED)
 
 
-def _given(F: Array, d: Array) -> tuple[float, float]:
-    """Give (N, 3) along the push (N, 3), m/N, of all pushes together, and its standard error over contiguous pieces."""
+def _compliance(F: Array, d: Array) -> tuple[float, float]:
+    """Return the compliance (N, 3) along the push (N, 3), m/N, of all pushes, and its standard error over contiguous pieces."""
     work, size = np.sum(F * d, axis=1), np.sum(F**2, axis=1)
     slope = float(work.sum() / size.sum())
     left = work - slope * size

@@ -49,7 +49,7 @@ def registered(seen: Observations, Q: Array, measured: Array, expected: Array) -
 
 
 def _turned(seen: Observations, Q: Array, shift: Array) -> Observations:
-    """The recording with positions p Q + shift, and orientations turned with them."""
+    """Return the recording with positions p Q + shift, and orientations turned with them."""
     out = with_matrix(seen, POSITION, seen.matrix(*POSITION) @ Q + shift)
     if seen.has_all(*QUATERNION):
         there = np.isfinite(seen.matrix(*QUATERNION)).all(axis=1)
@@ -63,7 +63,7 @@ def _turned(seen: Observations, Q: Array, shift: Array) -> Observations:
 
 
 def _refinement(p: Array, measured: Array, R: Array, angle: Array) -> tuple[Array, Array]:
-    """Turn (3, 3) and shift (3,), as of `_turned`, that are left between tracker and base.
+    """Return the turn (3, 3) and shift (3,), as of `_turned`, that are left between tracker and base.
 
     Of a small turn of the base, a shift and, where it is surely there, a small turn of the body on its link, which is not
     applied, by least squares: positions alone may lie near a line, about which they say nothing.
@@ -87,7 +87,7 @@ def _refinement(p: Array, measured: Array, R: Array, angle: Array) -> tuple[Arra
 
 
 def _solved(A: Array, b: Array) -> tuple[Array, float]:
-    """Least-squares x of A x = b, columns made alike in size, and the squared residual."""
+    """Return the least-squares x of A x = b, columns made alike in size, and the squared residual."""
     scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
     x = np.linalg.lstsq(A / scale, b, rcond=CRITERIA.small_turn**2)[0] / scale
     return np.asarray(x), float(np.sum((b - A @ x) ** 2))

@@ -88,7 +88,7 @@ class OuterJoin:
 
 
 def _between(time: Array, values: Array, at: Array) -> Array:
-    """Values at other times, monotone between the measured ones; NaN outside them and across gaps."""
+    """Interpolate values to other times, monotone between the measured ones; NaN outside them and across gaps."""
     there = np.isfinite(values)
     if there.sum() < 4:
         return np.full(len(at), np.nan)
@@ -133,7 +133,7 @@ class Staircase:
 
 
 def _rows_held(changes: Mask) -> int | None:
-    """How many rows a position stands, where nearly all do so alike; None where positions change with every row."""
+    """Return how many rows a position stands, where nearly all do so alike; None where positions change with every row."""
     at = np.flatnonzero(changes)
     if len(at) < 10:
         return None

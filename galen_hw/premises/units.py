@@ -18,7 +18,7 @@ from galen_hw.spatial import Array
 
 
 def _of_one_system(forces: list[str], torques: list[str]) -> tuple[list[str], list[str]]:
-    """The units of a force (none: N) and a torque that are one unit and that times a length, where there are such."""
+    """Return the units of a force (none: N) and a torque that are one unit and that times a length, where there are such."""
     pairs = [(f, t) for f in forces or ["N"] for t in torques if t.startswith(f"{f} ")]
     if not pairs:
         return forces, torques
@@ -82,7 +82,7 @@ class WrenchUnits:
             yield from self._whole(seen, weighed)
 
     def _single(self, seen: Observations, some: Observations) -> Iterator[Remark]:
-        """Columns that are not in the unit of the other two of their group."""
+        """Yield a remark on columns that are not in the unit of the other two of their group."""
         expected = next(iter(readings(some))).expected
         groups = [(FORCE, expected, FORCES)]
         if some.belief.tool.mass > 0.0 and some.simulation is None:
@@ -150,7 +150,7 @@ class WrenchUnits:
 
 
 def _weighed(some: Observations) -> _Weighed | None:
-    """What hangs on the sensor by the wrench; None where gravity is not most of what it reads."""
+    """Return what hangs on the sensor by the wrench; None where gravity is not most of what it reads."""
     one = next(iter(readings(some)))
     plain = one.plain
     if plain.rank < 2 or plain.unexplained > CRITERIA.gross_left or plain.Q[0, 0] < 0.0 or some.simulation is not None:

@@ -82,7 +82,7 @@ class WrenchFrames:
             yield remark
 
     def _found(self, seen: Observations) -> _Found | None:
-        """The reading to believe; None where none can be: too few rows, one direction alone, or other forces everywhere."""
+        """Return the reading to believe; None where none can be: too few rows, one direction alone, or other forces."""
         if len(seen) < CRITERIA.fewest_vectors:
             return None
         usable = list(readings(seen))
@@ -105,7 +105,7 @@ class WrenchFrames:
         return Remark(self.KEY, "; ".join(says), "", TORQUE, Action.REPAIRED, there)
 
     def _of_axes(self, seen: Observations, found: _Found) -> Remark | None:
-        """What the force's axes say, and what the torque's do beside them."""
+        """Return a remark on what the force's axes say, and what the torque's do beside them."""
         says = [found.reading.says] if found.reading.says else []
         seen = reread(seen, found.reading.says) if says else seen
         Q = found.Q
@@ -176,7 +176,7 @@ def _possible(seen: Observations, found: _Found) -> bool:
 
 
 def _best(usable: list[Reading], plain: float) -> _Found | None:
-    """The simplest reading that meets the force nearly completely and far better than the columns as named."""
+    """Return the simplest reading that meets the force nearly completely and far better than the columns as named."""
     others = [r for r in usable[1:] if r.plain.unexplained < 1.0 and _is_named(r.plain.Q)]
     options = [_Found(reading, IDENTITY, reading.plain.unexplained, "plain") for reading in others]
     first = usable[0].plain
@@ -206,7 +206,7 @@ def _best(usable: list[Reading], plain: float) -> _Found | None:
 
 
 def _gravity(reading: Reading) -> tuple[Array, float]:
-    """As `any_gravity`, less what accelerates the tool where the model says it."""
+    """Return gravity and unexplained share as `any_gravity`, less what accelerates the tool where the model says it."""
     seen, force = reading.seen, reading.force
     if seen.belief.dynamic and seen.time is not None and seen.simulation is None and len(seen.belief.hanging):
         force = force - (scene_of(seen).simulated - scene_of(at_rest(seen)).simulated)[:, :3]
@@ -214,7 +214,7 @@ def _gravity(reading: Reading) -> tuple[Array, float]:
 
 
 def _sign_or_gravity(seen: Observations, sign: _Found) -> _Found:
-    """A force of the opposite sign, or gravity that points up: at rest they are one, what accelerates tells them apart."""
+    """Return a force of opposite sign, or gravity that points up: at rest they are one, what accelerates tells them apart."""
     if not seen.belief.dynamic or seen.time is None or seen.simulation is not None:
         return sign
     up = replace(seen, belief=replace(seen.belief, gravity=-seen.belief.gravity))
@@ -225,7 +225,7 @@ def _sign_or_gravity(seen: Observations, sign: _Found) -> _Found:
 
 
 def _weighs(option: _Found) -> bool:
-    """Whether the force of a reading is of the size that the named tool has, as far as one is named: a sign, not a trifle."""
+    """Return whether the force of a reading is of the size that the named tool has, as far as one is named."""
     reading, tool = option.reading, option.reading.seen.belief.hanging
     mass = sum(body.mass for body in tool)
     if mass <= 0.0 or reading.seen.simulation is not None:
@@ -241,7 +241,7 @@ def _tool_known(seen: Observations) -> bool:
 
 
 def _torque_axes(seen: Observations, Q: Array) -> tuple[Array, bool]:
-    """Axes (3, 3) of the torque beside a force in axes Q, and whether the tool stayed where it was when the sensor turned.
+    """Return the axes (3, 3) of the torque given a force in axes Q, and whether the tool stayed when the sensor turned.
 
     Where the tool is known, its moment says the sign too; where not, any lever does, and the torque is taken to be as the force
     unless another set of axes meets it far better.
@@ -252,8 +252,8 @@ def _torque_axes(seen: Observations, Q: Array) -> tuple[Array, bool]:
     if known:
         expected = scene.simulated[:, 3:]
         turns = np.cross(scene.belief.tool.com, scene.simulated[:, :3] @ Q.T)
-        options = [(Q, _left(turns, torque), False), (Q, _left(expected @ Q.T, torque), True)]
-        options += [(P, _left(expected @ P.T, torque), True) for P in _others(Q)]
+        options = [(Q, _unexplained(turns, torque), False), (Q, _unexplained(expected @ Q.T, torque), True)]
+        options += [(P, _unexplained(expected @ P.T, torque), True) for P in _others(Q)]
     else:
         options = [(P, lever_fit(force, torque @ P)[1], False) for P in (Q, *_others(Q))]
     enough = min(CRITERIA.gross_left, CRITERIA.gross_gain * options[0][1])
@@ -275,8 +275,8 @@ def _about_tip(seen: Observations) -> bool:
     if not _tool_known(seen) or not np.any(seen.belief.tip):
         return False
     expected, origin = scene_of(seen).simulated[:, 3:], seen.matrix(*TORQUE)
-    named = _left(expected, origin)
-    tip = _left(expected, _about_origin(seen).matrix(*TORQUE))
+    named = _unexplained(expected, origin)
+    tip = _unexplained(expected, _about_origin(seen).matrix(*TORQUE))
     return tip <= min(CRITERIA.small_turn, CRITERIA.gross_gain * named)
 
 
@@ -287,19 +287,19 @@ def _about_origin(seen: Observations) -> Observations:
 
 
 def _others(Q: Array) -> list[Array]:
-    """Other axes that a torque may have beside a force in axes Q: the named ones, turned round, and any order and sign."""
+    """Return other axes that a torque may have given a force in axes Q: the named, turned round, and any order and sign."""
     return [P for P in (IDENTITY, -Q, -IDENTITY, *signed_permutations()) if not np.allclose(P, Q)]
 
 
-def _left(expected: Array, measured: Array) -> float:
-    """Unexplained share of measured (N, 3) by expected times a scale that is not negative, and a constant."""
+def _unexplained(expected: Array, measured: Array) -> float:
+    """Return the unexplained share of measured (N, 3) by expected times a scale that is not negative, and a constant."""
     x, y = expected - expected.mean(axis=0), measured - measured.mean(axis=0)
     scale = max(float(np.sum(x * y)) / max(float(np.sum(x**2)), 1e-300), 0.0)
     return float(np.sum((y - scale * x) ** 2) / max(float(np.sum(y**2)), 1e-300))
 
 
 def _axes_say(force: Array, torque: Array) -> list[str]:
-    """Force and torque axes in words."""
+    """Say force and torque axes in words."""
     if np.array_equal(force, torque):
         if np.array_equal(force, -IDENTITY):
             return [

@@ -44,7 +44,7 @@ class Reading:
         return scaled(self.expected, self.force)
 
     def turned(self, determinant: int) -> Similarity:
-        """Axes of the force turned (+1) or mirrored (-1) against those that are named."""
+        """Fit axes of the force turned (+1) or mirrored (-1) against those that are named."""
         return similarity(self.expected, self.force, determinant=determinant)
 
 
@@ -112,7 +112,7 @@ def sensor_rotations(scene: Scene) -> Array:
 
 
 def _expected(scene: Scene) -> Array:
-    """(N, 3) force of the believed tool, per kilogram; of a kilogram at rest where none is believed."""
+    """Return the force (N, 3) of the believed tool, per kilogram; of a kilogram at rest where none is believed."""
     mass = sum(body.mass for body in scene.belief.hanging)
     if mass > 0.0 and scene.observations.simulation is None:
         return np.asarray(scene.simulated[:, :3] / mass)

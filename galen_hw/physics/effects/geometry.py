@@ -86,28 +86,28 @@ class JointOffset(_Encoder):
 
     @classmethod
     def always_fitted(cls, predict: str) -> bool:
-        """Of a joint that is compared itself."""
+        """Return whether it is of a joint that is compared itself."""
         return predict == "position"
 
     @classmethod
     def fitted_as(cls, channel: str, predict: str) -> Self | None:
-        """The same."""
+        """Return it for a joint that is compared itself."""
         return cls(joint_of(channel)) if predict == "position" else None
 
     @classmethod
     def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
-        """An offset of the reading."""
+        """Return an offset of the reading."""
         return ["bias"] if scene.observations.predict == "position" else []
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every joint with an answer; in positions the constant of that joint, unless offsets are free."""
+        """Yield every joint with an answer; in positions the constant of that joint, unless offsets are free."""
         if scene.observations.predict == "position" and scene.belief.bias_free:
             return
         yield from (cls(joint) for joint in scene.joint_names if answers(scene, joint))
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Error of the zero."""
+        """Return the error of the zero."""
         return (Parameter("offset", scene.joint_units(self.joint)[0]),)
 
 
@@ -130,11 +130,11 @@ class JointScale(_Encoder):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every joint that moves and shows."""
+        """Yield every joint that moves and shows."""
         yield from (cls(joint) for joint in scene.moved if answers(scene, joint))
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Relative error of the scale."""
+        """Return the relative error of the scale."""
         return (Parameter("scale_error", "1", furthest=FARTHEST_SCALE),)
 
 
@@ -161,14 +161,14 @@ class LinkGeometry(Effect):
 
     @classmethod
     def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
-        """Where all of it is where the arm stands: a tracker that is off."""
+        """Return a tracker that is off where all of it is a shift of where the arm stands."""
         bare = [name.rsplit(": ", 1)[-1] for name in parameters if name != "rms_signal"]
         stands = bool(bare) and all(name.startswith("frame_shift") for name in bare)
         return ["bias"] if scene.observations.predict == "pose" and stands else []
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every single error, and both tilts or shifts of one axis together."""
+        """Yield every single error, and both tilts or shifts of one axis together."""
         by_joint: dict[str, list[str]] = {}
         for port in scene.geometry_ports():
             if np.any(np.abs(port.values) > 1e-12):
@@ -181,13 +181,13 @@ class LinkGeometry(Effect):
                     yield cls(joint, pair)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Angles and lengths."""
+        """Return angles and lengths."""
         units = {port.name: port.unit for port in scene.geometry_ports() if port.joint == self.joint}
         unit = {name: units.get(name, "m") for name in self.errors}
         return tuple(Parameter(name, u, furthest=FURTHEST[u]) for name, u in unit.items())
 
     def columns(self, scene: Scene) -> Columns:
-        """The geometry's ports, and what the arm's motion adds."""
+        """Return the geometry's ports, and what the arm's motion adds."""
         ports = {port.name: port.values for port in scene.geometry_ports() if port.joint == self.joint}
         if scene.zeroing is not None:
             zero = {port.name: port.values for port in scene.zeroing.geometry_ports() if port.joint == self.joint}
@@ -197,7 +197,7 @@ class LinkGeometry(Effect):
         return in_all(found, len(scene.channels))
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """The product of the exponentials; what the arm's motion adds to the first order."""
+        """Return the product of the exponentials; what the arm's motion adds to the first order."""
         amounts = dict(zip(self.errors, theta.tolist(), strict=True))
         out = _less_zero(scene, lambda at: at.screw_port(axis_moves(at, self.joint, amounts)))
         for name, amount in amounts.items():
@@ -228,7 +228,7 @@ class SensorMounting(Effect):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """A turn, of a wrench's sensor with its tool or alone, and a shift."""
+        """Yield a turn, of a wrench's sensor with its tool or alone, and a shift."""
         unknown = isinstance(scene, ArmScene) and scene.belief.robot is None  # somebody else's simulation
         if unknown or scene.screw_port([np.zeros((len(scene), 6))]) is None:
             return
@@ -239,12 +239,12 @@ class SensorMounting(Effect):
             yield cls("shift")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """About or along the sensor's axes."""
+        """Return the turn about, or shift along, the sensor's axes."""
         unit, name = ("m", "shift") if self.part == "shift" else ("rad", "turn")
         return tuple(Parameter(f"{name}_{letter}", unit, furthest=FURTHEST[unit]) for letter in "xyz")
 
     def columns(self, scene: Scene) -> Columns:
-        """Slope of `exact`; a shifted wrench is linear."""
+        """Return the slope of `exact`; a shifted wrench is linear."""
         width = len(scene.channels)
         if self.part == "shift" and scene.observations.predict == "wrench":
             force = scene.simulated[:, :3]
@@ -255,7 +255,7 @@ class SensorMounting(Effect):
         return in_all([(up - down) / (2.0 * step) for up, down in zip(*ends, strict=True)], width)
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """The turned or shifted sensor itself."""
+        """Return the change of the turned or shifted sensor itself."""
         linear = self.part == "shift" and scene.observations.predict == "wrench"
         return None if linear else self._with_zero(scene, theta)
 
@@ -288,14 +288,14 @@ def answers(scene: Scene, joint: str) -> bool:
 
 
 def _less_zero(scene: Scene, change: Callable[[Scene], Array | None]) -> Array | None:
-    """What a wrong arm changes, less what it has changed where the reading was set to zero."""
+    """Return what a wrong arm changes, less what it has changed where the reading was set to zero."""
     out = change(scene)
     zero = None if out is None or scene.zeroing is None else change(scene.zeroing)
     return out if out is None or zero is None else out - zero
 
 
 def _slope(change: Callable[[float], Array | None], *, stride: float = 1e-4) -> Array | None:
-    """Central difference at nothing.
+    """Return the central difference at zero.
 
     Args:
         stride: rad, m or a share: a central difference over twice as much is exact to 1e-8.

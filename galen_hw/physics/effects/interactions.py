@@ -22,7 +22,7 @@ Placed = tuple["Effect", Array]
 
 
 def compound(scene: "Scene", placed: Sequence[Placed]) -> list[Array]:
-    """(N, C) what each effect adds where the others are too; `effect.change` where it is alone.
+    """Return the change (N, C) of each effect where the others are too; `effect.change` where it is alone.
 
     Row by row every effect keeps a memory of its own.
     """
@@ -72,7 +72,7 @@ def _wrong(placed: Sequence[Placed]) -> list[int]:
 
 
 def _own(scene: "Scene", k: int) -> "Scene":
-    """The scene with the memory of the k-th effect; a batch has none."""
+    """Return the scene with the memory of the k-th effect; a batch has none."""
     if scene.memory is None:
         return scene
     one = copy(scene)

@@ -56,7 +56,7 @@ def _load(path: str) -> Any:
 
 
 def effect_class(key: str) -> type[Effect]:
-    """The class of a key.
+    """Return the class of a key.
 
     Raises:
         UsageError: no such key.
@@ -82,13 +82,13 @@ def constant_of(channel: str, predict: str) -> Effect:
 
 
 def scene_of(observations: Observations, **options: Any) -> Scene:
-    """The scene of the compared group; options as in `Scene`."""
+    """Return the scene of the compared group; options as in `Scene`."""
     known = _load("galen_hw.physics.effects.terms:known_change") if observations.belief.terms else None
     return _load(SCENES[observations.predict])(observations, known=known, **options)  # type: ignore[no-any-return]
 
 
 def effect_of(term: Mapping[str, Any]) -> Effect:
-    """The effect that a term describes.
+    """Return the effect that a term describes.
 
     Raises:
         UsageError: an unknown key, or fields that do not fit.
