@@ -13,9 +13,10 @@ from galen_hw.physics.effects.friction import Friction
 from galen_hw.physics.effects.geometry import JointOffset
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.premises import cells, examined
+from galen_hw.premises import cells, examined, joint_reading, load
 from galen_hw.premises.channels import DeadChannels
 from galen_hw.premises.clock import ClockUnit
+from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.overflow import Overflow
 from tests.urdf_parts import joint, link, robot
 
@@ -131,3 +132,20 @@ def test_rows_with_a_clock_of_their_own_are_not_compared_one_by_one(monkeypatch:
     values = np.zeros((len(T), 3))
     assert not cells._same_stamp(T, values).any()
     assert cells._same_stamp(np.minimum(T, 1.0), values).sum() == np.sum(T > 1.0)
+
+
+def test_a_direction_that_rows_hardly_show_makes_no_change_of_a_load_sure():
+    """A change that nothing bounds has no standard error of zero beside a value."""
+    rng = np.random.default_rng(3)
+    A, b = rng.normal(size=(60, 6, 10)), rng.normal(size=(60, 6))
+    A[:, :, 9] = A[:, :, 8] + 1e-9 * rng.normal(size=(60, 6))
+    found = load._fitted(A, b, slice(6, 10), 30, "load")
+    assert np.all(np.abs(found.change) < CRITERIA.standard_errors * found.std)
+
+
+def test_joints_are_tried_on_at_most_so_many_rows():
+    """One fewer than twice as many are every other one."""
+    some = joint_reading._thinned(degrees(unmeasured=True).taken(slice(0, 2 * CRITERIA.most_rows - 1)))
+    assert some is not None
+    assert len(some) == CRITERIA.most_rows
+    assert np.allclose(np.diff(some.time), 2.0 / 50.0)
