@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from galen_hw.diagnosis.findings.claims import mean_square
+from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.effects.compliance import Compliance, Hardening
 from galen_hw.physics.effects.creep import Creep
@@ -18,6 +20,7 @@ from galen_hw.premises.channels import DeadChannels
 from galen_hw.premises.clock import ClockUnit
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.overflow import Overflow
+from tests.test_premises_efforts import arm as four_joints
 from tests.urdf_parts import joint, link, robot
 
 RAIL = robot(
@@ -149,3 +152,23 @@ def test_joints_are_tried_on_at_most_so_many_rows():
     assert some is not None
     assert len(some) == CRITERIA.most_rows
     assert np.allclose(np.diff(some.time), 2.0 / 50.0)
+
+
+def test_gravity_is_claimed_of_the_joints_that_were_measured():
+    """The arm is tilted, and one effort was not recorded: the claim's gain is that of the other channels."""
+    believed = four_joints(load=1.0)
+    gravity = np.array([0.0, 0.0, -9.80665])
+    machine = believed.under(Rotation.from_rotvec([0.6, -0.4, 0.0]).apply(gravity))
+    w, phase = 0.9 + 0.31 * np.arange(4), np.arange(4)
+    angle = np.outer(T, w) + phase
+    q, dq, ddq = 0.9 * np.sin(angle), 0.9 * w * np.cos(angle), -0.9 * w**2 * np.sin(angle)
+    effort = machine.inverse_dynamics(q, dq, ddq) + 0.02 * np.random.default_rng(2).normal(size=q.shape)
+    effort[:, 3] = np.nan
+    columns = {"time": T}
+    for k, name in enumerate(believed.joint_names):
+        columns |= {f"joint.{name}.position": q[:, k], f"joint.{name}.effort": effort[:, k]}
+    belief = Belief(robot=believed.under(gravity), gravity=gravity, bias_free=True)
+    found = diagnose(scene_of(Observations("effort", columns, None, belief))).diagnosis
+    (tilt,) = found.findings
+    assert tilt.effect == "base_tilt"
+    assert tilt.evidence["heldout_gain"] == pytest.approx(1.0, abs=1e-3)

@@ -17,7 +17,7 @@ from galen_hw.physics.scenes.joint import PositionScene
 from galen_hw.physics.scenes.pose import ArmScene
 from galen_hw.spatial import Array
 
-LOADS = ("load", "torque", "force", "effort", "current", "duty", "pwm")
+LOAD_WORDS = ("load", "torque", "force", "effort", "current", "duty", "pwm")
 """Words in the name of a covariate that is what a motor gives: the registers of servos, in units of their own."""
 
 
@@ -92,7 +92,7 @@ class Compliance(Effect):
             return
         for name, values in scene.observations.columns.items():
             words = re.split(r"[._]", name.lower())
-            if words[0] == "covariate" and not set(LOADS).isdisjoint(words) and np.ptp(values) > 0.0:
+            if words[0] == "covariate" and not set(LOAD_WORDS).isdisjoint(words) and np.ptp(values) > 0.0:
                 yield cls("loop", joint_of(scene.channels[0]), name)
 
     @classmethod

@@ -286,6 +286,7 @@ class Scene(Operated):
         """
         rest = type(self)(self.observations, rates=self._derivatives(band), known=self.known).raw_residual
         rest = rest[len(rest) // 20 : -max(len(rest) // 20, 1)]
+        rest = rest[:, np.isfinite(rest).any(axis=0)]  # of a joint that was not measured nothing is missed
         quick = np.diff(rest, axis=0)
         return float(np.mean(np.log(_spread(rest) + 1e-300) + np.log(_spread(quick) + 1e-300)))
 
