@@ -17,10 +17,10 @@ from physics_scenes import JOINTS, URDF, WRENCH, belief, motion, proposals
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.effects.creep import Creep
 from galen_hw.physics.effects.geometry import JointOffset, JointScale, LinkGeometry, SensorMounting
-from galen_hw.physics.effects.interactions import READERS, STANDS, compound, meet
+from galen_hw.physics.effects.interactions import compound, meet
 from galen_hw.physics.effects.live import EffectStream
 from galen_hw.physics.effects.load import INERTIA, BaseTilt, Payload
-from galen_hw.physics.effects.registry import EFFECTS, scene_of
+from galen_hw.physics.effects.registry import kinds, scene_of
 from galen_hw.physics.effects.sensor import CrossTalk, Gain
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.rigid import Body
@@ -202,12 +202,17 @@ def test_a_stream_of_several_gives_what_the_batch_gives():
 
 
 def test_every_reader_has_its_place():
-    """Whatever says that it reads a load is in the order in which the load is met."""
+    """Whatever says that it reads a load, or that an arm stands otherwise, says when."""
+    read = sorted((e for e in kinds() if np.isfinite(e.READ_ORDER)), key=lambda e: e.READ_ORDER)
+    assert [e.KEY for e in read] == ["hysteresis", "creep", "cross_talk", "gain"]
+    wrong = sorted((e for e in kinds() if np.isfinite(e.GEOMETRY_ORDER)), key=lambda e: e.GEOMETRY_ORDER)
+    assert [e.KEY for e in wrong] == ["joint_scale", "joint_offset", "base_tilt", "link_geometry", "sensor_mounting"]
     for group in ("wrench", "effort"):
         scene, found = proposals(group)
-        assert {e.KEY for e in found if e.reads(scene)} <= set(READERS) <= set(EFFECTS)
+        assert {type(e) for e in found if e.reads(scene)} <= set(read)
         meeting = [e for e in found if e.stands(scene, np.full(len(e.parameters(scene)), 0.01)) is not None]
-        assert {"joint_offset", "base_tilt"} <= {e.KEY for e in meeting} <= set(STANDS) <= set(EFFECTS)
+        assert {"joint_offset", "base_tilt"} <= {e.KEY for e in meeting}
+        assert {type(e) for e in meeting} <= set(wrong)
 
 
 @given(

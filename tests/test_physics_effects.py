@@ -2,6 +2,7 @@
 
 import dataclasses
 import sys
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 from conformance import check_effect
 from physics_scenes import JOINTS, belief, proposals, scene
 
+from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.compliance import Compliance
+from galen_hw.physics.effects.events import Contact
 from galen_hw.physics.effects.geometry import JointOffset, JointScale
 from galen_hw.physics.effects.live import EffectStream, build_streams
 from galen_hw.physics.effects.load import Payload
@@ -190,3 +193,18 @@ def test_an_arm_that_is_wrong_was_wrong_when_the_sensor_was_zeroed(effect, joint
     assert np.max(np.abs(slope * error - expected)) < 0.03 * np.max(np.abs(expected))
     # Where the joints stood is not known, the zero is taken for right.
     assert scene_of(dataclasses.replace(told.observations, belief=made.belief)).zeroing is None
+
+
+def test_a_touch_of_many_half_waves_needs_no_memory_for_all_of_its_rows():
+    """What is averaged is averaged shape by shape: ten touches of twenty half waves are no two hundred signals at once."""
+    rows = 20_000
+    made = scene("wrench", np.random.default_rng(4), rows=rows)
+    touch = Contact((made.channels[0],), tuple((20.0 * k, 20.0 * k + 15.0) for k in range(10)), waves=20)
+    coarse = Rows((slice(0, rows),), 20)
+    tracemalloc.start()
+    shapes = touch.shapes(made, coarse.average)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert shapes.shape == (1000, 210)
+    assert peak < 10 * 8 * rows + 3 * shapes.nbytes
+    np.testing.assert_allclose(shapes, coarse.average(touch.shapes(made, np.asarray)))

@@ -105,6 +105,15 @@ def test_a_pose_in_other_axes_is_registered_to_the_base(seed, angle):
     same_as(found, original, 2e-3)
 
 
+def test_a_pose_without_any_orientation_is_registered_by_its_positions():
+    """The columns are there, and hold nothing."""
+    original = pose()
+    columns = turned(original, Rotation.from_rotvec([0.6, -0.5, 1.2]).as_matrix())
+    found = examined(seen(columns | {n: np.full(len(columns["time"]), np.nan) for n in QUATERNION}))
+    assert [r.premise for r in found.remarks] == ["pose_frames"]
+    assert np.max(np.abs(matrix(dict(found.observations.columns), POSITION) - matrix(original, POSITION))) < 2e-3
+
+
 def test_y_up_is_said_by_its_axes():
     """As many trackers and games have it."""
     y_up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

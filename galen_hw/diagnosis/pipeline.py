@@ -94,7 +94,7 @@ def diagnose(
         model, judged, left = predict_unnamed(generic, model, holdout, judged, left)
     if not left and holdout is not None and not premise.wrong:
         left = left_of_another(model, holdout, judged)
-    after = claim_before(judged, raw, examination)
+    after = claim_before(judged, raw, bench.scene.channels, examination)
     diagnosis = answer(model, selection, judged, left, premise, glitch, name)
     add_claims(diagnosis, examination, judged, after, bench, lambda found: verdict_of(found, left, premise))
     tell("done", 1.0)

@@ -2,10 +2,5 @@
 
 
 def joint_of(channel: str) -> str:
-    """NAME of joint.NAME.kind."""
+    """Return NAME of joint.NAME.kind; empty where a channel is not of a joint."""
     return channel.split(".", 1)[1].rsplit(".", 1)[0] if channel.startswith("joint.") else ""
-
-
-def joint_unit(joint: str) -> str:
-    """Metres for the Galen's carriages, radians otherwise."""
-    return "m" if joint.startswith("carriage") else "rad"

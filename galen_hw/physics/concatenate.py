@@ -14,7 +14,7 @@ PAUSE = 1.0
 
 
 def joined(parts: Sequence[Observations], names: Sequence[str]) -> tuple[Observations, list[float]]:
-    """One set of observations, and the time on its clock at which each recording begins (its first row without a clock).
+    """Join recordings; return them and the time on their clock at which each begins (its first row without a clock).
 
     Segments are kept apart, so that memory, filters and blocks never reach from one recording into the next. A column
     that only some recordings have is NaN in the others. The belief is the first one's.
@@ -66,7 +66,7 @@ def _stacked(parts: Sequence[Mapping[str, Array]], sizes: Sequence[int]) -> dict
 
 
 def _check(first: Observations, part: Observations, first_name: str, name: str) -> None:
-    """That two recordings can be put into one."""
+    """Check that two recordings can be put into one."""
     different = [
         ("what is compared (predict)", first.predict, part.predict),
         ("the presence of a time column", first.time is not None, part.time is not None),

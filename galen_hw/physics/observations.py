@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from galen_hw.kinematics import NOMINAL_GRAVITY, Robot
+from galen_hw.kinematics import NOMINAL_GRAVITY, Robot, UrdfRobot
 from galen_hw.physics.rigid import Body
 from galen_hw.spatial import Array
 
@@ -60,6 +60,10 @@ class Belief:
         bodies = (self.tool, *self.distal) if self.bias_body is None else (self.tool, *self.distal, self.bias_body)
         return tuple(body for body in bodies if body.mass > 0.0)
 
+    def slides(self, joint: str) -> bool:
+        """Return whether a joint is prismatic: as the URDF says, without one by the names of the Galen's carriages."""
+        return self.robot.slides(joint) if isinstance(self.robot, UrdfRobot) else joint.startswith("carriage")
+
 
 @dataclass(frozen=True)
 class Observations:
@@ -80,7 +84,7 @@ class Observations:
     apart: bool = False
 
     def __len__(self) -> int:
-        """Number of samples."""
+        """Return the number of samples."""
         return len(next(iter(self.columns.values()), ()))
 
     @property
@@ -106,7 +110,7 @@ class Observations:
         return tuple(dict.fromkeys(found))
 
     def matrix(self, *names: str) -> Array:
-        """(N, k) of the named columns; NaN where one is absent."""
+        """Return the named columns (N, k); NaN where one is absent."""
         missing = np.full(len(self), np.nan)
         return (
             np.stack([np.asarray(self.columns.get(n, missing)) for n in names], axis=-1)
@@ -115,15 +119,19 @@ class Observations:
         )
 
     def joints(self, kind: str) -> Array:
-        """(N, n) joint positions, velocities, efforts or commands; NaN where a joint has none."""
+        """Return joint positions, velocities, efforts or commands (N, n); NaN where a joint has none."""
         return self.matrix(*(f"joint.{name}.{kind}" for name in self.joint_names))
 
     def has(self, prefix: str) -> bool:
         """Return whether any column begins so."""
         return any(name.startswith(prefix) for name in self.columns)
 
+    def has_all(self, *names: str) -> bool:
+        """Return whether every one of these columns is there."""
+        return all(name in self.columns for name in names)
+
     def taken(self, rows: Any) -> "Observations":
-        """The same with only some rows (slice, mask or indices)."""
+        """Return the same with only some rows (slice, mask or indices)."""
         simulation = self.simulation
         cut = None if simulation is None else {k: v[rows] for k, v in simulation.items()}
         return Observations(self.predict, {k: v[rows] for k, v in self.columns.items()}, cut, self.belief, self.apart)

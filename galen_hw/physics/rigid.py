@@ -29,7 +29,7 @@ class Body:
     inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     def with_parameters(self, more: Array) -> "Body | None":
-        """With m, m c (3) and inertia xx xy yy xz yz zz about the sensor's origin added (10,); None if nothing weighs then."""
+        """Return it with m, m c (3) and inertia xx xy yy xz yz zz about the sensor's origin added (10,); None if weightless."""
         mass = self.mass + float(more[0])
         if mass <= 0.0:
             return None
@@ -41,23 +41,23 @@ class Body:
         return Body(mass, com, about_origin - mass * _parallel(com))
 
     def seen_from(self, T: Array) -> "Body":
-        """The same in the axes of a frame in which its own stand at T (4, 4)."""
+        """Return the body in the axes of a frame in which its own stand at T (4, 4)."""
         R = T[:3, :3]
         return Body(self.mass, R @ self.com + T[:3, 3], R @ self.inertia @ R.T)
 
 
 def _parallel(c: Array) -> Array:
-    """(3, 3) inertia about the origin of unit mass at c."""
+    """Return the inertia (3, 3) about the origin of unit mass at c."""
     return np.asarray(np.dot(c, c) * np.eye(3) - np.outer(c, c))
 
 
 def gravity_in_sensor(R: ArrayLike, gravity: ArrayLike = NOMINAL_GRAVITY) -> Array:
-    """Gravity s = R^T g, (..., 3) m/s^2, of sensor orientations (..., 3, 3)."""
+    """Return gravity s = R^T g, (..., 3) m/s^2, of sensor orientations (..., 3, 3)."""
     return np.asarray(np.swapaxes(np.asarray(R, dtype=float), -1, -2) @ np.asarray(gravity, dtype=float))
 
 
 def weight_map(*bodies: Body) -> Array:
-    """W (6, 3) with wrench = W s: [m 1; hat(m c)], summed over the bodies."""
+    """Return W (6, 3) with wrench = W s: [m 1; hat(m c)], summed over the bodies."""
     W = np.zeros((6, 3))
     for body in bodies:
         W[:3] += body.mass * np.eye(3)
@@ -73,7 +73,7 @@ def gravity_map(
     offset: ArrayLike = (0.0,) * 6,
     gravity: ArrayLike = NOMINAL_GRAVITY,
 ) -> Array:
-    """M (6, 4) with predicted wrench = M [s; 1] (report, equation 11, with a constant offset).
+    """Return M (6, 4) with predicted wrench = M [s; 1] (report, equation 11, with a constant offset).
 
     Args:
         tool: what hangs on the sensor with its weight in the reading.
@@ -98,13 +98,13 @@ def predicted_wrench(
     offset: ArrayLike = (0.0,) * 6,
     gravity: ArrayLike = NOMINAL_GRAVITY,
 ) -> Array:
-    """Wrench (N, 6) that the sensor reads at rest in orientations R (N, 3, 3); arguments as in `gravity_map`."""
+    """Return the wrench (N, 6) that the sensor reads at rest in orientations R (N, 3, 3); arguments as in `gravity_map`."""
     M = gravity_map(tool, bias_body=bias_body, zeroed_rotation=zeroed_rotation, offset=offset, gravity=gravity)
     return np.asarray(gravity_in_sensor(R, gravity) @ M[:, :3].T + M[:, 3])
 
 
 def inertial_wrench(motion: Motion, *bodies: Body) -> Array:
-    """Wrench (N, 6) that the bodies' acceleration adds to the reading (Newton and Euler, minus m a_c and so on).
+    """Return the wrench (N, 6) that the bodies' acceleration adds to the reading (Newton and Euler, minus m a_c and so on).
 
     With a the sensor origin's acceleration, w and alpha its rates, all in the sensor frame:
     a_c = a + alpha x c + w x (w x c), force = -m a_c, torque = c x force - I alpha - w x (I w).

@@ -5,6 +5,9 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import ClassVar, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from galen_hw.physics.observations import Observations
 from galen_hw.spatial import Array
 
@@ -25,7 +28,6 @@ class Stage(Enum):
 
     CELLS = "cells and clocks"
     UNITS = "units"
-    MODEL = "the model"
     FRAMES = "frames and signs"
     LOAD = "load and zeroing"
 
@@ -154,7 +156,7 @@ def examine(seen: Observations, premises: Sequence[Premise], *, repair: bool = T
 
 
 def _unrepaired(remark: Remark) -> Remark:
-    """The same remark, refusing what it would have repaired."""
+    """Return the same remark, refusing what it would have repaired."""
     if remark.action is not Action.REPAIRED:
         return remark
     todo = remark.todo or "put it right in the file, or leave out --no-repair"
@@ -166,7 +168,24 @@ def with_columns(seen: Observations, columns: Mapping[str, Array]) -> Observatio
     return replace(seen, columns=dict(seen.columns) | dict(columns))
 
 
+def with_matrix(seen: Observations, names: Iterable[str], values: Array) -> Observations:
+    """Return the recording with columns `names` set to values (N, k)."""
+    return with_columns(seen, dict(zip(names, values.T, strict=True)))
+
+
 def without_columns(seen: Observations, names: Iterable[str]) -> Observations:
     """Return the recording without some columns."""
     gone = set(names)
     return replace(seen, columns={name: values for name, values in seen.columns.items() if name not in gone})
+
+
+def known_rows(seen: Observations, names: Iterable[str], most: int | None = None) -> NDArray[np.intp]:
+    """Return the rows on which all named columns were measured, at most so many of them, evenly chosen."""
+    rows = np.flatnonzero(np.isfinite(seen.matrix(*names)).all(axis=1))
+    return rows if most is None or len(rows) <= most else rows[np.linspace(0, len(rows) - 1, most).astype(int)]
+
+
+def joint_positions(seen: Observations) -> list[str]:
+    """Return the columns of positions that the robot's joints have; none without a robot."""
+    robot = seen.belief.robot
+    return [] if robot is None else [n for j in robot.joint_names if (n := f"joint.{j}.position") in seen.columns]

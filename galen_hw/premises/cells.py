@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from galen_hw.physics.observations import Observations
-from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Remark, Stage
 from galen_hw.spatial import Array
 
 Mask = NDArray[np.bool_]
@@ -71,7 +71,7 @@ class LostValues:
 
 
 def _tracked(columns: dict[str, Array]) -> list[list[str]]:
-    """Groups of columns that a tracker loses together."""
+    """Return the groups of columns that a tracker loses together."""
     pose = [name for name in POSE if name in columns]
     targets: dict[str, list[str]] = {}
     for name in columns:
@@ -81,14 +81,14 @@ def _tracked(columns: dict[str, Array]) -> list[list[str]]:
 
 
 def _origin(values: Array, group: list[str]) -> Mask:
-    """(N,) rows that read exactly zeros, with or without the identity, where most others do not."""
+    """Return which rows (N,) read exactly zeros, with or without the identity, where most others do not."""
     position = [k for k, name in enumerate(group) if ".position." in name]
     zero = np.all(values[:, position] == 0.0, axis=1)
     return zero if 0 < zero.sum() < 0.5 * len(values) else np.zeros(len(values), dtype=bool)
 
 
 def _far(values: Array, group: list[str]) -> Mask:
-    """(N,) rows that all read one place to the last bit, as far from every other as these are from one another, or farther.
+    """Return which rows (N,) read one place to the last bit that is as far from every other as these are apart, or farther.
 
     What moves does not come back to the last bit; a number that stands for "lost" (9999, -1000) does nothing else.
     """
@@ -109,7 +109,7 @@ def _far(values: Array, group: list[str]) -> Mask:
 
 
 def _held(values: Array) -> Mask:
-    """(N,) rows that repeat the row before to the last bit: all where chance makes none, else those in runs if nearly all change.
+    """Return which rows (N,) repeat the row before to the last bit: all if that is no chance, else runs where nearly all change.
 
     The first row of a run was measured.
     """
@@ -122,13 +122,13 @@ def _held(values: Array) -> Mask:
     if len(values) * float(np.prod(np.mean(alike[~same[1:]], axis=0))) < 1.0:
         return same
     out = np.zeros_like(same)
-    for start, stop in _runs(same):
+    for start, stop in runs(same):
         out[start:stop] = stop - start >= HELD_ROWS - 1
     return out if np.sum(same & ~out) <= 0.01 * len(values) else np.zeros_like(out)
 
 
-def _runs(flags: Mask) -> list[tuple[int, int]]:
-    """(start, stop) of each run of True."""
+def runs(flags: Mask) -> list[tuple[int, int]]:
+    """Return (start, stop) of each run of True in (N,) flags."""
     edges = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))
     return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
 
@@ -157,7 +157,7 @@ class DoubledRows:
 
 
 def _copies(values: Array) -> Mask:
-    """(N,) rows that stood before, anywhere, where columns are otherwise never the same twice."""
+    """Return which rows (N,) stood before, anywhere, where columns are otherwise never the same twice."""
     unique, first = np.unique(values, axis=0, return_index=True)
     out = np.ones(len(values), dtype=bool)
     out[first] = False
@@ -166,7 +166,9 @@ def _copies(values: Array) -> Mask:
 
 
 def _same_stamp(time: Array, values: Array) -> Mask:
-    """(N,) rows with the stamp and all values of an earlier one."""
+    """Return which rows (N,) have the stamp and all values of an earlier one."""
+    if np.all(np.diff(time) > 0.0):
+        return np.zeros(len(time), dtype=bool)
     _, first = np.unique(np.column_stack([time, values]), axis=0, return_index=True)
     out = np.ones(len(time), dtype=bool)
     out[first] = False
@@ -174,7 +176,7 @@ def _same_stamp(time: Array, values: Array) -> Mask:
 
 
 def _side_by_side(values: Array) -> Mask:
-    """(N,) rows that repeat the one before, where throughout the recording each stands so many times."""
+    """Return which rows (N,) repeat the one before, where throughout the recording each stands so many times."""
     same = np.zeros(len(values), dtype=bool)
     same[1:] = np.all(values[1:] == values[:-1], axis=1)
     starts = np.flatnonzero(~same)
@@ -193,6 +195,8 @@ class PoseRows:
         """Yield one remark; each pose becomes one row, with its number of samples and their standard deviations."""
         if seen.simulation is not None or seen.predict not in ("wrench", "pose", "targets"):
             return
+        if seen.time is not None and np.all(np.diff(seen.time) != 0.0):
+            return  # a clock of the rows: where poses end need not be known
         bounds = pose_bounds(seen)
         counts = np.diff([*bounds, len(seen)])
         if seen.time is not None and np.any(np.delete(np.diff(seen.time), np.array(bounds[1:], dtype=int) - 1) != 0.0):
@@ -230,7 +234,7 @@ def pose_bounds(seen: Observations) -> list[int]:
 
 
 def _means(values: Array, bounds: list[int]) -> Array:
-    """(P,) means of runs, without the cells that were not measured."""
+    """Return the means (P,) of runs, without the cells that were not measured."""
     there = np.isfinite(values)
     total = np.add.reduceat(np.where(there, values, 0.0), bounds)
     count = np.add.reduceat(there.astype(float), bounds)
@@ -238,7 +242,7 @@ def _means(values: Array, bounds: list[int]) -> Array:
 
 
 def _spreads(seen: Observations, bounds: list[int]) -> dict[str, Array]:
-    """Standard deviations within each pose of the wrench's columns, as a sweep of our own has them."""
+    """Return the standard deviations within each pose of the wrench's columns, as a sweep of our own has them."""
     out = {}
     for name in (n for n in seen.columns if n.startswith("wrench.")):
         mean = _means(seen.columns[name], bounds)
@@ -247,8 +251,3 @@ def _spreads(seen: Observations, bounds: list[int]) -> dict[str, Array]:
         variance = np.maximum(square - mean**2, 0.0) * counts / np.maximum(counts - 1, 1)
         out[f"covariate.std.{name.removeprefix('wrench.')}"] = np.where(counts > 1, np.sqrt(variance), np.nan)
     return out
-
-
-def replaced(seen: Observations, names: list[str], values: Array) -> Observations:
-    """Return the recording with columns `names` set to values (N, k)."""
-    return with_columns(seen, dict(zip(names, values.T, strict=True)))

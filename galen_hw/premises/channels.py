@@ -9,9 +9,10 @@ import numpy as np
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
-from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known_rows, with_columns
+from galen_hw.premises.cells import runs
 from galen_hw.premises.criteria import CRITERIA
-from galen_hw.premises.sampling import compared_names
+from galen_hw.premises.sampling import compared_names, measured
 from galen_hw.spatial import Array
 
 DEAD: Final = 0.05
@@ -33,10 +34,9 @@ def compared(seen: Observations) -> Scene | None:
 
 
 def _stretch(seen: Observations) -> Scene | None:
-    names = compared_names(seen)
-    robot = seen.belief.robot
-    driven = [] if robot is None else [n for j in robot.joint_names if (n := f"joint.{j}.position") in seen.columns]
-    rows = np.flatnonzero(np.isfinite(seen.matrix(*names, *driven)).all(axis=1))
+    seen = measured(seen)
+    names, robot, driven = compared_names(seen), seen.belief.robot, joint_positions(seen)
+    rows = known_rows(seen, (*names, *driven))
     if not names or len(rows) < CRITERIA.fewest_vectors:
         return None
     # In one piece: what accelerates is part of the simulation.
@@ -117,12 +117,9 @@ STUCK_SHARE: Final = 0.02
 
 
 def _longest(values: Array) -> slice | None:
-    """The longest run of one reading in (N,) values that change from row to row else; None where it is short, or they do not."""
+    """Return the longest run of one reading in (N,) values that change else; None where it is short, or they do not change."""
     same = values[1:] == values[:-1]
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]]))).reshape(-1, 2)
-    if not len(edges):
-        return None
-    first, last = edges[int(np.argmax(edges[:, 1] - edges[:, 0]))].tolist()
+    first, last = max(runs(same), key=lambda run: run[1] - run[0], default=(0, 0))
     length = last - first
     if length < max(STUCK_ROWS, STUCK_SHARE * len(values)) or length > 0.9 * len(values):
         return None
@@ -132,7 +129,7 @@ def _longest(values: Array) -> slice | None:
 
 
 def _kin(scene: Scene, c: int) -> list[int]:
-    """Channels of the unit of channel c."""
+    """Return the channels of the unit of channel c."""
     return [d for d, unit in enumerate(scene.units) if unit == scene.units[c]]
 
 
@@ -178,7 +175,7 @@ class JointSigns:
 
 
 def _turned(y: Array, x: Array) -> bool:
-    """Whether -y (N,) is as x (N,), its constant too: a constant that the sign does not explain says that more is wrong."""
+    """Return whether -y (N,) is as x (N,), its constant too: one that the sign does not explain says that more is wrong."""
     return bool(np.sum((y + x) ** 2) < CRITERIA.gross_left * np.sum((y - x) ** 2))
 
 

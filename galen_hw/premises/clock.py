@@ -1,7 +1,6 @@
 """The clock: its unit, its steps, stamps that were rounded, and whether it runs as the motion says."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import ClassVar, Final
 
 import numpy as np
@@ -55,6 +54,8 @@ class ClockUnit:
         if time is None or len(time) < 50:
             return
         steps = np.diff(time)
+        if not np.any(steps > 0.0):
+            return  # of reversed rows or a clock that stands: no unit
         # Stamps of whole seconds stand still more often than not: over the whole recording they advance all the same.
         step = (
             float(np.ptp(time)) / (len(time) - 1) if np.median(steps) == 0.0 else float(np.median(steps[steps > 0.0]))
@@ -92,20 +93,19 @@ def speed_scale(seen: Observations) -> float | None:
 
     1 where clock and velocities agree, 1e-3 where time is in ms.
     """
-    time = seen.time
-    if time is None:
-        return None
+    found = _scales(seen)
+    return float(np.median(found)) if found else None
+
+
+def _scales(seen: Observations) -> list[float]:
+    """Return (change of position per time) over measured velocity of each joint for which the two are one signal."""
     found = []
-    for name in seen.columns:
-        if not (name.startswith("joint.") and name.endswith(".velocity")):
-            continue
-        q, v = seen.columns.get(name.replace(".velocity", ".position")), seen.columns[name]
-        if q is None:
-            continue
-        one = _scale(seen, q, v)
+    for name in [n for n in seen.columns if n.startswith("joint.") and n.endswith(".velocity")]:
+        q = seen.columns.get(name.replace(".velocity", ".position"))
+        one = None if q is None else _scale(seen, q, seen.columns[name])
         if one is not None:
             found.append(one)
-    return float(np.median(found)) if found else None
+    return found
 
 
 def travelled(seen: Observations, q: Array, v: Array) -> tuple[Array, Array] | None:
@@ -130,7 +130,7 @@ def travelled(seen: Observations, q: Array, v: Array) -> tuple[Array, Array] | N
 
 
 def _scale(seen: Observations, q: Array, v: Array) -> float | None:
-    """Change of position per time over velocity; None where the two are not one signal."""
+    """Return the change of position per time over velocity; None where the two are not one signal."""
     found = travelled(seen, q, v)
     if found is None:
         return None
@@ -157,14 +157,14 @@ class RowOrder:
         order = np.argsort(time)
         taken = seen.taken(order)
         before, after = (sum(_roughness(q) for q in moving(one)) for one in (seen, taken))
-        if not after < CRITERIA.half * before:
+        if back < len(time) - 1 and not after < CRITERIA.half * before:
             return  # a clock that was set: rows follow each other as they stand
         what = f"rows are not in the order of their stamps, which go back {back} times: sorted by them, the motion is smooth"
         yield Remark(self.KEY, what, "", ("time",), Action.REPAIRED, taken)
 
 
 def _roughness(q: Array) -> float:
-    """Mean squared step of q (N,) over its variance."""
+    """Return the mean squared step of q (N,) over its variance."""
     return float(np.mean(np.diff(q) ** 2)) / max(float(np.var(q)), 1e-300)
 
 
@@ -199,7 +199,7 @@ class ClockSteps:
 
 
 def _lasting(time: Array) -> NDArray[np.bool_]:
-    """(N - 1,) steps after which stamps stay behind: not a stamp or three by themselves that are off."""
+    """Return the steps (N - 1,) after which stamps stay behind: not a stamp or three by themselves that are off."""
     out = np.ones(len(time) - 1, dtype=bool)
     for k in range(1, ALONE + 1):
         before, after = np.full(len(out), -np.inf), np.full(len(out), np.inf)
@@ -244,7 +244,7 @@ class RoundedClock:
 
 
 def _even(row: Array, t: Array) -> tuple[float, float]:
-    """Slope and start of evenly spaced times by the rows at which the stamp changes, which are exact to one row."""
+    """Return slope and start of evenly spaced times by the rows at which the stamp changes, which are exact to one row."""
     change = np.flatnonzero(np.diff(t) > 0.0) + 1
     if len(change) < 3:
         slope = float(np.ptp(t)) / max(len(t) - 1, 1)
@@ -254,7 +254,7 @@ def _even(row: Array, t: Array) -> tuple[float, float]:
 
 
 def _floored(even: Array, t: Array) -> float:
-    """1 where stamps lie below the even times on average (cut off), 0 where about them (rounded)."""
+    """Return 1 where stamps lie below the even times on average (cut off), 0 where about them (rounded)."""
     return 1.0 if float(np.mean(even - t)) > 0.0 else 0.0
 
 
@@ -275,12 +275,7 @@ class ClockRate:
         time = seen.time
         if time is None or len(time) < 50 or not smooth(seen):
             return
-        found = []
-        for name in [n for n in seen.columns if n.startswith("joint.") and n.endswith(".velocity")]:
-            q = seen.columns.get(name.replace(".velocity", ".position"))
-            one = None if q is None else _scale(seen, q, seen.columns[name])
-            if one is not None:
-                found.append(one)
+        found = _scales(seen)
         if len(found) < 2:
             return
         scale = float(np.median(found))
@@ -289,9 +284,4 @@ class ClockRate:
         if any(abs(abs(np.log(scale)) - np.log(unit)) < CRITERIA.same_factor for unit in RATES):
             return  # a unit of the velocities, or of the positions: theirs to say
         what = f"the clock runs at {1.0 / scale:.4g} times the rate that positions and velocities of {len(found)} joints agree on"
-        yield Remark(self.KEY, what, "", ("time",), Action.REPAIRED, replace_time(seen, time * scale))
-
-
-def replace_time(seen: Observations, time: Array) -> Observations:
-    """Return the recording on another clock (N,), s."""
-    return replace(seen, columns=dict(seen.columns) | {"time": time})
+        yield Remark(self.KEY, what, "", ("time",), Action.REPAIRED, with_columns(seen, {"time": time * scale}))

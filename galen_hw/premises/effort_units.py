@@ -12,7 +12,7 @@ from galen_hw.physics.scenes.base import Scene
 from galen_hw.premises.base import Action, Remark, Stage
 from galen_hw.premises.channels import compared
 from galen_hw.premises.criteria import CRITERIA
-from galen_hw.premises.units import FORCES, TORQUES, units_of
+from galen_hw.premises.unit_tables import FORCES, TORQUES, units_of
 from galen_hw.spatial import Array
 
 
@@ -57,10 +57,8 @@ class EffortUnits:
         equal = float(np.max(np.abs(np.log(slopes / np.median(slopes))))) < CRITERIA.same_factor
         table = FORCES if all(scene.units[scene.channels.index(name)] == "N" for name in names) else TORQUES
         units = units_of(float(np.median(slopes)), table) if equal else []
-        if seen.simulation is not None and not units and slopes[0] > 1.0:
-            return  # what someone else simulated may leave out most of an effort
-        if len(known) == 1 and not units and slopes[0] > 1.0:
-            return  # one joint may carry what the model does not know
+        if not units and slopes[0] > 1.0 and (seen.simulation is not None or len(known) == 1):
+            return  # somebody else's simulation may leave out most of an effort, and one joint carry what no model knows
         over = [c for c in scene.channels if (limit := _limit(seen, c)) and _reach(scene.simulated, scene, c) > limit]
         if over and seen.simulation is None:
             # What was measured is within the limits, or it would have been said.
@@ -121,7 +119,7 @@ def _beyond_limits(seen: Observations, scene: Scene) -> Remark | None:
 
 
 def _limit(seen: Observations, channel: str) -> float:
-    """What the URDF says that a joint's motor can do, N m or N; 0 where it says nothing."""
+    """Return what the URDF says that a joint's motor can do, N m or N; 0 where it says nothing."""
     robot, name = seen.belief.robot, joint_of(channel)
     if not isinstance(robot, UrdfRobot) or not robot.model.existJointName(name):
         return 0.0
@@ -130,17 +128,16 @@ def _limit(seen: Observations, channel: str) -> float:
 
 
 def _reach(values: Array, scene: Scene, channel: str) -> float:
-    """The largest size of a channel of values (N, C)."""
+    """Return the largest size of a channel of values (N, C)."""
     return float(np.max(np.abs(values[:, scene.channels.index(channel)])))
 
 
-def _speed(scene: object, channel: str) -> Array:
-    joint = joint_of(channel)
-    return np.asarray(scene.rates[0][:, scene.joint_index(joint)])  # type: ignore[attr-defined]
+def _speed(scene: Scene, channel: str) -> Array:
+    return scene.rates[0][:, scene.joint_index(joint_of(channel))]
 
 
 def _slope(expected: Array, measured: Array, speed: Array) -> float | None:
-    """Slope of measured over expected beside friction of any size; None where the model's effort cannot be told from that."""
+    """Return the slope of measured over expected given friction of any size; None where the two cannot be told apart."""
     good = np.isfinite(expected) & np.isfinite(measured) & np.isfinite(speed)
     if good.sum() < 50 or np.std(expected[good]) == 0.0:
         return None

@@ -144,7 +144,7 @@ class MissingBody:
         yield Remark(self.KEY, what, "give its mass, origin and inertia", efforts.scene.channels, Action.REFUSED)
 
     def _rest(self, efforts: Efforts, joint: int) -> Array:
-        """Residual (C, N), as of `own`, beside a body on what a joint of the model moves; all of it where it moves nothing."""
+        """Return the residual (C, N), as of `own`, of a fit with a body on what a joint moves; all if it moves nothing."""
         scene = efforts.scene
         y = efforts.own(scene.residual[:, :, None])[:, 0]
         zero = np.zeros_like(scene.q)

@@ -11,12 +11,12 @@ from galen_hw.physics.scenes.imu import turn_rates
 from galen_hw.premises.base import Action, Remark, Stage, with_columns
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.rotations import scaled
+from galen_hw.premises.unit_tables import ACCELERATIONS, TURN_RATES, unit_of
+from galen_hw.premises.wrench_reading import ORIENTATION, sensor_rotations
 from galen_hw.spatial import Array
 
 ACCELERATION: Final = tuple(f"imu.acceleration.{axis}" for axis in "xyz")
 OMEGA: Final = tuple(f"imu.angular_velocity.{axis}" for axis in "xyz")
-ACCELERATIONS: Final = {"g": 1.0 / 9.80665, "mg": 1e3 / 9.80665, "gal": 1e2}
-RATES: Final = {"degrees a second": 180.0 / np.pi, "mrad/s": 1e3, "revolutions a minute": 30.0 / np.pi}
 
 
 class ImuUnits:
@@ -28,22 +28,21 @@ class ImuUnits:
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield a remark for each of the two."""
         time = seen.time
-        names = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
-        if seen.predict != "wrench" or seen.belief.robot is not None or not all(n in seen.columns for n in names):
+        if seen.predict != "wrench" or seen.belief.robot is not None or not seen.has_all(*ORIENTATION):
             return
-        if not seen.has("imu.") or len(seen) < 50 or not np.isfinite(seen.matrix(*names)).all():
+        if not seen.has("imu.") or len(seen) < 50 or not np.isfinite(seen.matrix(*ORIENTATION)).all():
             return
-        R = np.asarray(scene_of(seen).R)  # type: ignore[attr-defined]
+        R = sensor_rotations(scene_of(seen))
         up = -np.einsum("nji,j->ni", R, seen.belief.gravity)
         turning = np.zeros((len(seen), 3))
         if time is not None:
             turning = np.einsum("nji,nj->ni", R, turn_rates(np.asarray(time), R, seen.segments)[0])
-        for columns, expected, table in ((ACCELERATION, up, ACCELERATIONS), (OMEGA, turning, RATES)):
-            if not all(name in seen.columns for name in columns):
+        for columns, expected, table in ((ACCELERATION, up, ACCELERATIONS), (OMEGA, turning, TURN_RATES)):
+            if not seen.has_all(*columns):
                 continue
             scale = _scale(expected, seen.matrix(*columns))
-            unit = next((u for u, f in table.items() if scale and abs(np.log(scale / f)) < CRITERIA.same_factor), None)
-            if unit is None:
+            unit = unit_of(scale, table) if scale else ""
+            if not unit:
                 continue
             seen = with_columns(seen, {name: seen.columns[name] / table[unit] for name in columns})
             what = f"{columns[0].rsplit('.', 1)[0]} is {scale:.4g} times what the orientation says: it is in {unit}"
@@ -51,7 +50,7 @@ class ImuUnits:
 
 
 def _scale(expected: Array, measured: Array) -> float:
-    """Slope of measured (N, 3) over expected where they are one signal; 0 where they are not, or not known."""
+    """Return the slope of measured (N, 3) over expected where they are one signal; 0 where they are not, or not known."""
     good = np.isfinite(measured).all(axis=1) & np.isfinite(expected).all(axis=1)
     if good.sum() < 50:
         return 0.0

@@ -12,12 +12,12 @@ from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.pose import QUATERNION
-from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known_rows, with_columns
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.effort_units import beside_friction
 from galen_hw.premises.registration import poses
 from galen_hw.premises.rotations import scaled, turned_alike
-from galen_hw.premises.sampling import compared_names
+from galen_hw.premises.sampling import compared_names, measured
 from galen_hw.premises.wrench_reading import FORCE, at_rest, readings
 from galen_hw.spatial import Array, rotation_from_quaternion
 
@@ -46,7 +46,7 @@ class _Try:
     swapped: bool
 
     def read(self, seen: Observations) -> Observations:
-        """The recording read so."""
+        """Return the recording read so."""
         new = {}
         others = self.joints[::-1] if self.swapped else self.joints
         for joint, other in zip(self.joints, others, strict=True):
@@ -57,7 +57,7 @@ class _Try:
         return with_columns(seen, new)
 
     def moved(self, seen: Observations, rates: Rates) -> Rates:
-        """The joints' speeds and accelerations (N, n) read so."""
+        """Return the joints' speeds and accelerations (N, n) read so."""
         if rates is None or self.kind != "position":
             return rates
         at = [seen.joint_names.index(joint) for joint in self.joints]
@@ -92,9 +92,11 @@ class JointReading:
             return
         # Differentiated once: a joint that is read otherwise moves otherwise in the same way.
         rates = scene.rates if scene.clock else None
-        plain = _left(some, rates)
+        plain = _unexplained(some, rates)
         found = {
-            one: left for one in _tries(some) if (left := _left(one.read(some), one.moved(some, rates))) is not None
+            one: left
+            for one in _tries(some)
+            if (left := _unexplained(one.read(some), one.moved(some, rates))) is not None
         }
         good = _best(plain, found) if plain is not None else []
         if not good or plain is None:
@@ -103,7 +105,7 @@ class JointReading:
         if not _with_constant(some, best):
             return
         names = " or ".join(", ".join(one.columns) for one in good)
-        before, after = (1.0 - _mean(left, plain, found) for left in (plain, found[best]))
+        before, after = (1.0 - _mean_unexplained(left, plain, found) for left in (plain, found[best]))
         if best.swapped:
             what = f"{names} are swapped: the simulation explains {before:.0%} of what is compared"
             what += f", and {after:.0%} with the two exchanged"
@@ -116,24 +118,24 @@ class JointReading:
 
 
 def _thinned(seen: Observations) -> Observations | None:
-    """Rows on which all joints and what is compared are known, evenly chosen; at rest where too far apart for a motion."""
-    robot, names = seen.belief.robot, compared_names(seen)
+    """Return rows with all joints and compared channels, evenly chosen; at rest where too far apart for a motion."""
+    seen = measured(seen)
+    robot, names, driven = seen.belief.robot, compared_names(seen), joint_positions(seen)
     if not names or (robot is None and seen.simulation is None and seen.predict != "position"):
         return None
-    driven = () if robot is None else tuple(f"joint.{j}.position" for j in robot.joint_names)
-    if seen.simulation is None and not all(name in seen.columns for name in driven):
+    lacking = robot is not None and len(driven) < len(robot.joint_names)
+    if lacking and seen.simulation is None and seen.predict != "position":
         return None
-    driven = tuple(name for name in driven if name in seen.columns)
-    rows = np.flatnonzero(np.isfinite(seen.matrix(*names, *driven)).all(axis=1))
+    rows = known_rows(seen, (*names, *driven))
     if len(rows) < CRITERIA.fewest_vectors:
         return None
-    some = seen.taken(rows[:: max(len(rows) // CRITERIA.most_rows, 1)])
+    some = seen.taken(rows[:: -(-len(rows) // CRITERIA.most_rows)])
     spaced = some.time is not None and float(np.median(np.diff(some.time))) <= DIFFERENTIABLE_S
     return some if spaced or seen.simulation is not None else at_rest(some)
 
 
 def _tries(some: Observations) -> Iterator[_Try]:
-    """Each joint turned round, two of them, and two exchanged: of what is compared, and of the positions that drive it."""
+    """Yield each joint turned round, two of them, and two exchanged: of what is compared, and of the positions that drive it."""
     kinds = [some.predict] if some.predict in OWN else []
     if some.belief.robot is not None and some.simulation is None and some.predict != "position":
         kinds.append("position")
@@ -156,14 +158,14 @@ def _with_constant(some: Observations, best: _Try) -> bool:
 
 
 def _best(plain: Array, found: Mapping[_Try, Array]) -> list[_Try]:
-    """The reading that explains nearly all that any does, far better than the columns as named; empty without one.
+    """Return the reading that explains nearly all that any does, far better than the columns as named; empty without one.
 
     A second one that does as well, of other joints, leaves it open. Of the same joints, as of an arm of one, the effort and the
     position turned round are one and the same: both are given.
     """
-    score = {one: _mean(left, plain, found) for one, left in found.items()}
+    score = {one: _mean_unexplained(left, plain, found) for one, left in found.items()}
     least = min(score.values(), default=1.0)
-    if least > min(CRITERIA.gross_left, CRITERIA.gross_gain * _mean(plain, plain, found)):
+    if least > min(CRITERIA.gross_left, CRITERIA.gross_gain * _mean_unexplained(plain, plain, found)):
         return []
     good = [one for one in found if score[one] <= max(CRITERIA.as_good * least, CRITERIA.small_turn**2)]
     # Simplest first: of two that are as good, one joint less is turned round.
@@ -171,8 +173,8 @@ def _best(plain: Array, found: Mapping[_Try, Array]) -> list[_Try]:
     return good if len({(one.joints, one.swapped) for one in good}) == 1 else []
 
 
-def _mean(left: Array, plain: Array, found: Mapping[_Try, Array]) -> float:
-    """Mean unexplained share of the channels of which some reading explains at least half."""
+def _mean_unexplained(left: Array, plain: Array, found: Mapping[_Try, Array]) -> float:
+    """Return the mean unexplained share of the channels of which some reading explains at least half."""
     told = np.min([plain, *found.values()], axis=0) < CRITERIA.half
     return float(np.mean(left[told])) if told.any() else 1.0
 
@@ -180,13 +182,13 @@ def _mean(left: Array, plain: Array, found: Mapping[_Try, Array]) -> float:
 def _doubtful(some: Observations, scene: Scene) -> bool:
     """Return whether something that is compared misses its simulation by more than its noise and friction can say."""
     if some.predict not in OWN:
-        left = _left(some, None)
+        left = _unexplained(some, None)
         return left is not None and float(np.max(left)) > CRITERIA.small_turn
     y, x = scene.measured, scene.simulated
     if len(y) < 50 or not (np.isfinite(x).all() and np.isfinite(y).all()):
         return False
     for c, name in enumerate(scene.channels):
-        own, rest = (_beside(_free(scene, name), v[:, c]) for v in (x, y))
+        own, rest = (_residual(_free(scene, name), v[:, c]) for v in (x, y))
         size = max(float(np.sum(own**2)), 1e-300)
         slope = float(np.sum(own * rest)) / size
         std = float(np.std(rest - slope * own)) / np.sqrt(size)
@@ -195,8 +197,8 @@ def _doubtful(some: Observations, scene: Scene) -> bool:
     return False
 
 
-def _left(some: Observations, rates: Rates) -> Array | None:
-    """Unexplained shares (K,) of what is compared; None where nothing is simulated."""
+def _unexplained(some: Observations, rates: Rates) -> Array | None:
+    """Return the unexplained shares (K,) of what is compared; None where nothing is simulated."""
     if some.predict in OWN:
         return _of_joints(some, rates)
     if some.simulation is not None:
@@ -207,21 +209,21 @@ def _left(some: Observations, rates: Rates) -> Array | None:
 
 
 def _of_wrench(some: Observations) -> Array | None:
-    """Of the force, whatever weighs there."""
-    if not all(name in some.columns for name in FORCE):
+    """Return the unexplained share (1,) of the force, whatever weighs there."""
+    if not some.has_all(*FORCE):
         return None
     one = next(iter(readings(some))).plain
     return np.array([one.unexplained if one.Q[0, 0] > 0.0 else 1.0])
 
 
 def _of_pose(some: Observations) -> Array | None:
-    """Of the place, and of the orientation where it is tracked; None where a pose cannot be simulated."""
+    """Return the shares of the place and, if tracked, of the orientation; None where a pose cannot be simulated."""
     scene = scene_of(some)
     if not np.isfinite(scene.simulated).all():
         return None
     one = scaled(scene.simulated[:, :3], scene.measured[:, :3])
     left = [one.unexplained if one.Q[0, 0] > 0.0 else 1.0]
-    if all(name in some.columns for name in QUATERNION):
+    if some.has_all(*QUATERNION):
         expected = poses(scene)
         R = rotation_from_quaternion(some.matrix(*QUATERNION))
         spread = turned_alike(np.tile(np.eye(3), (len(some), 1, 1)), expected)[1]
@@ -230,7 +232,7 @@ def _of_pose(some: Observations) -> Array | None:
 
 
 def _of_joints(some: Observations, rates: Rates) -> Array | None:
-    """By channel, beside a constant and, of efforts, friction of any size."""
+    """Return the shares by channel, given a constant and, of efforts, friction of any size."""
     scene = scene_of(some, rates=rates)
     y, x = scene.measured, scene.simulated
     if len(y) < 50 or not (np.isfinite(x).all() and np.isfinite(y).all()):
@@ -238,19 +240,19 @@ def _of_joints(some: Observations, rates: Rates) -> Array | None:
     out = []
     for c, name in enumerate(scene.channels):
         free = _free(scene, name)
-        moved, left = (_beside(free, v) for v in (y[:, c], y[:, c] - x[:, c]))
+        moved, left = (_residual(free, v) for v in (y[:, c], y[:, c] - x[:, c]))
         out.append(min(float(np.sum(left**2)) / max(float(np.sum(moved**2)), 1e-300), 1.0))
     return np.array(out)
 
 
 def _free(scene: Scene, channel: str) -> Array:
-    """(N, k) what may be there besides: a constant, and of an effort the two shapes of friction."""
+    """Return the nuisance columns (N, k) of a channel: a constant, and of an effort the two shapes of friction."""
     if scene.observations.predict != "effort" or not scene.clock:
         return np.ones((len(scene), 1))
     joint = joint_of(channel)
     return beside_friction(scene.rates[0][:, scene.joint_index(joint)])
 
 
-def _beside(free: Array, y: Array) -> Array:
-    """What of y (N,) is left beside columns (N, k)."""
+def _residual(free: Array, y: Array) -> Array:
+    """Return the residual of y (N,) after least squares on columns (N, k)."""
     return np.asarray(y - free @ np.linalg.lstsq(free, y, rcond=None)[0])

@@ -1,7 +1,6 @@
 """Joints: angles that wrap, columns of velocity that are none, numbers that were read as unsigned."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import combinations
 from typing import ClassVar, Final
 
@@ -10,12 +9,12 @@ import numpy as np
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns, without_columns
 from galen_hw.premises.clock import travelled
-from galen_hw.premises.criteria import CRITERIA
-from galen_hw.premises.sampling import compared_names
+from galen_hw.premises.sampling import compared_names, steps_within, unwrapped
+from galen_hw.premises.unit_tables import TURN, VELOCITY_RATIOS, unit_of
 from galen_hw.spatial import Array
 
-TURN: Final = 2.0 * np.pi
-WRAPS: Final = {"rad": TURN, "degrees": 360.0}
+WRAPS: Final = (TURN, 360.0)
+"""A turn in rad and in degrees."""
 SURELY_MOVED: Final = 50.0
 """Times the noise of a reading that a joint must have gone before its velocities are doubted."""
 FEWEST_JUMPS: Final = 3
@@ -24,14 +23,6 @@ BY_CHANCE: Final = 0.01
 """Chance that is taken that columns seem to be folded at one and the same number."""
 LEAST_MOTION: Final = 0.02
 """rad or m, the same of an encoder without noise."""
-RATIOS: Final = {
-    "degrees a second": 180.0 / np.pi,
-    "radians, the position in degrees": np.pi / 180.0,
-    "revolutions a minute": 60.0 / TURN,
-    "radians, the position in revolutions": TURN,
-    "mm": 1e3,
-}
-"""Velocity over the change of position, where they are in different units."""
 
 
 def joint_columns(seen: Observations, kind: str) -> list[str]:
@@ -52,18 +43,14 @@ class WrappedJoints:
         columns, jumps = {}, 0
         for name in [*joint_columns(seen, "position"), *joint_columns(seen, "command")]:
             values = seen.columns[name]
-            there = np.isfinite(values)
-            if there.sum() < 8:
+            step = np.abs(steps_within(values, seen.segments))
+            if len(step) < 7:
                 continue
-            q = values[there]
-            step = np.abs(np.diff(q))
             usual = float(np.quantile(step, 0.95))
-            for turn in WRAPS.values():
+            for turn in WRAPS:
                 wraps = np.abs(step - turn) < max(0.05 * turn, 2.0 * usual)
-                if wraps.any() and usual < 0.1 * turn and np.ptp(q) < 1.01 * turn:
-                    fixed = values.copy()
-                    fixed[there] = np.unwrap(q, period=turn)
-                    columns[name], jumps = fixed, jumps + int(wraps.sum())
+                if wraps.any() and usual < 0.1 * turn and np.nanmax(values) - np.nanmin(values) < 1.01 * turn:
+                    columns[name], jumps = unwrapped(values, seen.segments, turn), jumps + int(wraps.sum())
                     break
         if columns:
             names = ", ".join(columns)
@@ -130,7 +117,7 @@ def wrong_velocity(seen: Observations, q: Array, v: Array) -> str:
 
 
 def _unlike(change: Array, told: Array) -> str:
-    """How two signals differ that should be one; empty where they do not."""
+    """Say how two signals differ that should be one; empty where they do not."""
     correlation = float(np.corrcoef(change, told)[0, 1])
     scale = float(np.sum(told * change) / np.sum(change**2))
     if abs(correlation) < 0.5:
@@ -138,8 +125,8 @@ def _unlike(change: Array, told: Array) -> str:
     if correlation < -0.9:
         return "the opposite sign of the position's change"
     if correlation > 0.9 and not 0.2 < scale < 5.0:
-        hint = next((u for u, f in RATIOS.items() if abs(np.log(scale / f)) < CRITERIA.same_factor), "")
-        return f"{scale:.3g} times the position's change (is it in {hint or 'degrees or mm'}?)"
+        hint = unit_of(scale, VELOCITY_RATIOS) or "degrees or mm"
+        return f"{scale:.3g} times the position's change (is it in {hint}?)"
     return ""
 
 
@@ -177,9 +164,7 @@ class SignMagnitude:
             return
         if columns:
             what = f"{', '.join(columns)} jump{'s' if len(columns) == 1 else ''} by {how} where the value passes zero"
-            yield Remark(
-                self.KEY, what, "", tuple(columns), Action.REPAIRED, replace(seen, columns=dict(seen.columns) | columns)
-            )
+            yield Remark(self.KEY, what, "", tuple(columns), Action.REPAIRED, with_columns(seen, columns))
 
 
 def _folded(values: Array) -> bool:
@@ -213,18 +198,18 @@ def _sharp(band: Array) -> bool:
 
 
 def _apart(count: int) -> float:
-    """Relative spread of so many numbers that has this chance if they have nothing to do with one another; a tenth at most."""
+    """Return the relative spread of so many numbers that has this chance if they are unrelated; a tenth at most."""
     return float(min(BY_CHANCE ** (1.0 / (count - 1)), 0.1))
 
 
 def _upper_band(values: Array) -> tuple[float, float]:
-    """Where the upper of two bands begins and ends."""
+    """Return where the upper of two bands begins and ends."""
     levels = np.unique(values[np.isfinite(values)])
     return float(levels[int(np.argmax(np.diff(levels))) + 1]), float(levels[-1])
 
 
 def _signed(values: Array) -> tuple[Array, str] | None:
-    """The values with their signs, and in words what was read as unsigned; None where nothing was."""
+    """Return the values with their signs, and in words what was read as unsigned; None where nothing was."""
     there = np.isfinite(values)
     v = values[there]
     if len(v) < 40 or v.min() < 0.0 or v.max() == 0.0:

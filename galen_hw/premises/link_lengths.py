@@ -35,7 +35,7 @@ class LinkLengths:
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield at most one remark, on all links that are of another length."""
         robot = seen.belief.robot
-        if seen.predict != "pose" or not isinstance(robot, UrdfRobot) or not all(n in seen.columns for n in POSITION):
+        if seen.predict != "pose" or not isinstance(robot, UrdfRobot) or not seen.has_all(*POSITION):
             return
         some = sampled(seen, POSITION)
         scene = scene_of(some) if len(some) else None

@@ -9,7 +9,7 @@ import numpy as np
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.rigid import Body
-from galen_hw.premises.base import Action, Claim, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Claim, Remark, Stage, with_matrix
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.wrench_reading import FORCE, TORQUE, at_rest, comparable
 from galen_hw.spatial import Array
@@ -20,8 +20,8 @@ KINDS = (("zero", slice(0, 6)), ("load", slice(6, 6 + BODY)))
 
 
 @dataclass(frozen=True)
-class _Split:
-    """Two fits on either side of a row.
+class _ChangePoint:
+    """A change point: two fits on either side of a row.
 
     Args:
         row: the first of the second part, of the rows looked at.
@@ -54,7 +54,7 @@ class ToolTwice:
         once = replace(
             seen, belief=replace(belief, distal=tuple(b for k, b in enumerate(belief.distal) if k != twins[0]))
         )
-        left = [_missed(comparable(one)) for one in (once, seen)]
+        left = [_misfit(comparable(one)) for one in (once, seen)]
         if left[0] > CRITERIA.gross_gain * left[1]:
             return
         what = (
@@ -72,8 +72,8 @@ def _alike(body: Body, tool: Body) -> bool:
     )
 
 
-def _missed(seen: Observations) -> float:
-    """Mean square of what the simulation misses beside a constant, each channel over its own variance."""
+def _misfit(seen: Observations) -> float:
+    """Return the mean square of the residual beside a constant, each channel over its own variance."""
     scene = scene_of(seen)
     missed = np.var(scene.measured - scene.simulated, axis=0)
     return float(np.mean(missed / np.maximum(np.var(scene.measured, axis=0), 1e-300)))
@@ -91,13 +91,9 @@ class LoadChange:
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield at most one remark; in a motion a picked-up part is repaired and claimed, in poses it is refused."""
-        if (
-            seen.predict != "wrench"
-            or seen.simulation is not None
-            or not all(n in seen.columns for n in (*FORCE, *TORQUE))
-        ):
+        if seen.predict != "wrench" or seen.simulation is not None or not seen.has_all(*FORCE, *TORQUE):
             return
-        split, some = self._split(_with_tool(seen))
+        split, some = self._change_point(_with_tool(seen))
         if split is None:
             return
         where, at = _moment(some, split.row)
@@ -117,8 +113,8 @@ class LoadChange:
             return
         yield self._claimed(seen, at)
 
-    def _split(self, seen: Observations) -> tuple[_Split | None, Observations]:
-        """The split to believe, and the rows that its row counts in."""
+    def _change_point(self, seen: Observations) -> tuple[_ChangePoint | None, Observations]:
+        """Return the change point to believe, and the rows that its row counts in."""
         moving = seen.belief.dynamic and seen.time is not None
         # What accelerates the load may be the larger part of it: a motion is differentiated as a whole, then thinned out.
         some = comparable(seen) if moving else at_rest(comparable(seen, CRITERIA.most_rows))
@@ -127,11 +123,11 @@ class LoadChange:
         if port is None:
             return None, some
         rows = np.linspace(0, len(some) - 1, min(len(some), CRITERIA.most_rows)).astype(int)
-        split = _best_split((scene.measured - scene.simulated)[rows], port[rows])
+        split = _best_change((scene.measured - scene.simulated)[rows], port[rows])
         return None if split is None else replace(split, row=int(rows[split.row])), some
 
     def _claimed(self, seen: Observations, at: float) -> Remark:
-        """The recording without what the change adds from its moment on."""
+        """Return the repair and the claim: the recording without what the change adds from its moment on."""
         time = seen.time
         assert time is not None, "claimed only of motions"
         port = scene_of(seen).body_port()
@@ -144,13 +140,13 @@ class LoadChange:
         parameters = {"mass": (mass, float(std[0]), "kg"), "moment": (at, 0.0, "s")}
         parameters |= {f"com_{a}": (float(com[k]), float(std[1 + k] / abs(mass)), "m") for k, a in enumerate("xyz")}
         claim = Claim("payload", parameters, (*FORCE, *TORQUE))
-        repaired = with_columns(seen, dict(zip((*FORCE, *TORQUE), wrench.T, strict=True)))
+        repaired = with_matrix(seen, (*FORCE, *TORQUE), wrench)
         text = f"the load changes by {mass:+.4g} +- {std[0]:.2g} kg from {at:.4g} s on"
         return Remark(self.KEY, text, "record each load by itself", (*FORCE, *TORQUE), Action.REPAIRED, repaired, claim)
 
 
 def _refined(seen: Observations, port: Array, at: float) -> tuple[Array, Array, float]:
-    """Change (10,) of the inertial parameters, its standard deviations and the moment, on all rows with their acceleration."""
+    """Fit the change (10,) of the inertial parameters, its standard deviations and the moment, on all rows with acceleration."""
     time = seen.time
     assert time is not None, "claimed only of motions"
     y = seen.matrix(*FORCE, *TORQUE)
@@ -177,20 +173,20 @@ def _refined(seen: Observations, port: Array, at: float) -> tuple[Array, Array, 
 
 
 def _with_tool(seen: Observations) -> Observations:
-    """The rows with the tool on: a sweep of our own says which these are, and takes it off itself."""
+    """Return the rows with the tool on: a sweep of our own says which these are, and takes it off itself."""
     on = seen.columns.get("covariate.tool")
     return seen if on is None else seen.taken(np.asarray(on > 0.5))
 
 
 def _moment(some: Observations, row: int) -> tuple[str, float]:
-    """Where a split is, in words, and its time (s) or row."""
+    """Return where a change point is, in words, and its time (s) or row."""
     if some.time is None:
         return f"before pose {row + 1}", float(row)
     return f"at {some.time[row]:.4g} s", float(some.time[row])
 
 
-def _best_split(y: Array, port: Array) -> _Split | None:
-    """The split that is far better than one fit and than a drift; None where there is none.
+def _best_change(y: Array, port: Array) -> _ChangePoint | None:
+    """Return the change point that is far better than one fit and than a drift; None where there is none.
 
     Args:
         y: (N, 6) measured less simulated.
@@ -200,29 +196,29 @@ def _best_split(y: Array, port: Array) -> _Split | None:
     best, sigma = None, _spread(base.reshape(-1, 10), y)
     for _ in range(2):
         # First by what one fit leaves, then by what the better of the two leaves: channels have their own noise.
-        best = _scanned(base / sigma[:, None], y / sigma)
+        best = _best_of_kinds(base / sigma[:, None], y / sigma)
         sigma = np.maximum(best.left * sigma, 1e-9 * np.abs(y).max())
     A, b = base / sigma[:, None], y / sigma
     assert best is not None, "there is always a best row"
     ramp = np.linspace(-0.5, 0.5, len(y))[:, None, None] * A[:, :, :6]
     whole = _cost(A.reshape(-1, 10), b.reshape(-1))
     drifting = _cost(np.concatenate([A, ramp], axis=2).reshape(-1, 16), b.reshape(-1))
-    split = _scanned(A, b)
+    split = _best_of_kinds(A, b)
     sure = np.abs(split.change) > CRITERIA.standard_errors * split.std
     if split.cost > CRITERIA.gross_gain * min(whole, drifting) or not (sure[0] if split.kind == "load" else sure.any()):
         return None
     return split
 
 
-def _scanned(A: Array, b: Array) -> _Split:
-    """The best row for either kind of change, of whitened A (N, 6, 10) and b (N, 6)."""
-    found = [(_scan(A, b, columns), kind, columns) for kind, columns in KINDS]
+def _best_of_kinds(A: Array, b: Array) -> _ChangePoint:
+    """Return the best change point of either kind, of whitened A (N, 6, 10) and b (N, 6)."""
+    found = [(_scan_rows(A, b, columns), kind, columns) for kind, columns in KINDS]
     (row, _), kind, columns = min(found, key=lambda one: one[0][1])
     return _fitted(A, b, columns, row, kind)
 
 
 def _spread(X: Array, y: Array) -> Array:
-    """(6,) rms of what a fit of y (N, 6) by X (6 N, k) leaves in each channel."""
+    """Return the rms residual (6,) of each channel after a fit of y (N, 6) by X (6 N, k)."""
     left = y - (X @ np.linalg.lstsq(X, y.reshape(-1), rcond=1e-9)[0]).reshape(-1, 6)
     return np.asarray(np.maximum(np.sqrt(np.mean(left**2, axis=0)), 1e-12))
 
@@ -232,8 +228,8 @@ def _cost(X: Array, b: Array) -> float:
     return float(left @ left)
 
 
-def _scan(A: Array, b: Array, columns: slice) -> tuple[int, float]:
-    """The best first row, and its squared residual, of fits with some columns (6, k) free anew from it on.
+def _scan_rows(A: Array, b: Array, columns: slice) -> tuple[int, float]:
+    """Return the change point with the least residual, and its square, of fits with some columns (6, k) free anew from it on.
 
     By cumulated normal equations: every row costs one small solution, whatever the length of the recording.
     """
@@ -254,13 +250,13 @@ def _scan(A: Array, b: Array, columns: slice) -> tuple[int, float]:
     return int(rows[best]), float(left[best])
 
 
-def _fitted(A: Array, b: Array, columns: slice, row: int, kind: str) -> _Split:
+def _fitted(A: Array, b: Array, columns: slice, row: int, kind: str) -> _ChangePoint:
     part = np.where((np.arange(len(A)) >= row)[:, None, None], A[:, :, columns], 0.0)
     X, y = np.concatenate([A, part], axis=2).reshape(-1, A.shape[2] + part.shape[2]), b.reshape(-1)
-    theta = np.linalg.lstsq(X, y, rcond=None)[0]
+    theta, _, rank, _ = np.linalg.lstsq(X, y, rcond=1e-6)
     left = y - X @ theta
     cost = float(left @ left)
-    covariance = np.linalg.pinv(X.T @ X) * cost / max(len(y) - X.shape[1], 1)
+    covariance = np.linalg.pinv(X.T @ X, rcond=1e-12, hermitian=True) * cost / max(len(y) - int(rank), 1)
     at = slice(A.shape[2], None)
     spread = np.sqrt(np.mean(left.reshape(-1, 6) ** 2, axis=0))
-    return _Split(row, kind, theta[at], np.sqrt(np.maximum(np.diag(covariance)[at], 0.0)), cost, spread)
+    return _ChangePoint(row, kind, theta[at], np.sqrt(np.maximum(np.diag(covariance)[at], 0.0)), cost, spread)

@@ -47,7 +47,7 @@ class ModelProblem:
 def model_problems(
     robot: UrdfRobot, *, sensor_named: bool, frames: bool = True, masses: bool = True
 ) -> list[ModelProblem]:
-    """All findings of a model by itself.
+    """Return all findings of a model by itself.
 
     Args:
         robot: with the joints that are read.
@@ -60,7 +60,7 @@ def model_problems(
 
 
 def sensor_problems(robot: UrdfRobot, *, named: bool, frames: bool = True) -> list[ModelProblem]:
-    """A sensor link that nobody has named: refused where another could be meant."""
+    """Return the problem of a sensor link that nobody has named: refused where another could be meant."""
     if named or len(robot.urdf.links) == 1:
         return []
     leaves, where = robot.urdf.leaves, f"{robot.urdf.where}: sensor_link"
@@ -74,7 +74,7 @@ def sensor_problems(robot: UrdfRobot, *, named: bool, frames: bool = True) -> li
 def missing_joints(
     names: Sequence[str], having: Collection[str], where: str, what: str = "motor"
 ) -> list[ModelProblem]:
-    """Joints that move the sensor and that nobody reads.
+    """Return a problem of joints that move the sensor and that nobody reads.
 
     Args:
         names: of the joints; having: of those that are read; what: by what, e.g. "motor" or "column".
@@ -88,7 +88,7 @@ def missing_joints(
 
 
 def base_problems(robot: UrdfRobot, having: Collection[str]) -> list[ModelProblem]:
-    """Joints that move the base and that nobody reads: it is taken to stand at their zero."""
+    """Return a problem of joints that move the base and that nobody reads: it is taken to stand at their zero."""
     missing = [name for name in robot.moving_base if name not in having]
     if not missing:
         return []
@@ -97,7 +97,7 @@ def base_problems(robot: UrdfRobot, having: Collection[str]) -> list[ModelProble
 
 
 def mass_problems(robot: UrdfRobot) -> list[ModelProblem]:
-    """No mass, one below zero, or one that is off by powers of ten."""
+    """Return the problems of masses: none, one below zero, or one that is off by powers of ten."""
     where, moved = robot.urdf.where, _moved(robot)
     out = [_refused(f"a mass of {x.mass:g} kg", where, x, "give its mass in kg") for x in moved if x.mass < 0.0]
     total, reach = sum(link.mass for link in moved), _reach(robot)
@@ -119,7 +119,7 @@ def mass_problems(robot: UrdfRobot) -> list[ModelProblem]:
 
 
 def body_problems(robot: UrdfRobot) -> list[ModelProblem]:
-    """Inertias that are no body's, or are off by powers of ten, as far as they have a say."""
+    """Return the problems of inertias that are no body's, or are off by powers of ten, as far as they have a say."""
     where, reach, moved = robot.urdf.where, _reach(robot), _moved(robot)
     slight = SLIGHT * sum(abs(link.mass) for link in moved) * reach**2
     out: list[ModelProblem] = []
@@ -151,7 +151,7 @@ INERTIAS: Final = {"g m^2": 1e3, "kg cm^2": 1e4, "kg mm^2": 1e6, "g mm^2": 1e9}
 
 
 def _in_unit(inertia: float, mass: float, reach: float) -> str:
-    """Units in which an inertia would be that of a body of this mass inside the reach (m), as a question; empty without."""
+    """Return the units in which an inertia would fit a body of this mass inside the reach (m), as a question; else empty."""
     names = [u for u, f in INERTIAS.items() if _densest(mass) <= inertia / f <= mass * reach**2]
     return f" (is the inertia's unit {' or '.join(names)}?)" if names else ""
 
@@ -160,7 +160,7 @@ _AGAIN: Final = "export it again, in kg m^2 about the centre of mass"
 
 
 def friction_notes(robot: UrdfRobot) -> list[ModelProblem]:
-    """<dynamics> of joints: read, but no part of the simulation."""
+    """Return notes on <dynamics> of joints: read, but no part of the simulation."""
     rubbing = [robot.urdf.joints[name] for name in robot.joint_names]
     said = [
         f"{joint.name} ({joint.friction:g} {'N' if robot.slides(joint.name) else 'N m'}, {joint.damping:g} per rate)"
@@ -184,13 +184,13 @@ def _refused(what: str, where: str, link: Link, todo: str) -> ModelProblem:
 
 
 def _moved(robot: UrdfRobot) -> list[Link]:
-    """Links that the joints move that are read."""
+    """Return the links that the joints move that are read."""
     read, urdf = set(robot.joint_names), robot.urdf
     return [link for name, link in urdf.links.items() if read.intersection(sources(urdf, urdf.carriers(name)))]
 
 
 def _reach(robot: UrdfRobot, *, travel: bool = True) -> float:
-    """Farthest way, m, from the root to a link or its centre of mass, all links stretched out, rails run out if `travel`."""
+    """Return the farthest way, m, from the root to a link or its centre of mass, links stretched, rails run out if `travel`."""
     urdf = robot.urdf
     lengths = {name: float(np.linalg.norm(joint.place)) for name, joint in urdf.joints.items()}
     runs = {n: max(map(abs, j.travel)) for n, j in urdf.joints.items() if travel and j.kind == "prismatic"}
@@ -202,7 +202,7 @@ def _reach(robot: UrdfRobot, *, travel: bool = True) -> float:
 
 
 def _densest(mass: float) -> float:
-    """Moment of inertia, kg m^2, of a ball of osmium: no body of that mass has a smaller largest moment of inertia."""
+    """Return the moment of inertia, kg m^2, of a ball of osmium: no body of that mass has a smaller largest moment of inertia."""
     radius = (3.0 * mass / (4.0 * np.pi * OSMIUM)) ** (1.0 / 3.0)
     return float(0.4 * mass * radius**2)
 

@@ -8,7 +8,7 @@ import numpy as np
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns
 from galen_hw.premises.cells import rows_in
-from galen_hw.premises.sampling import compared_names
+from galen_hw.premises.sampling import compared_names, steps_within, unwrapped
 from galen_hw.spatial import Array
 
 BITS: Final = (8, 10, 12, 14, 16, 18, 20, 24)
@@ -34,24 +34,28 @@ class Overflow:
             return
         for name in compared_names(seen):
             values = seen.columns[name]
-            there = np.isfinite(values)
-            found = _range(values[there])
+            found = _range(values[np.isfinite(values)], np.abs(steps_within(values, seen.segments)))
             if found is None:
                 continue
             bits, step = found
-            new = values.copy()
-            new[there] = np.unwrap(values[there], period=step * 2.0**bits)
-            # Where most rows are is where no turn is.
-            turns = np.round((new - values) / (step * 2.0**bits))
-            new -= np.round(np.nanmedian(turns)) * step * 2.0**bits
-            over = int(np.sum(np.abs(new[there] - values[there]) > step))
+            whole = step * 2.0**bits
+            new = unwrapped(values, seen.segments, whole)
+            for part in seen.segments:
+                # Where most rows are is where no turn is.
+                turns = np.round((new - values)[part] / whole)
+                new[part] -= np.round(np.median(turns[np.isfinite(turns)])) * whole if np.isfinite(turns).any() else 0.0
+            over = int(np.sum(np.abs(new - values) > step))
             seen = with_columns(seen, {name: new})
             what = f"{name} wraps round: {rows_in(over, len(seen))} ran over the end of {bits} bits of {step:.4g}"
             yield Remark(self.KEY, what, "", (name,), Action.REPAIRED, seen)
 
 
-def _range(values: Array) -> tuple[int, float] | None:
-    """Bits and step of the integer that readings (n,) run over; None where they do not."""
+def _range(values: Array, moves: Array) -> tuple[int, float] | None:
+    """Return bits and step of the integer that readings (n,) run over; None where they do not.
+
+    Args:
+        moves: sizes (m,) of the steps from one reading to the next.
+    """
     levels = np.unique(values)
     if len(levels) < 16:
         return None
@@ -64,7 +68,6 @@ def _range(values: Array) -> tuple[int, float] | None:
     if bits is None or np.max(np.abs(np.round(apart) - apart)) > OFF_GRID:
         return None
     whole = step * 2.0**bits
-    moves = np.abs(np.diff(values))
     around = moves > 0.5 * whole
     # A turn is nearly the whole range at once; what is really so quick also stops on the way.
     if not around.any() or np.min(moves[around]) < 0.75 * whole or np.max(moves[~around]) > 0.25 * whole:

@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
 
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.pose import POSITION, QUATERNION
-from galen_hw.premises.base import Action, Claim, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Remark, Stage, with_columns, with_matrix
 from galen_hw.premises.channels import slope
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.registration import poses, registered, sampled
@@ -18,20 +18,16 @@ from galen_hw.premises.rotations import (
     angle_of,
     as_axes,
     as_turn,
+    mounting_claim,
     nearest_axes,
+    other_quaternions,
     scaled,
     signed_permutations,
     similarity,
     turned_alike,
 )
-from galen_hw.spatial import Array, rotation_from_quaternion, rotation_log
-
-LENGTHS: Final = {"mm": 1e3, "cm": 1e2, "inches": 1.0 / 0.0254, "feet": 1.0 / 0.3048, "km": 1e-3}
-
-
-def length_unit(scale: float) -> tuple[str, float] | None:
-    """Return the unit of which a metre has `scale`, within a twentieth; None: none that is known, or metres."""
-    return next(((u, f) for u, f in LENGTHS.items() if abs(np.log(scale / f)) < CRITERIA.same_factor), None)
+from galen_hw.premises.unit_tables import TRACKED_LENGTHS, unit_of
+from galen_hw.spatial import Array, rotation_from_quaternion
 
 
 class PoseFrames:
@@ -42,7 +38,7 @@ class PoseFrames:
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield a remark on unit and axes of the position, then one on the orientation."""
-        if seen.predict != "pose" or seen.belief.robot is None or not all(name in seen.columns for name in POSITION):
+        if seen.predict != "pose" or seen.belief.robot is None or not seen.has_all(*POSITION):
             return
         some = sampled(seen, POSITION)
         if len(some) < CRITERIA.fewest_vectors:
@@ -54,7 +50,7 @@ class PoseFrames:
         for remark in self._position(seen, some):
             yield remark
             seen = remark.repaired or seen
-        if all(name in seen.columns for name in QUATERNION):
+        if seen.has_all(*QUATERNION):
             yield from self._orientation(seen)
 
     def _column(self, seen: Observations, some: Observations) -> Iterator[Remark]:
@@ -62,13 +58,13 @@ class PoseFrames:
         expected, measured = scene_of(some).simulated[:, :3], some.matrix(*POSITION)
         found = [slope(x, y) for x, y in zip(expected.T, measured.T, strict=True)]
         scales = {k: scale for k, scale in enumerate(found) if scale is not None and scale > 0.0}
-        units = {k: told for k, scale in scales.items() if (told := length_unit(scale)) is not None}
+        units = {k: unit for k, scale in scales.items() if (unit := unit_of(scale, TRACKED_LENGTHS))}
         if len(units) != 1 or len(scales) < 2:
             return
-        ((k, (unit, factor)),) = units.items()
+        ((k, unit),) = units.items()
         if any(abs(np.log(scale)) > np.log(CRITERIA.least_factor) for n, scale in scales.items() if n != k):
             return
-        repaired = with_columns(seen, {POSITION[k]: seen.columns[POSITION[k]] / factor})
+        repaired = with_columns(seen, {POSITION[k]: seen.columns[POSITION[k]] / TRACKED_LENGTHS[unit]})
         what = f"{POSITION[k]} moves {scales[k]:.4g} times as far as the arm, the others do not: it is in {unit}"
         yield Remark(self.KEY, what, "", (POSITION[k],), Action.REPAIRED, repaired)
 
@@ -79,24 +75,24 @@ class PoseFrames:
             yield from self._standing(seen, expected.mean(axis=0), measured.mean(axis=0))
             return
         right = plain.Q[0, 0] > 0.0 and plain.unexplained <= CRITERIA.small_turn
-        found, unit = _axes(expected, measured, plain if right else None), None
+        found, factor = _axes(expected, measured, plain if right else None), 1.0
         if found is None:
             return
         if not 0.5 < found.scale < 2.0:
-            unit = length_unit(found.scale)
+            unit = unit_of(found.scale, TRACKED_LENGTHS) if found.scale else ""
             text = f"the tracked position moves {found.scale:.4g} times as far as the arm"
-            if unit is None:
+            if not unit:
                 yield Remark(self.KEY, f"{text}: it is not in metres", "give metres", POSITION, Action.REFUSED)
                 return
-            seen = with_columns(seen, {name: seen.columns[name] / unit[1] for name in POSITION})
-            yield Remark(self.KEY, f"{text}: it is in {unit[0]}", "", POSITION, Action.REPAIRED, seen)
+            factor = TRACKED_LENGTHS[unit]
+            seen = with_columns(seen, {name: seen.columns[name] / factor for name in POSITION})
+            yield Remark(self.KEY, f"{text}: it is in {unit}", "", POSITION, Action.REPAIRED, seen)
         if right:
             return
         axes, away = nearest_axes(found.Q)
         mirrored = np.linalg.det(found.Q) < 0.0
         if not mirrored and angle_of(found.Q) <= CRITERIA.least_turn:
             return
-        factor = 1.0 if unit is None else unit[1]
         repaired = registered(seen, found.Q, measured / factor, expected)
         if mirrored:
             what = f"the tracker's axes are left-handed: {as_axes(axes)} of the base"
@@ -110,10 +106,10 @@ class PoseFrames:
     def _standing(self, seen: Observations, expected: Array, measured: Array) -> Iterator[Remark]:
         """Yield a remark on unit or handedness of an arm that stands: read so its place (3,) in the base is the simulated one."""
         far, near = float(np.linalg.norm(measured)), float(np.linalg.norm(expected))
-        unit = length_unit(far / near) if near > 0.0 else None
-        if unit is not None and float(measured @ expected) > np.cos(CRITERIA.least_turn) * far * near:
-            repaired = with_columns(seen, {name: seen.columns[name] / unit[1] for name in POSITION})
-            text = f"the tracked position lies {far / near:.4g} times as far from the base as the arm reaches: it is in {unit[0]}"
+        unit = unit_of(far / near, TRACKED_LENGTHS) if near > 0.0 and far > 0.0 else ""
+        if unit and float(measured @ expected) > np.cos(CRITERIA.least_turn) * far * near:
+            repaired = with_columns(seen, {name: seen.columns[name] / TRACKED_LENGTHS[unit] for name in POSITION})
+            text = f"the tracked position lies {far / near:.4g} times as far from the base as the arm reaches: it is in {unit}"
             yield Remark(self.KEY, text, "", POSITION, Action.REPAIRED, repaired)
             return
         plain = float(np.linalg.norm(measured - expected))
@@ -130,63 +126,36 @@ class PoseFrames:
         if len(some) < CRITERIA.fewest_vectors:
             return
         expected = poses(scene_of(some))
-        x, y, z, w = (some.columns[name] for name in QUATERNION)
-        tries = {
-            "": (x, y, z, w),
-            "have w first": (y, z, w, x),
-            "are inverted": (-x, -y, -z, w),
-            "have w first and are inverted": (-y, -z, -w, x),
+        q = some.matrix(*QUATERNION)
+        misses = {
+            says: turned_alike(expected, rotation_from_quaternion(one))
+            for says, one in {"": q, **other_quaternions(q)}.items()
         }
-        misses = {}
-        for says, quaternion in tries.items():
-            R = rotation_from_quaternion(np.stack(quaternion, axis=1))
-            misses[says] = turned_alike(expected, R)
         spread = turned_alike(np.tile(np.eye(3), (len(some), 1, 1)), expected)[1]
         if spread < CRITERIA.least_turn:
             return  # an arm that hardly turns cannot tell
         turn, left = misses[""]
-        best = min(tries, key=lambda says: misses[says][1])
+        best = min(misses, key=lambda says: misses[says][1])
         if best and misses[best][1] < 0.25 * left and misses[best][1] < 0.25 * spread:
-            order = {"": (0, 1, 2, 3), "have w first": (1, 2, 3, 0), "are inverted": (0, 1, 2, 3)}.get(
-                best, (1, 2, 3, 0)
-            )
-            values = seen.matrix(*QUATERNION)[:, order]
-            if "inverted" in best:
-                values = values * np.array([-1.0, -1.0, -1.0, 1.0])
-            seen = with_columns(seen, dict(zip(QUATERNION, values.T, strict=True)))
-            yield Remark(
-                self.KEY,
-                f"the pose's quaternions {best.replace('inverted', 'the inverse')}",
-                "",
-                QUATERNION,
-                Action.REPAIRED,
-                seen,
-            )
+            seen = with_matrix(seen, QUATERNION, other_quaternions(seen.matrix(*QUATERNION))[best])
+            yield Remark(self.KEY, f"the pose's quaternions {best}", "", QUATERNION, Action.REPAIRED, seen)
             turn, left = misses[best]
         if angle_of(turn) > CRITERIA.least_turn and left < 0.25 * spread:
             yield self._flange(seen, turn)
 
     def _flange(self, seen: Observations, turn: Array) -> Remark:
-        """The tracked body sits turned on the flange by (3, 3), exactly."""
-        vector = rotation_log(turn)
-        parameters = {f"turn_{a}": (float(v), 0.0, "rad") for a, v in zip("xyz", vector, strict=True)}
-        term = {"effect": "sensor_mounting", "parameters": {"part": "turn", **{k: v[0] for k, v in parameters.items()}}}
-        belief = replace(seen.belief, tip_rotation=seen.belief.tip_rotation @ turn)
-        what = f"the tracked body is turned by {as_turn(turn)} on its link"
-        claim = Claim("sensor_mounting", parameters, QUATERNION[:3], terms=(term,))
-        return Remark(
-            self.KEY,
-            what,
+        """Return the repair and the claim of a tracked body that sits turned on its flange by (3, 3), exactly."""
+        repaired = replace(seen, belief=replace(seen.belief, tip_rotation=seen.belief.tip_rotation @ turn))
+        what, todo = (
+            f"the tracked body is turned by {as_turn(turn)} on its link",
             "turn the tip's link in the model by it",
-            QUATERNION,
-            Action.REPAIRED,
-            replace(seen, belief=belief),
-            claim,
         )
+        claim = mounting_claim(turn, "turn", QUATERNION[:3])
+        return Remark(self.KEY, what, todo, QUATERNION, Action.REPAIRED, repaired, claim)
 
 
 def _axes(expected: Array, measured: Array, plain: Similarity | None) -> Similarity | None:
-    """The axes to believe: those that are named where they do, else a turn, else a mirror; None where none does nearly."""
+    """Return the axes to believe: those that are named, else a turn, else a mirror; None where none does nearly."""
     if plain is not None:
         return plain
     before = scaled(expected, measured)
@@ -214,13 +183,13 @@ class TargetFrames:
         some = sampled(seen, names)
         if len(some) < CRITERIA.fewest_vectors:
             return
-        first = _left(some, names, 1.0, mirror=False)
+        first = _unexplained(some, names, 1.0, mirror=False)
         if first <= CRITERIA.small_turn**2:
             return
         size = _size(some, names)
-        units = [("", 1.0), *((unit, f) for unit, f in LENGTHS.items() if 0.1 < size / f < 10.0)]
+        units = [("", 1.0), *((unit, f) for unit, f in TRACKED_LENGTHS.items() if 0.1 < size / f < 10.0)]
         tries = [(unit, f, mirror) for unit, f in units for mirror in (False, True)]
-        left = {one: _left(some, names, one[1], mirror=one[2]) for one in tries[1:]}
+        left = {one: _unexplained(some, names, one[1], mirror=one[2]) for one in tries[1:]}
         best = min(left, key=lambda one: left[one], default=None)
         if best is None or left[best] > min(CRITERIA.small_turn, CRITERIA.gross_gain * first):
             return
@@ -231,19 +200,19 @@ class TargetFrames:
 
 
 def _read(seen: Observations, names: tuple[str, ...], factor: float, *, mirror: bool) -> dict[str, Array]:
-    """Target columns in another unit, mirrored or not."""
+    """Return the target columns in another unit, mirrored or not."""
     return {n: seen.columns[n] / factor * (-1.0 if mirror and n.endswith(".x") else 1.0) for n in names}
 
 
-def _left(some: Observations, names: tuple[str, ...], factor: float, *, mirror: bool) -> float:
-    """Unexplained share of the targets' motion, read so."""
+def _unexplained(some: Observations, names: tuple[str, ...], factor: float, *, mirror: bool) -> float:
+    """Return the unexplained share of the targets' motion, read so."""
     scene = scene_of(with_columns(some, _read(some, names, factor, mirror=mirror)))
     moved = scene.measured - scene.measured.mean(axis=0)
     return float(np.sum(scene.residual**2) / max(float(np.sum(moved**2)), 1e-300))
 
 
 def _size(some: Observations, names: tuple[str, ...]) -> float:
-    """Times the arm's motion that the targets move, at its largest."""
+    """Return how many times the arm's motion the targets move, at its largest."""
     robot = some.belief.robot
     assert robot is not None, "asked only with a robot"
     q = some.matrix(*(f"joint.{name}.position" for name in robot.joint_names))

@@ -1,25 +1,22 @@
 """Units of joint positions: degrees, revolutions or mm, by the robot's limits, measured velocities and the simulation."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
 
-from galen_hw.kinematics import Robot, UrdfRobot
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.premises.base import Action, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known_rows, with_columns
 from galen_hw.premises.channels import compared, slope
 from galen_hw.premises.clock import travelled
 from galen_hw.premises.criteria import CRITERIA
-from galen_hw.premises.joints import TURN, joint_columns, wrong_velocity
-from galen_hw.premises.sampling import compared_names
+from galen_hw.premises.joints import joint_columns, wrong_velocity
+from galen_hw.premises.sampling import compared_names, measured
+from galen_hw.premises.unit_tables import JOINT_ANGLES, JOINT_LENGTHS, TURN
 from galen_hw.premises.wrench_reading import at_rest, readings
 from galen_hw.spatial import Array
-
-ANGLES: Final = {"degrees": 180.0 / np.pi, "revolutions": 1.0 / TURN, "mrad": 1e3}
-LENGTHS: Final = {"mm": 1e3, "cm": 1e2, "um": 1e6}
 
 
 class PositionUnits:
@@ -38,8 +35,8 @@ class PositionUnits:
             yield from self._by_size(seen)
             return
         # A prismatic joint's limits are metres, mostly below one: told apart by what the robot itself says.
-        for slides, units in ((False, ANGLES), (True, LENGTHS)):
-            joints = [k for k, name in enumerate(robot.joint_names) if _slides(robot, k) is slides]
+        for slides, units in ((False, JOINT_ANGLES), (True, JOINT_LENGTHS)):
+            joints = [k for k, name in enumerate(robot.joint_names) if seen.belief.slides(name) is slides]
             names = [f"joint.{robot.joint_names[k]}.position" for k in joints]
             present = [(n, k) for n, k in zip(names, joints, strict=True) if n in seen.columns]
             beyond = [
@@ -72,7 +69,7 @@ class PositionUnits:
                 seen = by_velocity.repaired
                 yield by_velocity
                 continue
-            chosen = _told(seen, moving, fitting) if len(fitting) != 1 else fitting[0][0]
+            chosen = _unit_told(seen, moving, fitting) if len(fitting) != 1 else fitting[0][0]
             if chosen:
                 columns = _scaled(seen, moving, units[chosen])
                 seen = with_columns(seen, columns)
@@ -82,13 +79,13 @@ class PositionUnits:
                 yield Remark(self.KEY, f"{what}: is it in {hint}?", "give rad and m", (name,), Action.REFUSED)
 
     def _beside_simulation(self, seen: Observations) -> Remark | None:
-        """Compared positions that are all the same unit's factor of their simulation."""
+        """Return a remark on compared positions that are all the same unit's factor of their simulation."""
         scene = compared(seen)
         if scene is None or not np.isfinite(scene.simulated).all():
             return None
         slopes = [slope(x, y) for x, y in zip(scene.simulated.T, scene.measured.T, strict=True)]
         known = [abs(s) for s in slopes if s is not None]
-        units = (LENGTHS if set(scene.units) == {"m"} else ANGLES).items()
+        units = (JOINT_LENGTHS if set(scene.units) == {"m"} else JOINT_ANGLES).items()
         for unit, factor in units:
             if known and all(abs(np.log(s / factor)) < CRITERIA.same_factor for s in known):
                 joints = [joint_of(name) for name in scene.channels]
@@ -98,7 +95,7 @@ class PositionUnits:
         return None
 
     def _by_velocity(self, seen: Observations, joints: Sequence[str], units: Mapping[str, float]) -> Remark | None:
-        """Within all limits: measured velocities of all joints, in SI, are the change of positions in another unit."""
+        """Return a remark where velocities of all joints, in SI, are the change of positions in another unit."""
         scales = [s for joint in joints if (s := _velocity_scale(seen, joint)) is not None]
         if len(scales) < 2:
             return None
@@ -112,7 +109,7 @@ class PositionUnits:
         return Remark(self.KEY, f"{what}: joints are in {unit}", "", tuple(columns), Action.REPAIRED, repaired)
 
     def _by_simulation(self, seen: Observations, joints: Sequence[str], units: Mapping[str, float]) -> Remark | None:
-        """Within all limits, as revolutions are: another unit with which the simulation follows, unlike the named one."""
+        """Return a remark where the simulation follows in another unit, unlike in the named one: revolutions break no limit."""
         if not joints:
             return None
         shares = {"": _shares(seen)}
@@ -133,7 +130,7 @@ class PositionUnits:
         )
 
     def _by_size(self, seen: Observations) -> Iterator[Remark]:
-        """Without a robot nobody knows a limit: only what no joint reaches is said."""
+        """Yield what can be said without a robot, whose limits nobody knows: only what no joint reaches."""
         for name in joint_columns(seen, "position"):
             values = seen.columns[name]
             if seen.predict == "wrench" and np.isfinite(values).any() and float(np.nanmax(np.abs(values))) > 4.0 * TURN:
@@ -151,15 +148,8 @@ def _velocity_scale(seen: Observations, joint: str) -> float | None:
     return float(np.sum(told * change) / np.sum(change**2))
 
 
-def _slides(robot: Robot, k: int) -> bool:
-    """Return whether joint k of a robot is prismatic."""
-    if isinstance(robot, UrdfRobot):
-        return bool(robot.model.joints[k + 1].shortname().startswith("JointModelP"))
-    return robot.joint_names[k].startswith("carriage")
-
-
 def _beyond(values: Array, low: float, high: float, *, slides: bool) -> float:
-    """How far values go beyond limits, as a share of their span; 0 where there are none. A whole turn more is the same angle.
+    """Return how far values go beyond limits over their span; 0 where there are none. A whole turn more is the same angle.
 
     Of each value by itself: angles read between -pi and pi lie a turn off in a part of the rows.
     """
@@ -172,7 +162,7 @@ def _beyond(values: Array, low: float, high: float, *, slides: bool) -> float:
 
 
 def _scaled(seen: Observations, joints: Sequence[str], factor: float) -> dict[str, Array]:
-    """Columns of some joints in another unit; velocities too, unless they are already those of the position so read."""
+    """Return the columns of joints in another unit; velocities too, unless they are already those of the position so read."""
     out = {}
     for joint in joints:
         for kind in ("position", "command", "velocity"):
@@ -185,27 +175,28 @@ def _scaled(seen: Observations, joints: Sequence[str], factor: float) -> dict[st
     return out
 
 
-def _told(seen: Observations, joints: Sequence[str], fitting: Sequence[tuple[str, float]]) -> str:
-    """The unit in which the simulation follows what is compared; empty where it cannot tell."""
+def _unit_told(seen: Observations, joints: Sequence[str], fitting: Sequence[tuple[str, float]]) -> str:
+    """Return the unit in which the simulation follows what is compared; empty where it cannot tell."""
     left = sorted((_unexplained(with_columns(seen, _scaled(seen, joints, f))), unit) for unit, f in fitting)
     return left[0][1] if left and left[0][0] < CRITERIA.half * min(1.0, left[1][0]) else ""
 
 
 def _unexplained(seen: Observations) -> float:
-    """Mean share of the compared channels' variance that their simulation at rest does not explain; 1 where nothing is known."""
+    """Return the mean share of variance that the simulation at rest does not explain; 1 where nothing is known."""
     return float(np.mean(_shares(seen)))
 
 
 def _shares(seen: Observations) -> Array:
-    """The same by channel (K,); a single 1 where nothing is known."""
+    """Return the unexplained shares by channel (K,); ones where nothing is known."""
     robot = seen.belief.robot
     assert robot is not None, "asked only with a robot"
-    driven = [n for name in robot.joint_names if (n := f"joint.{name}.position") in seen.columns]
-    rows = np.flatnonzero(np.isfinite(seen.matrix(*compared_names(seen), *driven)).all(axis=1))
+    seen = measured(seen)
+    driven = joint_positions(seen)
+    rows = known_rows(seen, (*compared_names(seen), *driven), CRITERIA.most_rows)
     unknown = np.ones(3 if seen.predict == "pose" else len(compared_names(seen)))
     if len(rows) < CRITERIA.fewest_vectors or len(driven) < len(robot.joint_names):
         return unknown
-    some = at_rest(seen.taken(rows[np.linspace(0, len(rows) - 1, min(len(rows), CRITERIA.most_rows)).astype(int)]))
+    some = at_rest(seen.taken(rows))
     if seen.predict == "wrench" and not some.belief.hanging:
         return np.array([next(iter(readings(some))).plain.unexplained])
     scene = scene_of(some)

@@ -9,7 +9,7 @@ import numpy as np
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.pose import POSITION
-from galen_hw.premises.base import Action, Remark, Stage
+from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known_rows
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.spatial import Array
 
@@ -29,10 +29,9 @@ class PushSigns:
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield one remark where the work of the pushes is surely negative."""
         names = (*FORCE, *POSITION)
-        if seen.predict != "pose" or seen.belief.robot is None or not all(n in seen.columns for n in names):
+        if seen.predict != "pose" or seen.belief.robot is None or not seen.has_all(*names):
             return
-        joints = [n for j in seen.belief.robot.joint_names if (n := f"joint.{j}.position") in seen.columns]
-        some = seen.taken(np.flatnonzero(np.isfinite(seen.matrix(*names, *joints)).all(axis=1)))
+        some = seen.taken(known_rows(seen, (*names, *joint_positions(seen))))
         if len(some) < CRITERIA.pieces * CRITERIA.fewest_vectors:
             return
         scene = scene_of(replace(some, belief=replace(some.belief, compliance={})))
@@ -44,7 +43,7 @@ class PushSigns:
         size = float(np.sum(force**2)) * float(np.sum(give**2))
         if not np.isfinite(size) or size == 0.0:
             return
-        slope, spread = _given(force, give)
+        slope, spread = _compliance(force, give)
         stands = arm <= float(np.sum(np.var(give, axis=0)))
         alike = float(np.sum(force * give)) / np.sqrt(size)
         if slope < -CRITERIA.standard_errors * spread and (stands or alike < -CRITERIA.half):
@@ -54,8 +53,8 @@ class PushSigns:
             yield Remark(self.KEY, what, "turn applied.force round, in all sets alike", FORCE, Action.REFUSED)
 
 
-def _given(F: Array, d: Array) -> tuple[float, float]:
-    """Give (N, 3) along the push (N, 3), m/N, of all pushes together, and its standard error over contiguous pieces."""
+def _compliance(F: Array, d: Array) -> tuple[float, float]:
+    """Return the compliance (N, 3) along the push (N, 3), m/N, of all pushes, and its standard error over contiguous pieces."""
     work, size = np.sum(F * d, axis=1), np.sum(F**2, axis=1)
     slope = float(work.sum() / size.sum())
     left = work - slope * size

@@ -7,7 +7,7 @@ from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.pose import POSITION, QUATERNION
-from galen_hw.premises.base import with_columns
+from galen_hw.premises.base import known_rows, with_matrix
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.rotations import angle_of, turned_alike
 from galen_hw.spatial import Array, quaternion_from_rotation, rotation_exp, rotation_from_quaternion, rotation_log, skew
@@ -22,10 +22,7 @@ def sampled(seen: Observations, names: tuple[str, ...]) -> Observations:
     """Return rows with joints and the named columns, at most `CRITERIA.most_rows` of them, evenly chosen."""
     robot = seen.belief.robot
     joints = () if robot is None else tuple(f"joint.{name}.position" for name in robot.joint_names)
-    rows = np.flatnonzero(np.isfinite(seen.matrix(*joints, *names)).all(axis=1))
-    if len(rows) > CRITERIA.most_rows:
-        rows = rows[np.linspace(0, len(rows) - 1, CRITERIA.most_rows).astype(int)]
-    return seen.taken(rows)
+    return seen.taken(known_rows(seen, (*joints, *names), CRITERIA.most_rows))
 
 
 def registered(seen: Observations, Q: Array, measured: Array, expected: Array) -> Observations:
@@ -35,10 +32,12 @@ def registered(seen: Observations, Q: Array, measured: Array, expected: Array) -
         Q: (3, 3) axes of the tracker, as `similarity` finds them; measured, expected: (N, 3) positions, m.
     """
     out = _turned(seen, Q, expected.mean(axis=0) - measured.mean(axis=0) @ Q)
-    if not all(name in seen.columns for name in QUATERNION):
+    if not seen.has_all(*QUATERNION):
         return out
     for _ in range(ROUNDS):
         some = sampled(out, (*POSITION, *QUATERNION))
+        if len(some) < CRITERIA.fewest_vectors:
+            return out
         scene = scene_of(some)
         turned, R = rotation_from_quaternion(some.matrix(*QUATERNION)), poses(scene)
         mounted, left = turned_alike(R, turned)
@@ -50,21 +49,21 @@ def registered(seen: Observations, Q: Array, measured: Array, expected: Array) -
 
 
 def _turned(seen: Observations, Q: Array, shift: Array) -> Observations:
-    """The recording with positions p Q + shift, and orientations turned with them."""
-    columns = dict(zip(POSITION, (seen.matrix(*POSITION) @ Q + shift).T, strict=True))
-    if all(name in seen.columns for name in QUATERNION):
+    """Return the recording with positions p Q + shift, and orientations turned with them."""
+    out = with_matrix(seen, POSITION, seen.matrix(*POSITION) @ Q + shift)
+    if seen.has_all(*QUATERNION):
         there = np.isfinite(seen.matrix(*QUATERNION)).all(axis=1)
         q = np.full((len(seen), 4), np.nan)
         R = rotation_from_quaternion(seen.matrix(*QUATERNION)[there])
         # Of a mirrored frame a rotation is mirrored on both sides: where the body's axes are mirrored too.
         turned = Q.T @ R @ (np.eye(3) if np.linalg.det(Q) > 0.0 else Q)
         q[there] = quaternion_from_rotation(turned)
-        columns |= dict(zip(QUATERNION, q.T, strict=True))
-    return with_columns(seen, columns)
+        out = with_matrix(out, QUATERNION, q)
+    return out
 
 
 def _refinement(p: Array, measured: Array, R: Array, angle: Array) -> tuple[Array, Array]:
-    """Turn (3, 3) and shift (3,), as of `_turned`, that are left between tracker and base.
+    """Return the turn (3, 3) and shift (3,), as of `_turned`, that are left between tracker and base.
 
     Of a small turn of the base, a shift and, where it is surely there, a small turn of the body on its link, which is not
     applied, by least squares: positions alone may lie near a line, about which they say nothing.
@@ -88,7 +87,7 @@ def _refinement(p: Array, measured: Array, R: Array, angle: Array) -> tuple[Arra
 
 
 def _solved(A: Array, b: Array) -> tuple[Array, float]:
-    """Least-squares x of A x = b, columns made alike in size, and the squared residual."""
+    """Return the least-squares x of A x = b, columns made alike in size, and the squared residual."""
     scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
     x = np.linalg.lstsq(A / scale, b, rcond=CRITERIA.small_turn**2)[0] / scale
     return np.asarray(x), float(np.sum((b - A @ x) ** 2))

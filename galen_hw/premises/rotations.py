@@ -5,6 +5,7 @@ from itertools import permutations, product
 
 import numpy as np
 
+from galen_hw.premises.base import Claim
 from galen_hw.spatial import Array, rotation_log
 
 AXES = "xyz"
@@ -116,3 +117,20 @@ def turned_alike(expected: Array, R: Array) -> tuple[Array, float]:
     G = (U * np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])) @ Vt
     left = rotation_log(np.swapaxes(relative, 1, 2) @ G)
     return G, float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+
+
+def other_quaternions(q: Array) -> dict[str, Array]:
+    """Return quaternions x y z w (N, 4) as they are if written otherwise, by what is to be said of them then."""
+    w_first, conjugate = q[:, [1, 2, 3, 0]], np.array([-1.0, -1.0, -1.0, 1.0])
+    return {
+        "have w first": w_first,
+        "are the inverse": q * conjugate,
+        "have w first and are the inverse": w_first * conjugate,
+    }
+
+
+def mounting_claim(turn: Array, part: str, channels: tuple[str, ...]) -> Claim:
+    """Return the claim of a `sensor_mounting`: turned by (3, 3) exactly, "turn" with its tool or "turn_alone"."""
+    values = {f"turn_{a}": float(v) for a, v in zip(AXES, rotation_log(turn), strict=True)}
+    term = {"effect": "sensor_mounting", "parameters": {"part": part, **values}}
+    return Claim("sensor_mounting", {k: (v, 0.0, "rad") for k, v in values.items()}, channels, terms=(term,))

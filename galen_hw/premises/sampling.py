@@ -1,6 +1,6 @@
 """How columns were brought together: two topics on rows of their own, a slow topic held on the rows of a fast one."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import ClassVar, Final
 
@@ -8,9 +8,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from galen_hw.physics.observations import Observations
-from galen_hw.premises.base import Action, Remark, Stage, with_columns
-from galen_hw.premises.cells import Mask, rows_in
-from galen_hw.premises.clock import smooth
+from galen_hw.premises.base import Action, Remark, Stage, with_columns, without_columns
+from galen_hw.premises.cells import Mask
 from galen_hw.spatial import Array
 
 APART: Final = 0.02
@@ -19,23 +18,34 @@ GAP: Final = 5.0
 """Median steps of a topic beyond which nothing is interpolated: a gap."""
 
 COMPARED: Final = {
-    "wrench": ("wrench.",),
-    "pose": ("pose.",),
-    "targets": ("target.",),
+    "wrench": ("wrench.", ""),
+    "pose": ("pose.", ""),
+    "targets": ("target.", ""),
     "effort": ("joint.", ".effort"),
     "position": ("joint.", ".position"),
 }
 
 
 def compared_names(seen: Observations) -> list[str]:
+    """Return the columns of the compared group of which anything was measured."""
+    return [n for n in _group(seen) if np.isfinite(seen.columns[n]).any()]
+
+
+def measured(seen: Observations) -> Observations:
+    """Return the recording without compared joints and orientations of which nothing was measured: others can be compared."""
+    empty = {n for n in _group(seen) if n.startswith(("joint.", "pose.orientation."))} - set(compared_names(seen))
+    return without_columns(seen, empty) if empty else seen
+
+
+def _group(seen: Observations) -> list[str]:
     """Return the columns of the compared group."""
     keys = COMPARED[seen.predict]
-    return [n for n in seen.columns if n.startswith(keys[0]) and (len(keys) < 2 or n.endswith(keys[1]))]
+    return [n for n in seen.columns if n.startswith(keys[0]) and n.endswith(keys[-1])]
 
 
 def driver_names(seen: Observations) -> list[str]:
     """Return the columns that the simulation is driven by: joints, orientation, applied force."""
-    compared = set(compared_names(seen))
+    compared = set(_group(seen))
     kinds = (".position", ".velocity", ".command", ".effort")
     return [
         n
@@ -78,7 +88,7 @@ class OuterJoin:
 
 
 def _between(time: Array, values: Array, at: Array) -> Array:
-    """Values at other times, monotone between the measured ones; NaN outside them and across gaps."""
+    """Interpolate values to other times, monotone between the measured ones; NaN outside them and across gaps."""
     there = np.isfinite(values)
     if there.sum() < 4:
         return np.full(len(at), np.nan)
@@ -123,7 +133,7 @@ class Staircase:
 
 
 def _rows_held(changes: Mask) -> int | None:
-    """How many rows a position stands, where nearly all do so alike; None where positions change with every row."""
+    """Return how many rows a position stands, where nearly all do so alike; None where positions change with every row."""
     at = np.flatnonzero(changes)
     if len(at) < 10:
         return None
@@ -138,4 +148,15 @@ def _moves_throughout(moves: Array, changes: Mask) -> bool:
     return len(fresh) > 10 and bool(any(float(np.mean(np.diff(q) ** 2)) < 0.1 * float(np.var(q)) for q in fresh.T))
 
 
-__all__ = ["OuterJoin", "Staircase", "compared_names", "driver_names", "rows_in", "smooth"]
+def steps_within(values: Array, segments: Sequence[slice]) -> Array:
+    """Return the changes from one measured value of (N,) to the next, none from one segment to another."""
+    return np.concatenate([np.diff(values[part][np.isfinite(values[part])]) for part in segments])
+
+
+def unwrapped(values: Array, segments: Sequence[slice], period: float) -> Array:
+    """Return values (N,) unwrapped by a period within each segment, whose first value stays as it was read."""
+    out = values.copy()
+    for part in segments:
+        there = np.isfinite(values[part])
+        out[part][there] = np.unwrap(values[part][there], period=period)
+    return out

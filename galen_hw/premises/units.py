@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,49 +12,13 @@ from galen_hw.premises.base import Action, Remark, Stage, with_columns
 from galen_hw.premises.channels import slope
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.rotations import scaled
+from galen_hw.premises.unit_tables import FORCES, TORQUES, units_of
 from galen_hw.premises.wrench_reading import FORCE, TORQUE, at_rest, comparable, lever_fit, readings
 from galen_hw.spatial import Array
 
-FORCES: Final = {
-    "N": 1.0,
-    "kgf": 1.0 / 9.80665,
-    "lbf": 1.0 / 4.4482216,
-    "ozf": 16.0 / 4.4482216,
-    "gf": 1000.0 / 9.80665,
-    "mN": 1e3,
-    "cN": 1e2,
-    "dN": 10.0,
-    "daN": 0.1,
-    "kN": 1e-3,
-}
-TORQUES: Final = {
-    "N m": 1.0,
-    "N mm": 1e3,
-    "N cm": 1e2,
-    "mN m": 1e3,
-    "kgf m": 1.0 / 9.80665,
-    "kgf cm": 100.0 / 9.80665,
-    "kgf mm": 1e3 / 9.80665,
-    "lbf in": 1.0 / 0.112984829,
-    "lbf ft": 1.0 / 1.355817948,
-    "ozf in": 16.0 / 0.112984829,
-    "gf cm": 1e5 / 9.80665,
-    "kN m": 1e-3,
-}
-"""Of each unit in a newton or newton metre (NIST SP 811)."""
-
-
-def units_of(scale: float, table: dict[str, float]) -> list[str]:
-    """Return the units of a table that a scale against SI may be, SI itself left out."""
-    return [
-        u
-        for u, f in table.items()
-        if abs(np.log(scale / f)) < CRITERIA.same_factor and abs(np.log(f)) > CRITERIA.same_factor
-    ]
-
 
 def _of_one_system(forces: list[str], torques: list[str]) -> tuple[list[str], list[str]]:
-    """The units of a force (none: N) and a torque that are one unit and that times a length, where there are such."""
+    """Return the units of a force (none: N) and a torque that are one unit and that times a length, where there are such."""
     pairs = [(f, t) for f in forces or ["N"] for t in torques if t.startswith(f"{f} ")]
     if not pairs:
         return forces, torques
@@ -103,7 +67,7 @@ class WrenchUnits:
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield at most one remark for single columns, then one for the whole wrench."""
-        if seen.predict != "wrench" or not all(name in seen.columns for name in (*FORCE, *TORQUE)):
+        if seen.predict != "wrench" or not seen.has_all(*FORCE, *TORQUE):
             return
         some = at_rest(comparable(seen, CRITERIA.most_rows))
         if len(some) < CRITERIA.fewest_vectors:
@@ -118,7 +82,7 @@ class WrenchUnits:
             yield from self._whole(seen, weighed)
 
     def _single(self, seen: Observations, some: Observations) -> Iterator[Remark]:
-        """Columns that are not in the unit of the other two of their group."""
+        """Yield a remark on columns that are not in the unit of the other two of their group."""
         expected = next(iter(readings(some))).expected
         groups = [(FORCE, expected, FORCES)]
         if some.belief.tool.mass > 0.0 and some.simulation is None:
@@ -186,7 +150,7 @@ class WrenchUnits:
 
 
 def _weighed(some: Observations) -> _Weighed | None:
-    """What hangs on the sensor by the wrench; None where gravity is not most of what it reads."""
+    """Return what hangs on the sensor by the wrench; None where gravity is not most of what it reads."""
     one = next(iter(readings(some)))
     plain = one.plain
     if plain.rank < 2 or plain.unexplained > CRITERIA.gross_left or plain.Q[0, 0] < 0.0 or some.simulation is not None:

@@ -8,10 +8,10 @@ import numpy as np
 
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.premises.base import Action, Claim, Remark, Stage, with_columns
+from galen_hw.premises.base import Action, Remark, Stage, with_matrix
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.gravity import angle_between, gravity_remark
-from galen_hw.premises.rotations import angle_of, as_axes, as_turn, nearest_axes, signed_permutations
+from galen_hw.premises.rotations import angle_of, as_axes, as_turn, mounting_claim, nearest_axes, signed_permutations
 from galen_hw.premises.wrench_reading import (
     FORCE,
     INVERSE,
@@ -24,10 +24,11 @@ from galen_hw.premises.wrench_reading import (
     lever_fit,
     readings,
     reread,
+    sensor_rotations,
     turn_sensor,
     turn_wrench,
 )
-from galen_hw.spatial import Array, rotation_log
+from galen_hw.spatial import Array
 
 IDENTITY: Final = np.eye(3)
 HALF_ABOUT_Z: Final = np.diag([-1.0, -1.0, 1.0])
@@ -57,7 +58,7 @@ class WrenchFrames:
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield at most one remark on force and torque together."""
-        if seen.predict != "wrench" or not all(name in seen.columns for name in (*FORCE, *TORQUE)):
+        if seen.predict != "wrench" or not seen.has_all(*FORCE, *TORQUE):
             return
         found = self._found(at_rest(comparable(seen, CRITERIA.most_rows)))
         named = (
@@ -81,7 +82,7 @@ class WrenchFrames:
             yield remark
 
     def _found(self, seen: Observations) -> _Found | None:
-        """The reading to believe; None where none can be: too few rows, one direction alone, or other forces everywhere."""
+        """Return the reading to believe; None where none can be: too few rows, one direction alone, or other forces."""
         if len(seen) < CRITERIA.fewest_vectors:
             return None
         usable = list(readings(seen))
@@ -104,7 +105,7 @@ class WrenchFrames:
         return Remark(self.KEY, "; ".join(says), "", TORQUE, Action.REPAIRED, there)
 
     def _of_axes(self, seen: Observations, found: _Found) -> Remark | None:
-        """What the force's axes say, and what the torque's do beside them."""
+        """Return a remark on what the force's axes say, and what the torque's do beside them."""
         says = [found.reading.says] if found.reading.says else []
         seen = reread(seen, found.reading.says) if says else seen
         Q = found.Q
@@ -147,17 +148,13 @@ class WrenchFrames:
         return Remark(self.KEY, "; ".join(says), "", columns, Action.REPAIRED, seen)
 
     def _mounting(self, seen: Observations, turn: Array, *, tool_turns: bool) -> Remark:
-        vector = rotation_log(turn)
-        parameters = {f"turn_{a}": (float(v), 0.0, "rad") for a, v in zip("xyz", vector, strict=True)}
-        part = "turn" if tool_turns else "turn_alone"
-        term = {"effect": "sensor_mounting", "parameters": {"part": part, **{k: v[0] for k, v in parameters.items()}}}
         what = f"the sensor is turned by {as_turn(turn)} on its link"
         repaired = turn_sensor(seen, turn)
         if not tool_turns:
             tool = repaired.belief.tool
             turned = replace(tool, com=turn.T @ tool.com, inertia=turn.T @ tool.inertia @ turn)
             repaired = replace(repaired, belief=replace(repaired.belief, tool=turned))
-        claim = Claim("sensor_mounting", parameters, (*FORCE, *TORQUE), terms=(term,))
+        claim = mounting_claim(turn, "turn" if tool_turns else "turn_alone", (*FORCE, *TORQUE))
         todo = "turn the sensor's link in the robot's model by it"
         return Remark(self.KEY, what, todo, (*FORCE, *TORQUE), Action.REPAIRED, repaired, claim)
 
@@ -179,7 +176,7 @@ def _possible(seen: Observations, found: _Found) -> bool:
 
 
 def _best(usable: list[Reading], plain: float) -> _Found | None:
-    """The simplest reading that meets the force nearly completely and far better than the columns as named."""
+    """Return the simplest reading that meets the force nearly completely and far better than the columns as named."""
     others = [r for r in usable[1:] if r.plain.unexplained < 1.0 and _is_named(r.plain.Q)]
     options = [_Found(reading, IDENTITY, reading.plain.unexplained, "plain") for reading in others]
     first = usable[0].plain
@@ -209,15 +206,15 @@ def _best(usable: list[Reading], plain: float) -> _Found | None:
 
 
 def _gravity(reading: Reading) -> tuple[Array, float]:
-    """As `any_gravity`, less what accelerates the tool where the model says it."""
+    """Return gravity and unexplained share as `any_gravity`, less what accelerates the tool where the model says it."""
     seen, force = reading.seen, reading.force
     if seen.belief.dynamic and seen.time is not None and seen.simulation is None and len(seen.belief.hanging):
         force = force - (scene_of(seen).simulated - scene_of(at_rest(seen)).simulated)[:, :3]
-    return any_gravity(_rotations(seen), force)
+    return any_gravity(sensor_rotations(scene_of(seen)), force)
 
 
 def _sign_or_gravity(seen: Observations, sign: _Found) -> _Found:
-    """A force of the opposite sign, or gravity that points up: at rest they are one, what accelerates tells them apart."""
+    """Return a force of opposite sign, or gravity that points up: at rest they are one, what accelerates tells them apart."""
     if not seen.belief.dynamic or seen.time is None or seen.simulation is not None:
         return sign
     up = replace(seen, belief=replace(seen.belief, gravity=-seen.belief.gravity))
@@ -228,17 +225,13 @@ def _sign_or_gravity(seen: Observations, sign: _Found) -> _Found:
 
 
 def _weighs(option: _Found) -> bool:
-    """Whether the force of a reading is of the size that the named tool has, as far as one is named: a sign, not a trifle."""
+    """Return whether the force of a reading is of the size that the named tool has, as far as one is named."""
     reading, tool = option.reading, option.reading.seen.belief.hanging
     mass = sum(body.mass for body in tool)
     if mass <= 0.0 or reading.seen.simulation is not None:
         return True
     one = reading.plain if option.kind == "plain" else reading.turned(int(np.sign(np.linalg.det(option.Q))))
     return 1.0 / CRITERIA.least_factor < one.scale / mass < CRITERIA.least_factor
-
-
-def _rotations(seen: Observations) -> Array:
-    return np.asarray(scene_of(seen).R)  # type: ignore[attr-defined]
 
 
 def _tool_known(seen: Observations) -> bool:
@@ -248,7 +241,7 @@ def _tool_known(seen: Observations) -> bool:
 
 
 def _torque_axes(seen: Observations, Q: Array) -> tuple[Array, bool]:
-    """Axes (3, 3) of the torque beside a force in axes Q, and whether the tool stayed where it was when the sensor turned.
+    """Return the axes (3, 3) of the torque given a force in axes Q, and whether the tool stayed when the sensor turned.
 
     Where the tool is known, its moment says the sign too; where not, any lever does, and the torque is taken to be as the force
     unless another set of axes meets it far better.
@@ -259,8 +252,8 @@ def _torque_axes(seen: Observations, Q: Array) -> tuple[Array, bool]:
     if known:
         expected = scene.simulated[:, 3:]
         turns = np.cross(scene.belief.tool.com, scene.simulated[:, :3] @ Q.T)
-        options = [(Q, _left(turns, torque), False), (Q, _left(expected @ Q.T, torque), True)]
-        options += [(P, _left(expected @ P.T, torque), True) for P in _others(Q)]
+        options = [(Q, _unexplained(turns, torque), False), (Q, _unexplained(expected @ Q.T, torque), True)]
+        options += [(P, _unexplained(expected @ P.T, torque), True) for P in _others(Q)]
     else:
         options = [(P, lever_fit(force, torque @ P)[1], False) for P in (Q, *_others(Q))]
     enough = min(CRITERIA.gross_left, CRITERIA.gross_gain * options[0][1])
@@ -282,31 +275,31 @@ def _about_tip(seen: Observations) -> bool:
     if not _tool_known(seen) or not np.any(seen.belief.tip):
         return False
     expected, origin = scene_of(seen).simulated[:, 3:], seen.matrix(*TORQUE)
-    named = _left(expected, origin)
-    tip = _left(expected, _about_origin(seen).matrix(*TORQUE))
+    named = _unexplained(expected, origin)
+    tip = _unexplained(expected, _about_origin(seen).matrix(*TORQUE))
     return tip <= min(CRITERIA.small_turn, CRITERIA.gross_gain * named)
 
 
 def _about_origin(seen: Observations) -> Observations:
     """Return the recording with moments about the sensor's origin that were about the tip of the tool."""
     moment = seen.matrix(*TORQUE) + np.cross(seen.belief.tip, seen.matrix(*FORCE))
-    return with_columns(seen, dict(zip(TORQUE, moment.T, strict=True)))
+    return with_matrix(seen, TORQUE, moment)
 
 
 def _others(Q: Array) -> list[Array]:
-    """Other axes that a torque may have beside a force in axes Q: the named ones, turned round, and any order and sign."""
+    """Return other axes that a torque may have given a force in axes Q: the named, turned round, and any order and sign."""
     return [P for P in (IDENTITY, -Q, -IDENTITY, *signed_permutations()) if not np.allclose(P, Q)]
 
 
-def _left(expected: Array, measured: Array) -> float:
-    """Unexplained share of measured (N, 3) by expected times a scale that is not negative, and a constant."""
+def _unexplained(expected: Array, measured: Array) -> float:
+    """Return the unexplained share of measured (N, 3) by expected times a scale that is not negative, and a constant."""
     x, y = expected - expected.mean(axis=0), measured - measured.mean(axis=0)
     scale = max(float(np.sum(x * y)) / max(float(np.sum(x**2)), 1e-300), 0.0)
     return float(np.sum((y - scale * x) ** 2) / max(float(np.sum(y**2)), 1e-300))
 
 
 def _axes_say(force: Array, torque: Array) -> list[str]:
-    """Force and torque axes in words."""
+    """Say force and torque axes in words."""
     if np.array_equal(force, torque):
         if np.array_equal(force, -IDENTITY):
             return [

@@ -10,8 +10,9 @@ from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.rigid import gravity_in_sensor
 from galen_hw.physics.scenes.base import Scene
-from galen_hw.premises.base import with_columns
-from galen_hw.premises.rotations import Similarity, scaled, similarity
+from galen_hw.physics.scenes.wrench import WrenchScene
+from galen_hw.premises.base import known_rows, with_matrix
+from galen_hw.premises.rotations import Similarity, other_quaternions, scaled, similarity
 from galen_hw.spatial import Array, skew
 
 ORIENTATION = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
@@ -43,7 +44,7 @@ class Reading:
         return scaled(self.expected, self.force)
 
     def turned(self, determinant: int) -> Similarity:
-        """Axes of the force turned (+1) or mirrored (-1) against those that are named."""
+        """Fit axes of the force turned (+1) or mirrored (-1) against those that are named."""
         return similarity(self.expected, self.force, determinant=determinant)
 
 
@@ -55,7 +56,7 @@ def readings(seen: Observations) -> Iterator[Reading]:
     """
     for says, one in _orientations(seen):
         scene = scene_of(one)
-        R, expected = _R(scene), _expected(scene)
+        R, expected = sensor_rotations(scene), _expected(scene)
         force = one.matrix(*FORCE)
         yield Reading(one, says, expected, force)
         if not says:
@@ -67,25 +68,26 @@ def reread(seen: Observations, says: str) -> Observations:
     if says == IN_BASE:
         there = driven(seen)
         R = np.full((len(seen), 3, 3), np.nan)
-        R[there] = _R(scene_of(seen.taken(there)))
+        R[there] = sensor_rotations(scene_of(seen.taken(there)))
         return _in_sensor_axes(seen, R)
     return dict(_orientations(seen))[says]
 
 
 def driven(seen: Observations) -> NDArray[np.bool_]:
     """Return which rows (N,) say how the sensor stood."""
+    return np.asarray(np.isfinite(seen.matrix(*_driving(seen))).all(axis=1))
+
+
+def _driving(seen: Observations) -> tuple[str, ...]:
+    """Return the columns that say how the sensor stood: all joints of the robot, else the sensor's orientation."""
     robot = seen.belief.robot
-    names = ORIENTATION if robot is None else tuple(f"joint.{name}.position" for name in robot.joint_names)
-    if robot is not None and not all(name in seen.columns for name in names):
-        names = ORIENTATION
-    return np.asarray(np.isfinite(seen.matrix(*names)).all(axis=1))
+    names = () if robot is None else tuple(f"joint.{name}.position" for name in robot.joint_names)
+    return names if robot is not None and seen.has_all(*names) else ORIENTATION
 
 
 def comparable(seen: Observations, most: int | None = None) -> Observations:
     """Return the rows on which wrench and orientation are known, at most so many of them, evenly chosen."""
-    rows = np.flatnonzero(driven(seen) & np.isfinite(seen.matrix(*FORCE, *TORQUE)).all(axis=1))
-    if most is not None and len(rows) > most:
-        rows = rows[np.linspace(0, len(rows) - 1, most).astype(int)]
+    rows = known_rows(seen, (*_driving(seen), *FORCE, *TORQUE), most)
     return seen if len(rows) == len(seen) else seen.taken(rows)
 
 
@@ -96,32 +98,27 @@ def at_rest(seen: Observations) -> Observations:
 
 def _orientations(seen: Observations) -> Iterator[tuple[str, Observations]]:
     yield "", seen
-    if seen.belief.robot is not None or not all(name in seen.columns for name in ORIENTATION):
+    if seen.belief.robot is not None or not seen.has_all(*ORIENTATION):
         return
-    x, y, z, w = (seen.columns[name] for name in ORIENTATION)
-    yield "the quaternions have w first", with_columns(seen, dict(zip(ORIENTATION, (y, z, w, x), strict=True)))
-    yield (
-        INVERSE,
-        with_columns(seen, dict(zip(ORIENTATION, (-x, -y, -z, w), strict=True))),
-    )
-    yield (
-        "the quaternions have w first and take base to sensor (the inverse)",
-        with_columns(seen, dict(zip(ORIENTATION, (-y, -z, -w, x), strict=True))),
-    )
+    for says, quaternions in other_quaternions(seen.matrix(*ORIENTATION)).items():
+        how = says.replace("are the inverse", "take base to sensor (the inverse)")
+        yield f"the quaternions {how}", with_matrix(seen, ORIENTATION, quaternions)
 
 
-def _R(scene: Scene) -> Array:
-    return np.asarray(scene.R)  # type: ignore[attr-defined]
+def sensor_rotations(scene: Scene) -> Array:
+    """Return the rotations (N, 3, 3) from sensor to base of a wrench's scene."""
+    assert isinstance(scene, WrenchScene), "asked only of wrenches"
+    return scene.R
 
 
 def _expected(scene: Scene) -> Array:
-    """(N, 3) force of the believed tool, per kilogram; of a kilogram at rest where none is believed."""
+    """Return the force (N, 3) of the believed tool, per kilogram; of a kilogram at rest where none is believed."""
     mass = sum(body.mass for body in scene.belief.hanging)
     if mass > 0.0 and scene.observations.simulation is None:
         return np.asarray(scene.simulated[:, :3] / mass)
     if scene.observations.simulation is not None and np.isfinite(scene.simulated[:, :3]).all():
         return np.asarray(scene.simulated[:, :3])
-    return gravity_in_sensor(_R(scene), scene.belief.gravity)
+    return gravity_in_sensor(sensor_rotations(scene), scene.belief.gravity)
 
 
 def _turned_back(R: Array, v: Array) -> Array:
@@ -130,14 +127,13 @@ def _turned_back(R: Array, v: Array) -> Array:
 
 def _in_sensor_axes(seen: Observations, R: Array) -> Observations:
     force, torque = (_turned_back(R, seen.matrix(*names)) for names in (FORCE, TORQUE))
-    new = dict(zip((*FORCE, *TORQUE), (*force.T, *torque.T), strict=True))
-    return with_columns(seen, new)
+    return with_matrix(seen, (*FORCE, *TORQUE), np.hstack([force, torque]))
 
 
 def turn_wrench(seen: Observations, force: Array, torque: Array) -> Observations:
     """Return the recording with force and torque columns multiplied by (3, 3) matrices."""
     f, t = seen.matrix(*FORCE) @ force.T, seen.matrix(*TORQUE) @ torque.T
-    return with_columns(seen, dict(zip((*FORCE, *TORQUE), (*f.T, *t.T), strict=True)))
+    return with_matrix(seen, (*FORCE, *TORQUE), np.hstack([f, t]))
 
 
 def turn_sensor(seen: Observations, turn: Array) -> Observations:

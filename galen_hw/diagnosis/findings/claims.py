@@ -1,6 +1,6 @@
 """Findings that were solved exactly before the search: a sensor turned by any angle, gravity along any direction."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -12,25 +12,26 @@ from galen_hw.premises import Claim, Examination
 from galen_hw.spatial import Array, rotation_exp, rotation_log
 
 
-def mean_square(scene: Scene) -> Array:
-    """Return the mean squares (C,) of a scene's residual, without its means where the baseline fits constants."""
-    residual = scene.residual
+def mean_square(scene: Scene, channels: Sequence[str]) -> Array:
+    """Return the mean squares (C,) of a scene's residual in some channels, without its means if constants are fitted."""
+    residual = scene.residual[:, [scene.channels.index(name) for name in channels]]
     residual = residual[np.isfinite(residual).all(axis=1)]
     return np.asarray(np.var(residual, axis=0) if scene.belief.bias_free else np.mean(residual**2, axis=0))
 
 
-def claim_before(judged: Judged, raw: Scene, examination: Examination) -> Array:
+def claim_before(judged: Judged, raw: Scene, channels: Sequence[str], examination: Examination) -> Array:
     """Set the errors before all to those of the recording as it came, and return the errors (C,) after the claims alone.
 
     Args:
         judged: of the model on what was held out; its shares are then of the whole excess.
         raw: what was held out, unrepaired; the recording itself where nothing else was.
+        channels: that are judged: of others in `raw` nothing was measured.
         examination: whose claims these are; without any nothing changes.
     """
     after = judged.before
     if not examination.claims:
         return after
-    judged.before = np.maximum(mean_square(raw), after)
+    judged.before = np.maximum(mean_square(raw, channels), after)
     return after
 
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.rigid import gravity_in_sensor
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.wrench import WrenchScene
@@ -48,9 +47,7 @@ class Variable:
 
 def joint_units(scene: Scene, joint: str) -> tuple[str, str]:
     """Units of a joint's position and load: m and N where it slides, rad and N m where it turns."""
-    robot = scene.belief.robot
-    slides = robot.slides(joint) if isinstance(robot, UrdfRobot) else joint.startswith("carriage")
-    return ("m", "N") if slides else ("rad", "N m")
+    return scene.joint_units(joint)
 
 
 def variables(bench: Bench) -> list[Variable]:

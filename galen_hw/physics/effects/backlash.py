@@ -16,7 +16,7 @@ from galen_hw.spatial import Array
 
 
 def _reading_noise(scene: Scene, joint: str, *, most: float = 0.2) -> float:
-    """Standard deviation of a joint's readings from row to row, rad or m; 0 where none can be told.
+    """Return the standard deviation of a joint's readings from row to row, rad or m; 0 where none can be told.
 
     Args:
         most: share of a joint's own spread from which what changes from row to row is no noise: rows are poses,
@@ -28,7 +28,7 @@ def _reading_noise(scene: Scene, joint: str, *, most: float = 0.2) -> float:
 
 
 def _driven(scene: Scene, load: Array) -> Array:
-    """(N,) impulse of a load (N,) since the recording began, N m s or N s."""
+    """Return the impulse (N,) of a load (N,) since the recording began, N m s or N s."""
     return scene.impulse("impulse", load[:, None])[:, 0]
 
 
@@ -79,12 +79,12 @@ class Backlash(Effect):
 
     @classmethod
     def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
-        """What holds a servo back at a reversal."""
+        """Return what holds a servo back at a reversal."""
         return ["friction", "hysteresis"] if scene.observations.predict == "position" else []
 
     @classmethod
     def propose(cls, scene: Scene, *, slow: int = 8) -> Iterator[Self]:
-        """Half widths from far below the joint's range to most of it; sharp and soft crossings for each joint with a load.
+        """Yield half widths from far below the joint's range to most of it; sharp and soft crossings for each joint with a load.
 
         In poses bearings with friction too, from little to most of what the load reaches.
 
@@ -122,7 +122,7 @@ class Backlash(Effect):
     def _sinking(
         cls, scene: Scene, joint: str, reach: float, *, count: int = 4, shortest: float = 0.1
     ) -> Iterator[Self]:
-        """What a balance leaves of the weight, or lifts beyond it, takes the link across a gap of impulse up to `reach`.
+        """Yield gaps of impulse up to `reach` that a link crosses by what a balance leaves of the weight, or lifts beyond it.
 
         In times from the shortest that shows between two motions to a share of the recording.
 
@@ -146,7 +146,7 @@ class Backlash(Effect):
                     )
 
     def richer(self, scene: Scene, *, count: int = 4) -> Iterator[Self]:
-        """With momentum, that lasts from less than a row to a good part of what a motion takes.
+        """Yield it with momentum, that lasts from less than a row to a good part of what a motion takes.
 
         Args:
             count: times that are tried for which the link's momentum lasts.
@@ -155,14 +155,14 @@ class Backlash(Effect):
             yield from (replace(self, coasting=T) for T in log_grid(0.5 * spacing(scene), 0.3, count))
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """The joint, or the load that throws it from stop to stop, another way back."""
+        """Return what it follows: the joint, or the load that throws it from stop to stop, with another way back."""
         load = self.load(scene) if self.half_width is None else None
         if load is not None:
             return Follows("load", self.joint, memory=True, values=load)
         return Follows("position" if self.joint in scene.joint_names else "signal", self.joint, memory=True)
 
     def load(self, scene: Scene) -> Array | None:
-        """(N,) what throws or drags the far side from stop to stop, N or N m; None where it is not known."""
+        """Return the load (N,) that throws or drags the far side from stop to stop, N or N m; None where it is not known."""
         load = scene.inertia_load(self.joint) if self.balanced else scene.load(self.joint)
         if load is None or self.unborne is None:
             return load
@@ -171,7 +171,7 @@ class Backlash(Effect):
         return load + (-self.unborne if self.lifted else self.unborne) * weight
 
     def at_work(self, scene: Scene, *, least: float = 2.0) -> bool:
-        """Whether it is wider than the noise of the joint's own readings: a dead band as narrow makes these quieter, no more.
+        """Return whether the dead band exceeds the reading noise: one as narrow only makes the readings quieter.
 
         Args:
             least: standard deviations of a joint's readings below which a dead band of them is no play.
@@ -181,22 +181,22 @@ class Backlash(Effect):
         return self.half_width > least * _reading_noise(scene, self.joint)
 
     def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
-        """A link lies where what a robot's file says of its load takes it, not on the other side."""
+        """Return whether the link lies where what a robot's file says of its load takes it, not on the other side."""
         return not self.balanced or bool(theta[0] > -3.0 * spread[0])
 
     @property
     def freedom(self) -> int | None:
-        """All of a play is seen, or it is none: its width is searched, and no share of it is free."""
+        """Number of free linear parameters, 0: all of a play is seen, or it is none; its width is searched."""
         return None if self.half_width is None else 0
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """The share of the play, or half of it."""
+        """Return the share of the play, or half of it."""
         if self.half_width is None:
             return (Parameter("half_play", "rad or m"),)
         return (Parameter("share", "1", 0.0, expected=1.0),)
 
     def columns(self, scene: Scene) -> Columns:
-        """The lost motion through the joint's port."""
+        """Return the lost motion through the joint's port."""
         if self.half_width is None:
             load = self.load(scene)
             assert load is not None, "proposed only where there is a load"

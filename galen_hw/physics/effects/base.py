@@ -34,28 +34,28 @@ class Effect(Traits, ABC):
     @classmethod
     @abstractmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Hypotheses that this scene allows, one for every place and every value of the grid."""
+        """Yield the hypotheses that this scene allows, one for every place and every value of the grid."""
 
     @classmethod
     def ahead(cls, scene: Scene, effects: Sequence[Self]) -> None:
-        """Keeps in the scene what many of one kind do more quickly together than one by one, before their columns are asked."""
+        """Keep in the scene what many of one kind compute more quickly together, before their columns are asked."""
         del scene, effects
 
     @abstractmethod
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """The linear parameters, in the order of the columns."""
+        """Return the linear parameters, in the order of the columns."""
 
     @abstractmethod
     def columns(self, scene: Scene) -> Columns:
-        """The slope of the compared channels by the linear parameters at zero."""
+        """Return the slope of the compared channels by the linear parameters at zero."""
 
     def averaged(self, scene: Scene, average: Callable[[Array], Array]) -> Columns:
-        """The columns with their rows averaged, (N, ...) to (M, ...): an effect may know a cheaper way than by all of them."""
+        """Return the columns with rows averaged, (N, ...) to (M, ...): an effect may know a cheaper way than by all of them."""
         columns = self.columns(scene)
         return Columns(columns.channels, average(columns.values))
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """(N, C) change for parameters theta (k,); None where `columns @ theta` is exact."""
+        """Return the change (N, C) for parameters theta (k,); None where `columns @ theta` is exact."""
         return None
 
     def bends(self, scene: Scene, theta: Array) -> bool:
@@ -63,7 +63,7 @@ class Effect(Traits, ABC):
         return self.exact(scene, theta) is not None
 
     def change(self, scene: Scene, theta: Array) -> Array:
-        """(N, C) change for parameters theta (k,)."""
+        """Return the change (N, C) for parameters theta (k,)."""
         exact = self.exact(scene, np.asarray(theta, dtype=float))
         if exact is not None:
             return exact
@@ -73,7 +73,7 @@ class Effect(Traits, ABC):
         return out
 
     def strides(self, scene: Scene, theta: Array) -> Array:
-        """(k,) steps of its parameters by which `exact` is differentiated around theta (k,)."""
+        """Return the steps (k,) of its parameters by which `exact` is differentiated around theta (k,)."""
         return np.full(len(theta), 1e-4 * max(float(np.max(np.abs(theta))), 1e-6))
 
     @property
@@ -106,14 +106,14 @@ class Effect(Traits, ABC):
         return False
 
     def pinned(self, scene: Scene) -> Array | None:
-        """(k,) the one value that its linear parameters can have, nan for one that is free; None where all are."""
+        """Return the one value (k,) that its linear parameters can have, nan for one that is free; None where all are."""
         if self.freedom != 0:
             return None
         return np.array([p.expected for p in self.parameters(scene)], dtype=float)
 
     @property
     def held(self) -> Array | None:
-        """(k,) values that its linear parameters have in a model, whatever the data say; None: they are fitted."""
+        """Values (k,) that its linear parameters have in a model, whatever the data say; None: they are fitted."""
         return None
 
     @property
@@ -122,19 +122,19 @@ class Effect(Traits, ABC):
         return (self.KEY, *((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in self.SEARCHED))  # type: ignore[arg-type]
 
     def searched(self) -> dict[str, float]:
-        """Values of the searched parameters that are in use."""
+        """Return the values of the searched parameters that are in use."""
         return {name: getattr(self, name) for name in self.SEARCHED if getattr(self, name) is not None}
 
     def searched_unit(self, name: str) -> str:
-        """Unit of a searched parameter, "rad or m" and its like where the joint says which."""
+        """Return the unit of a searched parameter, "rad or m" and its like where the joint says which."""
         return self.SEARCHED[name].unit
 
     def with_searched(self, values: Mapping[str, float]) -> Self:
-        """Another point of the search."""
+        """Return the effect at another point of the search."""
         return replace(self, **values)  # type: ignore[type-var]
 
     def doubt(self, scene: Scene) -> float:
-        """Factor, above 1, within which the optimum of a searched value is to be sought around a proposed one."""
+        """Return the factor, above 1, within which the optimum of a searched value is to be sought around a proposed one."""
         return DOUBT
 
     @property
@@ -147,19 +147,19 @@ class Effect(Traits, ABC):
         return False
 
     def body(self, scene: Scene, theta: Array) -> Array | None:
-        """(10,) inertial parameters that it hangs on the sensor, in the order of `Scene.body_port`; None: no body."""
+        """Return the inertial parameters (10,) that it hangs on the sensor, in the order of `Scene.body_port`; None: no body."""
         return None
 
     def stands(self, scene: Scene, theta: Array) -> Scene | None:
-        """The scene of a machine that stands as it says, which other errors of geometry meet; None: they do not."""
+        """Return the scene with the corrected geometry, which other errors of geometry meet; None: they do not."""
         return None
 
     def at_work(self, scene: Scene) -> bool:
-        """Whether it does, in this recording, what it is named for: friction that never breaks loose is a lag by another name."""
+        """Return whether it is identifiable as named in this recording: friction that never breaks loose is but a lag."""
         return True
 
     def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
-        """Whether something real can have parameters (k,), or others within three standard errors `spread` (k,) of them."""
+        """Return whether parameters (k,), or others within three standard errors `spread` (k,) of them, are real."""
         return True
 
     @property
@@ -173,7 +173,7 @@ class Effect(Traits, ABC):
         return ()
 
     def unshaped(self, step: float) -> tuple["Effect", ...]:
-        """What it may do besides, in no shape of its own, that must not pass for noise.
+        """Return what it may do besides, in no shape of its own, that must not pass for noise.
 
         Args:
             step: s, to which its moments are known; 0: to the row.
@@ -202,23 +202,23 @@ class Effect(Traits, ABC):
         return False
 
     def told_by(self, theta: Array) -> Self | None:
-        """The same, bound by a law between its parameters that these (k,) can place; None without one."""
+        """Return the effect bound to a law between its parameters that these (k,) can place; None without one."""
         return None
 
     def richer(self, scene: Scene) -> Iterator[Self]:
-        """The same with something more that is searched: asked only of an effect that is in the model as it is."""
+        """Yield it with something more that is searched: asked only of an effect that is in the model as it is."""
         yield from ()
 
     def otherwise(self) -> Self | None:
-        """The same physics counted from another zero, where other effects may make up for the difference; None: there is none."""
+        """Return the equivalent form with another reference, where other effects may make up for the difference, or None."""
         return None
 
     def unlimited(self) -> Self:
-        """The same without what keeps a search away from its look-alikes: what it may be, not what it would be called."""
+        """Return it without what keeps a search away from its look-alikes: what it may be, not what it would be called."""
         return self
 
     def to_term(self, scene: Scene, theta: Array) -> dict[str, Any]:
-        """The effect with its parameters as a term of a tool's file: fields and linear parameters by name, SI units."""
+        """Return the effect with its parameters as a term of a tool's file: fields and linear parameters by name, SI units."""
         values: dict[str, Any] = {"group": scene.observations.predict}
         for f in fields(self):  # type: ignore[arg-type]
             value = getattr(self, f.name)
@@ -229,7 +229,7 @@ class Effect(Traits, ABC):
 
     @classmethod
     def from_term(cls, parameters: Mapping[str, Any]) -> Self:
-        """The effect of a term's parameters; the linear ones are asked for by `theta_of`."""
+        """Return the effect of a term's parameters; the linear ones are asked for by `theta_of`."""
         form = {}
         for f in fields(cls):  # type: ignore[arg-type]
             if f.name in parameters:
@@ -240,11 +240,11 @@ class Effect(Traits, ABC):
 
     @classmethod
     def from_form(cls, form: Mapping[str, Any]) -> Self:
-        """The effect of its own fields; lists become tuples again."""
+        """Return the effect of its own fields; lists become tuples again."""
         return cls(**{k: _frozen(v) for k, v in form.items()})
 
     def theta_of(self, scene: Scene, parameters: Mapping[str, Any]) -> Array:
-        """(k,) linear parameters of a term, in the order of the columns.
+        """Return the linear parameters (k,) of a term, in the order of the columns.
 
         Raises:
             KeyError: one is missing.
@@ -257,7 +257,7 @@ def _frozen(value: Any) -> Any:
 
 
 def _flat(value: Any) -> Any:
-    """Strings of a tuple joined by blanks, pairs of numbers laid flat: what a tool's file can hold."""
+    """Return strings of a tuple joined by blanks, pairs of numbers laid flat: what a tool's file can hold."""
     if isinstance(value, tuple) and value and isinstance(value[0], str):
         return " ".join(value)
     if isinstance(value, tuple) and value and isinstance(value[0], tuple):
@@ -279,4 +279,4 @@ class Downstream(Effect):
 
     @abstractmethod
     def delivered(self, scene: Scene, columns: Columns, theta: Array) -> Columns:
-        """What another effect does, as it arrives."""
+        """Return what another effect does, as it arrives."""

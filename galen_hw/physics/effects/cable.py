@@ -66,7 +66,7 @@ class CableDrag(Effect):
 
     @classmethod
     def propose(cls, scene: Scene, *, near: int = 2) -> Iterator[Self]:
-        """The spring for wrenches; single channels and joints for wrenches and efforts. A tendon is sought from its spring.
+        """Yield the spring for wrenches; single channels and joints for wrenches and efforts. A tendon is sought from its spring.
 
         Args:
             near: links before the sensor's own to which its cable may be tied.
@@ -92,7 +92,7 @@ class CableDrag(Effect):
 
     @property
     def freedom(self) -> int | None:
-        """Stiffness, a point of the base and a point of the body; or a pull and its point."""
+        """Number of physical parameters: stiffness, a point of the base and a point of the body; or a pull and its point."""
         return {"spring": 7, "pull": 6}.get(self.form)
 
     @property
@@ -108,21 +108,21 @@ class CableDrag(Effect):
 
     @property
     def loose(self) -> bool:
-        """Springs and pulls have more parameters than a cable has."""
+        """Whether it is a spring or pull, which have more parameters than a cable has."""
         return self.form in LOOSE
 
     @property
     def relaxed(self) -> Self:
-        """The spring for the tendon."""
+        """The spring that stands for the tendon, linear in its parameters."""
         return replace(self, form="spring") if self.curved else self
 
     @property
     def curved(self) -> bool:
-        """A tendon is."""
+        """Whether it is a tendon, whose slope at zero says little."""
         return self.form.startswith("tendon")
 
     def strides(self, scene: Scene, theta: Array) -> Array:
-        """A ten-thousandth of the stiffness (of 1 N/m at least) and of how it rubs, a tenth of a millimetre."""
+        """Return a ten-thousandth of the stiffness (of 1 N/m at least) and of how it rubs, a tenth of a millimetre."""
         if not self.curved:
             return super().strides(scene, theta)
         return np.array([1e-4 * max(abs(theta[0]), 1.0), *7 * [1e-4], *(1e-4 * abs(theta[8:])).clip(1e-6)])
@@ -139,11 +139,11 @@ class CableDrag(Effect):
         return bool(np.any(np.abs(theta[forces]) >= 3.0 * spread[forces]))
 
     def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
-        """A taut cable pulls the harder the further it is drawn, whichever way: what pushes off is none."""
+        """Return whether it pulls: a taut cable pulls the harder the further it is drawn, whichever way."""
         return self.form != "spring" or bool(theta[0] >= -3.0 * spread[0])
 
     def patches(self, others: Sequence[Effect]) -> bool:
-        """Whether it is no cable beside others, but what these miss: one channel of a wrench with one joint, beside a tendon."""
+        """Return whether it only patches others: one channel of a wrench with one joint, beside a tendon."""
         tendons = [other for other in others if isinstance(other, CableDrag) and other.curved]
         return bool(self.joint) and joint_of(self.channel) == "" and bool(tendons)
 
@@ -153,7 +153,7 @@ class CableDrag(Effect):
         return (self.joint,) if self.joint else ()
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Stiffness, pulls and levers; of a tendon the anchor in the base, and the clip in the sensor's frame or the link's."""
+        """Return stiffness, pulls and levers; of a tendon its anchor in the base, and its clip on sensor or link."""
         if self.curved:
             return TENDON + {"tendon_dry": DRY, "tendon_eye": EYE}.get(self.form, ())
         if self.form.startswith("joint"):
@@ -170,7 +170,7 @@ class CableDrag(Effect):
         return (Parameter("stiffness", "N/m"), *pulls, *arms, *levers, *more)
 
     def columns(self, scene: Scene) -> Columns:
-        """Positions of the joint, or pulls along the base's axes seen from the sensor."""
+        """Return positions of the joint, or pulls along the base's axes seen from the sensor."""
         if self.form.startswith("joint"):
             place, joint = scene.channels.index(self.channel), scene.joint_index(self.joint)
             q = scene.q[:, joint]
@@ -193,7 +193,7 @@ class CableDrag(Effect):
         return Columns(tuple(range(6)), out)
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """The pull of a tendon."""
+        """Return the pull of a tendon."""
         if not self.curved:
             return None
         R, p, answer = self._carrier(scene)
@@ -215,20 +215,20 @@ class CableDrag(Effect):
         return np.concatenate([felt, np.cross(theta[5:8], felt, axis=0)]).T
 
     def starts(self, scene: Scene, theta: Array) -> list[tuple[Effect, Array]]:
-        """Of a spring tendons that pull about as it does; of a tendon the same without what rubs. Of a pull none."""
+        """Return of a spring tendons that pull about as it does; of a tendon the same without what rubs; of a pull none."""
         tendon = replace(self, form="tendon")
         if self.curved:
             return [(tendon, theta[: len(TENDON)])]
         return [(tendon, one) for one in self.tendons(scene, theta)] if self.form == "spring" else []
 
     def richer_starts(self, scene: Scene, theta: Array) -> Iterator[list[tuple[Effect, Array]]]:
-        """In a conduit, and through an eye."""
+        """Yield the tendons in a conduit, and through an eye."""
         for form, rubbing in self.rubbing(scene, theta).items() if scene.clock else ():
             if rubbing:
                 yield [(replace(self, form=form), one) for one in rubbing]
 
     def tendons(self, scene: Scene, theta: Array, *, lengths: tuple[float, ...] = (0.1, 0.3, 1.0)) -> list[Array]:
-        """(8,) parameters of tendons that pull about as this spring does with its parameters theta (k,).
+        """Return parameters (8,) of tendons that pull about as this spring does with its parameters theta (k,).
 
         Args:
             lengths: m, of tendons that may do what a spring does.
@@ -255,7 +255,7 @@ class CableDrag(Effect):
         strokes: tuple[float, ...] = (0.02, 0.2),
         shares: tuple[float, ...] = (0.2, 0.7),
     ) -> dict[str, list[Array]]:
-        """By form, parameters of tendons as this one is with its parameters theta (8,), that rub little or much.
+        """Return by form the parameters of tendons as this one is with its parameters theta (8,), that rub little or much.
 
         Args:
             strokes: where the search for an eye's stroke begins, of the standard deviation of the length.
@@ -272,7 +272,7 @@ class CableDrag(Effect):
         }
 
     def _carrier(self, scene: Scene) -> tuple[Array, Array, Array | None]:
-        """Of the body that it pulls: orientation (3, 3, N), position (3, N), efforts (C, 6, N) per wrench (None: felt)."""
+        """Return of the body that it pulls orientation (3, 3, N), position (3, N), efforts (C, 6, N) per wrench (None: felt)."""
         if isinstance(scene, EffortScene):
             return scene.carrier(self.clipped)
         # Row after row in memory: four times as fast to work with.
@@ -280,7 +280,7 @@ class CableDrag(Effect):
         return whole[:, :3], whole[:, 3], None
 
     def _tangent_at_nothing(self, scene: Scene) -> Columns:
-        """Without stiffness it does nothing wherever it is: one from origin to origin, and none of the others."""
+        """Return the slope at zero stiffness, where it does nothing wherever it is: one from origin to origin, else none."""
         count = len(self.parameters(scene))
         first = self.exact(scene, np.eye(count)[0])
         assert first is not None, "only a tendon is asked"
@@ -289,7 +289,7 @@ class CableDrag(Effect):
         return Columns(tuple(range(len(scene.channels))), values)
 
     def _in_efforts(self, scene: "EffortScene") -> Columns:
-        """The same spring on a link, by virtual work: stiffness, pulls, and what an unknown lever adds."""
+        """Return the same spring on a link, by virtual work: stiffness, pulls, and what an unknown lever adds."""
         known = scene.link(self.clipped)
         assert known is not None, "proposed only with a URDF"
         pose, answer = known
@@ -308,14 +308,14 @@ class CableDrag(Effect):
 
 
 def _carriers(scene: Scene) -> tuple[str, ...]:
-    """Joints whose links move in this recording and beyond which the arm moves too, the base's first; one of a few together."""
+    """Return joints whose links move here and beyond which the arm moves too, the base's first; one of a few together."""
     robot, moved = scene.belief.robot, set(scene.moved)
     links = () if robot is None else tuple(joints for joints in robot.chain if moved.intersection(joints))
     return tuple(joints[-1] for joints in links[:-1])
 
 
 def _stretched(R: Array, p: Array, theta: Array, *, least: float = 1e-6) -> tuple[Array, Array, Array]:
-    """Of a tendon: from the body's origin to the clip (3, N), from there to the anchor (3, N), and how far that is (N,).
+    """Return of a tendon the way from the body's origin to the clip (3, N), from there to the anchor (3, N), and its length (N,).
 
     Args:
         least: m; a shorter tendon has no direction.

@@ -27,17 +27,17 @@ class Timing(Downstream):
     between: str
 
     def __post_init__(self) -> None:
-        """Refuses what it does not know: TypeError."""
+        """Refuse what it does not know: TypeError."""
         if self.between not in BETWEEN:
             raise TypeError(f"between two rows are {', '.join(BETWEEN)}, not {self.between}")
 
     @property
     def interpolation(self) -> str:
-        """Its own."""
+        """Its own interpolation between two rows, see `BETWEEN`."""
         return self.between
 
     def interpolated(self, between: str) -> Self:
-        """The same with something else between two rows."""
+        """Return the timing effect with another interpolation between two rows."""
         return replace(self, between=between)  # type: ignore[type-var]
 
     @property
@@ -47,22 +47,22 @@ class Timing(Downstream):
 
     @abstractmethod
     def beginning(self, scene: Scene, theta: Array, others: Sequence[Effect]) -> Beginning:
-        """What it leaves open, with parameters theta (k,), at the beginning of a recording: it answers to what came before."""
+        """Return what it leaves open, with theta (k,), at the beginning of a recording: it answers to what came before."""
 
     @abstractmethod
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
-        """(N, m) signals as this stream delivers them, whatever they are."""
+        """Return signals (N, m) as this stream delivers them, whatever they are."""
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """How quickly the simulated goes."""
+        """Return what it follows: the rate of the simulated signal."""
         return Follows("rate")
 
     def places(self, scene: Scene) -> tuple[int, ...]:
-        """The channels that it makes late: the named joint's, or all."""
+        """Return the channels that it makes late: the named joint's, or all."""
         return tuple(i for i, name in enumerate(scene.channels) if self.joint in ("", joint_of(name)))
 
     def delivered(self, scene: Scene, columns: Columns, theta: Array) -> Columns:
-        """What another effect does, as it arrives through this stream: the channels of `joint` alone where one is named."""
+        """Return what another effect does, as it arrives through this stream: the channels of `joint` if one is named."""
         places = self.places(scene)
         mine = [i for i, c in enumerate(columns.channels) if c in places]
         if not mine or not columns.count:
@@ -78,7 +78,7 @@ class Filter(Timing):
 
     @abstractmethod
     def filtered(self, scene: Scene, x: Array) -> Array:
-        """(N, m) what it makes of signals (N, m) that all go through it."""
+        """Return the output (N, m) of the filter for signals (N, m) that all go through it."""
 
 
 class Shift(Timing):
@@ -88,4 +88,4 @@ class Shift(Timing):
 
     @abstractmethod
     def lagging(self, constant: float, shortest: float, damping: float | None = None) -> Filter:
-        """What answers slowly where this one is late, all of it, by a constant, s, with a damping of the second order."""
+        """Return what answers slowly where this one is late, all of it, by a constant, s, with a damping of the second order."""

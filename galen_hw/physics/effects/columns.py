@@ -23,7 +23,7 @@ class Columns:
         return int(self.values.shape[2])
 
     def live(self, *, rows: int = 97) -> NDArray[np.bool_]:
-        """(len(channels), k) where a column is not zero throughout: parameters of their own in each channel leave most empty.
+        """Return where (len(channels), k) a column is not zero throughout: parameters of each channel leave most empty.
 
         Args:
             rows: that are looked at before a column is searched for a value: nearly all columns are full.
@@ -34,25 +34,25 @@ class Columns:
         return out
 
     def full(self, width: int) -> Array:
-        """(N, width, k) with zeros in the other channels."""
+        """Return the columns (N, width, k) with zeros in the other channels."""
         out = np.zeros((self.values.shape[0], width, self.count))
         out[:, list(self.channels)] = self.values
         return out
 
 
 def in_channel(channel: int, columns: Iterable[Array]) -> Columns:
-    """Columns (N,) of one channel."""
+    """Return columns (N,) of one channel."""
     return Columns((channel,), _abreast(columns)[:, None, :])
 
 
 def _abreast(columns: Iterable[Array]) -> Array:
-    """(N, n) columns (N,) side by side; a single one is not copied, for nobody writes to it."""
+    """Return columns (N,) side by side, (N, n); a single one is not copied, for nobody writes to it."""
     each = list(columns)
     return each[0][:, None] if len(each) == 1 and each[0].flags.c_contiguous else np.stack(each, axis=-1)
 
 
 def in_each(places: tuple[int, ...], shapes: Array) -> Columns:
-    """Columns (N, c, c n): the same shapes (N, n) in c channels, each with coefficients of its own, channel by channel."""
+    """Return columns (N, c, c n): the same shapes (N, n) in c channels, each with coefficients of its own, channel by channel."""
     count = shapes.shape[1]
     # Column by column in memory: most stay empty, and are never touched.
     values = np.zeros((len(places), count * len(places), len(shapes)))
@@ -62,7 +62,7 @@ def in_each(places: tuple[int, ...], shapes: Array) -> Columns:
 
 
 def in_all(columns: Iterable[Array], width: int) -> Columns:
-    """Columns (N, C) of all channels; those in which all are zero are left out, where any is not."""
+    """Return columns (N, C) of all channels; those in which all are zero are left out, where any is not."""
     values = np.stack(list(columns), axis=-1)
     live = np.flatnonzero(values.any(axis=(0, 2)))
     if 0 < len(live) < width:
@@ -71,5 +71,5 @@ def in_all(columns: Iterable[Array], width: int) -> Columns:
 
 
 def through(scene: Scene, joint: str, signals: Iterable[Array]) -> Columns:
-    """Columns of what errors (N,) of a joint's position do, in the channels in which they show; there must be a port."""
+    """Return columns of what errors (N,) of a joint's position do, in the channels where they show; there must be a port."""
     return Columns(scene.reached(joint), scene.reaching(joint)[:, :, None] * _abreast(signals)[:, None, :])

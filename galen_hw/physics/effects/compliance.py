@@ -17,7 +17,7 @@ from galen_hw.physics.scenes.joint import PositionScene
 from galen_hw.physics.scenes.pose import ArmScene
 from galen_hw.spatial import Array
 
-LOADS = ("load", "torque", "force", "effort", "current", "duty", "pwm")
+LOAD_WORDS = ("load", "torque", "force", "effort", "current", "duty", "pwm")
 """Words in the name of a covariate that is what a motor gives: the registers of servos, in units of their own."""
 
 
@@ -52,11 +52,11 @@ class Compliance(Effect):
 
     @property
     def location(self) -> tuple[str, ...]:
-        """A joint and a structure may give side by side."""
+        """Where it sits and its form: a joint and a structure may give side by side."""
         return (*super().location, self.form)
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """Its load."""
+        """Return what it follows: its load."""
         return (
             Follows("load", self.joint, values=_load(scene, self.joint, "own"))
             if self.source == "own"
@@ -65,7 +65,7 @@ class Compliance(Effect):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every joint that bears load; the structure where a force on the tip is known."""
+        """Yield every joint that bears load; the structure where a force on the tip is known."""
         for joint in scene.joint_names:
             if scene.joint_port(joint) is None:
                 continue
@@ -87,12 +87,12 @@ class Compliance(Effect):
 
     @classmethod
     def _pulled(cls, scene: Scene) -> Iterator[Self]:
-        """Of one joint that nobody moves: beside a motion a load is its consequence."""
+        """Yield one joint that nobody moves: beside a motion a load is its consequence."""
         if scene.moved or len(scene.channels) != 1 or np.ptp(scene.simulated[:, 0]) > 0.0:
             return
         for name, values in scene.observations.columns.items():
             words = re.split(r"[._]", name.lower())
-            if words[0] == "covariate" and not set(LOADS).isdisjoint(words) and np.ptp(values) > 0.0:
+            if words[0] == "covariate" and not set(LOAD_WORDS).isdisjoint(words) and np.ptp(values) > 0.0:
                 yield cls("loop", joint_of(scene.channels[0]), name)
 
     @classmethod
@@ -106,21 +106,21 @@ class Compliance(Effect):
                     )
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Give per load."""
+        """Return the compliance per load."""
         if self.form == "weight":
             return tuple(Parameter(f"{f}_{link}", "rad") for link in self._links(scene) for f in ("sin", "cos"))
         if self.form == "loop":
             return (Parameter("compliance", f"{scene.units[0]} a unit"),)
         if self.form != "joint":
             return tuple(Parameter(f"compliance_{letter}", "m/N") for letter in "xyz")
-        return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
+        return (Parameter("compliance", scene.compliance_unit(self.joint)),)
 
     def _links(self, scene: Scene) -> list[str]:
         names = [joint_of(name) for name in scene.channels]
         return names[names.index(self.joint) :][: self.links]
 
     def columns(self, scene: Scene) -> Columns:
-        """Load through the joint's port, or force along axes."""
+        """Return the load through the joint's port, or the force along axes."""
         width = len(scene.channels)
         if self.form == "weight":
             return self._sag(scene)
@@ -171,7 +171,7 @@ class Hardening(Effect):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every joint that bears load, or that is imposed on by an unknown device; a knee where a linear give is believed."""
+        """Yield every joint that bears load, or that an unknown device moves; a knee where a linear compliance is believed."""
         for joint in scene.joint_names:
             free = scene.observations.predict == "effort" and scene.belief.robot is None and joint in scene.moved
             if free or (_bears(scene, joint) and scene.joint_port(joint) is not None):
@@ -182,23 +182,23 @@ class Hardening(Effect):
                     yield from (cls(joint, 2, knee) for knee in log_grid(0.05 * size, 2.0 * size, 4))
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Give per power of the load."""
+        """Return the compliance per power of the load."""
         if self.knee is not None:
-            return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
+            return (Parameter("compliance", scene.compliance_unit(self.joint)),)
         return (Parameter("coefficient", f"rad or m/(load)^{self.power}"),)
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """Its load."""
+        """Return what it follows: its load."""
         return Follows("load")
 
     def law(self, x: Array) -> Array:
-        """(N,) of loads (N,), per unit of the parameter."""
+        """Return the law (N,) of loads (N,), per unit of the parameter."""
         if self.knee is None:
             return np.asarray(x * np.abs(x) ** (self.power - 1))
         return np.asarray(x * np.abs(x) / (self.knee + np.abs(x)))
 
     def columns(self, scene: Scene) -> Columns:
-        """Power of the load through the joint's port."""
+        """Return the power of the load through the joint's port."""
         port, load = scene.joint_port(self.joint), _load(scene, self.joint, "all")
         if port is None or load is None or (scene.belief.robot is None and scene.observations.predict == "effort"):
             place = [joint_of(name) for name in scene.channels].index(self.joint)

@@ -50,6 +50,7 @@ class Creep(Effect):
         "spread": Searched(1.2, 1e3, "1"),
     }
     NEEDS_CLOCK = True
+    READ_ORDER = 1
     constant: float
     channel: str = ""
     joint: str = ""
@@ -60,7 +61,7 @@ class Creep(Effect):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Time constants from half a second to a third of the recording; rested too where there is a load at the start."""
+        """Yield time constants from half a second to a third of the recording; rested too where there is a load at the start."""
         longest = duration(scene) / 3.0
         if not scene.clock or longest <= 0.6:
             return
@@ -73,7 +74,7 @@ class Creep(Effect):
 
     @property
     def remark(self) -> str:
-        """Where it began."""
+        """A sentence on how it began."""
         return "Its load came on as the recording began: nothing had settled." if self.rested else ""
 
     def at_work(self, scene: Scene, *, least: float = 1.05) -> bool:
@@ -85,32 +86,32 @@ class Creep(Effect):
         return self.constant > least * self.SEARCHED["constant"].low
 
     def with_searched(self, values: Mapping[str, float]) -> Self:
-        """Another constant, not above the longest of which this recording sees enough to tell it from a give."""
+        """Return it with another constant, not above the longest that this recording can tell from a compliance."""
         constant = min(values.get("constant", self.constant), self.longest)
         return replace(super().with_searched(values), constant=constant)
 
     def richer(self, scene: Scene) -> Iterator[Self]:
-        """Many constants for one: over a decade, or over several."""
+        """Yield many constants for one: over a decade, or over several."""
         if self.spread is None:
             yield from (replace(self, spread=ratio) for ratio in log_grid(3.0, 30.0, 3))
 
     def otherwise(self) -> Self:
-        """What comes later or what is missing at first: a load that was read wrong all along makes one of the other."""
+        """Return it late for missing at first, or the reverse: a load read wrong all along makes one of the other."""
         return replace(self, form="less" if self.form == "more" else "more")
 
     def lags(self, scene: Scene) -> tuple[Lagging, ...]:
-        """What may still have been settling: its one time constant, and where there are many the shortest and the longest too."""
+        """Return what may still have been settling: its time constant, and of many the shortest and the longest too."""
         spread = (1.0,) if self.spread is None else (1.0 / self.spread, 1.0, self.spread)
         places = () if self.joint else tuple(i for i, name in enumerate(scene.channels) if self.channel in ("", name))
         return tuple(Lagging(places, self.constant * ratio, self.joint) for ratio in spread)
 
     def beginning(self, scene: Scene, theta: Array, others: Sequence[Effect]) -> Beginning:
-        """Where an offset fades as one that has not settled does: settled and rested are not all that may have been before."""
+        """Return its lags where an offset fades as one not settled does: more may have been before than settled and rested."""
         alike = any(isinstance(one, Drift) and self._fades_with(one) for one in others)
         return Beginning(lags=self.lags(scene)) if alike else Beginning()
 
     def presumes(self, scene: Scene) -> bool:
-        """Where it began rested, and any beginning as quick is fitted."""
+        """Return whether it began rested, and any beginning as quick is fitted."""
         known = [(c, lag) for lag in scene.beginning.lags for c in lag.places]
         return self.rested and all(
             any(c == place and _as_quick(one.constant, lag.constant) for c, one in known)
@@ -124,26 +125,26 @@ class Creep(Effect):
         return _as_quick(drift.constant, self.constant)
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """The clock."""
+        """Return what it follows: time."""
         return Follows("time")
 
     def unlimited(self) -> Self:
-        """Any constant: what never settles in this recording is a give to it, but it may be there."""
+        """Return it with any constant: what never settles here is a compliance to this recording, but creep may be there."""
         return replace(self, longest=np.inf)
 
     def reads(self, scene: Scene) -> bool:
-        """Where it is the sensor's own."""
+        """Return whether it is the sensor's own."""
         return not self.joint and scene.observations.predict in LOADS
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Settled share of the load, or give of the joint."""
+        """Return the settled share of the load, or the compliance of the joint."""
         if self.joint and scene.observations.predict != "position":
-            return (Parameter("compliance", "m/N" if self.joint.startswith("carriage") else "rad/(N m)"),)
+            return (Parameter("compliance", scene.compliance_unit(self.joint)),)
         # What is missing at first by more than that is behind a filter: matter that gives so much is no part of a machine.
         return (Parameter("share", "1", furthest=FARTHEST_SCALE),)
 
     def columns(self, scene: Scene) -> Columns:
-        """The load's slow part through its port."""
+        """Return the load's slow part through its port."""
         if self.channel:
             place = scene.channels.index(self.channel)
             return in_channel(place, [self._slow(scene, scene.simulated[:, place])])
@@ -160,7 +161,7 @@ class Creep(Effect):
         return slow if self.form == "more" else slow - x
 
     def _settling(self, scene: Scene, x: Array) -> Array:
-        """(N, m) what has settled of loads (N, m)."""
+        """Return what has settled (N, m) of loads (N, m)."""
         if self.spread is None:
             return scene.lag("creep", x, self.constant, empty=self.rested)
         each = self.constant * self.spread ** np.linspace(-1.0, 1.0, KELVIN)
@@ -188,7 +189,7 @@ def _begun(scene: Scene, channel: str, joint: str, *, share: float = 0.1) -> boo
 
 
 def _bearing(scene: Scene) -> Iterator[tuple[str, str]]:
-    """(channel, "") of what bears load itself, ("", "") for a sensor's body as a whole, or ("", joint)."""
+    """Yield (channel, "") of what bears load itself, ("", "") for a sensor's body as a whole, or ("", joint)."""
     if scene.observations.predict in ("pose", "targets"):
         yield from (("", joint) for joint in scene.joint_names if scene.load(joint) is not None)
     elif scene.observations.predict in ("wrench", "effort"):

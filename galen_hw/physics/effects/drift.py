@@ -65,7 +65,7 @@ class Drift(Effect):
 
     @classmethod
     def propose(cls, scene: Scene, *, quickest: float = 5.0) -> Iterator[Self]:
-        """Straight, warm-up and wander in every channel, none quicker than sensors are; over the row number without a clock.
+        """Yield straight, warm-up and wander in every channel, none quicker than sensors are; without a clock over rows.
 
         None over recordings laid end to end: the clock between them is made up.
 
@@ -86,44 +86,44 @@ class Drift(Effect):
 
     @classmethod
     def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
-        """What a thermometer would show."""
+        """Return what a thermometer would show."""
         return [] if scene.observations.has("temperature.") else ["temperature"]
 
     def staged(self, start: float, length: float) -> Self:
-        """All of it, from there."""
+        """Return it over all of another recording."""
         return replace(self, start=start, length=length)
 
     def growth(self, length: float) -> float:
-        """A straight one goes on."""
+        """Return how much larger it is: a straight drift goes on."""
         return length / max(self.length, 1e-9) if self.form == "linear" else 1.0
 
     def again(self, start: float, length: float) -> tuple[Effect, ...]:
-        """It begins anew, and may wander as well."""
+        """Return it begun anew; it may wander as well."""
         begun = self.staged(start, length)
         return (begun,) if begun.form == "wander" else (begun, replace(begun, form="wander", constant=None))
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """The clock."""
+        """Return what it follows: time."""
         return Follows("time")
 
     @property
     def wandering(self) -> tuple[str, ...]:
-        """Of all that it is in."""
+        """All channels that it is in, where it wanders."""
         return self.channels or (self.channel,)
 
     @property
     def freedom(self) -> int | None:
-        """Of a walk."""
+        """Number of physical parameters of a random walk."""
         return WALKING if self.waves == WALK else None
 
     def richer(self, scene: Scene) -> Iterator[Self]:
-        """A quicker warm-up beside the one that stands for both, or a slower one."""
+        """Yield a quicker warm-up beside the one that stands for both, or a slower one."""
         if self.constant is not None and self.second is None:
             for quick, slow in ((0.3, 3.0), (0.1, 1.0), (1.0, 10.0)):
                 yield replace(self, constant=quick * self.constant, second=slow * self.constant)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Amplitudes over the whole recording."""
+        """Return the amplitudes over the whole recording."""
         one = "amplitude" if self.form == "warm_up" else "change"
         # A tool's file makes a float of every number.
         names = [f"cosine_{k}" for k in range(1, int(self.waves) + 1)] if self.form == "wander" else [one]
@@ -133,16 +133,16 @@ class Drift(Effect):
         return tuple(Parameter(f"{name}_{c}", unit_of(scene, c)) for c in self.channels for name in names)
 
     def columns(self, scene: Scene) -> Columns:
-        """By the clock, or by the row number without one."""
+        """Return the shapes by the clock, or by the row number without one."""
         return self.averaged(scene, lambda shapes: shapes)
 
     def averaged(self, scene: Scene, average: Callable[[Array], Array]) -> Columns:
-        """All channels share their shapes."""
+        """Return the averaged shapes, which all channels share."""
         places = tuple(scene.channels.index(name) for name in self.channels or (self.channel,))
         return in_each(places, average(self.shapes(scene.time)))
 
     def shapes(self, time: Array) -> Array:
-        """(N, n) the forms that it can take at times (N,), s."""
+        """Return the shapes (N, n) that it can take at times (N,), s."""
         furthest = {"linear": 2.0 * self.length, "wander": self.length}.get(self.form, np.inf)
         t = np.clip(time - self.start, 0.0, furthest)
         if self.form == "wander":
@@ -180,7 +180,7 @@ class Temperature(Effect):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every channel with every thermometer that moves, at once and later, its zero alone and its zero and scale."""
+        """Yield every channel with every thermometer that moves, at once and later, its zero alone and its zero and scale."""
         length = duration(scene) if scene.clock else 0.0
         constants = (None, *log_grid(length / 30.0, length / 3.0, 3))
         for name, values in scene.observations.columns.items():
@@ -195,14 +195,14 @@ class Temperature(Effect):
                         )
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Offset per kelvin."""
+        """Return the offset per kelvin."""
         if not self.channels:
             zero = Parameter("coefficient", f"{unit_of(scene, self.channel)}/K")
             return (zero, Parameter("span", "1/K")) if self.form == "zero_and_span" else (zero,)
         return tuple(Parameter(f"coefficient_{name}", f"{unit_of(scene, name)}/K") for name in self.channels)
 
     def columns(self, scene: Scene) -> Columns:
-        """Measured temperature less the reference."""
+        """Return the measured temperature less the reference."""
         places = tuple(scene.channels.index(name) for name in self.channels or (self.channel,))
         warmth = self.warmth(scene)
         if self.form == "zero_and_span":
@@ -211,18 +211,18 @@ class Temperature(Effect):
 
     @classmethod
     def supposed(cls, channel: str) -> tuple[Self, float]:
-        """By ten kelvin."""
+        """Return the effect and a range of ten kelvin."""
         return cls(channel, "temperature.sensor"), 10.0
 
     def staged(self, start: float, length: float) -> Self:
-        """By the thermometer at the sensor where it has none."""
+        """Return it by the thermometer at the sensor where it has none."""
         return replace(self, place=self.place or "temperature.sensor", reference=0.0)
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """The thermometer."""
+        """Return what it follows: the thermometer."""
         return Follows("column", self.place)
 
     def warmth(self, scene: Scene) -> Array:
-        """(N,) kelvin over the reference, of the thermometer or of what follows it."""
+        """Return the kelvin (N,) over the reference, of the thermometer or of what follows it."""
         warmth = np.asarray(scene.observations.columns[self.place]) - self.reference
         return warmth if self.constant is None else scene.lag("warmth", warmth[:, None], self.constant)[:, 0]

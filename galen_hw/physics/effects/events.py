@@ -24,7 +24,7 @@ class _Sought(Effect):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Nothing."""
+        """Yield nothing: it is sought in the residual."""
         del scene
         return iter(())
 
@@ -36,14 +36,14 @@ class _Shaped(_Sought):
 
     @abstractmethod
     def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
-        """(M, n) with their rows averaged, (N, ...) to (M, ...)."""
+        """Return the shapes (M, n) with rows averaged, (N, ...) to (M, ...)."""
 
     def columns(self, scene: Scene) -> Columns:
-        """Every shape in every channel, channel by channel."""
+        """Return every shape in every channel, channel by channel."""
         return self.averaged(scene, np.asarray)
 
     def averaged(self, scene: Scene, average: Callable[[Array], Array]) -> Columns:
-        """Shapes are averaged before they are spread over the channels, where most of the columns are zero."""
+        """Return shapes averaged before they are spread over the channels, where most of the columns are zero."""
         places = tuple(scene.channels.index(name) for name in self.channels)
         return in_each(places, self.shapes(scene, average))
 
@@ -75,30 +75,30 @@ class Step(_Shaped):
 
     @property
     def jump(self) -> float:
-        """Its first."""
+        """The moment, s, of its first jump."""
         return self.moment
 
     def jumping(self, moment: float) -> Self:
-        """Its first moved."""
+        """Return it with its first jump moved."""
         return replace(self, moment=moment)
 
     def staged(self, start: float, length: float) -> Self:
-        """In the middle."""
+        """Return it with the jump in the middle."""
         return self.jumping(start + 0.5 * length)
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """The clock."""
+        """Return what it follows: time."""
         return Follows("time")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """The jump of every channel, or shifts and turns of what has slipped."""
+        """Return the jump of every channel, or shifts and turns of what has slipped."""
         if self.carried:
             return tuple(Parameter(f"jump_{self.carried}_{move}", unit) for move, unit in self._slipped(scene).moves)
         each = ("jump", *(f"jump{k}" for k in range(2, 2 + len(self.later))))
         return tuple(Parameter(f"{jump}_{name}", unit_of(scene, name)) for name in self.channels for jump in each)
 
     def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
-        """Only of what has a zero: what comes at once to a motor's effort, and stays, is a force."""
+        """Return whether the channel has a zero: what comes at once to a motor's effort, and stays, is a force."""
         return scene.observations.predict != "effort"
 
     @property
@@ -110,14 +110,14 @@ class Step(_Shaped):
         return next(one for one in scene.slipping() if one.name == self.carried)
 
     def averaged(self, scene: Scene, average: Callable[[Array], Array]) -> Columns:
-        """As of all that has a shape, or what the slip does in every pose after it."""
+        """Return what is averaged of all that has a shape, or what the slip does in every pose after it."""
         if not self.carried:
             return super().averaged(scene, average)
         slipped = self._slipped(scene)
         return Columns(slipped.channels, average(slipped.values * (scene.time >= self.moment)[:, None, None]))
 
     def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
-        """One after each moment."""
+        """Return one step after each moment."""
         after = scene.time[:, None] >= np.array([self.moment, *self.later])
         return average(scene.seen(after.astype(float)))
 
@@ -143,15 +143,11 @@ class Contact(_Shaped):
 
     @property
     def touches(self) -> tuple[Span, ...]:
-        """Its episodes."""
+        """The episodes that it acts in."""
         return self.episodes
 
-    def during(self, touches: tuple[Span, ...]) -> Self:
-        """With other episodes."""
-        return replace(self, episodes=touches)
-
     def finer(self, time: Array, *, hand: int = 5, finest: int = 96, rows: int = 4, most: int = 1000) -> Iterator[Self]:
-        """With more half waves than it has, twice as many each time, and no more than its episodes and memory can bear.
+        """Yield it with more half waves, twice as many each time, and no more than its episodes and memory can bear.
 
         Args:
             hand: half waves that a hand which swells and turns asks for at first, where a knock is a level and a bow.
@@ -166,15 +162,15 @@ class Contact(_Shaped):
             waves *= 2
 
     def staged(self, start: float, length: float) -> Self:
-        """Once, for a tenth of the time."""
-        return self.during(((start + 0.3 * length, start + 0.4 * length),))
+        """Return it once, for a tenth of the time."""
+        return replace(self, episodes=((start + 0.3 * length, start + 0.4 * length),))
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """The clock."""
+        """Return what it follows: time."""
         return Follows("time")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Level, bow and further half waves per channel and episode."""
+        """Return level, bow and further half waves per channel and episode."""
         return tuple(
             Parameter(f"{what}_{k + 1}_{name}", unit_of(scene, name))
             for name in self.channels
@@ -183,12 +179,12 @@ class Contact(_Shaped):
         )
 
     def parted(self, count: int) -> Self:
-        """The same touches, each in so many parts of equal length."""
+        """Return the same contacts, each in so many parts of equal length."""
         edges = [np.linspace(start, end, count + 1).tolist() for start, end in self.episodes]
         return replace(self, episodes=tuple(part for edge in edges for part in itertools.pairwise(edge)))
 
     def unshaped(self, step: float, *, parts: int = 6) -> tuple[Effect, ...]:
-        """How it swells and turns round inside an episode, and what happens about where that begins and ends.
+        """Return how it swells and turns round inside an episode, and what happens about where that begins and ends.
 
         Args:
             parts: of an episode, in each of which a touch may be otherwise and is no noise for that.
@@ -198,13 +194,14 @@ class Contact(_Shaped):
         return (self.parted(parts), *edges)
 
     def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
-        """Box and half sines of every episode."""
+        """Return box and half sines of every episode; averaged one by one, since there may be a thousand of them."""
         out = []
         for start, end in self.episodes:
             inside = ((scene.time >= start) & (scene.time <= end)).astype(float)
             phase = np.pi * (scene.time - start) / max(end - start, 1e-9)
-            out += [inside, *(inside * np.sin(i * phase) for i in range(1, self.waves + 1))]
-        return average(np.stack(out, axis=-1))
+            out.append(average(inside))
+            out += [average(inside * np.sin(i * phase)) for i in range(1, self.waves + 1)]
+        return np.stack(out, axis=-1)
 
 
 @dataclass(frozen=True)
@@ -233,20 +230,20 @@ class Vibration(_Shaped):
     wander: int = 0
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Sine and cosine of every channel, and each again with every slow change."""
+        """Return sine and cosine of every channel, and each again with every slow change."""
         waves = [f"{w}{f'_{k}' if k else ''}" for k in range(self.wander + 1) for w in ("sine", "cosine")]
         return tuple(Parameter(f"{w}_{name}", unit_of(scene, name)) for name in self.channels for w in waves)
 
     def doubt(self, scene: Scene) -> float:
-        """A line is as narrow as the recording is long; one line beside it the fit has the next hump."""
+        """Return one line's width: a line is as narrow as the recording is long, and beside it the fit has the next hump."""
         return 1.0 + 1.0 / (float(np.ptp(scene.time)) * self.frequency)
 
     def line(self, scene: Scene) -> Line:
-        """Itself."""
+        """Return its own spectral line."""
         return Line(self.frequency, self.breadth(scene), self.wander > 0)
 
     def indistinct(self, other: Effect, span: float, *, share: float = 0.1) -> bool:
-        """Sines so near stay in step over the whole recording.
+        """Return whether sines so near stay in step over the whole recording.
 
         Args:
             share: of what two lines of the spectrum are apart that one recording can tell.
@@ -255,19 +252,19 @@ class Vibration(_Shaped):
         return isinstance(other, Vibration) and abs(other.frequency - self.frequency) < near
 
     def again(self, start: float, length: float) -> tuple[Effect, ...]:
-        """In another phase."""
+        """Return it in another phase."""
         return (self,)
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """The clock, again and again."""
+        """Return what it follows: time, periodically."""
         return Follows("time", period=1.0 / self.frequency)
 
     def breadth(self, scene: Scene) -> float:
-        """Hz to either side that belong to it: what its slow changes reach, and one line of the spectrum more."""
+        """Return the Hz to either side that belong to it: what its slow changes reach, and one line of the spectrum more."""
         return (0.5 * self.wander + 1.0) / max(float(np.ptp((scene.whole or scene).time)), 1e-9)
 
     def shapes(self, scene: Scene, average: Callable[[Array], Array]) -> Array:
-        """Sine and cosine of the clock, growing and fading slowly.
+        """Return sine and cosine of the clock, growing and fading slowly.
 
         Waves and their slow changes are averaged apart: over neighbouring rows a slow change is a constant.
         """
@@ -292,11 +289,11 @@ class Glitches(_Sought):
     rows: tuple[int, ...] = ()
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """None: the rows are left out."""
+        """Return no parameters: the rows are left out."""
         return ()
 
     def columns(self, scene: Scene) -> Columns:
-        """None."""
+        """Return no columns."""
         places = tuple(scene.channels.index(name) for name in self.channels)
         return Columns(places, np.zeros((len(scene), len(places), 0)))
 
@@ -310,9 +307,9 @@ class Unknown(_Sought):
     channels: tuple[str, ...] = ()
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """None."""
+        """Return no parameters."""
         return ()
 
     def columns(self, scene: Scene) -> Columns:
-        """None."""
+        """Return no columns."""
         return Columns((0,), np.zeros((len(scene), 1, 0)))

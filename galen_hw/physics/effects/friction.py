@@ -73,7 +73,7 @@ class Friction(Effect):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every joint that moves, with sharp and soft transitions."""
+        """Yield every joint that moves, with sharp and soft transitions."""
         if scene.observations.predict not in ("effort", "position") or not scene.clock:
             return
         compared = {joint_of(name) for name in scene.channels}
@@ -97,7 +97,7 @@ class Friction(Effect):
 
     @classmethod
     def _presliding(cls, scene: Scene, joint: str, speed: float) -> Iterator[Self]:
-        """Friction that is built up over a thousandth to a twentieth of the joint's range, without and with stiction."""
+        """Yield friction that builds up over a thousandth to a twentieth of the joint's range, without and with stiction."""
         half_range = 0.5 * float(np.ptp(scene.q[:, scene.joint_index(joint)]))
         for reach in log_grid(1e-3 * half_range, 5e-2 * half_range, 4):
             yield cls(joint, "presliding", reach=reach)
@@ -105,7 +105,7 @@ class Friction(Effect):
 
     @classmethod
     def _warming(cls, scene: Scene, joint: str, speed: float) -> Iterator[Self]:
-        """Cold grease that warms within a tenth to the whole of a recording."""
+        """Yield cold grease that warms within a tenth to the whole of a recording."""
         length = duration(scene)
         cold = {"transition": 0.05 * speed, "start": float(scene.time[0])}
         yield from (cls(joint, "warming", warming=t, **cold) for t in log_grid(0.1 * length, length, 3))
@@ -114,7 +114,7 @@ class Friction(Effect):
     def _in_servos(
         cls, scene: Scene, joint: str, *, response: float = 0.03, settlings: tuple[float, ...] = (4.0, 16.0)
     ) -> Iterator[Self]:
-        """Stand-offs from far below the joint's range to a tenth of it; those that give way, quickly and slowly.
+        """Yield stand-offs from far below the joint's range to a tenth of it; those that creep, quickly and slowly.
 
         Args:
             response: time constant of a position servo to begin with, s, where no simulation tells it.
@@ -133,25 +133,25 @@ class Friction(Effect):
 
     @classmethod
     def from_term(cls, parameters: Mapping[str, Any]) -> Self:
-        """As for all effects; a servo's stand-off is searched, in the other forms the name is that of a linear parameter."""
+        """Return the effect of a term: a servo's stand-off is searched, in other forms the name is that of a linear parameter."""
         form = {k: v for k, v in parameters.items() if k != "coulomb" or "servo" in str(parameters.get("form", ""))}
         return super().from_term(form)
 
     @property
     def freedom(self) -> int | None:
-        """A servo stands off by all of its friction: the size of that is searched, and no share of it is free."""
+        """Number of free linear parameters: a servo stands off by all of its friction, whose size is searched."""
         return (1 if self.form.endswith("_viscous") else 0) if "servo" in self.form else None
 
     def pinned(self, scene: Scene) -> Array | None:
-        """The share, and a free viscous part."""
+        """Return the share, and nan for a free viscous part."""
         return None if self.freedom is None else np.array([1.0] + self.freedom * [np.nan])
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Coulomb in the channel's unit, viscous per speed."""
+        """Return Coulomb in the channel's unit, viscous per speed."""
         unit = scene.units[_place(scene, self.joint)]
         low, high = (0.0, np.inf) if _is_effort(scene) else (-np.inf, 0.0)
         c = Parameter("coulomb", unit, low, high)
-        v = Parameter("viscous", f"{unit}/(rad/s)" if unit != "N" else "N s/m")
+        v = Parameter("viscous", {"N m": "N m/(rad/s)", "N": "N s/m"}.get(unit, "s"))
         if self.form == "asymmetric":
             return (
                 Parameter("coulomb_forward", unit, low, high),
@@ -172,7 +172,7 @@ class Friction(Effect):
 
     @classmethod
     def ahead(cls, scene: Scene, effects: Sequence[Self], *, together: float = 1.5e7) -> None:
-        """The stand-offs of servos, as many as the scene keeps.
+        """Keep the stand-offs of servos, as many as the scene keeps.
 
         Args:
             together: values of stand-offs that are walked side by side.
@@ -186,7 +186,7 @@ class Friction(Effect):
                 kept[one.servo] = stands
 
     def columns(self, scene: Scene) -> Columns:
-        """Functions of the joint's speed in the joint's channel, or what a servo that sticks does beside one that does not."""
+        """Return functions of the joint's speed in its channel, or what a servo that sticks does beside one that does not."""
         v = scene.rates[0][:, scene.joint_index(self.joint)]
         if self.freedom is not None:
             return in_channel(_place(scene, self.joint), self._servo(scene, v))
@@ -218,13 +218,13 @@ class Friction(Effect):
         return np.asarray(np.tanh(v / self.transition))
 
     def with_searched(self, values: Mapping[str, float]) -> Self:
-        """Another point of the search; a servo that follows within half a sample is none, and friction in it a play."""
+        """Return another point of the search; a servo that follows within half a sample is none, and friction in it a play."""
         if "response" in values:
             values = {**values, "response": max(values["response"], self.shortest)}
         return super().with_searched(values)
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """How quickly the joint goes."""
+        """Return what it follows: the joint's speed."""
         return Follows("speed")
 
     @property
@@ -234,7 +234,7 @@ class Friction(Effect):
 
     @property
     def contains(self) -> tuple[str, ...]:
-        """A servo whose response nobody simulated has its lag with its friction in one equation."""
+        """Keys of the lag that is part of it, where nobody simulated the servo's response."""
         return ("lag",) if "servo" in self.form and self.simulated is None else ()
 
     def at_work(self, scene: Scene, *, least: float = 0.1) -> bool:
@@ -254,7 +254,7 @@ class Friction(Effect):
         return bool(np.sum(loose & moves) >= least * np.sum(moves))
 
     def constants(self, *, least: float = 1.01) -> tuple[float, float]:
-        """Response and settling, s.
+        """Return response and settling, s.
 
         Args:
             least: times slower than it follows a servo settles that sticks.
@@ -277,13 +277,13 @@ class Friction(Effect):
         return (self.joint, self.coulomb, *self.constants(), self.simulated is None)
 
     def command(self, scene: Scene, response: float) -> Array:
-        """(N, 1) what the servo is told: the motion that was put in, or what makes a simulated servo move as it does."""
+        """Return the command (N, 1) of the servo: the motion that was put in, or what makes a simulated servo move as it does."""
         at = scene.joint_index(self.joint)
         lead = 0.0 if self.simulated is None else response * scene.rates[0][:, at]
         return np.asarray((scene.q[:, at] + lead)[:, None])
 
     def _stand_off(self, scene: Scene) -> Array:
-        """(N,) beside a servo that does not stick; kept in a scene, for it is asked for again."""
+        """Return the stand-off (N,) from a servo that does not stick; kept in a scene, for it is asked for again."""
         kept, key = _kept(scene), self.servo
         with _KEEPING:
             if key in kept:
@@ -299,13 +299,13 @@ class Friction(Effect):
 
 
 def _kept(scene: Scene) -> OrderedDict[object, Array]:
-    """Stand-offs (N,) of servos in a scene."""
+    """Return the stand-offs (N,) of servos that a scene keeps."""
     kept: OrderedDict[object, Array] = scene.__dict__.setdefault("_stand_offs", OrderedDict())
     return kept
 
 
 def _stand_offs(scene: Scene, servos: Sequence[Friction]) -> list[Array]:
-    """Of each (N,) what a servo that sticks does beside one that does not."""
+    """Return what each servo that sticks does (N,) beside one that does not."""
     response, settling = np.transpose([one.constants() for one in servos])
     # Many differ in their friction alone.
     alike = [(one.joint, float(each), one.simulated is None) for one, each in zip(servos, response, strict=True)]
@@ -348,25 +348,25 @@ class TorqueRipple(Effect):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Nothing on a fixed grid: the wave number is sought in the residual."""
+        """Yield nothing on a fixed grid: the wave number is sought in the residual."""
         return iter(())
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Amplitudes of sine and cosine."""
+        """Return the amplitudes of sine and cosine."""
         unit = scene.units[_place(scene, self.joint)]
         return Parameter("sine", unit), Parameter("cosine", unit)
 
     def follows(self, scene: Scene, channel: int) -> Follows | None:
-        """The joint, again and again."""
+        """Return what it follows: the joint, periodically."""
         period = 2.0 * np.pi / self.wave_number
         return Follows("position", self.joint, period) if self.joint in scene.joint_names else None
 
     def doubt(self, scene: Scene) -> float:
-        """Half a period over the whole way of the joint: beyond it the fit has the next hump."""
+        """Return half a period over the whole way of the joint: beyond it the fit has the next hump."""
         reach = float(np.ptp(scene.q[:, scene.joint_index(self.joint)]))
         return 1.0 + np.pi / max(reach * self.wave_number, 1.0)
 
     def columns(self, scene: Scene) -> Columns:
-        """Sine and cosine of the joint's position."""
+        """Return sine and cosine of the joint's position."""
         phase = self.wave_number * scene.q[:, scene.joint_index(self.joint)]
         return in_channel(_place(scene, self.joint), scene.seen(np.stack([np.sin(phase), np.cos(phase)], axis=-1)).T)

@@ -6,7 +6,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from galen_hw.physics.channels import joint_of, joint_unit
+from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns, in_all
 from galen_hw.physics.effects.parameters import FARTHEST_SCALE, Parameter
@@ -21,7 +21,45 @@ FURTHEST = {"m": 0.05, "rad": 0.5}
 
 
 @dataclass(frozen=True)
-class JointOffset(Effect):
+class _Encoder(Effect):
+    """An error of a joint's encoder, q' = (1 + scale) q + offset, of which one of the two is its parameter."""
+
+    ERROR: ClassVar[str] = ""
+    """The parameter: "offset" or "scale"."""
+    joint: str
+
+    def columns(self, scene: Scene) -> Columns:
+        """Return the slope of the misread arm, else the joint's port times what the error moves it by."""
+        slope = _slope(lambda x: self._misread(scene, x))
+        port = slope if slope is not None else _less_zero(scene, self._port)
+        assert port is not None, "proposed only where there is a port"
+        return in_all([port], len(scene.channels))
+
+    def _port(self, scene: Scene) -> Array | None:
+        port = scene.joint_port(self.joint)
+        return None if port is None else port * self._moved(scene)[:, None]
+
+    def _moved(self, scene: Scene) -> Array:
+        """Return how far the error moves the joint (N,), per unit of the parameter."""
+        return scene.q[:, scene.joint_index(self.joint)] if self.ERROR == "scale" else np.ones(len(scene))
+
+    def exact(self, scene: Scene, theta: Array) -> Array | None:
+        """Return the change of the misread arm itself, or of the turned one, where its screws are known."""
+        misread = self._misread(scene, float(theta[0]))
+        if misread is not None:
+            return misread
+        return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * self._moved(at)))
+
+    def stands(self, scene: Scene, theta: Array) -> Scene | None:
+        """Return the scene with the joint where it really is."""
+        return scene.standing_at(self.joint, **{self.ERROR: float(theta[0])})
+
+    def _misread(self, scene: Scene, value: float) -> Array | None:
+        return _less_zero(scene, lambda at: at.misread(self.joint, **{self.ERROR: value}))
+
+
+@dataclass(frozen=True)
+class JointOffset(_Encoder):
     """A joint's zero is off: q' = q + d.
 
     Visible where the channels answer differently in different poses. Confused with bias (position), base_tilt (a first
@@ -43,58 +81,38 @@ class JointOffset(Effect):
     COMPLEXITY = 0
     RIGID = True
     LOAD_POWER = True
-    joint: str
+    GEOMETRY_ORDER = 1
+    ERROR = "offset"
 
     @classmethod
     def always_fitted(cls, predict: str) -> bool:
-        """Of a joint that is compared itself."""
+        """Return whether it is of a joint that is compared itself."""
         return predict == "position"
 
     @classmethod
     def fitted_as(cls, channel: str, predict: str) -> Self | None:
-        """The same."""
+        """Return it for a joint that is compared itself."""
         return cls(joint_of(channel)) if predict == "position" else None
 
     @classmethod
     def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
-        """An offset of the reading."""
+        """Return an offset of the reading."""
         return ["bias"] if scene.observations.predict == "position" else []
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every joint with an answer; in positions the constant of that joint, unless offsets are free."""
+        """Yield every joint with an answer; in positions the constant of that joint, unless offsets are free."""
         if scene.observations.predict == "position" and scene.belief.bias_free:
             return
         yield from (cls(joint) for joint in scene.joint_names if answers(scene, joint))
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Error of the zero."""
-        return (Parameter("offset", joint_unit(self.joint)),)
-
-    def columns(self, scene: Scene) -> Columns:
-        """Slope of the misread arm, else the joint's port."""
-        slope = _slope(lambda x: self._misread(scene, x))
-        port = slope if slope is not None else _less_zero(scene, lambda at: at.joint_port(self.joint))
-        assert port is not None, "proposed only where there is a port"
-        return in_all([port], len(scene.channels))
-
-    def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """The misread arm itself, or the turned one, where its screws are known."""
-        misread = self._misread(scene, float(theta[0]))
-        if misread is not None:
-            return misread
-        return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * np.ones(len(at))))
-
-    def stands(self, scene: Scene, theta: Array) -> Scene | None:
-        """With the joint where it really is."""
-        return scene.standing_at(self.joint, offset=float(theta[0]))
-
-    def _misread(self, scene: Scene, offset: float) -> Array | None:
-        return _less_zero(scene, lambda at: at.misread(self.joint, offset=offset))
+        """Return the error of the zero."""
+        return (Parameter("offset", scene.joint_units(self.joint)[0]),)
 
 
 @dataclass(frozen=True)
-class JointScale(Effect):
+class JointScale(_Encoder):
     """A joint's scale (gear, encoder) is off: q' = (1 + k) q.
 
     Visible over a wide range of the joint. Confused with joint_offset over a narrow one, with gain.
@@ -107,41 +125,17 @@ class JointScale(Effect):
     HEAD = ("scale_error",)
     ALIKE: ClassVar = {"compliance": "the load is nearly proportional to the joint's travel"}
     RIGID = True
-    joint: str
+    GEOMETRY_ORDER = 0
+    ERROR = "scale"
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every joint that moves and shows."""
+        """Yield every joint that moves and shows."""
         yield from (cls(joint) for joint in scene.moved if answers(scene, joint))
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Relative error of the scale."""
+        """Return the relative error of the scale."""
         return (Parameter("scale_error", "1", furthest=FARTHEST_SCALE),)
-
-    def columns(self, scene: Scene) -> Columns:
-        """Slope of the misread arm, else the joint's port times its position."""
-        slope = _slope(lambda x: self._misread(scene, x))
-        stretched = slope if slope is not None else _less_zero(scene, self._stretched)
-        assert stretched is not None, "proposed only where there is a port"
-        return in_all([stretched], len(scene.channels))
-
-    def _stretched(self, scene: Scene) -> Array | None:
-        port = scene.joint_port(self.joint)
-        return None if port is None else port * scene.q[:, [scene.joint_index(self.joint)]]
-
-    def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """The misread arm itself, or the turned one, where its screws are known."""
-        misread = self._misread(scene, float(theta[0]))
-        if misread is not None:
-            return misread
-        return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * at.q[:, at.joint_index(self.joint)]))
-
-    def stands(self, scene: Scene, theta: Array) -> Scene | None:
-        """With the joint where it really is."""
-        return scene.standing_at(self.joint, scale=float(theta[0]))
-
-    def _misread(self, scene: Scene, scale: float) -> Array | None:
-        return _less_zero(scene, lambda at: at.misread(self.joint, scale=scale))
 
 
 @dataclass(frozen=True)
@@ -161,19 +155,20 @@ class LinkGeometry(Effect):
     ALIKE: ClassVar = {"sensor_mounting": "a tilt behind the last axis is the sensor's seat"}
     TOLD_APART: ClassVar = {"sensor_mounting": "turn the tool by 180 degrees on its flange and repeat the poses"}
     RIGID = True
+    GEOMETRY_ORDER = 3
     joint: str
     errors: tuple[str, ...]
 
     @classmethod
     def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
-        """Where all of it is where the arm stands: a tracker that is off."""
+        """Return a tracker that is off where all of it is a shift of where the arm stands."""
         bare = [name.rsplit(": ", 1)[-1] for name in parameters if name != "rms_signal"]
         stands = bool(bare) and all(name.startswith("frame_shift") for name in bare)
         return ["bias"] if scene.observations.predict == "pose" and stands else []
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every single error, and both tilts or shifts of one axis together."""
+        """Yield every single error, and both tilts or shifts of one axis together."""
         by_joint: dict[str, list[str]] = {}
         for port in scene.geometry_ports():
             if np.any(np.abs(port.values) > 1e-12):
@@ -186,13 +181,13 @@ class LinkGeometry(Effect):
                     yield cls(joint, pair)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Angles and lengths."""
+        """Return angles and lengths."""
         units = {port.name: port.unit for port in scene.geometry_ports() if port.joint == self.joint}
         unit = {name: units.get(name, "m") for name in self.errors}
         return tuple(Parameter(name, u, furthest=FURTHEST[u]) for name, u in unit.items())
 
     def columns(self, scene: Scene) -> Columns:
-        """The geometry's ports, and what the arm's motion adds."""
+        """Return the geometry's ports, and what the arm's motion adds."""
         ports = {port.name: port.values for port in scene.geometry_ports() if port.joint == self.joint}
         if scene.zeroing is not None:
             zero = {port.name: port.values for port in scene.zeroing.geometry_ports() if port.joint == self.joint}
@@ -202,7 +197,7 @@ class LinkGeometry(Effect):
         return in_all(found, len(scene.channels))
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """The product of the exponentials; what the arm's motion adds to the first order."""
+        """Return the product of the exponentials; what the arm's motion adds to the first order."""
         amounts = dict(zip(self.errors, theta.tolist(), strict=True))
         out = _less_zero(scene, lambda at: at.screw_port(axis_moves(at, self.joint, amounts)))
         for name, amount in amounts.items():
@@ -228,11 +223,12 @@ class SensorMounting(Effect):
     CONFIRMED_BY = "repeat the poses with the tool turned by 180 degrees"
     HEAD = ("turn_.", "shift_.")
     RIGID = True
+    GEOMETRY_ORDER = 4
     part: str = "turn"
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """A turn, of a wrench's sensor with its tool or alone, and a shift."""
+        """Yield a turn, of a wrench's sensor with its tool or alone, and a shift."""
         unknown = isinstance(scene, ArmScene) and scene.belief.robot is None  # somebody else's simulation
         if unknown or scene.screw_port([np.zeros((len(scene), 6))]) is None:
             return
@@ -243,12 +239,12 @@ class SensorMounting(Effect):
             yield cls("shift")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """About or along the sensor's axes."""
+        """Return the turn about, or shift along, the sensor's axes."""
         unit, name = ("m", "shift") if self.part == "shift" else ("rad", "turn")
         return tuple(Parameter(f"{name}_{letter}", unit, furthest=FURTHEST[unit]) for letter in "xyz")
 
     def columns(self, scene: Scene) -> Columns:
-        """Slope of `exact`; a shifted wrench is linear."""
+        """Return the slope of `exact`; a shifted wrench is linear."""
         width = len(scene.channels)
         if self.part == "shift" and scene.observations.predict == "wrench":
             force = scene.simulated[:, :3]
@@ -259,7 +255,7 @@ class SensorMounting(Effect):
         return in_all([(up - down) / (2.0 * step) for up, down in zip(*ends, strict=True)], width)
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """The turned or shifted sensor itself."""
+        """Return the change of the turned or shifted sensor itself."""
         linear = self.part == "shift" and scene.observations.predict == "wrench"
         return None if linear else self._with_zero(scene, theta)
 
@@ -292,14 +288,14 @@ def answers(scene: Scene, joint: str) -> bool:
 
 
 def _less_zero(scene: Scene, change: Callable[[Scene], Array | None]) -> Array | None:
-    """What a wrong arm changes, less what it has changed where the reading was set to zero."""
+    """Return what a wrong arm changes, less what it has changed where the reading was set to zero."""
     out = change(scene)
     zero = None if out is None or scene.zeroing is None else change(scene.zeroing)
     return out if out is None or zero is None else out - zero
 
 
 def _slope(change: Callable[[float], Array | None], *, stride: float = 1e-4) -> Array | None:
-    """Central difference at nothing.
+    """Return the central difference at zero.
 
     Args:
         stride: rad, m or a share: a central difference over twice as much is exact to 1e-8.

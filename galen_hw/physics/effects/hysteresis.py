@@ -54,6 +54,7 @@ class Hysteresis(Effect):
         "gap": Searched(0.02, 0.95, "1"),
         "wear": Searched(0.1, 1.0, "1"),
     }
+    READ_ORDER = 0
     channel: str = ""
     driver: str = ""
     scale: float = 1.0
@@ -66,12 +67,12 @@ class Hysteresis(Effect):
 
     @classmethod
     def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
-        """What holds a servo back at a reversal."""
+        """Return what holds a servo back at a reversal."""
         return ["friction", "backlash"] if scene.observations.predict == "position" else []
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Of each channel's own simulated signal; of a joint's motion or load for what that joint carries."""
+        """Yield elements of each channel's own simulated signal; of a joint's motion or load for what that joint carries."""
         if scene.observations.predict in ("pose", "targets"):
             yield from cls._through_joints(scene)
             return
@@ -92,12 +93,12 @@ class Hysteresis(Effect):
 
     @classmethod
     def of_load(cls, joint: str, widths: Iterable[float]) -> Self:
-        """Friction beside a port's spring: one Maxwell slip element a width (N or N m) on the port's load."""
+        """Return friction beside a port's spring: one Maxwell slip element a width (N or N m) on the port's load."""
         return cls("", f"load:{joint}", 1.0, tuple(widths))
 
     @classmethod
     def _through_joints(cls, scene: Scene) -> Iterator[Self]:
-        """One sharp element of searched width, and a spectrum, of every joint's load and motion."""
+        """Yield one sharp element of searched width, and a spectrum, of every joint's load and motion."""
         for joint in scene.joint_names:
             if scene.joint_port(joint) is None:
                 continue
@@ -114,18 +115,18 @@ class Hysteresis(Effect):
 
     @classmethod
     def _slipping(cls, name: str, driver: str, scale: float) -> Iterator[Self]:
-        """One sticking and slipping element, without and with play in series."""
+        """Yield one sticking and slipping element, without and with play in series."""
         for reach in log_grid(0.03 * scale, 0.6 * scale, 5):
             yield from (cls(name, driver, scale, (), linear=True, reach=reach, gap=gap) for gap in (None, 0.3, 0.6))
 
     def searched_unit(self, name: str) -> str:
-        """What drives it is a motion or a load."""
+        """Return the unit of what drives it, a motion or a load."""
         if name == "reach" and not self.driver.startswith("joint"):
             return "N m or N"
         return super().searched_unit(name)
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """What drives it, another way back."""
+        """Return what it follows: what drives it, with another way back."""
         kind, _, joint = self.driver.partition(":")
         if kind == "load" and scene.load(joint) is not None:
             return Follows("load", joint, memory=True)
@@ -140,30 +141,30 @@ class Hysteresis(Effect):
         return (self.driver.split(":", 1)[1],) if ":" in self.driver else ((own,) if own else ())
 
     def richer(self, scene: Scene) -> Iterator[Self]:
-        """A slope that wears off, which turns round otherwise than plays."""
+        """Yield a slope that wears off, which turns round otherwise than plays."""
         if self.reach is None and self.form == "less" and len(self.widths) > 1:
             for share in log_grid(0.03, 0.6, 4):
                 yield from (replace(self, reach=share * self.scale, wear=shape) for shape in (0.5, 1.0))
 
     def otherwise(self) -> Self | None:
-        """What comes on top of a load or what is missing of it: a gain makes one of the other."""
+        """Return what comes on top of a load for what is missing of it, or the reverse: a gain makes one of the other."""
         if not self.channel or self.driver != self.channel or self.reach is not None or len(self.widths) == 1:
             return None
         return replace(self, form="less" if self.form == "more" else "more")
 
     def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
-        """Plays that come on top do so with weights of one sign: else one of them is a gain, and the others are missing of it."""
+        """Return whether plays on top have weights of one sign: else one of them is a gain, and the others are missing of it."""
         if self.form == "less":
             return True
         sign = np.sign(np.sum(theta))
         return bool(np.all(sign * theta + 3.0 * spread >= 0.0))
 
     def reads(self, scene: Scene) -> bool:
-        """Where it is the sensor's own."""
+        """Return whether it is the sensor's own."""
         return self.channel != "" and self.driver == self.channel and scene.observations.predict in LOADS
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Weights of the operators."""
+        """Return the weights of the operators."""
         own = scene.units[scene.channels.index(self.channel)] if self.channel else "rad or m"
         if self.wear is not None:
             return (Parameter("height", own),)
@@ -174,7 +175,7 @@ class Hysteresis(Effect):
         return (*(Parameter(f"weight_{r * self.scale:.4g}", unit) for r in self.widths), *slip, *rates)
 
     def columns(self, scene: Scene) -> Columns:
-        """Play, less its input or as it is, one column a width; or the one loop whose slope wears off."""
+        """Return play, less its input or as it is, one column a width; or the one loop whose slope wears off."""
         x = _signal(scene, self.driver)[:, None]
         if self.wear is not None and self.reach is not None:
             out = [scene.wear("wear", x[:, 0], self.reach, self.wear)]
@@ -185,7 +186,7 @@ class Hysteresis(Effect):
         return through(scene, self.joints[0], out)
 
     def _plays(self, scene: Scene, x: Array) -> list[Array]:
-        """Of what drives it (N, 1), and what else stands beside them."""
+        """Return the plays of what drives it (N, 1), and what else stands beside them."""
         r = np.asarray(self.widths) * self.scale
         wide = np.repeat(x, len(r), axis=1)
         start = scene.resting(self.channel) if self.channel and self.driver == self.channel else None

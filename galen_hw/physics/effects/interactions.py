@@ -20,21 +20,15 @@ if TYPE_CHECKING:
 Placed = tuple["Effect", Array]
 """An effect with its linear parameters (k,)."""
 
-READERS = ("hysteresis", "creep", "cross_talk", "gain")
-"""Keys of what acts on a load that is read, in the order in which the load meets them."""
-
-STANDS = ("joint_scale", "joint_offset", "base_tilt", "link_geometry", "sensor_mounting")
-"""Keys of what is wrong about how the arm stands: each meets what the ones before have made of it, q' = (1 + k) q + d."""
-
 
 def compound(scene: "Scene", placed: Sequence[Placed]) -> list[Array]:
-    """(N, C) what each effect adds where the others are too; `effect.change` where it is alone.
+    """Return the change (N, C) of each effect where the others are too; `effect.change` where it is alone.
 
     Row by row every effect keeps a memory of its own.
     """
     out = [np.zeros((len(scene), len(scene.channels))) for _ in placed]
     read = [k for k, (effect, _) in enumerate(placed) if effect.reads(scene)]
-    read.sort(key=lambda k: READERS.index(placed[k][0].KEY))
+    read.sort(key=lambda k: placed[k][0].READ_ORDER)
     meets = {k: _own(scene, k) for k in range(len(placed))}
     carrying = scene
     for k, (effect, theta) in enumerate(placed):
@@ -52,8 +46,7 @@ def compound(scene: "Scene", placed: Sequence[Placed]) -> list[Array]:
     for k, (effect, theta) in enumerate(placed):
         if k in read or k in wrong or effect.body(scene, theta) is not None:
             continue
-        # A body's own change has its inertia in it.
-        own = effect.EPISODIC or effect.DOWNSTREAM or effect.KEY == "inertial"
+        own = effect.EPISODIC or effect.DOWNSTREAM or not effect.MEETS_BODIES
         out[k] = effect.change(meets[k] if own else _own(carrying, k), theta)
     loads = [x for x, (effect, _) in zip(out, placed, strict=True) if not (effect.EPISODIC or effect.DOWNSTREAM)]
     whole = sum(loads, np.zeros((len(scene), len(scene.channels))))
@@ -73,13 +66,13 @@ def meet(scene: "Scene", placed: Sequence[Placed]) -> bool:
 
 
 def _wrong(placed: Sequence[Placed]) -> list[int]:
-    """Places of what is wrong about how the arm stands, in the order in which they meet."""
-    found = [k for k, (effect, _) in enumerate(placed) if effect.KEY in STANDS]
-    return sorted(found, key=lambda k: STANDS.index(placed[k][0].KEY))
+    """Return the places of what is wrong about how the arm stands, in the order in which they meet."""
+    found = [k for k, (effect, _) in enumerate(placed) if np.isfinite(effect.GEOMETRY_ORDER)]
+    return sorted(found, key=lambda k: placed[k][0].GEOMETRY_ORDER)
 
 
 def _own(scene: "Scene", k: int) -> "Scene":
-    """The scene with the memory of the k-th effect; a batch has none."""
+    """Return the scene with the memory of the k-th effect; a batch has none."""
     if scene.memory is None:
         return scene
     one = copy(scene)

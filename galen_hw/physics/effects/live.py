@@ -59,7 +59,7 @@ class EffectStream:
         self._last: tuple[float, Array, Array] | None = None
 
     def step(self, sample: Sample) -> Array:
-        """(6,) that the effects add to the reading, sensor frame, N and N m."""
+        """Return what (6,) the effects add to the reading, sensor frame, N and N m."""
         time, q = sample.t_ns * 1e-9, np.asarray(sample.q, dtype=float)
         rate = self._rates(time, q)
         if self._dated:
@@ -67,7 +67,7 @@ class EffectStream:
         return self.at(time, q, rate, np.zeros_like(rate), np.asarray(sample.predicted, dtype=float))
 
     def at(self, time: float, q: Array, dq: Array, ddq: Array, predicted: Array) -> Array:
-        """The same with joint rates (n,) and their rates that are known."""
+        """Return the same with joint rates (n,) and their rates that are known."""
         columns = {name: q[i : i + 1] for i, name in enumerate(self._columns)}
         columns["time"] = np.array([time])
         simulated = {name: predicted[i : i + 1] for i, name in enumerate(WRENCH)}
@@ -100,7 +100,7 @@ def build_streams(
     robot: Robot | None,
     belief: Belief | None = None,
 ) -> list[EffectStream]:
-    """One stream for all terms that the machine meets together, and one for each that goes by the wall clock.
+    """Return one stream for all terms that the machine meets together, and one for each that goes by the wall clock.
 
     Args:
         terms: objects or mappings with `effect` and `parameters`, as `galen-hw diagnose --save-model` writes them.

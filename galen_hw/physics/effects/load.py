@@ -52,7 +52,7 @@ class Payload(Effect):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """The parts; inertia only where something accelerates, and without that too where the baseline has none."""
+        """Yield the parts; inertia only where something accelerates, and without that too where the baseline has none."""
         port = scene.body_port() if scene.observations.predict in ("wrench", "effort") else None
         if port is None:
             return
@@ -69,34 +69,34 @@ class Payload(Effect):
 
     @property
     def bound(self) -> bool:
-        """Where it is one point."""
+        """Whether it is a point of mass, which binds moment to mass."""
         return self.at is not None
 
     @property
     def jump(self) -> float | None:
-        """When it changed."""
+        """The moment, s, when it changed."""
         return self.since
 
     def jumping(self, moment: float) -> Self:
-        """Changed at another moment."""
+        """Return it changed at another moment."""
         return replace(self, since=moment)
 
     def staged(self, start: float, length: float) -> Self:
-        """In the middle, if it changes at all."""
+        """Return it changed in the middle, if it changes at all."""
         return self if self.since is None else self.jumping(start + 0.5 * length)
 
     @property
     def location(self) -> tuple[str, ...]:
-        """What changed at a moment is beside what was there all along."""
+        """Where it sits: what changed at a moment is beside what was there all along."""
         return super().location if self.since is None else (*super().location, "later")
 
     @property
     def remark(self) -> str:
-        """When it changed."""
+        """A sentence on when it changed."""
         return "" if self.since is None else f"It is so from {self.since:.4g} s on."
 
     def told_by(self, theta: Array, *, farthest: float = 0.5) -> Self | None:
-        """A small body where mass and moment (4 and more,) say that it is; None if that is no place near a sensor.
+        """Return a small body where mass and moment (4 and more,) say that it is; None if that is no place near a sensor.
 
         Args:
             farthest: m from the sensor to the middle of what a hand or a clip may have put on the tool.
@@ -113,7 +113,7 @@ class Payload(Effect):
         return replace(self, part="point", at=(x, y, z)) if x * x + y * y + z * z < farthest**2 else None
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Changes of mass, first moment and inertia."""
+        """Return the changes of mass, first moment and inertia."""
         mass, moments = [Parameter("mass", "kg")], [Parameter(name, "kg m") for name in MOMENTS]
         inertia = [Parameter(name, "kg m^2") for name in INERTIA]
         body = mass + moments
@@ -121,7 +121,7 @@ class Payload(Effect):
         return tuple(chosen[self.part])
 
     def columns(self, scene: Scene) -> Columns:
-        """The body's port."""
+        """Return the body's port."""
         if self.joint:
             return self._of_link(scene)
         port = scene.weight_port() if self.still else scene.body_port()
@@ -176,7 +176,7 @@ class Payload(Effect):
         return bool(least[0] + 3.0 * np.abs(slopes) @ spread >= 0.0)
 
     def _bodies(self, scene: Scene) -> Array:
-        """(10, k) inertial parameters per parameter of its own."""
+        """Return the inertial parameters (10, k) per parameter of its own."""
         if self.part == "mass":
             return np.concatenate([[1.0], scene.belief.tool.com, np.zeros(6)])[:, None]
         if self.part == "moment":
@@ -192,7 +192,7 @@ class Payload(Effect):
 
 
 def _inertia_of_moment(c: Array) -> Array:
-    """(6, 3) inertia about the origin, in the order of INERTIA, of mass at c (3,), by its first moment m c."""
+    """Return the inertia (6, 3) about the origin, in the order of INERTIA, of mass at c (3,), by its first moment m c."""
     out = np.empty((6, 3))
     for k, unit in enumerate(np.eye(3)):
         inertia = c[k] * np.eye(3) - 0.5 * (np.outer(unit, c) + np.outer(c, unit))
@@ -223,33 +223,34 @@ class BaseTilt(Effect):
     }
     COMPLEXITY = 1
     RIGID = True
+    GEOMETRY_ORDER = 2
     axis: str = "xy"
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Both axes, and each alone."""
+        """Yield both axes, and each alone."""
         if scene.gravity_port() is not None:
             yield from (cls(axis) for axis in ("x", "y", "xy"))
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Angles of gravity about the base's axes."""
+        """Return the angles of gravity about the base's axes."""
         return tuple(Parameter(f"tilt_{letter}", "rad") for letter in self.axis)
 
     def columns(self, scene: Scene) -> Columns:
-        """Small turns of gravity through its port."""
+        """Return small turns of gravity through its port."""
         port = scene.gravity_port()
         assert port is not None, "proposed only where there is a port"
         turns = [np.cross(np.eye(3)["xy".index(a)], scene.belief.gravity) for a in self.axis]
         return Columns(tuple(range(len(scene.channels))), port @ np.stack(turns, axis=-1))
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """The turned gravity itself."""
+        """Return the change by the turned gravity itself."""
         port = scene.gravity_port()
         assert port is not None, "proposed only where there is a port"
         return np.asarray(port @ (self._turned(scene, theta) - scene.belief.gravity))
 
     def stands(self, scene: Scene, theta: Array) -> Scene | None:
-        """Under the turned gravity."""
+        """Return the scene under the turned gravity."""
         return scene.under(self._turned(scene, theta))
 
     def _turned(self, scene: Scene, theta: Array) -> Array:
@@ -276,12 +277,13 @@ class Inertial(Effect):
     COMPLEXITY = 1
     HEAD = ("share", "lever_.", "rotor_inertia")
     NEEDS_CLOCK = True
+    MEETS_BODIES = False
     lever: str = ""
     joint: str = ""
 
     @classmethod
     def propose(cls, scene: Scene, *, least: float = 0.03) -> Iterator[Self]:
-        """Where the baseline holds weight alone, and where the way of the sensor's origin is not recorded.
+        """Yield it where the baseline holds weight alone, and where the way of the sensor's origin is not recorded.
 
         Args:
             least: size of the answer to a lever along one axis over that of the largest, below which the
@@ -300,7 +302,7 @@ class Inertial(Effect):
             yield cls("".join(a for a, s in zip("xyz", size, strict=True) if s > least * size.max()))
 
     def parameters(self, scene: Scene, *, farthest: float = 2.0) -> tuple[Parameter, ...]:
-        """The share of the rigid prediction, 1 when only inertia was left out; or the lever.
+        """Return the share of the rigid prediction, 1 when only inertia was left out; or the lever.
 
         Args:
             farthest: m between a sensor and the centre about which an arm turns it: the reach of the largest
@@ -314,7 +316,7 @@ class Inertial(Effect):
         return (Parameter("share", "1", 0.0, expected=1.0),)
 
     def columns(self, scene: Scene) -> Columns:
-        """The inertial port, or that of the lever."""
+        """Return the inertial port, or that of the lever."""
         if self.lever:
             turn = scene.turn_port()
             assert turn is not None, "proposed only where there is a port"

@@ -31,11 +31,11 @@ class Parameter:
     furthest: float = np.inf
 
     def plausible(self, value: float, std: float) -> bool:
-        """Within the bounds and, where one value is expected, near it: two fifths or three standard deviations."""
+        """Return whether it is within the bounds and near an expected value: two fifths or three standard deviations."""
         return self.low - 3.0 * std <= value <= self.high + 3.0 * std and self.near(value, std)
 
     def near(self, value: float, std: float) -> bool:
-        """Near the one value that is expected, if any: two fifths or three standard deviations; and no size beyond belief."""
+        """Return whether it is of a believable size and near an expected value: two fifths or three standard deviations."""
         if abs(value) > self.furthest:
             return False
         return self.expected is None or abs(value - self.expected) <= max(0.4, min(3.0 * std, 0.9))
@@ -51,22 +51,22 @@ class Searched:
 
 
 def unit_of(scene: Scene, channel: str) -> str:
-    """Unit of a channel by name."""
+    """Return the unit of a channel by name."""
     return scene.units[scene.channels.index(channel)]
 
 
 def log_grid(low: float, high: float, count: int) -> tuple[float, ...]:
-    """Points of equal ratio; empty where the range is."""
+    """Return points of equal ratio; empty where the range is."""
     return tuple(np.geomspace(low, high, count).tolist()) if high > low > 0.0 else ()
 
 
 def spacing(scene: Scene) -> float:
-    """Median step of the clock, s."""
+    """Return the median step of the clock, s."""
     steps = np.diff(scene.time)
     steps = steps[steps > 0]
     return float(np.median(steps)) if len(steps) else 1.0
 
 
 def duration(scene: Scene) -> float:
-    """From first to last row, s."""
+    """Return the time from first to last row, s."""
     return float(scene.time[-1] - scene.time[0]) if len(scene) else 0.0

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from galen_hw.errors import UsageError
 from galen_hw.physics.effects.base import Effect
-from galen_hw.physics.effects.clocks import Shift, Timing
+from galen_hw.physics.effects.clocks import Shift
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
 
@@ -56,7 +56,7 @@ def _load(path: str) -> Any:
 
 
 def effect_class(key: str) -> type[Effect]:
-    """The class of a key.
+    """Return the class of a key.
 
     Raises:
         UsageError: no such key.
@@ -76,24 +76,19 @@ def shifts(scene: Scene) -> list[Shift]:
     return [one for kind in kinds() if issubclass(kind, Shift) for one in kind.propose(scene)]
 
 
-def clocks(scene: Scene) -> list[Timing]:
-    """Return all clocks that a scene allows."""
-    return [one for kind in kinds() if issubclass(kind, Timing) for one in kind.propose(scene)]
-
-
 def constant_of(channel: str, predict: str) -> Effect:
     """Return what the constant of a channel of a group is where the baseline may have none."""
     return next(one for kind in kinds() if (one := kind.fitted_as(channel, predict)) is not None)
 
 
 def scene_of(observations: Observations, **options: Any) -> Scene:
-    """The scene of the compared group; options as in `Scene`."""
+    """Return the scene of the compared group; options as in `Scene`."""
     known = _load("galen_hw.physics.effects.terms:known_change") if observations.belief.terms else None
     return _load(SCENES[observations.predict])(observations, known=known, **options)  # type: ignore[no-any-return]
 
 
 def effect_of(term: Mapping[str, Any]) -> Effect:
-    """The effect that a term describes.
+    """Return the effect that a term describes.
 
     Raises:
         UsageError: an unknown key, or fields that do not fit.

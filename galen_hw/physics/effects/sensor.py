@@ -43,35 +43,35 @@ class Bias(Effect):
 
     @classmethod
     def always_fitted(cls, predict: str) -> bool:
-        """In every group."""
+        """Return True: in every group."""
         return True
 
     @classmethod
     def fitted_as(cls, channel: str, predict: str) -> Self | None:
-        """Of all but positions, where it is the joint's zero."""
+        """Return it for all but positions, where it is the joint's zero."""
         return None if predict == "position" else cls(channel)
 
     @classmethod
     def structural(cls, scene: Scene, parameters: Sequence[str]) -> list[str]:
-        """The zero of the joint that is read."""
+        """Return the zero of the joint that is read."""
         return ["joint_offset"] if scene.observations.predict == "position" else []
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """Nothing."""
+        """Return what it follows: nothing but time."""
         return Follows("time")
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """One a channel, unless offsets are free."""
+        """Yield one a channel, unless offsets are free."""
         if not scene.belief.bias_free:
             yield from (cls(name) for name in scene.channels)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """The offset."""
+        """Return the offset."""
         return (Parameter("offset", unit_of(scene, self.channel)),)
 
     def columns(self, scene: Scene) -> Columns:
-        """Ones."""
+        """Return a column of ones."""
         return in_channel(scene.channels.index(self.channel), [np.ones(len(scene))])
 
 
@@ -93,30 +93,31 @@ class Gain(Effect):
     }
     COMPLEXITY = 1
     MIMICS_RIGID = True
+    READ_ORDER = 3
     channel: str
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every channel that varies; joint positions have `joint_scale` for it."""
+        """Yield every channel that varies; joint positions have `joint_scale` for it."""
         if scene.observations.predict == "position":
             return
         spread = np.nanstd(scene.simulated, axis=0)
         yield from (cls(name) for name, s in zip(scene.channels, spread, strict=True) if s > 0.0)
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """What the channel carries."""
+        """Return what it follows: the channel's own signal."""
         return Follows("signal")
 
     def reads(self, scene: Scene) -> bool:
-        """All that the channel carries."""
+        """Return whether it acts on all that the channel carries."""
         return scene.observations.predict in LOADS
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Relative error of the scale."""
+        """Return the relative error of the scale."""
         return (Parameter("gain_error", "1", furthest=FARTHEST_SCALE),)
 
     def columns(self, scene: Scene) -> Columns:
-        """The simulated channel."""
+        """Return the simulated channel."""
         place = scene.channels.index(self.channel)
         return in_channel(place, [scene.simulated[:, place]])
 
@@ -138,12 +139,13 @@ class CrossTalk(Effect):
         "sensor_mounting": "a turned sensor is a skew matrix of cross-talk",
     }
     FLEXIBLE = True
+    READ_ORDER = 2
     channel: str
     source: str
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Every ordered pair of channels of a wrench or of joint efforts."""
+        """Yield every ordered pair of channels of a wrench or of joint efforts."""
         if scene.observations.predict not in ("wrench", "effort"):
             return
         spread = np.nanstd(scene.simulated, axis=0)
@@ -153,20 +155,20 @@ class CrossTalk(Effect):
                     yield cls(a, b)
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """What the other channel carries."""
+        """Return what it follows: the other channel's signal."""
         return Follows("signal", self.source)
 
     def reads(self, scene: Scene) -> bool:
-        """All that the channel carries."""
+        """Return whether it acts on all that the channel carries."""
         return scene.observations.predict in LOADS
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """The share that leaks."""
+        """Return the share that leaks."""
         a, b = unit_of(scene, self.channel), unit_of(scene, self.source)
         return (Parameter("leak", "1", furthest=FARTHEST_SCALE) if a == b else Parameter("leak", f"{a}/({b})"),)
 
     def columns(self, scene: Scene) -> Columns:
-        """The other channel as simulated."""
+        """Return the other channel as simulated."""
         source = scene.simulated[:, scene.channels.index(self.source)]
         return in_channel(scene.channels.index(self.channel), [source])
 
@@ -182,7 +184,6 @@ class Saturation(Downstream):
     SAYS = "the readings clip at a limit"
     KNOWN_BY = "readings pile up at the limit where the simulation goes on"
     HEAD = ("limit",)
-    SEARCHED: ClassVar = {}
     BRIEF: ClassVar[bool] = True
     channel: str
     limit: float
@@ -190,7 +191,7 @@ class Saturation(Downstream):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """At the most extreme readings, where rows pile up there."""
+        """Yield the most extreme readings, where rows pile up there."""
         if scene.observations.predict == "targets":
             return
         for place, name in enumerate(scene.channels):
@@ -203,28 +204,28 @@ class Saturation(Downstream):
 
     @property
     def clips(self) -> tuple[str, float]:
-        """Itself."""
+        """Its channel and its limit."""
         return self.channel, self.limit
 
     def levelled(self, limit: float) -> Self:
-        """There."""
+        """Return it with another limit."""
         return replace(self, limit=limit)
 
     @property
     def side(self) -> str:
-        """Its end of the range."""
+        """A word for its end of the range."""
         return "high" if self.upper else "low"
 
     def follows(self, scene: Scene, channel: int) -> Follows:
-        """What the channel carries."""
+        """Return what it follows: the channel's own signal."""
         return Follows("signal")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """The share of the clipping."""
+        """Return the share of the clipping."""
         return (Parameter("share", "1", 0.0, expected=1.0),)
 
     def delivered(self, scene: Scene, columns: Columns, theta: Array) -> Columns:
-        """Nothing of what another effect does in this channel while it clips."""
+        """Return what another effect does, nothing of it in this channel while it clips."""
         place = scene.channels.index(self.channel)
         if place not in columns.channels or not columns.count:
             return columns
@@ -234,20 +235,20 @@ class Saturation(Downstream):
         return Columns(columns.channels, values)
 
     def columns(self, scene: Scene) -> Columns:
-        """What takes the reading back to the limit where it would be beyond it."""
+        """Return what takes the reading back to the limit where it would be beyond it."""
         place = scene.channels.index(self.channel)
         shown = scene.simulated + scene.standing + (0.0 if self.channel in scene.limited else scene.carried)
         back = self.limit - shown[:, place]
         return in_channel(place, [np.where(self.at_limit(scene), back, 0.0)])
 
     def at_limit(self, scene: Scene) -> NDArray[np.bool_]:
-        """(N,) rows in which all that the channel carries goes beyond the limit."""
+        """Return which rows (N,) all that the channel carries takes beyond the limit."""
         whole = (scene.simulated + scene.standing + scene.carried)[:, scene.channels.index(self.channel)]
         return np.asarray(whole > self.limit if self.upper else whole < self.limit)
 
 
 def clipping_level(y: Array) -> float | None:
-    """The limit at the upper end of readings (N,) if they pile up there, else None.
+    """Return the limit at the upper end of readings (N,) if they pile up there, else None.
 
     A pile: the topmost narrow bin holds far more rows than the one below it; noise may lie on top of the limit.
     """

@@ -30,7 +30,7 @@ DATED: Final[dict[str, str]] = {"drift": "start", "step": "moment", "payload": "
 
 
 def why_not_live(term: Term, group: str = "wrench") -> str:
-    """Why a term cannot be served in a group's live prediction; empty if it can."""
+    """Say why a term cannot be served in a group's live prediction; empty if it can."""
     own = term.get("parameters", {}).get("group", group)
     if own != group:
         return f"it belongs to the group {own!r}"
@@ -43,7 +43,7 @@ def is_dated(term: Term) -> bool:
 
 
 def dated(term: Term, shift: float) -> dict[str, Any]:
-    """A term with its moment, if it has one, moved by `shift` s: from a recording's clock to the epoch or back."""
+    """Return a term with its moment, if any, moved by `shift` s: from a recording's clock to the epoch or back."""
     parameters = dict(term["parameters"])
     if is_dated(term):
         name = DATED[term["effect"]]
@@ -52,7 +52,7 @@ def dated(term: Term, shift: float) -> dict[str, Any]:
 
 
 def known_change(scene: "Scene", terms: Sequence[Term]) -> Array:
-    """(N, C) what the terms of a file add to a scene's simulation together, as the live services add them.
+    """Return what (N, C) the terms of a file add to a scene's simulation together, as the live services add them.
 
     Terms of other groups, terms that are not served live, and dated ones in a recording that does not say when it was
     made are left out.
@@ -63,7 +63,7 @@ def known_change(scene: "Scene", terms: Sequence[Term]) -> Array:
 
 
 def usable(scene: "Scene", terms: Sequence[Term]) -> list[dict[str, Any]]:
-    """The terms that a scene's simulation can hold, on its own clock."""
+    """Return the terms that a scene's simulation can hold, on its own clock."""
     group, epoch = scene.observations.predict, scene.belief.epoch
     found = [t for t in terms if not why_not_live(t, group) and (epoch is not None or not is_dated(t))]
     return [dated(t, -epoch if epoch is not None else 0.0) for t in found]

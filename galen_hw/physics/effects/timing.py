@@ -40,7 +40,7 @@ class TimeDelay(Shift):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """One for the stream; for joints' own readings one a joint too."""
+        """Yield one for the stream; for joints' own readings one a joint too."""
         if not scene.clock or not np.any(scene.simulated_rate):
             return
         yield cls()
@@ -48,40 +48,40 @@ class TimeDelay(Shift):
             yield from (cls(joint_of(name)) for name in scene.channels)
 
     def lagging(self, constant: float, shortest: float, damping: float | None = None) -> "Lag":
-        """What answers slowly where this one is late, all of it."""
+        """Return what answers slowly where this one is late, all of it."""
         return Lag(constant, self.joint, shortest, whole=True, damping=damping, between=self.between)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """The delay, positive when the recording is late against the simulation."""
+        """Return the delay, positive when the recording is late against the simulation."""
         return (Parameter("delay", "s"),)
 
     def columns(self, scene: Scene) -> Columns:
-        """Minus the simulated rate."""
+        """Return minus the simulated rate."""
         places = self.places(scene)
         return Columns(places, -scene.simulated_rate[:, places, None])
 
     def bends(self, scene: Scene, theta: Array) -> bool:
-        """A shift is not its slope."""
+        """Return True: a shift is not its slope."""
         return True
 
     def beginning(self, scene: Scene, theta: Array, others: Sequence[Effect]) -> Beginning:
-        """As many seconds as it is late, or at the end as it is early."""
+        """Return as many seconds as it is late, or at the end as it is early."""
         late = float(theta[0])
         return Beginning(max(late, 0.0), max(-late, 0.0))
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
-        """The simulated channels shifted, less themselves."""
+        """Return the simulated channels shifted, less themselves."""
         places, out = self.places(scene), np.zeros_like(scene.simulated)
         mine = scene.simulated[:, places]
         out[:, places] = self.retimed(scene, mine, theta) - mine
         return out
 
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
-        """(N, m) signals as this stream delivers them."""
+        """Return signals (N, m) as this stream delivers them."""
         return scene.delay("delay", x, float(theta[0]), bowed=self.bowed)
 
     def delivered_on(self, rows: Averages, scene: Scene, columns: Columns, theta: Array) -> Columns:
-        """Averages of what is late are late averages."""
+        """Return the averages of what is late, which are late averages."""
         if not columns.count:
             return super().delivered_on(rows, scene, columns, theta)
         places, late = self.places(scene), float(theta[0])
@@ -97,7 +97,7 @@ class TimeDelay(Shift):
         return Columns(columns.channels, out)
 
     def shifted(self, rows: Averages, scene: Scene, theta: Array) -> Array:
-        """Nothing delivers it, and a joint's own changes no other channel."""
+        """Return the averaged change (M, C) of what its channels deliver late."""
         places, simulated = list(self.places(scene)), scene.simulated
         mine = simulated if len(places) == simulated.shape[1] else simulated[:, places]
         out = np.zeros_like(rows.simulated)
@@ -138,12 +138,12 @@ class Lag(Filter):
 
     @property
     def swings(self) -> bool:
-        """Of second order."""
+        """Whether it is of second order."""
         return self.damping is not None
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """From half a sample to seconds, of the first order; of the second the clocks are asked where one of these is found."""
+        """Yield lags from half a sample to seconds, of first order; the second is asked where one of these is found."""
         if not scene.clock or not np.any(scene.simulated_rate):
             return
         shortest = 0.5 * spacing(scene)
@@ -153,57 +153,57 @@ class Lag(Filter):
                 yield from (cls(constant, joint_of(name), shortest) for name in scene.channels)
 
     def with_searched(self, values: Mapping[str, float]) -> Self:
-        """Another constant, not below the shortest that can be told from a delay, or damping."""
+        """Return it with another constant, not below the shortest that can be told from a delay, or damping."""
         constant = max(values.get("constant", self.constant), self.shortest)
         return replace(self, constant=constant, damping=values.get("damping", self.damping))
 
     def beginning(self, scene: Scene, theta: Array, others: Sequence[Effect]) -> Beginning:
-        """What the filter held. Of second order two numbers a channel would be free: enough to make one of a delay."""
+        """Return what the filter held. Of second order two numbers a channel would be free: enough to make one of a delay."""
         first = self.damping is None
         return Beginning(lags=(Lagging(self.places(scene), self.constant),) if first else ())
 
     def unlimited(self) -> Self:
-        """Any constant: a filter quicker than half a sample is a delay to this recording, but it may be there."""
+        """Return it with any constant: a filter quicker than half a sample is a delay to this recording, but it may be there."""
         return replace(self, shortest=0.0)
 
     @property
     def freedom(self) -> int:
-        """None beside its constant: all of the stream goes through it, or it is no lag."""
+        """Number of free linear parameters, 0: all of the stream goes through it, or it is no lag."""
         return 0
 
     @property
     def held(self) -> Array | None:
-        """The share of one that is whole."""
+        """A share of one: all of the stream goes through it."""
         return np.ones(1) if self.whole else None
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """How much of the stream goes through the lag."""
+        """Return how much of the stream goes through the lag."""
         return (Parameter("share", "1", 0.0, expected=1.0),)
 
     def columns(self, scene: Scene) -> Columns:
-        """Lagged less simulated."""
+        """Return lagged less simulated."""
         places = self.places(scene)
         mine = scene.simulated[:, places]
         return Columns(places, (self.filtered(scene, mine) - mine)[:, :, None])
 
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
-        """(N, m) signals as this stream delivers them."""
+        """Return signals (N, m) as this stream delivers them."""
         return x + float(theta[0]) * (self.filtered(scene, x) - x)
 
     def filtered(self, scene: Scene, x: Array) -> Array:
-        """(N, m) signals behind it."""
+        """Return signals (N, m) behind the filter."""
         if self.damping is not None:
             return second_order(scene, x, self.constant, self.damping, self.between)
         return first_order(scene, x, self.constant, self.between)
 
 
 def first_order(scene: Scene, x: Array, constant: float, between: str) -> Array:
-    """(N, m) signals behind a lag, see `BETWEEN`; commands stand."""
+    """Return signals (N, m) behind a lag, see `BETWEEN`; commands stand."""
     held = scene.commanded or between == "steps"
     return scene.lag("lag", x, constant, held=held, bowed=between == "bows")
 
 
 def second_order(scene: Scene, x: Array, constant: float, damping: float, between: str) -> Array:
-    """The same behind one of second order."""
+    """Return signals (N, m) behind a lag of second order."""
     straight = scene.straightened("bow", x) if between == "bows" else x
     return scene.second_order("lag", straight, constant, damping, held=scene.commanded or between == "steps")

@@ -37,8 +37,8 @@ class Follows:
     """What an effect is a function of.
 
     Args:
-        quantity: "time"; "position", "speed" or "load" of a joint, "force" at the tip where none moves; "signal" that is
-            simulated in a channel, or its "rate"; "column" of the recording.
+        quantity: "time"; "position", "speed" or "load" of a joint; "signal" that is simulated in a channel, or its "rate";
+            "column" of the recording.
         name: of the joint, channel or column; "": the first of its joints that moves, the channel that is looked at.
         period: with which it repeats along that, 0: not at all.
         memory: whether it goes another way back.
@@ -60,10 +60,10 @@ class Averages(Protocol):
         """(M, C) of what was simulated."""
 
     def average(self, x: Array) -> Array:
-        """(M, ...) of signals (N, ...)."""
+        """Return the averages (M, ...) of signals (N, ...)."""
 
     def late(self, x: Array, seconds: float, *, bowed: bool = False) -> Array:
-        """(M, ...) of signals (N, ...) that come later by seconds."""
+        """Return the averages (M, ...) of signals (N, ...) that come later by seconds."""
 
 
 class Words:
@@ -130,6 +130,12 @@ class Traits(Words):
     """It may come from warmth, and shows as the machine warms and cools."""
     SIDE_BY_SIDE: ClassVar[bool] = False
     """Several of its kind may stand in one place."""
+    READ_ORDER: ClassVar[float] = np.inf
+    """Of what acts on a load as it is read, see `Effect.reads`: its place in the order in which the load meets them."""
+    GEOMETRY_ORDER: ClassVar[float] = np.inf
+    """Of what is wrong about how the arm stands: its place in the order in which each meets what those before have made of it."""
+    MEETS_BODIES: ClassVar[bool] = True
+    """Its change is another one where a body more hangs on the arm; not of inertia, which that body's own change has in it."""
 
     @classmethod
     def lasting(cls) -> bool:
@@ -144,13 +150,13 @@ class Traits(Words):
 
     @classmethod
     def fitted_as(cls, channel: str, predict: str) -> Self | None:
-        """What the constant of a channel of this group is called where the baseline may have none; None: not this."""
+        """Return what the constant of a channel of this group is called where the baseline may have none; None: not this."""
         del channel, predict
         return None
 
     @classmethod
     def supposed(cls, channel: str) -> tuple[Self, float] | None:
-        """What it would be in a channel where what drives it was not recorded, and the range of that which is supposed."""
+        """Return what it would be in a channel whose driver was not recorded, and the supposed range of that driver."""
         del channel
         return None
 
@@ -159,13 +165,8 @@ class Traits(Words):
         """Episodes outside which it is nothing, each of which was found by itself and tells of its own numbers."""
         return ()
 
-    def during(self, touches: tuple[Span, ...]) -> Self:
-        """The same in other episodes."""
-        del touches
-        return self
-
     def finer(self, time: Array) -> Iterator[Self]:
-        """The same with an ever finer course in its episodes, as far as rows at times (M,), s, can bear."""
+        """Yield it with an ever finer course in its episodes, as far as rows at times (M,), s, can bear."""
         yield from ()
 
     @property
@@ -174,7 +175,7 @@ class Traits(Words):
         return None
 
     def jumping(self, moment: float) -> Self:
-        """The same jump at another moment, s."""
+        """Return the same jump at another moment, s."""
         del moment
         return self
 
@@ -184,7 +185,7 @@ class Traits(Words):
         return ()
 
     def line(self, scene: Scene) -> Line | None:
-        """The line of the spectrum that it is; None where it is none."""
+        """Return the line of the spectrum that it is; None where it is none."""
         del scene
         return None
 
@@ -199,12 +200,12 @@ class Traits(Words):
         return None
 
     def levelled(self, limit: float) -> Self:
-        """The same at another limit."""
+        """Return the same at another limit."""
         del limit
         return self
 
     def at_limit(self, scene: Scene) -> NDArray[np.bool_]:
-        """(N,) rows in which all that its channel carries goes beyond the limit."""
+        """Return which rows (N,) all that its channel carries takes beyond the limit."""
         return np.zeros(len(scene), dtype=bool)
 
     @property
@@ -213,17 +214,17 @@ class Traits(Words):
         return ""
 
     def delivered(self, scene: Scene, columns: Columns, theta: Array) -> Columns:
-        """What another effect does (`columns`), as it arrives behind this one with its parameters theta."""
+        """Return what another effect does (`columns`), as it arrives behind this one with its parameters theta."""
         del scene, theta
         return columns
 
     def delivered_on(self, rows: Averages, scene: Scene, columns: Columns, theta: Array) -> Columns:
-        """The same with its rows averaged: an effect may know a cheaper way than by all of them."""
+        """Return the same with its rows averaged: an effect may know a cheaper way than by all of them."""
         out = self.delivered(scene, columns, theta)
         return Columns(out.channels, rows.average(out.values))
 
     def shifted(self, rows: Averages, scene: Scene, theta: Array) -> Array | None:
-        """(M, C) averaged change of what delivers the simulated as it was, and later; None of all else."""
+        """Return the averaged change (M, C) of what delivers the simulated as it was, and later; None of all else."""
         del rows, scene, theta
         return None
 
@@ -233,27 +234,27 @@ class Traits(Words):
         return ""
 
     def interpolated(self, between: str) -> Self:
-        """The same with something else between two rows."""
+        """Return the same with another interpolation between two rows."""
         del between
         return self
 
     def staged(self, start: float, length: float) -> Self:
-        """The same in a recording that is still to be made, which begins at `start` and takes so long, s."""
+        """Return the same in a recording that is still to be made, which begins at `start` and takes so long, s."""
         del start, length
         return self
 
     def growth(self, length: float) -> float:
-        """How much larger its parameters are in a recording that takes so long, s."""
+        """Return how much larger its parameters are in a recording that takes so long, s."""
         del length
         return 1.0
 
     def again(self, start: float, length: float) -> tuple["Effect", ...]:
-        """What is to be fitted anew for it to another recording; empty where it is as it was, or was once."""
+        """Return what is to be fitted anew for it to another recording; empty where it is as it was, or was once."""
         del start, length
         return ()
 
     def beginning(self, scene: Scene, theta: Array, others: Sequence["Effect"]) -> Beginning:
-        """What it leaves open of the beginning of a recording, with parameters theta (k,) beside others: it remembers."""
+        """Return what it leaves open of the beginning of a recording, with parameters theta (k,) given others: it has memory."""
         del scene, theta, others
         return Beginning()
 
@@ -263,7 +264,7 @@ class Traits(Words):
         return False
 
     def follows(self, scene: Scene, channel: int) -> Follows | None:
-        """What it is a function of in a channel; None where that is to be found out."""
+        """Return what it is a function of in a channel; None where that is to be found out."""
         del scene, channel
         return None
 
@@ -278,7 +279,7 @@ class Traits(Words):
         return False
 
     def starts(self, scene: Scene, theta: Array) -> list[tuple["Effect", Array]]:
-        """What is sought from it with its parameters theta (k,), and parameters to begin the search with.
+        """Return what is sought from it with its parameters theta (k,), and parameters to begin the search with.
 
         Of what is loose the physics that it stands for; of what is curved itself, plain.
         """
@@ -286,6 +287,6 @@ class Traits(Words):
         return []
 
     def richer_starts(self, scene: Scene, theta: Array) -> Iterator[list[tuple["Effect", Array]]]:
-        """Form by form the same with more parameters, and where their search begins, of what is curved and found at theta."""
+        """Yield form by form the same with more parameters, and where their search begins, of what is curved, at theta."""
         del scene, theta
         yield from ()

@@ -17,7 +17,7 @@ class WearState:
 
 
 def wear(x: Array, reach: float, shape: float, state: WearState | None) -> tuple[Array, WearState]:
-    """Bouc-Wen of power one: dz = dx / reach (1 - |z| (beta sgn(z dx) + 1 - beta)), |z| <= 1.
+    """Return the Bouc-Wen output of power one: dz = dx / reach (1 - |z| (beta sgn(z dx) + 1 - beta)), |z| <= 1.
 
     On a way s = |x - x_0| / reach without a turn w = z sgn(dx) grows by w' = 1 - w where w > 0, and by w' = 1 + (1 - 2 beta) w
     before; both are solved exactly. Sources: Wen, J. Eng. Mech. Div. ASCE 102 (1976) 249; Dahl, AIAA J. 14 (1976) 1675 (beta 1).
@@ -41,7 +41,7 @@ def wear(x: Array, reach: float, shape: float, state: WearState | None) -> tuple
 
 
 def _worn(start: float, s: Array, growth: float) -> Array:
-    """(n,) w along a way s (n,) from w = start, with w' = 1 + growth w below zero and 1 - w above."""
+    """Return w (n,) along a way s (n,) from w = start, with w' = 1 + growth w below zero and 1 - w above."""
     if start >= 0.0:
         return np.asarray(1.0 - (1.0 - start) * np.exp(-s))
     start, even = max(start, -1.0), abs(growth) < 1e-6

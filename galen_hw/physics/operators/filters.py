@@ -28,7 +28,7 @@ def evenly(time: Array) -> bool:
 
 
 def play(x: Array, half_width: Array, state: Array | None, *, few: float = 0.02) -> tuple[Array, Array]:
-    """Play (backlash) operator: the output rests until the input has crossed the band of +- half_width.
+    """Return the play (backlash) operator's output: it rests until the input has crossed the band of +- half_width.
 
     p_k = min(max(p_{k-1}, x_k - r), x_k + r). Source: Brokate and Sprekels, Hysteresis and Phase Transitions, ch. 2.
 
@@ -56,7 +56,7 @@ def play(x: Array, half_width: Array, state: Array | None, *, few: float = 0.02)
 
 
 def _corners(x: Array) -> Index:
-    """First row, rows at which x (N,) turns round, last row."""
+    """Return the first row, the rows at which x (N,) turns round, and the last row."""
     moves = np.flatnonzero(np.diff(x))
     rising = x[moves + 1] > x[moves]
     turns = moves[1:][rising[1:] != rising[:-1]]
@@ -64,7 +64,7 @@ def _corners(x: Array) -> Index:
 
 
 def _along(low: Array, high: Array, start: float, corners: Index) -> Array:
-    """Play where the input turns round seldom: between two corners the band moves one way, and one clamp to it is enough."""
+    """Return the play where the input turns seldom: between two corners the band moves one way, and one clamp to it is enough."""
     at, state = [], float(start)
     for below, above in zip(low[corners].tolist(), high[corners].tolist(), strict=True):
         state = min(max(state, below), above)
@@ -92,7 +92,7 @@ def lag(
     even: bool | None = None,
     bows: Array | None = None,
 ) -> tuple[Array, LagState]:
-    """First-order lag T dy/dt = x - y, exact for inputs that are straight between the rows, however short T is.
+    """Return the first-order lag T dy/dt = x - y, exact for inputs straight between the rows, however short T is.
 
     y_k = p y_(k-1) + (s - p) x_(k-1) + (1 - s) x_k with p = exp(-dt / T), s = (1 - p) T / dt.
 
@@ -127,7 +127,7 @@ def lag(
 
 
 def lagging(steps: Array, constant: Array, *, held: bool) -> tuple[Array, Array, Array]:
-    """Shares of the last output, of the last input and of this one in the output of a lag after steps (s); they add to one."""
+    """Return the shares of the last output, the last input and this one in a lag's output after steps (s); they add to one."""
     ratio = steps / constant
     gone = -np.expm1(-ratio)
     if held:
@@ -137,7 +137,7 @@ def lagging(steps: Array, constant: Array, *, held: bool) -> tuple[Array, Array,
 
 
 def below(steps: Array, constant: Array, *, least: float = 1e-2) -> Array:
-    """Share of its bow by which a lag's output after steps (s) is below that of a straight input: half the mean of s (1 - s).
+    """Return by what share of its bow a lag's output after steps (s) is below a straight input's: half the mean of s (1 - s).
 
     Args:
         least: of a step over the constant from which its shares are no series.
@@ -153,7 +153,7 @@ def below(steps: Array, constant: Array, *, least: float = 1e-2) -> Array:
 def _lag_evenly(
     steps: Array, x: Array, constant: Array, start: Array, last: Array, *, held: bool, bows: Array | None
 ) -> Array:
-    """The same on an even clock, where it is a digital filter; steps: to the first row and between all others, s."""
+    """Return the lag on an even clock, where it is a digital filter; steps: to the first row and between all others, s."""
     kept, earlier, now = (
         np.broadcast_to(part, (2, x.shape[1])) for part in lagging(steps[:, None], constant, held=held)
     )
@@ -181,7 +181,7 @@ class ImpulseState:
 
 
 def impulse(time: Array, x: Array, state: ImpulseState | None) -> tuple[Array, ImpulseState]:
-    """Integral of x over the clock, exact for inputs that are straight between the rows; zero at the start.
+    """Return the integral of x over the clock, exact for inputs that are straight between the rows; zero at the start.
 
     Args:
         time: (N,) s.
@@ -215,7 +215,7 @@ def second_order(
     even: bool | None = None,
     ends: bool = False,
 ) -> tuple[Array, SecondOrderState]:
-    """T^2 y'' + 2 z T y' + y = x, exact for inputs that are straight between the rows: a servo, or a filter of two poles.
+    """Return y of T^2 y'' + 2 z T y' + y = x, exact for inputs straight between the rows: a servo, or a filter of two poles.
 
     Args:
         time: (N,) s.
@@ -251,7 +251,7 @@ def _swung(
     *,
     held: bool,
 ) -> tuple[list[float], float]:
-    """Outputs, and the last rate, row by row; x: the input before the first row, and all others."""
+    """Return the outputs, and the last rate, row by row; x: the input before the first row, and all others."""
     (y, r), at = state, []
     for a, b, c, d, step, old, new in zip(*turned, steps, x[:-1], x[1:], strict=True):
         if step > 0.0:
@@ -267,7 +267,7 @@ def _swung(
 def _second_order_evenly(
     time: Array, x: Array, step: float, damping: float, *, held: bool, ends: bool
 ) -> tuple[Array, SecondOrderState]:
-    """The same from rest on an even clock, where it is a digital filter; step: in units of the constant."""
+    """Return the response from rest on an even clock, where it is a digital filter; step: in units of the constant."""
     a, b, c, d = (float(part[0]) for part in _turned(np.array([step]), damping))
     # Of this input and the last one: (I - turn) (2 z, -1) over the step is what a straight line's slope leaves; held, the
     # last one is gone.
@@ -284,7 +284,7 @@ def _second_order_evenly(
 
 
 def _turned(steps: Array, damping: float) -> tuple[Array, Array, Array, Array]:
-    """The four elements (N,) of what (y, T y') becomes over steps (N,) in units of the constant, without input."""
+    """Return the four elements (N,) of what (y, T y') becomes over steps (N,) in units of the constant, without input."""
     swing = np.sqrt(1.0 - damping**2)
     fade, cosine, sine = np.exp(-damping * steps), np.cos(swing * steps), np.sin(swing * steps) / swing
     return fade * (cosine + damping * sine), fade * sine, -fade * sine, fade * (cosine - damping * sine)
@@ -299,7 +299,7 @@ class BowState:
 
 
 def bow(time: Array, x: Array, state: BowState | None) -> tuple[Array, BowState]:
-    """How signals bow over the last step: the second difference of the parabola through the last three rows.
+    """Return how signals bow over the last step: the second difference of the parabola through the last three rows.
 
     A straight line between two rows lies above such a signal by s (1 - s) / 2 of it, s the share of the way, and by a twelfth in
     the mean.
@@ -337,7 +337,7 @@ def delay(
     even: bool | None = None,
     bowed: bool = False,
 ) -> tuple[Array, DelayState]:
-    """Pure delay by interpolation of the past; before the first row the first row stands.
+    """Return the pure delay by interpolation of the past; before the first row the first row stands.
 
     Args:
         time: (N,) s, rising.
@@ -364,7 +364,7 @@ def delay(
 
 
 def _shifted(x: Array, steps: float, *, bowed: bool) -> Array:
-    """The same on an even clock, where every row lies at the same share of the way between two; the ends stand."""
+    """Return the delay on an even clock, where every row lies at the same share of the way between two; the ends stand."""
     count, whole = len(x), int(np.floor(steps))
     share = steps - whole
     out = np.empty_like(x, dtype=float)

@@ -19,11 +19,11 @@ class GapState:
 
 
 def gap(time: Array, load: Array, coasting: Array, state: GapState | None) -> tuple[Array, GapState]:
-    """T y'' + y' = u between stops at y = -1 and 1 that throw nothing back; exact between the rows for a straight load.
+    """Return y of T y'' + y' = u between stops at y = -1 and 1 that throw nothing back; exact for a straight load.
 
-    Between the stops the speed is a first-order lag of the load (`operators.lagging`).
+    Between the stops the speed is a first-order lag of the load (`filters.lagging`).
     T is the link's inertia over the grease's drag, u the load over drag and half width. For T = 0 it is the stop operator of
-    the load's impulse (`operators.impulse` less its `operators.play`). From the speed v = y' at one row to the next
+    the load's impulse (`filters.impulse` less its `filters.play`). From the speed v = y' at one row to the next
 
         v_k = p v_(k-1) + (s - p) u_(k-1) + (1 - s) u_k with p = exp(-dt / T), s = (1 - p) T / dt, and
         y_k = y_(k-1) + dt (u_(k-1) + u_k) / 2 - T (v_k - v_(k-1)),
@@ -52,7 +52,7 @@ def gap(time: Array, load: Array, coasting: Array, state: GapState | None) -> tu
 def _walked(
     y: float, v: float, coasting: float, kept: list[float], gained: list[float], pushed: list[float]
 ) -> tuple[list[float], float]:
-    """Places, and the last speed, of one link row by row."""
+    """Return the places, and the last speed, of one link row by row."""
     at = []
     for p, more, impulse in zip(kept, gained, pushed, strict=True):
         was = v

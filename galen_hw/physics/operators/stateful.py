@@ -52,7 +52,7 @@ class Operated:
 
     @cached_property
     def _evenly(self) -> dict[int, bool]:
-        """Of the segments of a batch, by their first rows: whether their clocks are even. Looked at once for many operators."""
+        """Whether the clock is even in each segment of a batch, by their first rows. Looked at once for many operators."""
         return {part.start: evenly(self.time[part]) for part in self.segments}
 
     def _even(self, part: slice) -> bool | None:
@@ -70,14 +70,14 @@ class Operated:
         return out
 
     def play(self, name: Any, x: Array, half_width: Any, start: Array | None = None) -> Array:
-        """Play of (N, m) inputs, carried along the rows, see `operators.play`; `start` (segments, m): its first outputs."""
+        """Return the play of (N, m) inputs, carried along the rows, see `filters.play`; `start` (segments, m): first outputs."""
         r = np.broadcast_to(np.asarray(half_width, dtype=float), x.shape[1:])
         return self._carried(name, x, lambda part, state: play(x[part], r, state), start)
 
     def lag(
         self, name: Any, x: Array, constant: Any, *, empty: bool = False, held: bool = False, bowed: bool = False
     ) -> Array:
-        """First-order lag of (N, m) inputs over the clock, see `operators.lag`; `empty`: its output begins at zero."""
+        """Return the first-order lag of (N, m) inputs over the clock, see `filters.lag`; `empty`: its output begins at zero."""
         bows = self._bows((name, "bow"), x) if bowed else None
         c = np.broadcast_to(np.asarray(constant, dtype=float), x.shape[1:])
 
@@ -92,7 +92,7 @@ class Operated:
         return self._carried(name, x, run, start)
 
     def second_order(self, name: Any, x: Array, constant: float, damping: float, *, held: bool = False) -> Array:
-        """Second-order response of (N, m) inputs over the clock, see `operators.second_order`."""
+        """Return the second-order response of (N, m) inputs over the clock, see `filters.second_order`."""
         ends = self.memory is None
 
         def run(part: slice, state: Any) -> tuple[Array, SecondOrderState]:
@@ -104,7 +104,7 @@ class Operated:
     def servo(
         self, name: Any, command: Array, band: Any, constant: Any, settling: Any, start: Array | None = None
     ) -> Array:
-        """Servos that stick, (N, m) commands over the clock, see `servo.servo`; `start` as of `play`, inside the band."""
+        """Return servos that stick, of (N, m) commands, see `stick_slip_servo.servo`; `start` as of `play`, inside the band."""
         wide = command.shape[1:]
         r, quick, slow = (np.broadcast_to(np.asarray(x, dtype=float), wide) for x in (band, constant, settling))
 
@@ -117,20 +117,20 @@ class Operated:
         return self._carried(name, command, run, start)
 
     def impulse(self, name: Any, x: Array) -> Array:
-        """(N, m) inputs summed over the clock, straight between the rows, from zero, see `operators.impulse`."""
+        """Return (N, m) inputs summed over the clock, straight between the rows, from zero, see `filters.impulse`."""
         return self._carried(name, x, lambda part, state: impulse(self.time[part], x[part], state))
 
     def gap(self, name: Any, load: Array, coasting: float) -> Array:
-        """(N, m) places of links with momentum between the stops of their gaps, see `gap.gap`."""
+        """Return the places (N, m) of links with momentum between the stops of their gaps, see `gap_dynamics.gap`."""
         T = np.full(load.shape[1:], coasting)
         return self._carried(name, load, lambda part, state: gap(self.time[part], load[part], T, state))
 
     def wear(self, name: Any, x: Array, reach: float, shape: float) -> Array:
-        """(N,) Bouc-Wen hysteresis of an input, carried along the rows, see `wear.wear`."""
+        """Return the Bouc-Wen hysteresis (N,) of an input, carried along the rows, see `bouc_wen.wear`."""
         return self._carried(name, x, lambda part, state: wear(x[part], reach, shape, state))
 
     def delay(self, name: Any, x: Array, seconds: float, *, bowed: bool = False) -> Array:
-        """(N, m) inputs delayed by seconds, see `operators.delay`."""
+        """Return (N, m) inputs delayed by seconds, see `filters.delay`."""
 
         def run(part: slice, state: Any) -> tuple[Array, DelayState]:
             return delay(self.time[part], x[part], seconds, state, even=self._even(part), bowed=bowed)
@@ -138,7 +138,7 @@ class Operated:
         return self._carried(name, x, run)
 
     def straightened(self, name: Any, x: Array) -> Array:
-        """(N, m) inputs of which straight lines between the rows are, in the mean, what the inputs are, see `operators.bow`."""
+        """Return (N, m) inputs whose straight lines between the rows are in the mean what the inputs are, see `filters.bow`."""
         # A straight line lies above its parabola by half the mean of s (1 - s) of the second difference.
         return x - 1.0 / 12.0 * self._bows(name, x)
 

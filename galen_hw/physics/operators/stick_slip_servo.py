@@ -32,7 +32,7 @@ def servo(
     *,
     even: bool | None = None,
 ) -> tuple[Array, ServoState]:
-    """A servo without integral action against dry friction: T dq/dt = z(c - q), z the dead zone of +- `band`.
+    """Return a servo without integral action against dry friction: T dq/dt = z(c - q), z the dead zone of +- `band`.
 
     It sticks while the stiffness times c - q cannot overcome the friction, then follows, a friction's width behind. T is its
     damping over its stiffness: play of the command for T = 0, a first-order lag for a band of zero. Friction that is viscous
@@ -71,7 +71,7 @@ def servo(
 
 
 def _breaking(band: Array, constant: Array, settling: Array) -> Array:
-    """(m,) error, in the unit of the command, at which servos break loose; their numbers as of `servo`."""
+    """Return the error (m,), in the unit of the command, at which servos break loose; their numbers as of `servo`."""
     gives = np.isfinite(settling)
     known = band * np.where(gives, settling, 1.0)
     return np.asarray(np.divide(known, settling - constant, out=band.astype(float), where=gives))
@@ -85,7 +85,7 @@ class _Servo:
     breaks: float
 
     def walked(self, q: float, quick: Iterable[float], creeping: Iterable[float], command: list[float]) -> list[float]:
-        """Outputs row by row from q on; of each row the shares of the error that go while it slips and while it sticks."""
+        """Return outputs row by row from q on; of each row the shares of the error that go while it slips and while it sticks."""
         at, r, breaks = [], self.band, self.breaks
         for share, little, c in zip(quick, creeping, command, strict=False):
             error = c - q
@@ -109,7 +109,7 @@ class _Servo:
         first_stretch: int = 128,
         longest: int = 8192,
     ) -> Array:
-        """The same (N,) where all rows have the same shares: it slips to one side, or sticks, over many rows at once.
+        """Return the outputs (N,) if all rows have the same shares: it slips to one side, or sticks, over many rows at once.
 
         Args:
             brief: rows of a phase below which it costs less to walk row by row, as what comes next probably
@@ -140,7 +140,7 @@ class _Servo:
         return out
 
     def _end(self, how: "_Following", begun: int, side: float, apart: float, *, chunk: int = 256) -> int:
-        """First row behind `begun` at which it no longer slips to this side, or no longer sticks (0).
+        """Return the first row behind `begun` at which it no longer slips to this side, or no longer sticks (0).
 
         Args:
             chunk: rows in which the end is sought at first.
@@ -173,7 +173,7 @@ class _Following:
 
     @classmethod
     def of(cls, command: Array, q: float, share: float) -> "_Following":
-        """Behind a command (N,), from q on."""
+        """Return the output behind a command (N,), from q on."""
         kept, count = 1.0 - share, len(command) + 1
         place = np.full(count, q)
         if share > 0.0:
@@ -183,7 +183,7 @@ class _Following:
 
 
 def _side_by_side(steps: Array, command: Array, band: Array, constant: Array, settling: Array, start: Array) -> Array:
-    """(N, m) outputs of many servos, a row of all of them at a time; `steps` (N,) s, the rest as of `servo`, `start` (m,)."""
+    """Return the outputs (N, m) of many servos, a row of all at a time; `steps` (N,) s, the rest as of `servo`, `start` (m,)."""
     out, q, breaks = np.empty_like(command, dtype=float), start.astype(float), _breaking(band, constant, settling)
     last, share, little = -1.0, np.empty(0), np.empty(0)
     error, slips, moves, loose = np.empty_like(q), np.empty_like(q), np.empty_like(q), np.empty(len(q), dtype=bool)

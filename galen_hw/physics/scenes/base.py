@@ -37,7 +37,7 @@ _FIRST = threading.RLock()
 
 
 def once(method: F) -> F:
-    """Computed once an instance and argument: ports are asked for by many effects."""
+    """Compute once an instance and argument: ports are asked for by many effects."""
 
     @wraps(method)
     def held(self: Any, *args: Any) -> Any:
@@ -92,17 +92,17 @@ class Scene(Operated):
         self.time: Array = np.arange(len(observations), dtype=float) if time is None else np.asarray(time)
 
     def __len__(self) -> int:
-        """Number of rows."""
+        """Return the number of rows."""
         return len(self.observations)
 
     def carrying(self, standing: Array | float, carried: Array | float, limited: Iterable[str] = ()) -> Self:
-        """The same scene with what a model adds to its simulation: a reading that clips, clips all of it."""
+        """Return the scene with what a model adds to its simulation: a reading that clips, clips all of it."""
         one = copy(self)
         one.standing, one.carried, one.limited = standing, carried, frozenset(limited)
         return one
 
     def begun(self, beginning: Beginning) -> Self:
-        """The same scene with another beginning."""
+        """Return the scene with another beginning."""
         one = copy(self)
         one.beginning = beginning
         return one
@@ -113,29 +113,29 @@ class Scene(Operated):
         return self.beginning.unknown(self.time, self.segments)
 
     def reading(self, simulated: Array) -> Self:
-        """The same scene with something else (N, C) that is simulated."""
+        """Return the scene with something else (N, C) that is simulated."""
         return self._otherwise(simulated=simulated)
 
     def with_body(self, body: Array) -> Self | None:
-        """The scene of a machine that carries a body more, of inertial parameters (10,) as of `body_port`; None: unknown.
+        """Return the scene of a machine with a further body, of inertial parameters (10,) as of `body_port`; None: unknown.
 
         What is simulated stays as it is.
         """
         return None
 
     def standing_at(self, joint: str, *, offset: float = 0.0, scale: float = 0.0) -> Self | None:
-        """The scene of an arm whose joint stands at (1 + scale) q + offset where q is read; None: nothing else would change.
+        """Return the scene of an arm whose joint stands at (1 + scale) q + offset; None: nothing else would change.
 
         What is simulated stays as it is.
         """
         return None
 
     def under(self, gravity: Array) -> Self | None:
-        """The scene under another gravity (3,) in the base, m/s^2; None: nothing else would change. As of `standing_at`."""
+        """Return the scene under another gravity (3,) in the base, m/s^2; None: nothing else would change."""
         return None
 
     def _stretched(self, joint: str, offset: float, scale: float) -> tuple[Array, Array, Array]:
-        """q, dq, ddq (N, n) of an arm whose joint stands at (1 + scale) q + offset where q is read."""
+        """Return q, dq, ddq (N, n) of an arm whose joint stands at (1 + scale) q + offset where q is read."""
         j = self.joint_index(joint)
         q, dq, ddq = (x.copy() for x in (self.q, *self.rates))
         for x in (q, dq, ddq):
@@ -144,7 +144,7 @@ class Scene(Operated):
         return q, dq, ddq
 
     def _otherwise(self, **values: Any) -> Self:
-        """A copy with other attributes; what was computed from the old ones is forgotten, but not what was simulated."""
+        """Return a copy with other attributes; what was computed from the old ones is forgotten, but not what was simulated."""
         kept = {
             "simulated": self.simulated,
             "measured": self.measured,
@@ -162,7 +162,7 @@ class Scene(Operated):
         return one
 
     def row(self, k: int, memory: Memory) -> Self:
-        """Row k by itself, as a live sample; `memory` is handed on from row to row."""
+        """Return row k by itself, as a live sample; `memory` is handed on from row to row."""
         at = slice(k, k + 1)
         rates = (self.rates[0][at], self.rates[1][at])
         one = type(self)(self.observations.taken(at), rates=rates, memory=memory, known=self.known)
@@ -184,7 +184,7 @@ class Scene(Operated):
         return self._simulate() + self._known_effects() if self.belief.terms else self._simulate()
 
     def _known_effects(self) -> Array:
-        """(N, C) what the terms of the tool's file add; they see the simulation without them, as in the live services."""
+        """Return what (N, C) the terms of the tool's file add; they see the simulation without them, as in the live services."""
         assert self.known is not None, "a scene whose tool has further terms is told what they add"
         plain = replace(self.observations, belief=replace(self.belief, terms=()))
         return self.known(type(self)(plain, rates=self.rates), self.belief.terms)
@@ -203,7 +203,7 @@ class Scene(Operated):
         return 0.0
 
     def seen(self, x: Array) -> Array:
-        """(N, k) sharp signals as `measured` shows them: through the same filter, where it is filtered."""
+        """Return sharp signals (N, k) as `measured` shows them: through the same filter, where it is filtered."""
         return x
 
     @property
@@ -280,12 +280,13 @@ class Scene(Operated):
         return False
 
     def error_with(self, band: float | None) -> float:
-        """Mean log spread of recorded minus simulated and of its changes by row, the motion low-passed at `band` Hz.
+        """Return the mean log spread of the residual and of its changes by row, the motion low-passed at `band` Hz.
 
         The spread is the median's: jumps of force, which any low-pass smears, are few and must not decide.
         """
         rest = type(self)(self.observations, rates=self._derivatives(band), known=self.known).raw_residual
         rest = rest[len(rest) // 20 : -max(len(rest) // 20, 1)]
+        rest = rest[:, np.isfinite(rest).any(axis=0)]  # of a joint that was not measured nothing is missed
         quick = np.diff(rest, axis=0)
         return float(np.mean(np.log(_spread(rest) + 1e-300) + np.log(_spread(quick) + 1e-300)))
 
@@ -296,8 +297,16 @@ class Scene(Operated):
         return derivatives(self.time, self.simulated, self.segments, fine=measured)[0]
 
     def joint_index(self, name: str) -> int:
-        """Place of a joint."""
+        """Return the place of a joint."""
         return self.joint_names.index(name)
+
+    def joint_units(self, joint: str) -> tuple[str, str]:
+        """Return the units of a joint's position and load: m and N where it slides, rad and N m where it turns."""
+        return ("m", "N") if self.belief.slides(joint) else ("rad", "N m")
+
+    def compliance_unit(self, joint: str) -> str:
+        """Return the unit of a joint's compliance: m/N where it slides, rad/(N m) where it turns."""
+        return "m/N" if self.belief.slides(joint) else "rad/(N m)"
 
     @cached_property
     def moved(self) -> tuple[str, ...]:
@@ -308,57 +317,57 @@ class Scene(Operated):
     # -- ports: None where the physics cannot show in this group or recording ------------------------------------------
 
     def joint_port(self, joint: str) -> Array | None:
-        """(N, C) answer to an error of a joint's position, per rad or m."""
+        """Return the answer (N, C) to an error of a joint's position, per rad or m."""
         return None
 
     @once
     def reached(self, joint: str) -> tuple[int, ...]:
-        """Channels in which an error of a joint's position shows; all where it shows in none."""
+        """Return the channels in which an error of a joint's position shows; all where it shows in none."""
         port = self.joint_port(joint)
         live = [] if port is None else np.flatnonzero(port.any(axis=0)).tolist()
         return tuple(live or range(len(self.channels)))
 
     @once
     def reaching(self, joint: str) -> Array:
-        """(N, n) the port of a joint that has one, in these channels."""
+        """Return the port (N, n) of a joint that has one, in these channels."""
         port, live = self.joint_port(joint), self.reached(joint)
         assert port is not None, "proposed only where there is a port"
         return port if len(live) == port.shape[1] else port[:, live]
 
     def misread(self, joint: str, *, offset: float = 0.0, scale: float = 0.0) -> Array | None:
-        """(N, C) change, exactly, if a joint stands at (1 + scale) q + offset where q is read; None: the port must do."""
+        """Return the change (N, C), exactly, if a joint stands at (1 + scale) q + offset; None: the port must do."""
         return None
 
     def gravity_port(self) -> Array | None:
-        """(N, C, 3) answer to gravity in the base, per m/s^2."""
+        """Return the answer (N, C, 3) to gravity in the base, per m/s^2."""
         return None
 
     def body_port(self) -> Array | None:
-        """(N, C, 10) answer to a body on the sensor or tip: m, m c (3), inertia xx xy yy xz yz zz about its origin."""
+        """Return the answer (N, C, 10) to a body on the sensor or tip: m, m c (3), inertia xx xy yy xz yz zz about its origin."""
         return None
 
     def weight_port(self) -> Array | None:
-        """(N, C, 10) the same to its weight alone, as if nothing accelerated it."""
+        """Return the answer (N, C, 10) to its weight alone, as if nothing accelerated it."""
         return None
 
     def inertial_port(self) -> Array | None:
-        """(N, C) what the known bodies' inertia adds, where the baseline holds weight alone."""
+        """Return what (N, C) the known bodies' inertia adds, where the baseline holds weight alone."""
         return None
 
     def turn_port(self) -> Array | None:
-        """(N, C, 3) what acceleration adds per m from the centre of turn, sensor axes; None: nothing turns, or it is known."""
+        """Return what (N, C, 3) acceleration adds per m from the centre of turn, sensor axes; None: no turn, or it is known."""
         return None
 
     def load(self, joint: str) -> Array | None:
-        """(N,) force or torque that bends a joint, N or N m."""
+        """Return the force or torque (N,) that bends a joint, N or N m."""
         return None
 
     def geometry_ports(self) -> list[Port]:
-        """Small errors of links and axes."""
+        """Return the small errors of links and axes."""
         return []
 
     def screw_port(self, screws: list[Array]) -> Array | None:
-        """(N, C) answer to the sensor's frame moved by exp(s_1) exp(s_2) ..., screws [v, w] (N, 6) in the base, exactly."""
+        """Return the exact answer (N, C) to the sensor moved by exp(s_1) exp(s_2) ..., screws [v, w] (N, 6) in the base."""
         return None
 
     @property
@@ -367,15 +376,15 @@ class Scene(Operated):
         return self.observations.predict == "position" and self.observations.simulation is None
 
     def swept_port(self, joint: str, error: str) -> Array | None:
-        """(N, C) what the arm's motion adds to a geometry port, per rad or m; None where it adds nothing."""
+        """Return what (N, C) the arm's motion adds to a geometry port, per rad or m; None where it adds nothing."""
         return None
 
     def slipping(self) -> list[Carried]:
-        """What may slip on the arm; nothing where the channels are not of a place."""
+        """Return what may slip on the arm; nothing where the channels are not of a place."""
         return []
 
     def nuisances(self) -> list[Array]:
-        """Columns (N, C) that the baseline fits before it is compared (a tracker's frame), constants apart."""
+        """Return columns (N, C) that the baseline fits before it is compared (a tracker's frame), constants apart."""
         return []
 
     @property
@@ -384,22 +393,22 @@ class Scene(Operated):
         return None
 
     def response(self, joint: str) -> float | None:
-        """Time constant (s) with which a simulated servo follows its command; None where there is none to be told."""
+        """Return the time constant (s) with which a simulated servo follows its command; None where there is none to be told."""
         return None
 
     def inertia_load(self, joint: str) -> Array | None:
-        """(N,) load of a joint by motion alone, where weight may be balanced; None where that is not known."""
+        """Return the load (N,) of a joint by motion alone, where weight may be balanced; None where that is not known."""
         return None
 
     def weight_load(self, joint: str) -> Array | None:
-        """(N,) load of a joint by weight alone; None where that is not known."""
+        """Return the load (N,) of a joint by weight alone; None where that is not known."""
         return None
 
     def resting(self, channel: str) -> Array | None:
-        """(segments, 1) where the far side of a play in a channel stands at the start of every segment; None: at its input."""
+        """Return where (segments, 1) the far side of a play in a channel stands as every segment starts; None: at its input."""
         return None
 
 
 def _spread(x: Array) -> Array:
-    """(C,) robust spread of (N, C)."""
+    """Return the robust spread (C,) of (N, C)."""
     return np.asarray(np.nanmedian(np.abs(x - np.nanmedian(x, axis=0)), axis=0))

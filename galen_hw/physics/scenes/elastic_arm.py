@@ -57,7 +57,7 @@ class GivingScene(PoseScene):
         return self
 
     def play(self, name: Any, x: Array, half_width: Any, start: Array | None = None) -> Array:
-        """As `operators.play`, a column at a time in plain floats: many times quicker for few columns."""
+        """Return `filters.play`, a column at a time in plain floats: many times quicker for few columns."""
         del name, start
         out, widths = np.empty_like(x), np.broadcast_to(np.asarray(half_width, dtype=float), x.shape[1:])
         for part in self.segments:
@@ -68,7 +68,7 @@ class GivingScene(PoseScene):
     def lag(
         self, name: Any, x: Array, constant: Any, *, empty: bool = False, held: bool = True, bowed: bool = False
     ) -> Array:
-        """As `operators.lag` of inputs held over each step, as in the live service; a column at a time in plain floats."""
+        """Return `filters.lag` of inputs held over each step, as in the live service; a column at a time in plain floats."""
         if empty or not held:
             return super().lag(name, x, constant, empty=empty, held=held, bowed=bowed)
         out, constants = np.empty_like(x), np.broadcast_to(np.asarray(constant, dtype=float), x.shape[1:])
@@ -86,7 +86,7 @@ class GivingScene(PoseScene):
 
     @once
     def screw(self, port: str) -> Array:
-        """(N, 6) motion [v, w] of the distal part per unit of give; v at the base's origin."""
+        """Return the motion [v, w] (N, 6) of the distal part per unit of compliance; v at the base's origin."""
         frame, _, axis = port.partition(".")
         if frame not in FRAMES:
             screws = joint_screws(self, port)
@@ -122,12 +122,12 @@ class GivingScene(PoseScene):
 
     @once
     def bare_load(self, port: str) -> Array:
-        """(N,) load of a port on the bent arm, N or N m."""
+        """Return the load (N,) of a port on the bent arm, N or N m."""
         return self._bears(port, self.tip + self.move)
 
     @once
     def load(self, joint: str) -> Array | None:
-        """The load behind the friction; None where it does not change."""
+        """Return the load behind the friction; None where it does not change."""
         x = self.bare_load(joint)
         out = x.copy()
         for half_width, share in self.slips.get(joint, ()):
@@ -136,7 +136,7 @@ class GivingScene(PoseScene):
 
     @once
     def joint_port(self, joint: str) -> Array | None:
-        """(N, C) of the port's screw, taken at the middle of the tip's way."""
+        """Return the port (N, C) of the screw, taken at the middle of the tip's way."""
         screw, width = self.screw(joint), len(self.channels)
         move = screw[:, :3] + np.cross(screw[:, 3:], self.tip + 0.5 * self.move)
         return np.concatenate([move, screw[:, 3:]], axis=1)[:, :width]
@@ -174,7 +174,7 @@ class RestingLoad:
 
 
 def _played(x: list[float], r: float) -> list[float]:
-    """Play of half width r, beginning in the middle of its band."""
+    """Return the play of half width r, beginning in the middle of its band."""
     start, rests, p, out = RestingLoad(), True, x[0], []
     for value in x:
         if rests:

@@ -14,7 +14,7 @@ ANGULAR_VELOCITY = tuple(f"imu.angular_velocity.{axis}" for axis in "xyz")
 
 
 def imu_motion(observations: Observations, T: Array) -> Motion | None:
-    """Of the sensor at poses T (N, 4, 4), from the columns `imu.*`; None unless every row has an acceleration and a pose.
+    """Return the motion of the sensor at poses T (N, 4, 4), from `imu.*`; None unless every row has acceleration and pose.
 
     The IMU sits at the sensor's origin. White noise is taken off by penalised splines where there is a clock. From what feels
     gravity, gravity is taken off as it is felt itself: what stays the same in the base, since an arm that swings to and fro has
@@ -43,12 +43,12 @@ def imu_motion(observations: Observations, T: Array) -> Motion | None:
 
 
 def feels_gravity(felt: Array, R: Array, gravity: Array) -> bool:
-    """Whether readings (N, 3) are nearer to an accelerometer's at rest, R^T (-g), than to none: some logs are without g."""
+    """Return whether readings (N, 3) are nearer to R^T (-g), an accelerometer's at rest, than to none: some logs lack g."""
     return bool(np.mean((felt + gravity_in_sensor(R, gravity)) ** 2) < np.mean(felt**2))
 
 
 def imu_ends(observations: Observations, R: Array) -> NDArray[np.bool_]:
-    """(N,) rows so near to an end of their segment that the derivatives in `imu_motion` are not known; none without a clock."""
+    """Return which rows (N,) are so near an end of their segment that `imu_motion` has no derivatives; none without a clock."""
     time, turning = observations.time, observations.matrix(*ANGULAR_VELOCITY)
     if time is None:
         return np.zeros(len(R), dtype=bool)
@@ -56,7 +56,7 @@ def imu_ends(observations: Observations, R: Array) -> NDArray[np.bool_]:
 
 
 def turn_rates(time: Array, R: Array, segments: list[slice]) -> tuple[Array, Array]:
-    """Angular velocity and acceleration (N, 3) of orientations (N, 3, 3) over time (N,) in s, base coordinates.
+    """Return angular velocity and acceleration (N, 3) of orientations (N, 3, 3) over time (N,) in s, base coordinates.
 
     Of the unit quaternion q: the vectors of 2 dq/dt q* and 2 d2q/dt2 q*.
     """
@@ -66,14 +66,14 @@ def turn_rates(time: Array, R: Array, segments: list[slice]) -> tuple[Array, Arr
 
 
 def _continuous(R: Array) -> Array:
-    """(N, 4) unit quaternions x y z w whose sign does not jump."""
+    """Return unit quaternions x y z w (N, 4) whose sign does not jump."""
     q = quaternion_from_rotation(R)
     q[1:] *= np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
     return q
 
 
 def _turning(rate: Array, q: Array) -> Array:
-    """(N, 3) vector part of 2 p q* of quaternions x y z w (N, 4)."""
+    """Return the vector part (N, 3) of 2 p q* of quaternions x y z w (N, 4)."""
     p, v = rate[:, :3], q[:, :3]
     return np.asarray(2.0 * (p * q[:, 3:] - v * rate[:, 3:] - np.cross(p, v)))
 
@@ -83,6 +83,6 @@ def _in_base(R: Array, v: Array) -> Array:
 
 
 def _mean(v: Array, segments: list[slice]) -> Array:
-    """(3,) mean of (N, 3) that fades at the ends of the segments, so that half a swing there counts little."""
+    """Return the mean (3,) of (N, 3) that fades at the ends of the segments, so that half a swing there counts little."""
     fade = np.concatenate([np.hanning(part.stop - part.start + 2)[1:-1] for part in segments])
     return np.asarray(fade @ v / fade.sum())

@@ -47,11 +47,11 @@ class Beginning:
     lags: tuple[Lagging, ...] = ()
 
     def __add__(self, other: Self) -> Self:
-        """What both leave open."""
+        """Return what both leave open."""
         return type(self)(max(self.after, other.after), max(self.before, other.before), self.lags + other.lags)
 
     def unknown(self, time: Array, segments: Sequence[slice]) -> NDArray[np.bool_]:
-        """(N,) rows that answer to what was before the first row of their segment, or after the last."""
+        """Return which rows (N,) answer to what was before the first row of their segment, or after the last."""
         out = np.zeros(len(time), dtype=bool)
         for part in segments if self.after or self.before else ():
             t = time[part]
@@ -60,7 +60,7 @@ class Beginning:
         return out
 
     def columns(self, time: Array, segments: Sequence[slice]) -> list[tuple[Lagging, Array]]:
-        """What lags, and (N,) what fades of it from the beginning of each segment."""
+        """Return what lags, and what (N,) fades of it from the beginning of each segment."""
         out = []
         for lag in self.lags if len(segments) <= FEW else ():
             for part in segments:
@@ -73,7 +73,7 @@ class Beginning:
 
 
 def fading(scene: "Scene") -> list[tuple[tuple[int, ...], Array]]:
-    """Channels, and (N, c) what fades in them from the beginning of each segment of a scene, per unit of what lags."""
+    """Return channels, and what (N, c) fades in them from the beginning of each segment of a scene, per unit of what lags."""
     out: list[tuple[tuple[int, ...], Array]] = []
     for lag, column in scene.beginning.columns(scene.time, scene.segments):
         if lag.joint:

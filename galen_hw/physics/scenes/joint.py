@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.lazy import cached_property
+from galen_hw.physics.channels import joint_of
 from galen_hw.physics.scenes.base import Scene, once
 from galen_hw.physics.signals.differentiation import CUT, has_line, smoothed
 from galen_hw.spatial import Array
@@ -35,23 +36,17 @@ class JointScene(Scene):
 
     @property
     def units(self) -> tuple[str, ...]:  # type: ignore[override]
-        """N m or rad; N or m for a prismatic joint of a URDF."""
-        turn, slide = ("N m", "N") if self.kind == "effort" else ("rad", "m")
-        return tuple(slide if self._prismatic(name) else turn for name in self.channels)
-
-    def _prismatic(self, channel: str) -> bool:
-        robot = self.belief.robot
-        if not isinstance(robot, UrdfRobot):
-            return channel.startswith("joint.carriage")
-        return robot.slides(_joint(channel))
+        """N m or rad; N or m for a prismatic joint."""
+        which = ("position", "effort").index(self.kind)
+        return tuple(self.joint_units(joint_of(name))[which] for name in self.channels)
 
     def channel_of(self, joint: str) -> int | None:
-        """Place of a joint's channel; None where it is not compared."""
+        """Return the place of a joint's channel; None where it is not compared."""
         name = f"joint.{joint}.{self.kind}"
         return self.channels.index(name) if name in self.channels else None
 
     def only(self, joint: str, values: Array) -> Array | None:
-        """(N, C) with values (N,) in the joint's channel."""
+        """Return (N, C) with values (N,) in the joint's channel."""
         place = self.channel_of(joint)
         if place is None:
             return None
@@ -65,12 +60,12 @@ class JointScene(Scene):
         return robot if known and isinstance(robot, UrdfRobot) else None
 
     def _along(self, values: Array) -> Array:
-        """Columns of compared joints, coarse rows brought to all rows."""
-        order = [self.joint_index(_joint(name)) for name in self.channels]
+        """Return the columns of compared joints, coarse rows brought to all rows."""
+        order = [self.joint_index(joint_of(name)) for name in self.channels]
         return np.asarray(values[:, order])
 
     def _coarse(self, run: Callable[[Any], Array], *, most: int = 4000) -> Array:
-        """run(rows) -> (M, ...) on an even choice of the rows of each run, cubic in between; exact where there are few.
+        """Return run(rows) -> (M, ...) on an even choice of rows of each run, cubic in between; exact where there are few.
 
         Args:
             most: rows: ports of a URDF are smooth along the motion.
@@ -106,7 +101,7 @@ class EffortScene(JointScene):
         return raw if self.band is None else smoothed(self.time, raw, self.segments, self.band, bridge=True)
 
     def seen(self, x: Array) -> Array:
-        """Through the low-pass of the motion."""
+        """Return signals through the low-pass of the motion."""
         return x if self.band is None else smoothed(self.time, x, self.segments, self.band)
 
     @property
@@ -115,7 +110,7 @@ class EffortScene(JointScene):
         return None if self.band is None else CUT * self.band
 
     def loses(self, band: float) -> bool:
-        """The measured efforts go through the low-pass too, and with them a line of their spectra that is above it."""
+        """Return whether efforts, low-passed too, would lose a line of their spectra that is above the band."""
         dt = float(np.median(np.diff(self.time)))
         raw = self.observations.matrix(*self.channels)
         return any(has_line(raw[:, c], dt, CUT * band) for c in range(raw.shape[1]))
@@ -142,7 +137,7 @@ class EffortScene(JointScene):
 
     @once
     def joint_port(self, joint: str) -> Array | None:
-        """Change of all efforts with a joint's position (central difference)."""
+        """Return the change of all efforts with a joint's position (central difference)."""
         robot = self._urdf()
         if robot is None:
             return None
@@ -157,7 +152,7 @@ class EffortScene(JointScene):
         return self._along(self._coarse(run))
 
     def misread(self, joint: str, *, offset: float = 0.0, scale: float = 0.0) -> Array | None:
-        """Inverse dynamics of another motion."""
+        """Return the inverse dynamics of another motion, less that of this one."""
         robot = self._urdf()
         if robot is None:
             return None
@@ -172,13 +167,13 @@ class EffortScene(JointScene):
 
     @once
     def _rigid(self, robot: UrdfRobot) -> Array:
-        """(N, C) efforts of the motion itself, between the same coarse rows."""
+        """Return efforts (N, C) of the motion itself, between the same coarse rows."""
         dq, ddq = self.rates if self.belief.dynamic else (np.zeros_like(self.q),) * 2
         return self._along(self._coarse(lambda rows: robot.inverse_dynamics(self.q[rows], dq[rows], ddq[rows])))
 
     @once
     def gravity_port(self) -> Array | None:
-        """Efforts per unit of gravity along x, y, z of the base."""
+        """Return efforts per unit of gravity along x, y, z of the base."""
         robot = self._urdf()
         if robot is None:
             return None
@@ -195,7 +190,7 @@ class EffortScene(JointScene):
 
     @once
     def body_port(self) -> Array | None:
-        """Efforts per inertial parameter of the link at the sensor (pinocchio's order); None where nothing moves it."""
+        """Return efforts per inertial parameter of the link at the sensor (pinocchio's order); None where nothing moves it."""
         robot = self._urdf()
         if robot is None or robot.carrier is None:
             return None
@@ -219,20 +214,20 @@ class EffortScene(JointScene):
         return self._along(port), com
 
     def with_body(self, body: Array) -> Self | None:
-        """The link at the sensor is another one."""
+        """Return the scene with another link at the sensor."""
         robot = self._urdf()
         other = None if robot is None else robot.with_load(body)
         return None if other is None else self._otherwise(belief=replace(self.belief, robot=other))
 
     def standing_at(self, joint: str, *, offset: float = 0.0, scale: float = 0.0) -> Self | None:
-        """The robot moves otherwise."""
+        """Return the scene of a robot that moves otherwise."""
         if self._urdf() is None:
             return None
         q, *rates = self._stretched(joint, offset, scale)
         return self._otherwise(q=q, rates=tuple(rates))
 
     def under(self, gravity: Array) -> Self | None:
-        """Its links weigh otherwise."""
+        """Return the scene of links that weigh otherwise."""
         robot = self._urdf()
         if robot is None:
             return None
@@ -240,7 +235,7 @@ class EffortScene(JointScene):
 
     @once
     def inertial_port(self) -> Array | None:
-        """Inverse dynamics less weight, where the baseline holds weight alone."""
+        """Return inverse dynamics less weight, where the baseline holds weight alone."""
         robot = self._urdf()
         if robot is None or self.belief.dynamic:
             return None
@@ -248,7 +243,7 @@ class EffortScene(JointScene):
 
     @once
     def link(self, joint: str) -> tuple[Array, Array] | None:
-        """Pose (N, 4, 4) of the link that a joint moves in the base, and efforts (N, C, 6) per wrench on it there, base axes.
+        """Return the pose (N, 4, 4) in the base of a joint's link, and efforts (N, C, 6) per wrench on it, base axes.
 
         Of the last link for "". Virtual work: the motors hold against it, tau = -J^T F. None without a URDF.
         """
@@ -264,12 +259,12 @@ class EffortScene(JointScene):
             return np.swapaxes(robot.link_jacobian(q, joint) if joint else robot.sensor_jacobian(q), 1, 2)
 
         pose, jacobian = self._coarse(pose_of), self._coarse(turned)
-        order = [self.joint_index(_joint(name)) for name in self.channels]
+        order = [self.joint_index(joint_of(name)) for name in self.channels]
         return pose, -jacobian[:, order]
 
     @once
     def carrier(self, joint: str) -> tuple[Array, Array, Array]:
-        """Of `link`: orientation (3, 3, N), position (3, N) and efforts (C, 6, N), row after row in memory: quicker to work with.
+        """Return of `link` orientation (3, 3, N), position (3, N) and efforts (C, 6, N), contiguous by rows: quicker.
 
         Raises:
             ValueError: there is no URDF.
@@ -282,7 +277,7 @@ class EffortScene(JointScene):
 
     @once
     def load(self, joint: str) -> Array | None:
-        """The simulated effort itself."""
+        """Return the simulated effort itself."""
         place = self.channel_of(joint)
         return None if place is None else self.simulated[:, place]
 
@@ -312,12 +307,12 @@ class PositionScene(JointScene):
         for instead in (self.observations.joints("command"), np.zeros(out.shape)):
             out = np.where(np.isfinite(out).all(axis=0), out, instead)
         for place, name in enumerate(self.channels):
-            out[:, self.joint_index(_joint(name))] = self.simulated[:, place]
+            out[:, self.joint_index(joint_of(name))] = self.simulated[:, place]
         return out
 
     @once
     def resting(self, channel: str) -> Array | None:
-        """The first measured position of every segment, less the offset at which the joint follows both ways.
+        """Return the first measured position of every segment, less the offset at which the joint follows both ways.
 
         A joint that sticks inside its play stays where the last motion left it, which no later input tells. The offset is
         the middle between what is left over on the way up and on the way down, so that play and delay fall out.
@@ -327,7 +322,7 @@ class PositionScene(JointScene):
         if channel not in self.channels:
             return None
         place = self.channels.index(channel)
-        v = self.rates[0][:, self.joint_index(_joint(channel))]
+        v = self.rates[0][:, self.joint_index(joint_of(channel))]
         quick = 0.3 * float(np.std(v))
         ways = [self.residual[way, place] for way in (v > quick, v < -quick)]
         known = quick > 0.0 and all(np.isfinite(way).sum() >= FEW for way in ways)
@@ -336,12 +331,12 @@ class PositionScene(JointScene):
 
     @once
     def joint_port(self, joint: str) -> Array | None:
-        """One in the joint's own channel."""
+        """Return one in the joint's own channel."""
         return self.only(joint, np.ones(len(self)))
 
     @once
     def load(self, joint: str) -> Array | None:
-        """(N,) what the motor bears, N or N m: the opposite of the effort, measured with a sign or else as the URDF needs it.
+        """Return what (N,) the motor bears, N or N m: minus the effort, measured with a sign or else as the URDF needs it.
 
         None where neither is there.
         """
@@ -353,7 +348,7 @@ class PositionScene(JointScene):
 
     @once
     def response(self, joint: str) -> float | None:
-        """From a given simulation and the command in the recording: c - s = T ds/dt, where that is nearly all of it."""
+        """Return the time constant by a given simulation and command: c - s = T ds/dt, where that is nearly all of it."""
         name, place = f"joint.{joint}.command", self.channel_of(joint)
         command = (self.whole or self).observations.columns.get(name)
         if self.observations.simulation is None or command is None or place is None or len(command) != len(self):
@@ -369,32 +364,27 @@ class PositionScene(JointScene):
 
     @once
     def motion_torque(self) -> Array | None:
-        """(N, n) efforts that weight and motion need; None without a URDF."""
+        """Return efforts (N, n) that weight and motion need; None without a URDF."""
         robot = self._urdf()
         return None if robot is None else np.asarray(robot.inverse_dynamics(self.q, *self.rates))
 
     @once
     def inertia_load(self, joint: str) -> Array | None:
-        """(N,) load of motion alone, N or N m, weight left out, as where it is balanced; None without a URDF."""
+        """Return the load (N,) of motion alone, N or N m, weight left out, as where it is balanced; None without a URDF."""
         weight, torque = self._weights(), self.motion_torque()
         if weight is None or torque is None:
             return None
         return np.asarray((-torque - weight)[:, self.joint_index(joint)])
 
     def weight_load(self, joint: str) -> Array | None:
-        """(N,) load of weight alone, N or N m; None without a URDF."""
+        """Return the load (N,) of weight alone, N or N m; None without a URDF."""
         weight = self._weights()
         return None if weight is None else np.asarray(weight[:, self.joint_index(joint)])
 
     @once
     def _weights(self) -> Array | None:
-        """(N, n) loads of all joints where the arm stands still."""
+        """Return the loads (N, n) of all joints where the arm stands still."""
         robot = self._urdf()
         if robot is None:
             return None
         return -np.asarray(robot.inverse_dynamics(self.q, *(np.zeros_like(self.q) for _ in range(2))))
-
-
-def _joint(channel: str) -> str:
-    """NAME of joint.NAME.kind."""
-    return channel.split(".", 1)[1].rsplit(".", 1)[0]

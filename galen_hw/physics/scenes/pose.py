@@ -48,18 +48,18 @@ class ArmScene(Scene):
         return np.nan_to_num(self.observations.matrix(*APPLIED))
 
     def torque_from(self, joint: str, force: Array, point: Array) -> Array:
-        """(N,) torque about a joint (or force along it) of a force (N, 3) at a point (N, 3)."""
+        """Return the torque (N,) about a joint (or force along it) of a force (N, 3) at a point (N, 3)."""
         screws = joint_screws(self, joint)
         assert screws is not None, "arm scenes have a robot"
         return np.asarray(np.sum(screws[:, :3] * force + screws[:, 3:] * np.cross(point, force), axis=1))
 
     @cached_property
     def weight(self) -> Array:
-        """(3,) of what hangs on the arm, base frame, N."""
+        """Weight (3,) of what hangs on the arm, base frame, N."""
         return np.asarray(sum(body.mass for body in self.belief.hanging) * self.belief.gravity)
 
     def weight_load(self, joint: str) -> Array:
-        """(N,) load of the joint by the weight of what hangs on the arm."""
+        """Return the load (N,) of the joint by the weight of what hangs on the arm."""
         out = np.zeros(len(self))
         for body in self.belief.hanging:
             com = self.T_sensor[:, :3, 3] + self.T_sensor[:, :3, :3] @ body.com
@@ -68,7 +68,7 @@ class ArmScene(Scene):
 
     @once
     def own_load(self, joint: str) -> Array | None:
-        """(N,) load of the joint by the weight of the arm's links and of what hangs on it, N m or N; None: no link has a mass."""
+        """Return the load (N,) of the joint by its links and what hangs on it, N m or N; None: no link has a mass."""
         weights = self._link_loads
         robot = self.belief.robot
         if weights is None or robot is None or joint not in robot.joint_names:
@@ -87,7 +87,7 @@ class ArmScene(Scene):
 
     @once
     def load(self, joint: str) -> Array | None:
-        """Applied force and weight together."""
+        """Return applied force and weight together."""
         if self.belief.robot is None:
             return None
         total = self.torque_from(joint, self.force, self.tip) + self.weight_load(joint)
@@ -109,7 +109,7 @@ class ArmScene(Scene):
 
     @once
     def joint_port(self, joint: str) -> Array | None:
-        """The distal part moved by the joint; without a robot as a given simulation shows it."""
+        """Return the answer of the distal part moved by the joint; without a robot as a given simulation shows it."""
         screws = joint_screws(self, joint)
         if screws is not None:
             return self._answer(screws)
@@ -129,7 +129,7 @@ class ArmScene(Scene):
 
     @once
     def geometry_ports(self) -> list[Port]:
-        """Errors of links and axes; metres for shifts and lengths, rad for tilts."""
+        """Return the errors of links and axes; metres for shifts and lengths, rad for tilts."""
         return [
             Port(name, "rad" if "tilt." in name else "m", self._answer(sum(screws)), joint)  # type: ignore[arg-type]
             for name, joint, screws in axis_screws(self)
@@ -189,7 +189,7 @@ class PoseScene(ArmScene):
 
     @once
     def slipping(self) -> list[Carried]:
-        """The tool in its holder: shifts and, where orientation is tracked, turns about the tip, in the tip's axes."""
+        """Return the tool in its holder: shifts and, where orientation is tracked, turns about the tip, in the tip's axes."""
         R, width = self._pose[:, :3, :3], len(self.channels)
         values = np.zeros((len(self), width, width))
         values[:, :3, :3] = R
@@ -197,7 +197,7 @@ class PoseScene(ArmScene):
         return [Carried("tool", tuple(range(width)), SLIPS[:width], values)]
 
     def screw_port(self, screws: list[Array]) -> Array | None:
-        """Exactly, by the product of exponentials."""
+        """Return the exact answer, by the product of exponentials."""
         Q = np.tile(np.eye(4), (len(self), 1, 1))
         for screw in screws:
             Q = Q @ exponential(screw)
@@ -259,7 +259,7 @@ class TargetsScene(ArmScene):
         return np.asarray(move @ self.registration[0].T).reshape(len(self), -1)
 
     def screw_port(self, screws: list[Array]) -> Array | None:
-        """Exactly, by the product of exponentials."""
+        """Return the exact answer, by the product of exponentials."""
         Q = np.tile(np.eye(4), (len(self), 1, 1))
         for screw in screws:
             Q = Q @ exponential(screw)
@@ -267,7 +267,7 @@ class TargetsScene(ArmScene):
         return np.asarray((moved - self._points) @ self.registration[0].T).reshape(len(self), -1)
 
     def nuisances(self) -> list[Array]:
-        """The tracker's frame (6) and each target's place on the body (3 each)."""
+        """Return the tracker's frame (6) and each target's place on the body (3 each)."""
         if self.observations.simulation is not None:
             return []
         rows = (len(self), 1)
@@ -280,14 +280,14 @@ class TargetsScene(ArmScene):
         return out
 
     def _each(self) -> list[Carried]:
-        """Every target by itself, in the sensor's axes."""
+        """Return every target by itself, in the sensor's axes."""
         R = self.registration[0] @ self.T_sensor[:, :3, :3]
         names = [self.channels[3 * k].rsplit(".", 2)[0] for k in range(len(self.channels) // 3)]
         return [Carried(name, (3 * k, 3 * k + 1, 3 * k + 2), SLIPS[:3], R) for k, name in enumerate(names)]
 
     @once
     def slipping(self) -> list[Carried]:
-        """Every target by itself, and the body that bears them all: shifts, and turns about their middle."""
+        """Return every target by itself, and the body that bears them all: shifts, and turns about their middle."""
         if self.belief.robot is None:
             return []
         axes, middle = self.T_sensor[:, :3, :3], self._points.mean(axis=1)
@@ -298,7 +298,7 @@ class TargetsScene(ArmScene):
 
 
 def register(T: Array, y: Array, turns: int = 60) -> tuple[Array, Array, Array]:
-    """Frame and body points with y_nk = R (T_n x_k) + t, least squares: R, t by Kabsch and x in closed form, by turns.
+    """Return frame and body points with y_nk = R (T_n x_k) + t, least squares: R, t by Kabsch and x in closed form, by turns.
 
     Args:
         T: (N, 4, 4) body poses in the base; y: (N, K, 3) tracked points.

@@ -54,19 +54,19 @@ def jacobian(q: Array, simulated: Array, within: Array) -> Array | None:
 
 
 def _products(factors: Array, terms: list[tuple[int, ...]]) -> Array:
-    """(N, T) products of one polynomial a joint; factors (N, J, degree + 1)."""
+    """Return the products (N, T) of one polynomial a joint; factors (N, J, degree + 1)."""
     return np.stack([np.prod([factors[:, j, e] for j, e in enumerate(term)], axis=0) for term in terms], axis=-1)
 
 
 def _with(factors: Array, steps: Array, joint: int) -> Array:
-    """(N, J, degree + 1) factors, of one joint their slopes instead."""
+    """Return the factors (N, J, degree + 1), of one joint their slopes instead."""
     out = factors.copy()
     out[:, joint] = steps[:, joint]
     return out
 
 
 def _derivative(degree: int) -> Array:
-    """(degree + 1, degree + 1) that makes of the Legendre polynomials their slopes."""
+    """Return what (degree + 1, degree + 1) makes of the Legendre polynomials their slopes."""
     out = np.zeros((degree + 1, degree + 1))
     for k in range(1, degree + 1):
         out[:k, k] = legendre.legder(np.eye(degree + 1)[k])[:k]

@@ -10,7 +10,7 @@ from galen_hw.spatial import Array, rotation_about, rotation_exp, skew
 
 
 def exponential(screw: Array) -> Array:
-    """Exp of screws (N, 6) as transforms (N, 4, 4)."""
+    """Return the exponentials of screws (N, 6) as transforms (N, 4, 4)."""
     v, w = screw[:, :3], screw[:, 3:]
     angle2 = np.sum(w * w, axis=1)[:, None, None]
     W = skew(w)
@@ -26,12 +26,12 @@ def exponential(screw: Array) -> Array:
 
 
 def about(axis: Array, point: Array) -> Array:
-    """Screw (N, 6) of a unit turn about axis (N, 3) through point (N, 3)."""
+    """Return the screw (N, 6) of a unit turn about axis (N, 3) through point (N, 3)."""
     return np.concatenate([np.cross(point, axis), axis], axis=1)
 
 
 def joint_screws(scene: Any, joint: str) -> Array | None:
-    """(N, 6) motion of the sensor per joint rate; None without a robot."""
+    """Return the motion (N, 6) of the sensor per joint rate; None without a robot."""
     robot = scene.belief.robot
     if robot is None or joint not in robot.joint_names:
         return None
@@ -44,13 +44,13 @@ def joint_screws(scene: Any, joint: str) -> Array | None:
 
 
 def forget(scene: Any) -> None:
-    """The screws of a scene whose arm stands otherwise than that of which it is a copy."""
+    """Forget the screws of a scene whose arm stands otherwise than that of which it is a copy."""
     for name in ("_joint_screws", "_axis_screws"):
         scene.__dict__.pop(name, None)
 
 
 def frames(scene: Any) -> list[tuple[str, Array, Array]]:
-    """Joints that turn the sensor: name, frame (N, 4, 4) in the base just before the joint turns, axis (3,) in that frame."""
+    """Return joints that turn the sensor: name, frame (N, 4, 4) in the base just before the turn, axis (3,) in that frame."""
     robot = scene.belief.robot
     if isinstance(robot, GalenRobot):
         return _galen_frames(robot, scene.q)
@@ -66,7 +66,7 @@ def _galen_frames(robot: GalenRobot, q: Array) -> list[tuple[str, Array, Array]]
 
 
 def axis_screws(scene: Any) -> list[tuple[str, str, list[Array]]]:
-    """Small errors of links and axes as (name, joint, screws (N, 6) applied one after the other), per rad or m.
+    """Return small errors of links and axes as (name, joint, screws (N, 6) applied one after the other), per rad or m.
 
     `axis_tilt` turns an axis and leaves the arm's zero pose as it is (a screw before the joint, and back after it);
     `frame_tilt` turns everything beyond it; `axis_shift` and `frame_shift` do the same to its place.
@@ -78,7 +78,7 @@ def axis_screws(scene: Any) -> list[tuple[str, str, list[Array]]]:
 
 
 def axis_moves(scene: Any, joint: str, amounts: dict[str, float]) -> list[Array]:
-    """Screws (N, 6), one after the other, of errors of one joint's links and axes by so much each, rad or m."""
+    """Return screws (N, 6), one after the other, of errors of one joint's links and axes by so much each, rad or m."""
     found = {name: screws for name, at, screws in axis_screws(scene) if at == joint}
     parts = [[amount * screw for screw in found[name]] for name, amount in amounts.items()]
     return [np.sum(together, axis=0) for together in zip(*parts, strict=True)]
@@ -102,7 +102,7 @@ def _axes(scene: Any) -> list[tuple[str, str, list[Array]]]:
 
 
 def _delta_screws(scene: Any) -> list[tuple[str, str, list[Array]]]:
-    """Rod length and effective radius of the Galen's delta: a motion of the platform."""
+    """Return the rod length and effective radius of the Galen's delta: a motion of the platform."""
     robot = scene.belief.robot
     if not isinstance(robot, GalenRobot):
         return []

@@ -41,7 +41,7 @@ class WrenchScene(Scene):
         return self._seated(transform(rotation_from_quaternion(self.observations.matrix(*ORIENTATION)), np.zeros(3)))
 
     def _seated(self, T: Array) -> Array:
-        """Poses (N, 4, 4) of the sensor as it is turned on its link."""
+        """Return poses (N, 4, 4) of the sensor as it is turned on its link."""
         turn = self.belief.sensor_turn
         if np.array_equal(turn, np.eye(3)):
             return T
@@ -62,7 +62,7 @@ class WrenchScene(Scene):
 
     @property
     def cut(self) -> float:
-        """The same in cycles a row."""
+        """The frequency of `heard` in cycles a row."""
         return 0.0 if self.heard is None else self.heard * float(np.median(np.diff(self.time)))
 
     @property
@@ -72,7 +72,7 @@ class WrenchScene(Scene):
 
     @once
     def sensor_in(self, joint: str) -> Array:
-        """(N, 4, 4) pose of the sensor as seen from the link that a joint moves; from the base for ""."""
+        """Return the pose (N, 4, 4) of the sensor as seen from the link that a joint moves; from the base for ""."""
         robot = self.belief.robot
         if not joint or robot is None:
             return self.T
@@ -93,19 +93,19 @@ class WrenchScene(Scene):
 
     @cached_property
     def sensed(self) -> Motion | None:
-        """Of the sensor as its IMU has it; None where joints say how it moves, or no IMU does."""
+        """Motion of the sensor as its IMU has it; None where joints say how it moves, or no IMU does."""
         return None if self._jointed else imu_motion(self.observations, self.T)
 
     @cached_property
     def motion(self) -> Motion:
-        """Of the sensor: by the joints, else by its IMU; at rest without a clock or either."""
+        """Motion of the sensor: by the joints, else by its IMU; at rest without a clock or either."""
         robot, zeros = self.belief.robot, np.zeros((len(self), 3))
         if robot is None or not self._jointed:
             return self.sensed or Motion(self.T, zeros, zeros, zeros)
         return self._seated_motion(robot.sensor_motion(self.q, *self.rates))
 
     def _seated_motion(self, motion: Motion) -> Motion:
-        """How the sensor moves as it is turned on its link: in base axes nothing but its orientation is another."""
+        """Return how the sensor moves as it is turned on its link: in base axes nothing but its orientation is another."""
         return replace(motion, T=self._seated(motion.T))
 
     @cached_property
@@ -115,7 +115,7 @@ class WrenchScene(Scene):
         return found if self.sensed is None or self._rates is not None else found | imu_ends(self.observations, self.R)
 
     def row(self, k: int, memory: Memory) -> Self:
-        """Row k by itself; how the sensor moves there, the whole recording's IMU says."""
+        """Return row k by itself; how the sensor moves there, the whole recording's IMU says."""
         one, sensed, at = super().row(k, memory), self.sensed, slice(k, k + 1)
         if sensed is not None:
             one.sensed = Motion(sensed.T[at], sensed.acceleration[at], sensed.omega[at], sensed.alpha[at])
@@ -141,12 +141,12 @@ class WrenchScene(Scene):
 
     @once
     def inertial_port(self) -> Array | None:
-        """What acceleration adds."""
+        """Return what acceleration adds."""
         return None if self.belief.dynamic or not np.any(self._inertia) else self._inertia
 
     @once
     def turn_port(self) -> Array | None:
-        """The bodies' weight under -(alpha x + omega x omega x) r."""
+        """Return the bodies' weight under -(alpha x + omega x omega x) r."""
         if self._jointed or not self.clock or self.memory is not None or not np.isfinite(self.R).all():
             return None
         rates = (self.sensed.omega, self.sensed.alpha) if self.sensed else turn_rates(self.time, self.R, self.segments)
@@ -161,7 +161,7 @@ class WrenchScene(Scene):
 
     @once
     def gravity_port(self) -> Array | None:
-        """R^T on gravity, less the same at the zeroing pose for the bias body."""
+        """Return R^T on gravity, less the same at the zeroing pose for the bias body."""
         port = self.weight @ np.swapaxes(self.R, 1, 2)
         zeroed, body = self.belief.zeroed_rotation, self.belief.bias_body
         if zeroed is not None and body is not None:
@@ -170,7 +170,7 @@ class WrenchScene(Scene):
 
     @once
     def body_port(self) -> Array | None:
-        """Newton and Euler, linear in m, m c and the inertia about the sensor's origin."""
+        """Return Newton and Euler, linear in m, m c and the inertia about the sensor's origin."""
         Rt = np.swapaxes(self.R, 1, 2)
         a, w, alpha = (
             np.einsum("nij,nj->ni", Rt, v) for v in (self.motion.acceleration, self.motion.omega, self.motion.alpha)
@@ -185,7 +185,7 @@ class WrenchScene(Scene):
 
     @once
     def weight_port(self) -> Array | None:
-        """Newton and Euler at rest: R^T g and its moment."""
+        """Return Newton and Euler at rest: R^T g and its moment."""
         s = gravity_in_sensor(self.R, self.belief.gravity)
         out = np.zeros((len(self), 6, 10))
         out[:, :3, 0], out[:, 3:, 1:4] = s, -skew(s)
@@ -213,12 +213,12 @@ class WrenchScene(Scene):
         return WrenchScene(Observations("wrench", columns, None, belief))
 
     def with_body(self, body: Array) -> Self | None:
-        """The tool is another one."""
+        """Return the scene with another tool."""
         tool = self.belief.tool.with_parameters(body)
         return None if tool is None else self._otherwise(belief=replace(self.belief, tool=tool))
 
     def standing_at(self, joint: str, *, offset: float = 0.0, scale: float = 0.0) -> Self | None:
-        """The joint stood otherwise at the zeroing too."""
+        """Return the scene whose joint stood otherwise at the zeroing too."""
         if self.belief.robot is None or joint not in self.joint_names or not np.isfinite(self.q).all():
             return None
         q, *rates = self._stretched(joint, offset, scale)
@@ -229,18 +229,18 @@ class WrenchScene(Scene):
         return self._otherwise(q=q, rates=tuple(rates), belief=belief, zeroing=zero)
 
     def under(self, gravity: Array) -> Self | None:
-        """Of all bodies, the one that was zeroed away included."""
+        """Return the scene with another gravity of all bodies, the one that was zeroed away included."""
         zero = None if self.zeroing is None else self.zeroing.under(gravity)
         return self._otherwise(belief=replace(self.belief, gravity=gravity), zeroing=zero)
 
     @once
     def joint_port(self, joint: str) -> Array | None:
-        """The sensor turned about the joint's axis."""
+        """Return the answer of a sensor turned about the joint's axis."""
         screws = joint_screws(self, joint)
         return None if screws is None else self._turned(screws[:, 3:])
 
     def misread(self, joint: str, *, offset: float = 0.0, scale: float = 0.0) -> Array | None:
-        """Weight and, where the baseline has it, inertia of the bodies in another pose and motion of the arm."""
+        """Return weight and, where the baseline has it, inertia of the bodies in another pose and motion of the arm."""
         robot = self.belief.robot
         if robot is None or joint not in self.joint_names or not np.isfinite(self.q).all():
             return None
@@ -251,25 +251,25 @@ class WrenchScene(Scene):
         return self._moving(Motion(self._seated(robot.sensor_pose(q)), zeros, zeros, zeros))
 
     def reseated(self, turn: Array) -> Array:
-        """(N, 6) change, exactly, if the sensor is turned on its flange by a rotation vector (3,) in its own axes."""
+        """Return the exact change (N, 6) if the sensor is turned on its flange by a rotation vector (3,) in its own axes."""
         T = self.T.copy()
         T[:, :3, :3] = self.R @ rotation_exp(turn)
         return self._moving(Motion(T, self.motion.acceleration, self.motion.omega, self.motion.alpha))
 
     def _moving(self, motion: Motion) -> Array:
-        """(N, 6) change of the reading if the sensor moved otherwise."""
+        """Return the change (N, 6) of the reading if the sensor moved otherwise."""
         gravity = self.belief.gravity
         turned = gravity_in_sensor(motion.T[:, :3, :3], gravity) - gravity_in_sensor(self.R, gravity)
         more = inertial_wrench(motion, *self.belief.hanging) - self._inertia if self.belief.dynamic else 0.0
         return np.asarray(turned @ self.weight.T + more)
 
     def _turned(self, phi: Array) -> Array:
-        """Change (N, 6) of the reading for a small rotation phi (N, 3) of the sensor, base coordinates."""
+        """Return the change (N, 6) of the reading for a small rotation phi (N, 3) of the sensor, base coordinates."""
         turned = np.cross(np.broadcast_to(self.belief.gravity, phi.shape), phi)
         return np.asarray(np.einsum("nji,nj->ni", self.R, turned) @ self.weight.T)
 
     def screw_port(self, screws: list[Array]) -> Array | None:
-        """Exactly, gravity alone: s' = R^T Q^T g."""
+        """Return the exact answer, gravity alone: s' = R^T Q^T g."""
         g = np.broadcast_to(self.belief.gravity, (len(self), 3))
         turned = g
         for screw in screws:
@@ -289,7 +289,7 @@ class WrenchScene(Scene):
 
     @once
     def swept_port(self, joint: str, error: str) -> Array | None:
-        """Central difference of the tool's inertia on an arm whose axes are elsewhere."""
+        """Return the central difference of the tool's inertia on an arm whose axes are elsewhere."""
         if self.along is None:
             return None
         earlier, later = self.along
@@ -300,7 +300,7 @@ class WrenchScene(Scene):
         return np.asarray((ends[0] - ends[1]) / (2.0 * SMALL))
 
     def _passing(self, *screws: list[Array]) -> Motion:
-        """How the moved sensor moves: by where it is and was and will be (central differences of its path)."""
+        """Return how the moved sensor moves: by where it is and was and will be (central differences of its path)."""
         assert self.along is not None, "asked only where there is a way"
         ends = (self.along[0], self, self.along[1])
         was, now, then = (_displaced(moves, at.T) for moves, at in zip(screws, ends, strict=True))
@@ -310,7 +310,7 @@ class WrenchScene(Scene):
 
     @once
     def geometry_ports(self) -> list[Port]:
-        """Axes that do not point where the model says."""
+        """Return axes that do not point where the model says."""
         tilts = [found for found in axis_screws(self) if "tilt." in found[0]]
         return [
             Port(name, "rad", self._turned(np.sum([s[:, 3:] for s in screws], axis=0)), joint)
@@ -319,7 +319,7 @@ class WrenchScene(Scene):
 
     @once
     def load(self, joint: str) -> Array | None:
-        """Torque of the known weights about the joint."""
+        """Return the torque of the known weights about the joint."""
         screws = joint_screws(self, joint)
         if screws is None:
             return None
@@ -330,14 +330,14 @@ class WrenchScene(Scene):
 
 
 def _displaced(screws: list[Array], T: Array) -> Array:
-    """Poses (N, 4, 4) moved by screws (N, 6) applied one after the other, the last one first."""
+    """Return poses (N, 4, 4) moved by screws (N, 6) applied one after the other, the last one first."""
     for screw in reversed(screws):
         T = exponential(screw) @ T
     return T
 
 
 def _between(T: Array, other: Array) -> Array:
-    """(N, 3) rotation vector, in base axes, of a small turn from one pose to the other."""
+    """Return the rotation vector (N, 3), in base axes, of a small turn from one pose to the other."""
     turn = other[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)
     return 0.5 * np.stack(
         [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], 1
@@ -345,7 +345,7 @@ def _between(T: Array, other: Array) -> Array:
 
 
 def _inertia_map(w: Array) -> Array:
-    """L(w) (N, 3, 6) with I w = L [xx xy yy xz yz zz]."""
+    """Return L(w) (N, 3, 6) with I w = L [xx xy yy xz yz zz]."""
     out = np.zeros((len(w), 3, 6))
     x, y, z = w.T
     out[:, 0, 0], out[:, 0, 1], out[:, 0, 3] = x, y, z

@@ -31,7 +31,7 @@ def _rates(x: Array, dt: float, *, order: int = 4) -> tuple[Array, Array]:
 
 
 def denoised(time: Array, x: Array, segments: list[slice]) -> Array:
-    """Signals (N, n) over time (N,) in s without their white noise, each segment by itself: splines through them.
+    """Return signals (N, n) over time (N,) in s without their white noise, each segment by itself: splines through them.
 
     A signal in which no noise can be told stays as it is.
     """
@@ -48,7 +48,7 @@ def denoised(time: Array, x: Array, segments: list[slice]) -> Array:
 
 
 def _followed(t: Array, x: Array, *, place: bool = True, longest: int = 50_000) -> Array | None:
-    """As `_through`; what was asked before is not computed again: premises and search simulate one recording many times.
+    """Return `_through`; what was asked before is not computed again: premises and search simulate one recording many times.
 
     Args:
         longest: samples of a signal whose derivatives are kept.
@@ -65,7 +65,7 @@ def _kept(t: bytes, x: bytes, place: bool) -> Array | None:
 
 
 def _through(t: Array, x: Array, *, place: bool = True) -> Array | None:
-    """Signal (N,) at times (N,) in s without its white noise, with two derivatives (3, N); None: no noise can be told.
+    """Return a signal (N,) at times (N,) in s without white noise, with two derivatives (3, N); None: no noise can be told.
 
     What is not a `place` (a speed) starts from rest in another way.
     """
@@ -77,13 +77,13 @@ def _through(t: Array, x: Array, *, place: bool = True) -> Array | None:
 
 
 def _filtered(x: Array, dt: float, band: float | None) -> Array:
-    """(3, N) signal low-passed at a band (Hz; else its own), first and second derivative."""
+    """Return the signal low-passed at a band (Hz; else its own), its first and second derivative (3, N)."""
     plain = low_passed(x, dt, band or motion_band(x, dt))
     return np.stack([plain, *_rates(plain, dt)])
 
 
 def low_passed(x: Array, dt: float, band: float) -> Array:
-    """Signals (N, ...) without what lies above `CUT` times the band (Hz): a Butterworth filter forth and back, no phase."""
+    """Return signals (N, ...) without what lies above `CUT` times the band (Hz): Butterworth forth and back, no phase."""
     cut = 2.0 * CUT * band * dt
     if cut >= 0.8 or len(x) < 30:
         return x
@@ -92,12 +92,12 @@ def low_passed(x: Array, dt: float, band: float) -> Array:
 
 @lru_cache(maxsize=MOST_KEPT)
 def _low_pass(cut: float) -> Array:
-    """(2, 6) second-order sections below a share of half the rate: designed once, a search filters thousands of columns."""
+    """Return second-order sections (2, 6) below a share of half the rate: designed once for thousands of columns."""
     return np.asarray(butter(3, cut, output="sos"))
 
 
 def smoothed(time: Array, x: Array, segments: list[slice], band: float, *, bridge: bool = False) -> Array:
-    """Signals (N, k) through the low-pass of `derivatives`, each segment by itself; what is not measured (NaN) stays so.
+    """Return signals (N, k) through the low-pass of `derivatives`, by segment; what is not measured (NaN) stays so.
 
     Uneven samples go over an even grid. With `bridge`, isolated samples far off their neighbours do not spread.
     """
@@ -144,7 +144,7 @@ ALONE = 3
 
 
 def isolated(x: Array, *, width: int = 101) -> NDArray[np.bool_]:
-    """(N,) samples, at most three in a row, that stand out to one side of what lies before and after them.
+    """Return outliers (N,), at most three in a row, that stand out to one side of what lies before and after them.
 
     How far a sample stands out is the smaller of its distances to the third one before and after, where both have one sign;
     zero on slopes, steps and ramps. It must be six times what nine samples of ten around it stay below, and twice what the
@@ -182,7 +182,7 @@ def derivatives(
     *,
     fine: bool = True,
 ) -> tuple[Array, Array]:
-    """First and second derivative (N, n) of signals (N, n) over time (N,) in s, each segment by itself.
+    """Return first and second derivative (N, n) of signals (N, n) over time (N,) in s, each segment by itself.
 
     A measured velocity is believed and differentiated once. Noise is smoothed away, by splines (if `fine`; commands
     have no noise to speak of) or by the low-pass of a given or found band (Hz), over an even grid where samples are uneven.
@@ -203,7 +203,7 @@ def derivatives(
 
 
 def _on_grid(t: Array, x: Array, band: float | None) -> Array:
-    """What `_filtered` gives of a signal (N,) at times (N,), by way of an even grid where they are uneven."""
+    """Return what `_filtered` gives of a signal (N,) at times (N,), by way of an even grid where they are uneven."""
     dt = float(np.median(np.diff(t)))
     grid = np.linspace(t[0], t[-1], max(round((t[-1] - t[0]) / dt) + 1, NARROW))
     step = float(grid[1] - grid[0])
@@ -217,7 +217,7 @@ STILL_ROWS = 8
 
 
 def at_rest(time: Array, x: Array, segments: list[slice], *, white_from: float = 0.75, shortest: float = 1.0) -> Array:
-    """Signals (N, n) over time (N,) in s with the mean of each rest in its place, as far as their own noise can tell rests.
+    """Return signals (N, n) over time (N,) in s with the mean of each rest in its place, as far as their noise can tell rests.
 
     At rest a reading holds noise alone (successive rows know nothing of each other); a whole segment may be one.
 
@@ -242,7 +242,7 @@ def at_rest(time: Array, x: Array, segments: list[slice], *, white_from: float =
 
 
 def row_noise(x: Array, segments: list[slice]) -> float:
-    """Standard deviation of the white noise of a signal (N,), in its unit; nan where no segment has five rows.
+    """Return the standard deviation of the white noise of a signal (N,), in its unit; nan where no segment has five rows.
 
     By the median of fourth differences, in which noise has 70 times its variance and what moves at the pace of an arm is gone.
     """
@@ -252,7 +252,7 @@ def row_noise(x: Array, segments: list[slice]) -> float:
 
 
 def _rests(x: Array, shortest: int, *, still: float = 3.5) -> Iterator[slice]:
-    """Runs of rows of a noisy signal (N,) that stays where it is, of at least `shortest` times `STILL_ROWS` rows.
+    """Yield runs of rows of a noisy signal (N,) that stays where it is, of at least `shortest` times `STILL_ROWS` rows.
 
     Means of a few rows each stay within what the noise of a row makes of them, each and as a whole.
 
@@ -305,7 +305,7 @@ def ends(
     longest: float = 1.0,
     most: float = 0.05,
 ) -> NDArray[np.bool_]:
-    """(N,) rows so near to an end of their segment that derivatives of the signals (N, n) over time (N,) in s are not known.
+    """Return which rows (N,) are so near an end of their segment that derivatives of signals (N, n) over time (N,) are not known.
 
     The band is that of the low-pass in Hz; found here, the lowest of the signals counts. Few rows of each segment.
 

@@ -17,7 +17,7 @@ from galen_hw.spatial import Array
 def recorded_band(
     x: Array, dt: float, units: Sequence[str], *, quietest: float = 0.0001, within: float = 0.999, most: int = 8192
 ) -> float | None:
-    """Frequency (Hz) up to which the channels x (N, C), a row each dt s, were let through; None: they hold noise of all bands.
+    """Return the frequency (Hz) up to which channels x (N, C), a row each dt s, were let through; None: noise in all bands.
 
     Channels of one unit count together, and the widest of the bands is that of all. None too where it is most of what the
     rows can show, and where nothing moves.
@@ -45,7 +45,7 @@ def recorded_band(
 
 
 def _density(x: Array, dt: float, *, bandwidth: float = 4.0) -> Array:
-    """(F, C) one-sided power densities of signals (N, C), without the straight lines through their ends.
+    """Return one-sided power densities (F, C) of signals (N, C), without the straight lines through their ends.
 
     Args:
         bandwidth: time half bandwidth of the window (Slepian 1978): it leaks 1e-10.

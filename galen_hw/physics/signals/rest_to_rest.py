@@ -34,7 +34,7 @@ def moved(
     exact: float = 1e-15,
     uneven: float = 1e-3,
 ) -> Array | None:
-    """Signal (N,) over times (N,) in s by moves and rests, with two derivatives (3, N); None: it is not made of these.
+    """Return a signal (N,) over times (N,) in s by moves and rests, with two derivatives (3, N); None: it is not made of these.
 
     A rest is a run of equal readings. At its ends speed and acceleration are zero, or the speed alone where an arm starts with
     a jolt. Penalised is the fourth derivative, of which moves of little jerk have little (Flash and Hogan 1985); how much and
@@ -87,7 +87,7 @@ def moved(
 
 
 def _clock(t: Array, step: float, *, even: bool) -> Array:
-    """(n,) times in rows."""
+    """Return the times (n,) in rows."""
     return np.arange(float(len(t))) if even else (t - t[0]) / step
 
 
@@ -117,7 +117,7 @@ class _Move:
     even: bool
 
     def scores(self, way: _Way, ends: Ends) -> Array:
-        """(P,) what cross-validation says of each penalty; infinite where no spline goes."""
+        """Return the cross-validation (P,) of each penalty; infinite where no spline goes."""
         found = self._splines(way, ends)
         if found is None:
             return np.full(len(PENALTIES), np.inf)
@@ -133,7 +133,7 @@ class _Move:
         *,
         shifts: tuple[float, ...] = (-8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5),
     ) -> Ends:
-        """Where it begins and ends best, one after the other: downhill from where it stands.
+        """Return where it begins and ends best, one after the other: downhill from where it stands.
 
         Args:
             shifts: rows after the last one at rest at which a move may begin: its first ones may hide in a
@@ -156,11 +156,11 @@ class _Move:
         return at
 
     def sought(self, ends: Ends) -> list[float]:
-        """Those of its ends that were sought."""
+        """Return those of its ends that were sought."""
         return [shift for shift, rows in zip(ends, (self.before, self.after), strict=True) if rows]
 
     def followed(self, way: _Way, ends: Ends) -> tuple[Array, float] | None:
-        """(3, n) value and two derivatives by row, and how many of its rows that uses up."""
+        """Return value and two derivatives by row (3, n), and how many of its rows that uses up."""
         found = self._splines(way, ends)
         if found is None:
             return None
@@ -171,7 +171,7 @@ class _Move:
         return out, float(made.used[way.penalty])
 
     def _splines(self, way: _Way, ends: Ends, *, nothing: float = 1e-6) -> tuple["_Splines", slice] | None:
-        """Splines that may go through it, and the rows between its ends.
+        """Return splines that may go through it, and the rows between its ends.
 
         Args:
             nothing: rows that are none.
@@ -197,7 +197,7 @@ def _best_way(
     clearly: float = 0.5,
     first: tuple[float, ...] = (-1.0, 0.0),
 ) -> tuple[_Way, Ends] | None:
-    """What cross-validation says of some moves together, and where to begin; starts with a jolt only where it says so clearly.
+    """Return the cross-validation of some moves together, and where to begin; starts with a jolt only where it is clear.
 
     Args:
         numbers: pieces of a move's spline that are tried.
@@ -229,7 +229,7 @@ def _best_way(
 
 
 def _noise(t: Array, x: Array, parts: Sequence[slice]) -> float:
-    """Standard deviation of the noise of a signal (N,) at times (N,), in its unit, by its fourth divided differences.
+    """Return the standard deviation of the noise of a signal (N,) at times (N,), in its unit, by fourth divided differences.
 
     Of the smaller ones the mean, and not their median: readings have steps, and half of them may be one.
     """
@@ -245,7 +245,7 @@ def _noise(t: Array, x: Array, parts: Sequence[slice]) -> float:
 
 
 def _rests(t: Array, x: Array, *, fewest: int = 16, shortest: float = 0.2) -> list[tuple[int, int]]:
-    """Runs of equal values in a signal (N,) at times (N,), first row and the one after the last.
+    """Return runs of equal values in a signal (N,) at times (N,), first row and the one after the last.
 
     Args:
         fewest: equal readings that are a rest; fewer may be a slow move in steps of the encoder.
@@ -256,7 +256,7 @@ def _rests(t: Array, x: Array, *, fewest: int = 16, shortest: float = 0.2) -> li
 
 
 def _between(rests: Sequence[tuple[int, int]], n: int) -> Iterator[tuple[int, int, bool, bool]]:
-    """Rows between rests, first one and the one after the last, and whether a rest lies before and after."""
+    """Yield the rows between rests, first one and the one after the last, and whether a rest lies before and after."""
     before = [0, *(b for _, b in rests)]
     after = [*(a for a, _ in rests), n]
     for k, (a, b) in enumerate(zip(before, after, strict=True)):
@@ -288,7 +288,7 @@ class _Splines(NamedTuple):
     pulled: Array
 
     def left(self, x: Array, before: float, after: float) -> Array:
-        """(P,) sum of squares that each penalty leaves of a signal (n,) between two rests."""
+        """Return the sum of squares (P,) that each penalty leaves of a signal (n,) between two rests."""
         y, _, far = self._freed(x, before, after)
         told = self.along.T @ y
         # Its directions are orthonormal over the rows: what no spline reaches, and what the penalty keeps from it.
@@ -296,31 +296,31 @@ class _Splines(NamedTuple):
         return np.asarray(np.sum((y - self.along @ told) ** 2) + np.sum(kept**2, axis=1))
 
     def through(self, x: Array, before: float, after: float, penalty: int) -> Array:
-        """(K,) coefficients of the spline with one of the penalties."""
+        """Return the coefficients (K,) of the spline with one of the penalties."""
         y, start, far = self._freed(x, before, after)
         found = self.shrinks[penalty] * (self.along.T @ y - far * self.pulled[penalty])
         return np.concatenate([np.full(self.heads, before), start + self.onto @ found, np.full(self.tails, after)])
 
     def _freed(self, x: Array, before: float, after: float) -> tuple[Array, float, float]:
-        """(n,) signal without where it begins, which is no part of how smooth it is, and what the rest after it makes of it."""
+        """Return the signal (n,) without where it begins, which is no part of how smooth it is, and what the rest makes of it."""
         start = before if self.heads else 0.0
         far = after - start if self.tails else 0.0
         return x - start - far * self.tail, start, far
 
     def derivatives(self, factors: Array) -> Array:
-        """(3, n) value and two derivatives by row at the rows."""
+        """Return value and two derivatives by row (3, n) at the rows."""
         spline = BSpline(self.knots, factors, DEGREE)
         return np.stack([spline(self.places), spline(self.places, 1), spline(self.places, 2)])
 
 
 @lru_cache(maxsize=MOST_KEPT)
 def _evenly(many: int, first: float, length: float, pieces: int, heads: int, tails: int) -> _Splines | None:
-    """Splines over so many rows, the first one at its place."""
+    """Return splines over so many rows, the first one at its place."""
     return _made(np.clip(first + np.arange(float(many)), 0.0, length), length, pieces, heads, tails)
 
 
 def _made(rows: Array, length: float, pieces: int, heads: int, tails: int) -> _Splines | None:
-    """Splines over rows (n,) at places along a length in rows; None: too few rows."""
+    """Return splines over rows (n,) at places along a length in rows; None: too few rows."""
     if pieces + DEGREE - heads - tails > MOST_KNOTS * len(rows):
         return None
     knots = np.concatenate([np.zeros(DEGREE), np.linspace(0.0, length, pieces + 1), np.full(DEGREE, length)])
@@ -340,7 +340,7 @@ def _made(rows: Array, length: float, pieces: int, heads: int, tails: int) -> _S
 
 @lru_cache
 def _snap(pieces: int) -> Array:
-    """(G, C) fourth derivatives over pieces, of all coefficients, at Gauss' two points of each: exact when squared."""
+    """Return fourth derivatives (G, C) over pieces, of all coefficients, at Gauss' two points of each: exact when squared."""
     knots = np.concatenate([np.zeros(DEGREE), np.arange(pieces + 1.0), np.full(DEGREE, float(pieces))])
     points = (np.arange(pieces)[:, None] + 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)).ravel()
     return np.asarray(BSpline(knots, np.eye(pieces + DEGREE), DEGREE)(points, 4))

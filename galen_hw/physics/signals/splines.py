@@ -19,7 +19,7 @@ DIFFERENCES = 4
 
 
 def motion_band(x: Array, dt: float, *, falling: float = 3.0) -> float:
-    """Highest frequency (Hz) at which a signal (N,) stands above its own noise; the Nyquist frequency where it does all along.
+    """Return the highest frequency (Hz) at which a signal (N,) stands above its noise; the Nyquist frequency if it always does.
 
     The noise level is the median of the periodogram's upper half, and at each frequency no less than the median of the tenth of
     the band above it, up to three times that level (samples that were brought to an even clock have less noise at the top, but
@@ -43,7 +43,7 @@ def motion_band(x: Array, dt: float, *, falling: float = 3.0) -> float:
 
 
 def _median_above(power: Array) -> Array:
-    """(F,) median of the tenth of a spectrum (F,) that lies above each line, read off at a hundred places."""
+    """Return the median (F,) of the tenth of a spectrum (F,) that lies above each line, read off at a hundred places."""
     wide = max(len(power) // 10, 8)
     places = np.unique(np.linspace(0, max(len(power) - wide, 0), 100).astype(int))
     tenths = np.lib.stride_tricks.sliding_window_view(power, min(wide, len(power)))
@@ -58,7 +58,7 @@ def spline(
     exact: float = 1e-12,
     rough: float = 0.4,
 ) -> BSpline | None:
-    """Penalised spline through a signal (N,) under white noise at rising times (N,) in s; None: no noise can be told.
+    """Return a penalised spline through a signal (N,) under white noise at rising times (N,) in s; None: no noise can be told.
 
     Knots evenly over the rows and a penalty on differences of their coefficients; how many and how much generalised
     cross-validation says (Eilers and Marx 1996; Craven and Wahba 1979). With a penalty it falls off as the motion does. By knots
@@ -94,7 +94,7 @@ def _penalised(
     tolerance: float = 0.1,
     decades: tuple[float, ...] = (-6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0),
 ) -> tuple[float, BSpline]:
-    """What cross-validation says of the best penalty for a spline of so many pieces, and that spline.
+    """Return the cross-validation of the best penalty for a spline of so many pieces, and that spline.
 
     Args:
         tolerance: to which share of a decade the penalty is sought.
@@ -133,7 +133,7 @@ def _penalised(
 
 
 def _upper(matrix: sparray) -> Array:
-    """(DEGREE + 1, K) upper bands of a symmetric banded matrix, as LAPACK keeps them."""
+    """Return the upper bands (DEGREE + 1, K) of a symmetric banded matrix, as LAPACK keeps them."""
     out = np.zeros((DEGREE + 1, matrix.shape[0]))
     for k in range(min(DEGREE + 1, matrix.shape[0])):
         out[DEGREE - k, k:] = matrix.diagonal(k)
@@ -141,7 +141,7 @@ def _upper(matrix: sparray) -> Array:
 
 
 def _spectra(count: int) -> tuple[Array, Array]:
-    """(K,) eigenvalues of a spline's rows and of its penalty, per row on one coefficient, away from the ends.
+    """Return eigenvalues (K,) of a spline's rows and of its penalty, per row on one coefficient, away from the ends.
 
     There both matrices say the same of every coefficient (Toeplitz), and what they do to a wave over these is a number.
     """
