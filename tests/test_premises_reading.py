@@ -298,3 +298,46 @@ def test_a_tip_that_goes_against_the_push_says_that_it_is_the_reaction(tmp_path:
     remarks = examined(replace(seen, columns=columns)).remarks
     assert [r.premise for r in remarks] == ["push_signs"] * (sign < 0.0)
     assert all("reaction" in r.what for r in remarks)
+
+
+@pytest.mark.parametrize("make", [efforts, poses])
+@pytest.mark.parametrize(("sign", "quarters"), [(1.0, 1), (-1.0, -1)])
+def test_a_joint_that_counts_from_another_zero_is_read_from_the_model_s(
+    tmp_path: Path, make, sign: float, quarters: int
+) -> None:
+    """The controller counts from upright, the file from level: for efforts gravity along another direction is no rival."""
+    right = make(tmp_path)
+    name = "joint.lift.position"
+    told = {name: sign * right.columns[name] + quarters * np.pi / 2.0}
+    if "joint.lift.velocity" in right.columns:
+        told["joint.lift.velocity"] = sign * right.columns["joint.lift.velocity"]
+    remark = only(replace(right, columns=dict(right.columns) | told))
+    assert (remark.premise, remark.action) == ("joint_reading", Action.REPAIRED)
+    assert f"{name} has its zero {abs(90 * quarters)} deg from the model's" in remark.what
+    assert ("opposite sign" in remark.what) is (sign < 0.0)
+    assert remark.repaired is not None
+    missed = (remark.repaired.columns[name] - right.columns[name]) / (2.0 * np.pi)
+    assert np.allclose(missed, np.round(missed))
+
+
+def test_efforts_of_a_differential_are_refused(tmp_path: Path) -> None:
+    """Two motors drive lift and elbow together: each joint's torque is their sum or their difference."""
+    right = efforts(tmp_path)
+    lift, elbow = (right.columns[f"joint.{n}.effort"] for n in ("lift", "elbow"))
+    remark = only(spoilt(right, joint__lift__effort=(lift + elbow) / 2.0, joint__elbow__effort=(lift - elbow) / 2.0))
+    assert (remark.premise, remark.action) == ("joint_reading", Action.REFUSED)
+    assert remark.columns == ("joint.lift.effort", "joint.elbow.effort")
+    assert "a differential" in remark.what
+
+
+@pytest.mark.parametrize("flange", [False, True])
+def test_a_tracked_flange_is_no_tip(tmp_path: Path, *, flange: bool) -> None:
+    """The tip of the tool is named, and the place is that of the link's origin."""
+    right = poses(tmp_path)
+    tip = np.array([0.012, -0.031, 0.187])
+    R = Rotation.from_quat(np.stack([right.columns[f"pose.orientation.{a}"] for a in "xyzw"], axis=1))
+    moved = right.matrix(*POSITION) + (0.0 if flange else 1.0) * R.apply(tip)
+    named = replace(right.belief, tip=tip)
+    found = examined(replace(spoilt(right, **dict(zip(POSITION, moved.T, strict=True))), belief=named))
+    assert [r.premise for r in found.remarks] == ["tracked_point"] * flange
+    assert np.array_equal(found.observations.belief.tip, 0.0 * tip if flange else tip)

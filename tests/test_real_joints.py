@@ -7,9 +7,10 @@ from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.kinematics.delta import LinearDelta
 from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.effects.terms import why_not_live
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.scenes.regressed_jacobian import jacobian
-from tests.diagnosis_cases import Beam, played, sines
+from tests.diagnosis_cases import Beam, Bench, played, sines
 
 CHAIN = """<robot name="chain"><link name="base"/>
 <link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="6"/>
@@ -179,3 +180,44 @@ def test_a_joint_whose_grease_is_cold_at_first() -> None:
     assert found.effect == "friction"
     assert found.parameters["warming"].value == pytest.approx(50.0, rel=0.2)
     assert found.parameters["cold_viscous"].value == pytest.approx(1.6, rel=0.2)
+
+
+def test_a_table_that_gives_under_the_moment_of_the_arm_tilts_the_base() -> None:
+    """Where the arm reaches out it leans that way: an arm that pans shows that it is not the shoulder that gives."""
+    rng = np.random.default_rng(3)
+    pan = '<joint name="pan" type="revolute"><parent link="foot"/><child link="base"/><axis xyz="0 0 1"/><limit lower="-3" '
+    pan += 'upper="3" effort="200" velocity="2"/></joint><link name="foot"/>'
+    robot, rows = UrdfRobot(CHAIN.replace("</robot>", pan + "</robot>"), base_link="foot"), 80
+    q = np.stack([rng.uniform(-2.5, 2.5, rows), rng.uniform(-1.4, 0.4, rows), rng.uniform(-2.0, 2.0, rows)], axis=1)
+    tip, give = np.array([0.4, 0.0, 0.0]), np.array([6e-6, 4e-6, 0.0])
+    T = robot.sensor_pose(q)
+    place = T[:, :3, 3] + T[:, :3, :3] @ tip
+    moment = np.zeros((rows, 3))
+    for joint, mass in (("shoulder", 6.0), ("elbow", 4.0)):
+        link = robot.link_pose(q, joint)
+        moment += np.cross(link[:, :3, 3] + link[:, :3, 0] * 0.2, [0.0, 0.0, -9.80665 * mass])
+    seen = place + np.cross(give * moment, place) + 2e-5 * rng.normal(size=(rows, 3))
+    columns = {f"joint.{name}.position": x for name, x in zip(robot.joint_names, q.T, strict=True)}
+    columns |= {f"pose.position.{a}": seen[:, k] for k, a in enumerate("xyz")}
+    work = diagnose(scene_of(Observations("pose", columns, None, Belief(robot=robot, tip=tip, bias_free=True))))
+    (found,) = work.diagnosis.findings
+    assert found.effect == "compliance"
+    told = [found.parameters[f"compliance_base_{a}"].value for a in "xy"]
+    assert told == pytest.approx(give[:2], rel=0.15)
+
+
+def test_a_jaw_that_opens_moves_the_centre_of_mass_with_it() -> None:
+    """0.12 kg go to the side by the opening, which is recorded; a constant payload or steps of it leave the rest."""
+    case = Bench(7, rows=3000)
+    opening = 0.03 * (1.0 + np.sin(0.23 * case.t)) * (np.sin(0.05 * case.t) > -0.3)
+    weight = 0.12 * opening[:, None] * np.einsum("nji,j->ni", case.R, [0.0, 0.0, -9.80665])
+    case.wrench[:, 3:] += np.cross(np.tile([0.0, 1.0, 0.0], (len(case.t), 1)), weight)
+    case.columns["covariate.gripper_opening"] = opening
+    work = diagnose(scene_of(case.observations()))
+    (found,) = work.diagnosis.findings
+    assert found.effect == "payload"
+    value = found.parameters["moment_y"]
+    assert value.value == pytest.approx(0.12, rel=0.05)
+    assert value.unit == "kg m a unit of gripper_opening"
+    (term,) = work.diagnosis.terms
+    assert "not read live" in why_not_live(term)

@@ -26,6 +26,23 @@ class UrdfRobot(UrdfChain):
 
         return self._map.joined(by_rows(one, (self.model.nv,), *rows))
 
+    def first_moment(self, q: ArrayLike) -> Array | None:
+        """Return the first moment (N, 3), kg m, of all links that joints move, about the base's origin and in its axes.
+
+        None: joints move the base itself.
+        """
+        if self._inv_base is None:
+            return None
+        still = np.zeros_like(np.asarray(q, dtype=float))
+        rows = self._moved(q, still, still)
+        data, mass = self._scratch(rows[0]), float(pin.computeTotalMass(self.model))
+
+        def one(qi: Array) -> Array:
+            return mass * np.asarray(pin.centerOfMass(self.model, data, qi))
+
+        whole = by_rows(one, (3,), rows[0])
+        return np.asarray(whole @ self._inv_base[:3, :3].T + mass * self._inv_base[:3, 3])
+
     @property
     def carrier(self) -> int | None:
         """Joint of the model that carries the sensor and its load; None where it is fixed to the root."""

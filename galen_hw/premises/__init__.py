@@ -40,6 +40,7 @@ PREMISES: Final = (
     "efforts.EffortGravity",
     "efforts.MissingBody",
     "channels.JointSigns",
+    "tracked_point.TrackedPoint",
     "pose_frames.PoseFrames",
     "pose_frames.TargetFrames",
     "pushes.PushSigns",

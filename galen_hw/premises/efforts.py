@@ -19,6 +19,7 @@ from galen_hw.premises.channels import compared
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.effort_units import beside_friction
 from galen_hw.premises.gravity import angle_between, gravity_remark
+from galen_hw.premises.joint_reading import JointReading, better
 from galen_hw.spatial import Array
 
 FEWEST_ROWS = 50
@@ -73,47 +74,83 @@ class EffortGravity:
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield one remark where another direction explains the efforts, with gravity's own size, and the named one does not."""
         efforts = Efforts.of(seen)
-        port = None if efforts is None else efforts.scene.gravity_port()
-        if efforts is None or port is None or np.linalg.norm(seen.belief.gravity) == 0.0:
+        if efforts is None:
             return
-        scene, named = efforts.scene, seen.belief.gravity
-        moving = scene.simulated - port @ named
-        X = efforts.own(port)
-        size = np.linalg.svd(X, compute_uv=False)
-        if size[0] == 0.0 or size[1] < CRITERIA.small_turn * size[0]:
+        found = gravity_of(efforts, seen.belief.gravity)
+        if found is None:
             return
-        y = efforts.own((scene.measured - moving)[:, :, None])[:, 0]
-        found: Array = np.asarray(np.linalg.lstsq(X, y, rcond=CRITERIA.small_turn)[0], dtype=float)
-        length = float(np.linalg.norm(found) / np.linalg.norm(named))
-        if length < CRITERIA.gross_left:
-            whole = efforts.own(scene.measured[:, :, None])[:, 0]
-            alone = port @ np.linalg.lstsq(X, whole, rcond=CRITERIA.small_turn)[0]
-            yield from self._compensated(seen, efforts, moving, alone)
-            return
-        if abs(length - 1.0) > CRITERIA.gross_left or angle_between(named, found) <= CRITERIA.least_turn:
-            return
-        gravity = found / length
-        left, plain = efforts.unexplained(moving + port @ gravity), efforts.unexplained(scene.simulated)
-        turned = efforts.unexplained(-scene.simulated)
-        if left > min(CRITERIA.gross_left, CRITERIA.gross_gain * plain, CRITERIA.half * turned):
-            return
-        yield gravity_remark(self.KEY, seen, gravity, scene.channels)
+        if found.length < CRITERIA.gross_left:
+            yield from self._compensated(seen, efforts, found)
+        elif found.believed:
+            remark = gravity_remark(self.KEY, seen, found.gravity, efforts.scene.channels)
+            if remark.repaired is None or not _another_zero(seen, remark.repaired):
+                yield remark
 
-    def _compensated(self, seen: Observations, efforts: Efforts, moving: Array, alone: Array) -> Iterator[Remark]:
-        """Yield a remark where the efforts are those of an arm without weight: a driver has taken its model's gravity off.
-
-        Args:
-            moving: (N, C) efforts of the motion; alone: those of a little gravity that explain the measured ones best without.
-        """
-        without = efforts.unexplained(moving)
+    def _compensated(self, seen: Observations, efforts: Efforts, found: "OtherGravity") -> Iterator[Remark]:
+        """Yield a remark where the efforts are those of an arm without weight: a driver has taken its model's gravity off."""
+        without = efforts.unexplained(found.moving)
         # Efforts in another unit are small too, but then a little gravity explains them, and their motion does not.
-        most = (1.0 + CRITERIA.gross_left) * min(1.0, efforts.unexplained(alone))
+        most = (1.0 + CRITERIA.gross_left) * min(1.0, efforts.unexplained(found.alone))
         if without > min(most, CRITERIA.gross_gain * efforts.unexplained(efforts.scene.simulated)):
             return
         robot, none = efforts.robot.under(np.zeros(3)), np.zeros(3)
         repaired = replace(seen, belief=replace(seen.belief, gravity=none, robot=robot))
         what = "the efforts hold no gravity: the robot's driver has taken it off; compared without it"
         yield Remark(self.KEY, what, "", efforts.scene.channels, Action.REPAIRED, repaired)
+
+
+@dataclass(frozen=True)
+class OtherGravity:
+    """The gravity that explains efforts best.
+
+    Args:
+        gravity: (3,) m/s^2, of the named size; length: that of the solution over the named one.
+        moving: (N, C) efforts of the motion without gravity; alone: those of the gravity that explains them best without it.
+        unexplained: share that gravity leaves.
+        believed: whether it is another direction, of gravity's own size, and explains what the named one does not.
+    """
+
+    gravity: Array
+    length: float
+    moving: Array
+    alone: Array
+    unexplained: float
+    believed: bool
+
+
+def _another_zero(seen: Observations, turned: Observations) -> bool:
+    """Return whether a joint that is counted from another zero explains a motion far better than gravity that is turned."""
+    read = (remark.repaired for remark in JointReading().examine(seen))
+    return any(other is not None and better(other, turned) for other in read)
+
+
+def gravity_of(efforts: Efforts, named: Array) -> OtherGravity | None:
+    """Solve for the gravity (3,) that explains efforts, given friction; None where they do not tell its direction."""
+    port = efforts.scene.gravity_port()
+    if port is None or np.linalg.norm(named) == 0.0:
+        return None
+    scene = efforts.scene
+    moving = scene.simulated - port @ named
+    X = efforts.own(port)
+    size = np.linalg.svd(X, compute_uv=False)
+    if size[0] == 0.0 or size[1] < CRITERIA.small_turn * size[0]:
+        return None
+
+    def solved(y: Array) -> Array:
+        own = efforts.own(y[:, :, None])[:, 0]
+        return np.asarray(np.linalg.lstsq(X, own, rcond=CRITERIA.small_turn)[0], dtype=float)
+
+    found = solved(scene.measured - moving)
+    length = float(np.linalg.norm(found) / np.linalg.norm(named))
+    gravity = found / max(length, 1e-300)
+    left, plain = efforts.unexplained(moving + port @ gravity), efforts.unexplained(scene.simulated)
+    turned = efforts.unexplained(-scene.simulated)
+    believed = (
+        abs(length - 1.0) <= CRITERIA.gross_left
+        and angle_between(named, found) > CRITERIA.least_turn
+        and left <= min(CRITERIA.gross_left, CRITERIA.gross_gain * plain, CRITERIA.half * turned)
+    )
+    return OtherGravity(gravity, length, moving, port @ solved(scene.measured), left, believed)
 
 
 class MissingBody:

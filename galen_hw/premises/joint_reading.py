@@ -1,9 +1,9 @@
-"""Joints read with the opposite sign of the model's, or in another one's column: told by the whole simulation."""
+"""Joints read with another sign or zero than the model's, or in another one's column: told by the whole simulation."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
-from typing import ClassVar
+from itertools import combinations, pairwise, product
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -27,33 +27,39 @@ OWN: Mapping[str, tuple[str, ...]] = {
 }
 """Columns of a joint that one slip turns round, or exchanges, together."""
 Rates = tuple[Array, Array] | None
+SIGN: Final = "the opposite sign of the model's"
+SWAPPED: Final = "swapped"
+COUPLED: Final = "those of two motors that drive both joints, as in a differential"
 DIFFERENTIABLE_S = 0.05
 """Time between rows up to which a motion of an arm can be differentiated: ten rows of its quickest half second."""
 
 
 @dataclass(frozen=True)
 class _Try:
-    """Another way to read joints.
+    """Another way to read joints: a linear map of their columns, and another zero.
 
     Args:
         kind: of column, "position" or "effort".
         joints: that are read otherwise.
-        swapped: the two read each other's columns; else all are turned round.
+        mix: (n, n) what each joint is of the columns of all of them.
+        zero: rad that are added to positions.
+        says: what the mistake is, in words; empty: the sign.
     """
 
     kind: str
     joints: tuple[str, ...]
-    swapped: bool
+    mix: tuple[tuple[float, ...], ...]
+    zero: float = 0.0
+    says: str = ""
 
     def read(self, seen: Observations) -> Observations:
         """Return the recording read so."""
-        new = {}
-        others = self.joints[::-1] if self.swapped else self.joints
-        for joint, other in zip(self.joints, others, strict=True):
-            for what in OWN[self.kind]:
-                column = seen.columns.get(f"joint.{other}.{what}")
-                if column is not None:
-                    new[f"joint.{joint}.{what}"] = column if self.swapped else -column
+        new = dict[str, Array]()
+        for what in OWN[self.kind]:
+            names = [f"joint.{joint}.{what}" for joint in self.joints]
+            if seen.has_all(*names):
+                read = seen.matrix(*names) @ np.array(self.mix).T + (0.0 if what == "velocity" else self.zero)
+                new |= dict(zip(names, read.T, strict=True))
         return with_columns(seen, new)
 
     def moved(self, seen: Observations, rates: Rates) -> Rates:
@@ -62,8 +68,8 @@ class _Try:
             return rates
         at = [seen.joint_names.index(joint) for joint in self.joints]
         out = [x.copy() for x in rates]
-        for new, old in zip(out, rates, strict=True):
-            new[:, at] = old[:, at[::-1]] if self.swapped else -old[:, at]
+        for x in out:
+            x[:, at] = x[:, at] @ np.array(self.mix).T
         return out[0], out[1]
 
     @property
@@ -73,17 +79,17 @@ class _Try:
 
 
 class JointReading:
-    """Tests whether the simulation meets what is compared if joints are turned round, or two of them exchanged.
+    """Tests whether the simulation meets what is compared if joints are turned round, exchanged, or counted from another zero.
 
     Asked only where the columns as named leave most of it unexplained and no other axes explain it. Friction of any size, a
-    constant and, of a weight, any mass are left free: none of them can turn a joint round.
+    constant and, of a weight, any mass are left free: none of them can turn a joint round, or its zero by a quarter.
     """
 
     KEY: ClassVar[str] = "joint_reading"
     STAGE: ClassVar[Stage] = Stage.FRAMES
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
-        """Yield at most one remark: signs are put right, columns of other joints refused."""
+        """Yield at most one remark: signs and zeros are put right, columns of other joints or of motors refused."""
         some = _thinned(seen)
         if some is None:
             return
@@ -106,15 +112,35 @@ class JointReading:
             return
         names = " or ".join(", ".join(one.columns) for one in good)
         before, after = (1.0 - _mean_unexplained(left, plain, found) for left in (plain, found[best]))
-        if best.swapped:
-            what = f"{names} are swapped: the simulation explains {before:.0%} of what is compared"
-            what += f", and {after:.0%} with the two exchanged"
-            yield Remark(self.KEY, what, "give each joint its own column", best.columns, Action.REFUSED)
+        if best.says in (SWAPPED, COUPLED):
+            what = f"{names} are {best.says}: the simulation explains {before:.0%} of what is compared"
+            what += (
+                f", and {after:.0%} with {'the two exchanged' if best.says == SWAPPED else 'their sum and difference'}"
+            )
+            todo = (
+                "give each joint its own column"
+                if best.says == SWAPPED
+                else "give the efforts of the joints themselves"
+            )
+            yield Remark(self.KEY, what, todo, best.columns, Action.REFUSED)
             return
         has = "has" if len(best.joints) == 1 else "have"
-        what = f"{names} {has} the opposite sign of the model's"
-        what += f": it explains {before:.0%} of what is compared, and {after:.0%} so turned round"
+        what = f"{names} {has} {best.says or SIGN}: it explains {before:.0%} of what is compared"
+        what += f", and {after:.0%} so {'read' if best.says else 'turned round'}"
         yield Remark(self.KEY, what, "", best.columns, Action.REPAIRED, best.read(seen))
+
+
+def better(one: Observations, other: Observations) -> bool:
+    """Return whether over a whole motion one reading of a recording leaves far less unexplained than another."""
+    shares = [
+        None if some is None else _unexplained(some, None if some.time is None else scene_of(some).rates)
+        for some in map(_thinned, (one, other))
+    ]
+    first, second = shares
+    if first is None or second is None or len(first) != len(second):
+        return False
+    told = np.minimum(first, second) < CRITERIA.half
+    return bool(told.any() and np.mean(first[told]) < CRITERIA.gross_gain * np.mean(second[told]))
 
 
 def _thinned(seen: Observations) -> Observations | None:
@@ -135,25 +161,49 @@ def _thinned(seen: Observations) -> Observations | None:
 
 
 def _tries(some: Observations) -> Iterator[_Try]:
-    """Yield each joint turned round, two of them, and two exchanged: of what is compared, and of the positions that drive it."""
+    """Yield other readings: joints turned round, exchanged or from another zero, of what is compared and of what drives it."""
     kinds = [some.predict] if some.predict in OWN else []
     if some.belief.robot is not None and some.simulation is None and some.predict != "position":
         kinds.append("position")
     for kind in kinds:
         joints = [j for j in some.joint_names if f"joint.{j}.{kind}" in some.columns]
-        for joint in joints:
-            yield _Try(kind, (joint,), swapped=False)
+        yield from (_Try(kind, (joint,), ((-1.0,),)) for joint in joints)
+        if kind == "position" != some.predict:
+            yield from _zeros([joint for joint in joints if not some.belief.slides(joint)])
         for pair in combinations(joints, 2):
-            yield _Try(kind, pair, swapped=True)
+            yield _Try(kind, pair, ((0.0, 1.0), (1.0, 0.0)), says=SWAPPED)
         for pair in combinations(joints, 2):
-            yield _Try(kind, pair, swapped=False)
+            yield _Try(kind, pair, ((-1.0, 0.0), (0.0, -1.0)))
+        if kind == "effort":
+            yield from _coupled(joints)
+
+
+def _zeros(joints: Sequence[str]) -> Iterator[_Try]:
+    """Yield positions that are counted from a zero a quarter of a turn or half of one elsewhere, either way round."""
+    for joint in joints:
+        for sign, turned in ((1.0, ""), (-1.0, " and the opposite sign")):
+            for quarters in (1, 2, -1):
+                says = f"its zero {abs(90 * quarters)} deg from the model's{turned}"
+                yield _Try("position", (joint,), ((sign,),), quarters * np.pi / 2.0, says)
+
+
+def _coupled(joints: Sequence[str]) -> Iterator[_Try]:
+    """Yield efforts of two motors that drive neighbouring joints together, through a differential: each way round."""
+    for pair in pairwise(joints):
+        for scale, sign in product((1.0, 0.5), (1.0, -1.0)):
+            yield _Try("effort", pair, ((scale, scale), (sign * scale, -sign * scale)), says=COUPLED)
 
 
 def _with_constant(some: Observations, best: _Try) -> bool:
-    """Return whether a reading of joints explains the constants of what is compared too: else more is wrong than it says."""
+    """Return whether a reading of joints explains the constants of what is compared too: else more is wrong than it says.
+
+    Of the channels that are read otherwise; where what drives them is, of all.
+    """
     if some.predict not in OWN:
         return True
-    before, after = (float(np.sum((s.measured - s.simulated) ** 2)) for s in map(scene_of, (some, best.read(some))))
+    plain, read = (scene_of(seen) for seen in (some, best.read(some)))
+    at = [k for k, name in enumerate(plain.channels) if best.kind != some.predict or name in best.columns]
+    before, after = (float(np.sum((s.measured - s.simulated)[:, at] ** 2)) for s in (plain, read))
     return after < CRITERIA.half * before
 
 
@@ -169,8 +219,8 @@ def _best(plain: Array, found: Mapping[_Try, Array]) -> list[_Try]:
         return []
     good = [one for one in found if score[one] <= max(CRITERIA.as_good * least, CRITERIA.small_turn**2)]
     # Simplest first: of two that are as good, one joint less is turned round.
-    good = [one for one in good if len(one.joints) == 1 or one.swapped] or good
-    return good if len({(one.joints, one.swapped) for one in good}) == 1 else []
+    good = [one for one in good if len(one.joints) == 1 or one.says] or good
+    return good if len({(one.joints, one.says) for one in good}) == 1 else []
 
 
 def _mean_unexplained(left: Array, plain: Array, found: Mapping[_Try, Array]) -> float:
@@ -192,7 +242,7 @@ def _doubtful(some: Observations, scene: Scene) -> bool:
         size = max(float(np.sum(own**2)), 1e-300)
         slope = float(np.sum(own * rest)) / size
         std = float(np.std(rest - slope * own)) / np.sqrt(size)
-        if abs(slope - 1.0) > max(CRITERIA.half, CRITERIA.standard_errors * std):
+        if abs(slope - 1.0) > max(CRITERIA.gross_gain, CRITERIA.standard_errors * std):
             return True
     return False
 

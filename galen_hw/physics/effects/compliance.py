@@ -26,12 +26,13 @@ class Compliance(Effect):
     """Elastic give under load.
 
     A joint by c times its load, q' = q + c tau ("joint"); the structure along the base's axes ("structure") or the tool along
-    the sensor's ("tool") by c times the force there; `source` says whose load it is: the "applied" force's or that of "all" it
-    bears, what hangs on the arm included (of a joint also that "weight" alone, or its "own": that and the weight of the arm's
-    links); in positions without a model of the weights, the sag of what hangs on the joint under its own weight, a sin + b cos
-    of the angle against the vertical of the link beyond it, the sum of the joints from `first` on that turn about parallel
-    axes; `links` more of the chain each with their own ("weight"). A servo that is told to stand and is pulled, by c times
-    what its load register says ("loop").
+    the sensor's ("tool") by c times the force there; what the arm stands on, which tilts about the base's x and y by c times
+    the moment of all weights and forces about its origin ("base"); `source` says whose load it is: the "applied" force's or that
+    of "all" it bears, what hangs on the arm included (of a joint also that "weight" alone, or its "own": that and the weight of
+    the arm's links); in positions without a model of the weights, the sag of what hangs on the joint under its own weight, a sin
+    + b cos of the angle against the vertical of the link beyond it, the sum of the joints from `first` on that turn about
+    parallel axes; `links` more of the chain each with their own ("weight"). A servo that is told to stand and is pulled, by c
+    times what its load register says ("loop").
 
     Visible when the load changes otherwise than with motion. Confused with time_delay where load follows speed, with
     joint_offset for a constant load, with creep, hardening and payload.
@@ -76,6 +77,8 @@ class Compliance(Effect):
                 if isinstance(scene, ArmScene) and scene.belief.hanging and np.any(scene.force):
                     yield cls("joint", joint, "applied")
                     yield cls("joint", joint, "weight")
+        if isinstance(scene, ArmScene) and scene.base_ports() is not None:
+            yield cls("base")
         if isinstance(scene, ArmScene) and np.any(scene.force) and scene.observations.predict == "pose":
             for form in ("structure", "tool"):
                 yield cls(form)
@@ -111,6 +114,8 @@ class Compliance(Effect):
             return tuple(Parameter(f"{f}_{link}", "rad") for link in self._links(scene) for f in ("sin", "cos"))
         if self.form == "loop":
             return (Parameter("compliance", f"{scene.units[0]} a unit"),)
+        if self.form == "base":
+            return tuple(Parameter(f"compliance_base_{letter}", "rad/(N m)") for letter in "xy")
         if self.form != "joint":
             return tuple(Parameter(f"compliance_{letter}", "m/N") for letter in "xyz")
         return (Parameter("compliance", scene.compliance_unit(self.joint)),)
@@ -131,6 +136,8 @@ class Compliance(Effect):
             assert load is not None, "proposed only where there is a load"
             return through(scene, self.joint, [load])
         assert isinstance(scene, ArmScene), "proposed only for poses"
+        if self.form == "base":
+            return in_all(scene.base_ports() or [], width)
         frame = np.tile(np.eye(3), (len(scene), 1, 1)) if self.form == "structure" else scene.T_sensor[:, :3, :3]
         out, force = [], scene.force + scene.weight if self.source == "all" else scene.force
         for axis in range(3):

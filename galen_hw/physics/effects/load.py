@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from galen_hw.physics.channels import joint_of
+from galen_hw.physics.covariates import covariates
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns, in_all, in_channel
 from galen_hw.physics.effects.parameters import Parameter
@@ -28,7 +29,8 @@ class Payload(Effect):
     turns about one axis alone would give it any). `joint`: not what is carried, but the link that this joint moves, in efforts:
     "mass" is a point at its believed centre of mass. `still`: its weight alone, of a recording whose baseline holds no more (a
     filtered sensor, a simulation of poses). `since`: from that moment (s) on, as what is picked up, put down or slips in its
-    clamp; such moments are sought in the residual. Visible when gravity turns in the sensor. Confused with gain and
+    clamp; such moments are sought in the residual. `by`: in proportion to a covariate, per unit of it (a gripper's jaw that
+    opens, a vessel that fills). Visible when gravity turns in the sensor. Confused with gain and
     cross_talk, and with bias where it does not turn.
     """
 
@@ -49,6 +51,7 @@ class Payload(Effect):
     still: bool = False
     joint: str = ""
     since: float | None = None
+    by: str = ""
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
@@ -57,6 +60,8 @@ class Payload(Effect):
         if port is None:
             return
         yield from (cls(part) for part in ("mass", "moment", "body"))
+        for name in covariates(scene.observations.columns):
+            yield from (cls(part, by=name) for part in ("moment", "body"))
         if isinstance(scene, EffortScene):
             for joint in scene.moved:
                 if (link := scene.link_port(joint)) is not None and np.any(link[0][:, :, :4]):
@@ -88,11 +93,14 @@ class Payload(Effect):
     @property
     def location(self) -> tuple[str, ...]:
         """Where it sits: what changed at a moment is beside what was there all along."""
-        return super().location if self.since is None else (*super().location, "later")
+        later = () if self.since is None else ("later",)
+        return (*super().location, *later, *((self.by,) if self.by else ()))
 
     @property
     def remark(self) -> str:
         """A sentence on when it changed."""
+        if self.by:
+            return f"It goes with {self.by}: its numbers are per unit of that."
         return "" if self.since is None else f"It is so from {self.since:.4g} s on."
 
     def told_by(self, theta: Array, *, farthest: float = 0.5) -> Self | None:
@@ -105,6 +113,7 @@ class Payload(Effect):
             self.still
             or self.joint
             or self.since is not None
+            or self.by
             or self.part not in ("body", "full", "point")
             or theta[0] == 0.0
         ):
@@ -114,7 +123,8 @@ class Payload(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Return the changes of mass, first moment and inertia."""
-        mass, moments = [Parameter("mass", "kg")], [Parameter(name, "kg m") for name in MOMENTS]
+        a_unit = f" a unit of {self.by.removeprefix('covariate.')}" if self.by else ""
+        mass, moments = [Parameter("mass", f"kg{a_unit}")], [Parameter(name, f"kg m{a_unit}") for name in MOMENTS]
         inertia = [Parameter(name, "kg m^2") for name in INERTIA]
         body = mass + moments
         chosen = {"mass": mass, "moment": moments, "body": body, "point": body, "full": body + inertia}
@@ -129,6 +139,8 @@ class Payload(Effect):
         values = port @ self._bodies(scene)
         if self.since is not None:
             values = values * (scene.time >= self.since)[:, None, None]
+        if self.by:
+            values = values * np.asarray(scene.observations.columns[self.by], dtype=float)[:, None, None]
         return Columns(tuple(range(len(scene.channels))), values)
 
     def _of_link(self, scene: Scene) -> Columns:
@@ -141,7 +153,7 @@ class Payload(Effect):
 
     def body(self, scene: Scene, theta: Array) -> Array | None:
         """Return what it changes of a body at the sensor, (10,); None: it is on a link, or not there all along."""
-        if self.joint or self.since is not None:
+        if self.joint or self.since is not None or self.by:
             return None
         return np.asarray(self._bodies(scene) @ theta)
 

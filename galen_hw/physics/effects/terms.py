@@ -34,6 +34,8 @@ def why_not_live(term: Term, group: str = "wrench") -> str:
     own = term.get("parameters", {}).get("group", group)
     if own != group:
         return f"it belongs to the group {own!r}"
+    if term.get("parameters", {}).get("by"):
+        return "the covariate that it goes with is not read live"
     return NOT_LIVE.get(term["effect"], "")
 
 

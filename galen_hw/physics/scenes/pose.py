@@ -85,6 +85,24 @@ class ArmScene(Scene):
         loads = -robot.under(self.belief.gravity).inverse_dynamics(self.q, still, still)
         return loads if np.ptp(loads) > 0.0 else None
 
+    @cached_property
+    def base_moment(self) -> Array | None:
+        """(N, 3) moment of all weights and of the applied force about the base's origin, N m; None: no link has a mass."""
+        robot = self.belief.robot
+        links = robot.first_moment(self.q) if isinstance(robot, UrdfRobot) and self._link_loads is not None else None
+        if links is None:
+            return None
+        for body in self.belief.hanging:
+            links = links + body.mass * (self.T_sensor[:, :3, 3] + self.T_sensor[:, :3, :3] @ body.com)
+        return np.asarray(np.cross(links, self.belief.gravity) + np.cross(self.tip, self.force))
+
+    def base_ports(self) -> list[Array] | None:
+        """Return the answers (N, C) to tilts of the base about its x and y in proportion to `base_moment`, per rad/(N m)."""
+        moment = self.base_moment
+        if moment is None or not np.ptp(moment) > 0.0:
+            return None
+        return [self._answer(np.concatenate([np.zeros_like(moment), moment * axis], axis=1)) for axis in np.eye(3)[:2]]
+
     @once
     def load(self, joint: str) -> Array | None:
         """Return applied force and weight together."""
