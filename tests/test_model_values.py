@@ -67,7 +67,6 @@ def test_other_models_are_made_of_one_and_it_stays(bench: Bench) -> None:
     nuisances = [bench.made(None, columns) for columns in bench.constants()]
     model = Model(bench, nuisances, gains[:1], bench.whitened(bench.whole))
     final = model.final.copy()
-    assert model.with_(gains[1]).effects == gains[:2]
     assert model.replacing(gains[0], gains[2]).effects == [gains[2]]
     assert model.without(gains[:1]).effects == []
     assert model.effects == gains[:1]

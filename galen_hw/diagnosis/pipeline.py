@@ -13,7 +13,7 @@ from galen_hw.diagnosis.first_look import begun, benches, effect_columns, first_
 from galen_hw.diagnosis.lack_of_fit import structure_test, trees
 from galen_hw.diagnosis.preprocessing.checks import held_out, premises
 from galen_hw.diagnosis.preprocessing.data_quality import Premise
-from galen_hw.diagnosis.searching import held_up, searched, searched_again
+from galen_hw.diagnosis.searching import held_up, searched
 from galen_hw.diagnosis.selection.proposals import library
 from galen_hw.diagnosis.validation.flexible_effects import left_by, left_of_another, might_yield, predict_unnamed
 from galen_hw.diagnosis.validation.verdict import strong, verdict_of
@@ -80,8 +80,9 @@ def diagnose(
         generic += [structure_test.Family(one.kind, one.basis, local=False) for one in passed]
         also = [Columns((one.channel,), one.basis[:, None, 1:]) for one in passed]
         before = searches[0][1]
-        learn = partial(learn, also=also)
-        searches, left = searched_again(before.bench, effects, columns, generic, learn, before.placed())
+        before.bench.begin()
+        learn(before.bench, generic, also)
+        searches, left = searched(before.bench, effects, columns, generic, blind=False, start=before.placed())
         left = left or trees.hidden(searches[0][1])
     tell("judging on held-out data", 0.9)
     selection, chosen, model, judged = held_up(searches, holdout, nothing=bool(premise.wrong))

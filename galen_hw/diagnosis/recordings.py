@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from galen_hw.config.tool_file import terms_in
-from galen_hw.diagnosis.estimation.dataset import Progress
-from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.pipeline import Progress, diagnose
 from galen_hw.diagnosis.work import Work
 from galen_hw.errors import UsageError
 from galen_hw.physics.concatenate import joined

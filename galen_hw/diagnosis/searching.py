@@ -1,6 +1,6 @@
 """The searches under one noise, and what held-out data leave of the better model."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from copy import copy
 
 import numpy as np
@@ -46,24 +46,6 @@ def searched(
     bench.know(hypotheses)
     searches = _models(bench, hypotheses, blind=blind, start=start)
     return searches, left_by([searches[0][1]], generic)[0]
-
-
-def searched_again(
-    bench: Bench,
-    effects: list[Effect],
-    columns: list[Columns],
-    generic: list[structure_test.Family],
-    learn: Callable[[Bench, list[structure_test.Family]], None],
-    start: Start = (),
-) -> tuple[list[Search], list[structure_test.Left]]:
-    """Learn the noise anew, and search again.
-
-    Args:
-        learn: learns the noise on a bench beside what is known.
-    """
-    bench.begin()
-    learn(bench, generic)
-    return searched(bench, effects, columns, generic, blind=False, start=start)
 
 
 def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: Start) -> list[Search]:

@@ -135,8 +135,10 @@ def _gains(rest: Array, noise: Noise | None, own: list[int] | None = None) -> Ar
 
     None near its ends.
     """
-    plain = noise is None or not len(noise.edges) or len(noise.rows.runs) > 1
-    gain = _white_jumps(rest) if noise is None or plain else _jumps(rest, noise, own)
+    if noise is None or not len(noise.edges) or len(noise.rows.runs) > 1:
+        gain = _white_jumps(rest)
+    else:
+        gain = _jumps(rest, noise, own)
     margin = max(len(rest) // 60, 3)
     gain[:margin], gain[-margin:] = 0.0, 0.0
     return gain

@@ -3,7 +3,7 @@
 All decisions are then small solves: inner products of columns with each other and with the residual.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -335,6 +335,3 @@ def rich_basis(whole: Array, rich: list[Array], rows: int) -> Array:
     P = orthonormal(X, most=most)
     # Once more against what rounding left of `whole`; QR keeps the order, the strongest first.
     return np.concatenate([Q, np.linalg.qr(P - Q @ (Q.T @ P))[0]], axis=1)
-
-
-Progress = Callable[[str, float], None]

@@ -151,10 +151,6 @@ class Model:
         """Return the same with another linear term in the place of one, fitted again."""
         return replace(self, effects=[new if h is old else h for h in self.effects])
 
-    def with_(self, new: Hypothesis) -> "Model":
-        """Return the same with one more linear term, fitted again."""
-        return replace(self, effects=[*self.effects, new])
-
     def _fitted(self, parts: list[Hypothesis], y: Array, rows: Chosen, known: Array | None = None) -> Array:
         """Parameters learnt on some rows; what is curved stays where it was settled if its tangent does not reach so far.
 
@@ -240,8 +236,7 @@ class Model:
         `more`: single columns whose factors are unknown too, and stand behind the parameters.
         """
         size = len(self.final) + len(more)
-        G, meat = np.zeros((size, size)), np.zeros((size, size))
-        even = np.zeros((size, size))
+        G, even = np.zeros((size, size)), np.zeros((size, size))
         scores = np.zeros((int(self.bench.block.max()) + 1, size))
         left = white.copy()
         for h, s in zip(parts, self.slices(), strict=True):

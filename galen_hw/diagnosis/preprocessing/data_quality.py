@@ -30,8 +30,3 @@ class Premise:
             self.notes = [line for line in self.notes if line not in self.wrong]
             self.wrong = [r.line for r in examination.refused]
             self.channels = [c for r in examination.refused for c in r.columns]
-
-    def refuse(self, channel: str, line: str) -> None:
-        """A line that makes every finding worthless."""
-        self.wrong.append(line)
-        self.channels.append(channel)

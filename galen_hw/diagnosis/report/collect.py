@@ -77,7 +77,6 @@ def _alike(work: Work) -> list[Alike]:
     for finding in work.diagnosis.findings:
         tied = {c.effect for c in finding.rivals}
         near = rivals(work.selection, finding, everyone=True)
-        near.sort(key=lambda r: r.lead)
         shown = [Alike(finding.effect, r.key, r.angle, r.nearest, 0.5 * r.lead, r.key not in tied) for r in near]
         known = {one.rival for one in shown}
         nan = float("nan")

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from galen_hw.diagnosis.findings.quantities import headline, quantity, readable
+from galen_hw.diagnosis.findings.quantities import headline, readable
 from galen_hw.diagnosis.report.caps import CAPS
 from galen_hw.diagnosis.result import Diagnosis, Finding
 from galen_hw.physics.effects.registry import effect_class
@@ -14,8 +14,6 @@ VERDICTS: Final = {
     "partly_explained": "simulation and recording differ; named physics explains part of it",
     "unexplained": "simulation and recording differ, and no named physics explains it",
 }
-
-__all__ = ["VERDICTS", "channel_words", "lines", "quantity", "summary"]
 
 
 def summary(d: Diagnosis) -> str:

@@ -54,11 +54,6 @@ class Judged:
     unnamed: Array | None = None
 
     @property
-    def apart(self) -> float:
-        """Share of another recording's rows that is left out."""
-        return 0.0 if self.good is None else float(1.0 - self.good.mean())
-
-    @property
     def reached(self) -> Array:
         """(C,) mean squared errors with all that can be predicted, named or not."""
         return self.after if self.unnamed is None else self.unnamed
