@@ -16,7 +16,7 @@ from test_tendons import pulled
 from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.selection.moves import swap
-from galen_hw.diagnosis.selection.moves.pairs import hidden
+from galen_hw.diagnosis.selection.moves.add import hidden
 from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.cable import CableDrag

@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import SIGMA, WRENCH, Bench
 
-from galen_hw.diagnosis.estimation.cross_validation import of_parts
+from galen_hw.diagnosis.estimation.cross_validation import cross_validated
 from galen_hw.diagnosis.estimation.dataset import Bench as DiagnosisBench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
@@ -45,7 +45,7 @@ def test_offsets_are_learnt_beside_the_drift_that_is_told() -> None:
 
 def touched(bench: DiagnosisBench, *, aside: bool) -> tuple[float, float]:
     """A moment of a second and a half that lies in the middle of one block, set aside or learnt from."""
-    time = bench.rows.average(bench.scene.time)
+    time = bench.time
     numbers = [b for b in np.unique(bench.block) if bench.aside[bench.block == b].all() == aside]
     inside = time[bench.block == numbers[len(numbers) // 2]]
     middle = float(inside.mean())
@@ -58,14 +58,14 @@ def test_a_touch_in_a_block_left_out_decides_nothing_between_models_that_have_it
     work = diagnose(scene_of(case.observations()))
     bench = work.bench
     start, end = touched(bench, aside=False)
-    time = bench.rows.average(bench.scene.time)
+    time = bench.time
     during = (time >= start) & (time <= end)
     y = bench.whole + 20.0 * SIGMA[0] * (during[:, None] & (np.arange(6) == 0))
     model = [*(bench.made(None, c) for c in bench.constants()), bench.add(Contact(WRENCH[:1], ((start, end),)))]
     white, before = bench.whitened(y), bench.y
     bench.stand(y=y)
     try:
-        left, without = (np.mean(of_parts(bench, some, white) ** 2, axis=0) for some in (model, model[:-1]))
+        left, without = (np.mean(cross_validated(bench, some, white) ** 2, axis=0) for some in (model, model[:-1]))
     finally:
         bench.stand(y=before)
     assert left[0] < 1.1 * SIGMA[0] ** 2
@@ -89,7 +89,7 @@ def test_a_touch_that_is_not_learnt_from_costs_nothing() -> None:
 def test_a_touch_owes_for_the_rows_that_tell_of_it() -> None:
     """A level of two seconds is learnt from these alone; what lasts is learnt from every row, and costs the more."""
     bench = diagnose(scene_of(Bench(5, rows=4000).observations())).bench
-    time = bench.rows.average(bench.scene.time)
+    time = bench.time
     start, end = touched(bench, aside=False)
     touch, jump = bench.add(Contact(WRENCH[:1], ((start, end),))), bench.add(Step(WRENCH[:1], start))
     lasts = touch.lasts(bench.train)

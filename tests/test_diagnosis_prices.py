@@ -12,7 +12,6 @@ from diagnosis_cases import SIGMA, Bench, hanging, payload, rotation, sines
 
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.pipeline import diagnose
-from galen_hw.diagnosis.selection.criterion import merit
 from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.cable import CableDrag
 from galen_hw.physics.effects.registry import scene_of
@@ -71,7 +70,7 @@ def test_merit_for_foretelling_asks_two_for_a_number_that_lasts(leaking: Work) -
     """Akaike's price beside what is judged on blocks left out, Schwarz's for being the truth."""
     model = leaking.model
     assert [h.effect for h in model.effects] == [CrossTalk("wrench.force.y", "wrench.force.z")]
-    asked = merit(model, foretelling=True) - merit(model)
+    asked = model.penalised_gain(predictive=True) - model.penalised_gain()
     assert asked == pytest.approx(np.log(model.bench.noise.effective) - 2.0)
 
 

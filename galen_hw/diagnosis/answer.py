@@ -9,7 +9,7 @@ from galen_hw.diagnosis.findings.localisation import channels_of, episodes_of, w
 from galen_hw.diagnosis.identifiability.experiment import next_experiment
 from galen_hw.diagnosis.identifiability.rivals import confusions
 from galen_hw.diagnosis.lack_of_fit import structure_test
-from galen_hw.diagnosis.preprocessing.data_quality import Premise
+from galen_hw.diagnosis.preprocessing.checks import Screening
 from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.validation.judgement import Judged
@@ -22,7 +22,7 @@ def answer(
     selection: Selection,
     judged: Judged,
     left: list[structure_test.Left],
-    premise: Premise,
+    screening: Screening,
     glitch: list[Glitches],
     name: str,
 ) -> Diagnosis:
@@ -33,11 +33,11 @@ def answer(
         finding.confounded_with = confusions(model, selection, finding)
     rest = left or beyond(judged, model, untouched=True) or contradicted(judged, model)
     rest = rest if rest or findings else outlying(model) or unsteady(model)
-    if premise.wrong or rest:
-        findings.append(unknown_finding(bench, judged, rest, premise))
-    verdict = verdict_of(findings, rest, premise)
+    if screening.wrong or rest:
+        findings.append(unknown_finding(bench, judged, rest, screening))
+    verdict = verdict_of(findings, rest, screening)
     advice = next_experiment(model, selection, findings, rest)
-    notes = list(premise.notes)
+    notes = list(screening.notes)
     if verdict == "agrees":
         notes.append(_limit(bench))
     notes += _wandering(model) + _ringing(bench)

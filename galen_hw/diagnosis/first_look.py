@@ -7,18 +7,18 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from galen_hw.diagnosis.detection import outliers
-from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.initial_state import left_open
 from galen_hw.diagnosis.estimation.signal_chain import Timing, arrived
 from galen_hw.diagnosis.lack_of_fit import structure_test
 from galen_hw.diagnosis.searching import searched
 from galen_hw.diagnosis.selection.moves.clock_offset import far_off
 from galen_hw.diagnosis.selection.proposals import at_first_sight
+from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.events import Glitches
 from galen_hw.physics.scenes.base import Scene
+from galen_hw.physics.scenes.initial_state import Beginning
 from galen_hw.spatial import Array
 
 
@@ -146,7 +146,8 @@ def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list
 
 def begun(bench: Bench, known: Known, holdout: Scene | None) -> Scene | None:
     """The other recording, and the bench with the stream of the first look: of the beginnings that a model leaves open."""
-    beginning = left_open(bench.scene, known.effects)
+    every = [effect for effect, _ in known.effects]
+    beginning = sum((e.beginning(bench.scene, theta, every) for e, theta in known.effects), Beginning())
     bench.begun(bench.scene.begun(beginning))
     bench.stand(stream=known.stream)
     return None if holdout is None else holdout.begun(beginning)

@@ -11,8 +11,7 @@ from galen_hw.diagnosis.detection import outliers
 from galen_hw.diagnosis.findings.claims import add_claims, claim_before
 from galen_hw.diagnosis.first_look import begun, benches, effect_columns, first_look
 from galen_hw.diagnosis.lack_of_fit import structure_test, trees
-from galen_hw.diagnosis.preprocessing.checks import held_out, premises
-from galen_hw.diagnosis.preprocessing.data_quality import Premise
+from galen_hw.diagnosis.preprocessing.checks import Screening, held_out, screened
 from galen_hw.diagnosis.searching import held_up, searched
 from galen_hw.diagnosis.selection.proposals import library
 from galen_hw.diagnosis.validation.flexible_effects import left_by, left_of_another, might_yield, predict_unnamed
@@ -57,15 +56,15 @@ def diagnose(
     tell("checking the recording", 0.0)
     examination = examined(scene.observations, repair=repair)
     raw = scene if holdout is None else holdout
-    premise = _comparable(scene, examination)
-    scene = premise.scene
+    screening = _comparable(scene, examination)
+    scene = screening.scene
     held = 0.0 if holdout is not None else share
-    holdout = None if holdout is None else held_out(_alike(holdout, examination, repair=repair), premise.notes)
+    holdout = None if holdout is None else held_out(_alike(holdout, examination, repair=repair), screening.notes)
     bench, coarse, glitch = benches(scene, held, seed)
     tell("simulating every effect", 0.1)
     effects, (columns, coarser) = effect_columns(library(bench), bench, coarse)
     tell("a first look", 0.25)
-    known = first_look(bench, coarse, effects, coarser, blind=bool(premise.wrong))
+    known = first_look(bench, coarse, effects, coarser, blind=bool(screening.wrong))
     holdout = begun(bench, known, holdout)
     # What moves with the robot cannot be told from noise before it is known what is there: the first noise was too small
     # rather than too large. Now it is learnt from what the first model leaves, and everything is asked again.
@@ -74,8 +73,8 @@ def diagnose(
     learn = partial(known.learn_noise, effects, columns)
     learn(bench, generic)
     tell("choosing effects", 0.5)
-    searches, left = searched(bench, effects, columns, generic, blind=bool(premise.wrong), start=known.effects)
-    if not left and not premise.wrong and (passed := trees.hidden(searches[0][1])):
+    searches, left = searched(bench, effects, columns, generic, blind=bool(screening.wrong), start=known.effects)
+    if not left and not screening.wrong and (passed := trees.hidden(searches[0][1])):
         # What passed for slow noise hides others too: all is asked again beside it.
         generic += [structure_test.Family(one.kind, one.basis, local=False) for one in passed]
         also = [Columns((one.channel,), one.basis[:, None, 1:]) for one in passed]
@@ -85,26 +84,26 @@ def diagnose(
         searches, left = searched(before.bench, effects, columns, generic, blind=False, start=before.placed())
         left = left or trees.hidden(searches[0][1])
     tell("judging on held-out data", 0.9)
-    selection, chosen, model, judged = held_up(searches, holdout, nothing=bool(premise.wrong))
+    selection, chosen, model, judged = held_up(searches, holdout, nothing=bool(screening.wrong))
     bench = selection.bench
     if model is not chosen:
         left = left_by([model], generic)[0]
     left = strong(left, judged, bench)
-    glitch = [] if premise.wrong else outliers.confirmed(glitch, model)
-    if (left or might_yield(model)) and not premise.wrong:
+    glitch = [] if screening.wrong else outliers.confirmed(glitch, model)
+    if (left or might_yield(model)) and not screening.wrong:
         model, judged, left = predict_unnamed(generic, model, holdout, judged, left)
-    if not left and holdout is not None and not premise.wrong:
+    if not left and holdout is not None and not screening.wrong:
         left = left_of_another(model, holdout, judged)
     after = claim_before(judged, raw, examination)
-    diagnosis = answer(model, selection, judged, left, premise, glitch, name)
-    add_claims(diagnosis, examination, judged, after, bench, lambda found: verdict_of(found, left, premise))
+    diagnosis = answer(model, selection, judged, left, screening, glitch, name)
+    add_claims(diagnosis, examination, judged, after, bench, lambda found: verdict_of(found, left, screening))
     tell("done", 1.0)
     return Work(bench, selection, model, judged, left, diagnosis)
 
 
-def _comparable(scene: Scene, examination: Examination) -> Premise:
+def _comparable(scene: Scene, examination: Examination) -> Screening:
     """The recording as repaired, without the rows that cannot be compared, and what was said of it."""
-    out = premises(scene if examination.observations is scene.observations else scene_of(examination.observations))
+    out = screened(scene if examination.observations is scene.observations else scene_of(examination.observations))
     out.take(examination)
     return out
 

@@ -8,11 +8,9 @@ from joblib import Parallel, delayed
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.initial_state import supposable
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.lack_of_fit import structure_test
-from galen_hw.diagnosis.selection.criterion import merit
 from galen_hw.diagnosis.selection.finalise import offsets, settle_model, weighed
 from galen_hw.diagnosis.selection.search import Start, select, settled
 from galen_hw.diagnosis.selection.search_state import Selection
@@ -42,7 +40,9 @@ def searched(
     Args:
         start: a model that another search has found; where it is better than what was found without it, one begins there too.
     """
-    hypotheses = [bench.made(e, raw) for e, raw in supposable(bench.scene, effects, columns)]
+    # Creep that began at rest is redundant where any initial transient as quick is fitted.
+    each = zip(effects, columns, strict=True)
+    hypotheses = [bench.made(e, raw) for e, raw in each if not e.presumes(bench.scene)]
     bench.know(hypotheses)
     searches = _models(bench, hypotheses, blind=blind, start=start)
     return searches, left_by([searches[0][1]], generic)[0]
@@ -88,7 +88,7 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
         on = copy(fresh)
         stands = settled(scored(on, own), found[1].placed(), found[0].needed, rivals=True)
         model = settle_model(on, stands.scorer, stands)
-        return (stands, model) if merit(model) > merit(found[1]) + CRITERIA.log_odds else found
+        return (stands, model) if model.penalised_gain() > found[1].penalised_gain() + CRITERIA.log_odds else found
 
     own, fresh = offsets(bench), copy(bench)
     if not own:
@@ -97,7 +97,7 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
     better, other = Parallel(n_jobs=2, require="sharedmem")(
         delayed(one)(*each) for each in ((copy(bench), []), (copy(bench), own))
     )
-    lead = merit(other[1]) - merit(better[1])
+    lead = other[1].penalised_gain() - better[1].penalised_gain()
     # A constant that something else accounts for as well is an effect too many.
     if lead > CRITERIA.log_odds or (lead > 0.0 and len(other[1].effects) < len(better[1].effects)):
         better, other = other, better
@@ -112,7 +112,7 @@ def _explains(model: Model, other: Model) -> bool:
     kinds, its = ({h.effect.KEY for h in one.effects if h.effect is not None} for one in (model, other))
     square = np.mean((model.rest()[model.bench.train] / model.bench.noise.sigma) ** 2, axis=0)
     alone = bool(np.all(square <= CRITERIA.noise_alone))
-    return alone and len(kinds) <= len(its) and merit(model) > merit(other) + CRITERIA.log_odds
+    return alone and len(kinds) <= len(its) and model.penalised_gain() > other.penalised_gain() + CRITERIA.log_odds
 
 
 def _families(effects: Iterable[Effect | None]) -> set[object]:
@@ -134,6 +134,6 @@ def held_up(searches: list[Search], holdout: Scene | None, *, nothing: bool) -> 
         return selection, chosen, model, judged
     for other, rival in others:
         kept, its = earned(weighed(rival), holdout)
-        if merit(kept) > merit(model) + CRITERIA.log_odds:
+        if kept.penalised_gain() > model.penalised_gain() + CRITERIA.log_odds:
             return other, chosen, kept, its
     return selection, chosen, model, judged

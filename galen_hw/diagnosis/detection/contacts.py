@@ -5,7 +5,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
 from galen_hw.diagnosis.detection.proposal import FEW_ROWS, Sought, moment
-from galen_hw.diagnosis.stats.sampling import Mask, Rows
+from galen_hw.diagnosis.stats.sampling import Mask, Rows, true_runs
 from galen_hw.physics.effects.events import Contact
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
@@ -70,13 +70,12 @@ def contacts(
 
 def _loud(loud: Mask, length: int) -> list[Episode]:
     """Runs of loud rows, joined over short gaps, shorter ones left out, ends opened a little."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], loud, [False]]).astype(int)))
     out: list[list[int]] = []
-    for a, b in edges.reshape(-1, 2):
+    for a, b in true_runs(loud):
         if out and a - out[-1][1] < 3 * length:
-            out[-1][1] = int(b)
+            out[-1][1] = b
         else:
-            out.append([int(a), int(b)])
+            out.append([a, b])
     return [(max(a - length // 2, 0), min(b + length // 2, len(loud))) for a, b in out if b - a >= length]
 
 

@@ -135,10 +135,8 @@ def _gains(rest: Array, noise: Noise | None, own: list[int] | None = None) -> Ar
 
     None near its ends.
     """
-    if noise is None or not len(noise.edges) or len(noise.rows.runs) > 1:
-        gain = _white_jumps(rest)
-    else:
-        gain = _jumps(rest, noise, own)
+    white = noise is None or not len(noise.edges) or len(noise.rows.runs) > 1
+    gain = _white_jumps(rest) if noise is None or white else _jumps(rest, noise, own)
     margin = max(len(rest) // 60, 3)
     gain[:margin], gain[-margin:] = 0.0, 0.0
     return gain

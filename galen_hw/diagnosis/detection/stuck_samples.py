@@ -1,11 +1,9 @@
 """Samples that are the one before again: of a sensor that hangs, or that drops out to a constant."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from galen_hw.diagnosis.detection.proposal import FEW_ROWS
-from galen_hw.diagnosis.stats.sampling import Mask
+from galen_hw.diagnosis.stats.sampling import Mask, true_runs
 from galen_hw.physics.scenes.base import Scene
 
 
@@ -55,21 +53,15 @@ def repeated(
 
     every = list(range(y.shape[1]))
     together = np.all(again, axis=1)
-    for a, b in _stretches(together) if not by_itself(every, together) else ():
+    for a, b in true_runs(together) if not by_itself(every, together) else ():
         changed = float(np.max(np.abs(scene.simulated[b - 1] - scene.simulated[a - 1]) / usual))
         by_chance = np.log(N) + (b - a) * float(np.sum(chance)) >= np.log(often)
         if not by_chance and (not grid.all() or changed > grids):
             out[a - (b > a + 1) : b] = True
     for c in every if scene.observations.predict == "wrench" else ():
         alone = again[:, c] & ~out[:, c]
-        for a, b in _stretches(alone) if not by_itself([c], alone) else ():
+        for a, b in true_runs(alone) if not by_itself([c], alone) else ():
             jumps = np.abs(y[[a - 1, min(b, N - 1)], c] - y[[max(a - 2, 0), b - 1], c])
             if not grid[c] and float(np.max(jumps)) > jump * usual[c]:
                 out[a - (b > a + 1) : b, c] = True
     return out
-
-
-def _stretches(x: Mask) -> Iterator[tuple[int, int]]:
-    """First rows of stretches of a mask (N,), and the rows behind them."""
-    for a, b in np.flatnonzero(np.diff(np.concatenate([[False], x, [False]]).astype(int))).reshape(-1, 2):
-        yield int(a), int(b)

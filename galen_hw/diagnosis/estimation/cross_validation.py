@@ -5,40 +5,26 @@ import numpy as np
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import fit, predicted
-from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.stats.sampling import Chosen, Index, folds
 from galen_hw.spatial import Array
 
 
-def errors(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False, whitened: bool = False) -> Array:
-    """(n, C) errors of a model on the training rows, raw or whitened, each predicted from blocks that it is not in."""
-    model = scorer.parts(chosen)
-    return _errors(bench, model, scorer.white, fine=fine, whitened=whitened)
-
-
-def of_parts(bench: Bench, model: list[Hypothesis], white: Array) -> Array:
-    """(n, C) raw errors on the training rows, each block predicted from the others."""
-    return _errors(bench, model, white, fine=False)
-
-
-def white_left_out(bench: Bench, model: list[Hypothesis], white: Array) -> Array:
-    """(n, C) white errors on the training rows, each block predicted from the others."""
-    return _errors(bench, model, white, fine=False, whitened=True)
-
-
-def _errors(
+def cross_validated(
     bench: Bench,
     model: list[Hypothesis],
     white: Array,
     *,
-    fine: bool,
+    fine: bool = False,
     whitened: bool = False,
     pieces: int = 400,
     least: int = 8,
 ) -> Array:
-    """(n, C) errors on the training rows, each block or piece predicted from the others.
+    """Return the errors (n, C) of a model on the training rows, each block predicted from the others.
 
     Args:
+        white: (M, C) whitened residual that the model is fitted to.
+        fine: short pieces are left out instead of blocks.
+        whitened: whitened errors, else raw ones.
         pieces: of a recording, of which every fifth is left out to judge what belongs to moments.
         least: rows of a piece where noise has a memory.
     """

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
-from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.signal_chain import Timing as Ends
 from galen_hw.diagnosis.estimation.signal_chain import through
 from galen_hw.diagnosis.noise.estimator import estimate, quantisation
 from galen_hw.diagnosis.noise.spectrum import Noise
+from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.diagnosis.stats.linear_algebra import orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.stats.sampling import Index, Mask, Rows, blocks, set_aside
 from galen_hw.lazy import cached_property
@@ -202,6 +202,16 @@ class Bench:
         return self.rows.average(flat).reshape(-1, *x.shape[1:])
 
     @cached_property
+    def time(self) -> Array:
+        """Averaged clock (M,), s, or the row number without a clock."""
+        return self.rows.average(self.scene.time)
+
+    @cached_property
+    def period(self) -> float:
+        """Median period of the averaged rows, s."""
+        return float(np.median(np.diff(self.time))) if len(self.rows) > 1 else 1.0
+
+    @cached_property
     def simulated(self) -> Array:
         """(M, C) averages of what was simulated."""
         return self.rows.average(self.scene.simulated)
@@ -307,7 +317,7 @@ class Bench:
             step = self.steps[c]
             own = max(float(self.noise.sigma[c] ** 2 - step**2 / 12.0), 0.0) ** 0.5 / float(self.noise.sigma[c])
             coloured = self.noise.colour(out[:, c], c) * own
-            simulated = self.rows.average(self.scene.simulated)[:, [c]] + float(np.median(self.y[:, c]))
+            simulated = self.simulated[:, [c]] + float(np.median(self.y[:, c]))
             read = np.round((simulated + coloured) / step) * step - simulated
             out[:, c] = self.noise.whiten(read, c)
         return out

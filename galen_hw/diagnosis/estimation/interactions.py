@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from galen_hw.diagnosis.estimation import signal_chain
-from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import with_parameters
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.linearisation import rebase
 from galen_hw.diagnosis.estimation.nonlinear import settle
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
 

@@ -4,12 +4,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import rests
 from galen_hw.diagnosis.estimation.linearisation import does, tangent
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.diagnosis.stats.linear_algebra import inverse_root, solve_sym
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.spatial import Array

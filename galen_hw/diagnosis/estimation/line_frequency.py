@@ -26,7 +26,7 @@ def mean_frequency(model: Model, h: Hypothesis, line: Line, *, count: int = 16) 
         count: pieces.
     """
     bench, places = model.bench, list(h.raw.channels)
-    time = bench.rows.average(bench.scene.time)
+    time = bench.time
     run = max(bench.rows.runs, key=lambda r: r.stop - r.start)
     rows = np.arange(run.start, run.stop)[~bench.dropped[run]]
     if len(rows) < 8 * count:
@@ -34,7 +34,8 @@ def mean_frequency(model: Model, h: Hypothesis, line: Line, *, count: int = 16) 
     turning = np.exp(-2j * np.pi * line.frequency * time[rows])
     # Without the effect, as it was fitted, the rest holds the oscillation itself.
     rest = _alone(model, line)[rows][:, places] / bench.noise.sigma[places]
-    level = np.array([bench.noise.spectrum(np.array([_cycles(model, line)]))[0, c] for c in places])
+    cycles = np.clip([line.frequency * bench.period], 1e-6, 0.5)
+    level = np.array([bench.noise.spectrum(cycles)[0, c] for c in places])
     weight = np.conj(np.sum(rest * turning[:, None], axis=0) / len(rows)) * bench.noise.sigma[places] ** 2 / level
     pieces = np.array_split(np.arange(len(rows)), count)
     z = np.array([np.sum(rest[p] * turning[p, None] @ weight) for p in pieces])
@@ -66,10 +67,3 @@ def _alone(model: Model, line: Line) -> Array:
         if other is not None and abs(other.frequency - line.frequency) <= line.breadth:
             out[:, list(h.raw.channels)] += h.does(model.theta[s])
     return out
-
-
-def _cycles(model: Model, line: Line) -> float:
-    """The frequency in cycles a row."""
-    bench = model.bench
-    time = bench.rows.average(bench.scene.time)
-    return float(np.clip(line.frequency * np.median(np.diff(time)), 1e-6, 0.5))

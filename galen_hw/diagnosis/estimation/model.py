@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from galen_hw.diagnosis.estimation import signal_chain
-from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import fit, predicted
 from galen_hw.diagnosis.estimation.linearisation import does
+from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.linear_algebra import solve_sym
 from galen_hw.diagnosis.stats.sampling import Chosen
@@ -186,6 +186,10 @@ class Model:
         ends = np.cumsum([0, *(h.count for h in self.parts)])
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
+    def slice_of(self, part: Hypothesis) -> slice:
+        """Return where the parameters of one part stand."""
+        return next(s for h, s in zip(self.parts, self.slices(), strict=True) if h is part)
+
     def placed(self) -> list[tuple[Effect, Array]]:
         """Return the effects with their parameters (k,)."""
         parts = zip(self.parts, self.slices(), strict=True)
@@ -226,6 +230,20 @@ class Model:
         for h, s in zip(self.parts, self.slices(), strict=True):
             out[:, list(h.white.channels)] -= h.white.values @ self.theta[s]
         return out
+
+    def penalised_gain(self, *, predictive: bool = False) -> float:
+        """Return the fall of the whitened sum of squares on the training rows less the penalty of the parameters.
+
+        Args:
+            predictive: lasting effects pay the Akaike penalty (prediction; Akaike 1974) instead of the BIC's (Schwarz 1978):
+                for a comparison with what was itself judged on held-out blocks.
+        """
+        train, penalty = self.bench.train, 0.0
+        for h in self.effects:
+            lasting = h.effect is not None and not h.effect.EPISODIC
+            penalty += h.owed(whole=True) * (2.0 if predictive and lasting else h.price(self.bench))
+        fall = np.sum(self.bench.whitened(self.bench.whole)[train] ** 2) - np.sum(self.rest(white=True)[train] ** 2)
+        return float(fall - penalty)
 
     def _covariance(
         self, parts: list[Hypothesis], white: Array, rows: Chosen, more: Sequence[Hypothesis] = ()

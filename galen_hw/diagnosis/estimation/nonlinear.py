@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import Hypothesis, with_parameters
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside, descended
 from galen_hw.diagnosis.estimation.linearisation import rebase, tangent, unbent
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.settings import BUDGET
 
 
 def settle(bench: Bench, scorer: Scorer, chosen: list[int], *, anew: bool = False) -> None:

@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.inner_products import Group, InnerProducts
+from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.diagnosis.stats.linear_algebra import log_tail, pinned_at, quadratic, solve_sym
-from galen_hw.diagnosis.stats.sampling import Index
+from galen_hw.diagnosis.stats.sampling import Index, Mask
 from galen_hw.spatial import Array
 
 
@@ -165,6 +165,10 @@ class Scorer:
         """Column numbers of the constants and the chosen hypotheses."""
         return self._numbers([*range(len(self.base)), *chosen])
 
+    def own(self, at: Index, i: int) -> Mask:
+        """Return which of the column numbers `at` (k,) belong to hypothesis i."""
+        return np.asarray((at >= self.places[i].start) & (at < self.places[i].stop))
+
     def _numbers(self, which: list[int]) -> Index:
         parts = [np.arange(self.places[i].start, self.places[i].stop) for i in which]
         return np.concatenate([np.empty(0, dtype=np.intp), *parts])
@@ -174,8 +178,7 @@ class Scorer:
         at = self.base_with(chosen)
         held = self._held(chosen)
         if asked is not None:
-            own = self.places[asked]
-            held[(at >= own.start) & (at < own.stop)] = np.nan
+            held[self.own(at, asked)] = np.nan
         G, b = self.products.between(at, at), self.b[at]
         theta = pinned_at(held, G, b)
         return theta, at, self.total - float(2.0 * theta @ b - theta @ G @ theta)

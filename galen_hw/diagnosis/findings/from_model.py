@@ -16,7 +16,7 @@ from galen_hw.diagnosis.findings.variables import joint_units
 from galen_hw.diagnosis.findings.wording import believing, saying
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
 from galen_hw.diagnosis.lack_of_fit.structure_test import FALSE_ALARM, Left
-from galen_hw.diagnosis.preprocessing.data_quality import Premise
+from galen_hw.diagnosis.preprocessing.checks import Screening
 from galen_hw.diagnosis.result import UNKNOWN, Finding, Value
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
@@ -41,13 +41,12 @@ def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list
 
 def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts: list[Hypothesis]) -> Finding:
     bench = model.bench
-    where = dict(zip(map(id, model.parts), model.slices(), strict=True))
     signal = np.zeros((len(bench.rows), bench.width))
     variance = np.zeros(bench.width)
     parameters: dict[str, Value] = {}
     free = _free(model)
     for n, h in enumerate(parts):
-        s = where[id(h)]
+        s = model.slice_of(h)
         signal[:, list(h.raw.channels)] += h.does(model.final[s])
         variance[list(h.raw.channels)] += _rms_variance(h, model.final[s], model.joint.covariance[s, s], free)
         parameters |= _parameters(model, h, s, prefix=_prefix(h) if len(parts) > 1 else "", number=n)
@@ -149,9 +148,8 @@ def _evidence(model: Model, selection: Selection, parts: list[Hypothesis]) -> tu
             score += selection.evidence[i].rank
             surprise = max(surprise, selection.evidence[i].surprise)
     if score == 0.0:
-        where = dict(zip(map(id, model.parts), model.slices(), strict=True))
         for h in parts:
-            s = where[id(h)]
+            s = model.slice_of(h)
             gain = float(np.sum(model.final[s] ** 2 / np.maximum(np.diag(model.covariance)[s], 1e-300)))
             score += gain
             surprise = max(surprise, 0.5 * gain)
@@ -183,16 +181,18 @@ def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
     )
 
 
-def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Premise, *, near: float = 0.9) -> Finding:
+def unknown_finding(
+    bench: Bench, judged: Judged, left: list[Left], screening: Screening, *, near: float = 0.9
+) -> Finding:
     """Return the finding of what nothing named explains.
 
     Args:
         near: share of the strongest evidence with which a plainer family of functions is named in its place.
     """
     names = bench.scene.channels
-    channels = list(dict.fromkeys([*premise.channels, *(names[one.channel] for one in left)]))
-    if premise.wrong:
-        says, share, z = premise.wrong[0], 0.0, 10.0
+    channels = list(dict.fromkeys([*screening.channels, *(names[one.channel] for one in left)]))
+    if screening.wrong:
+        says, share, z = screening.wrong[0], 0.0, 10.0
     else:
         # What says the same in plainer words is what people want to read.
         alike = [one for one in left if one.channel == left[0].channel and one.z >= near * left[0].z]

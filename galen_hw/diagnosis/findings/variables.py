@@ -27,6 +27,11 @@ class Variable:
     about: str
     values: Array
 
+    @property
+    def label(self) -> str:
+        """Name for people: "tilt position"."""
+        return self.name.removeprefix("joint.").replace(".", " ")
+
     def span(self, low: float, high: float, *, outside: float = 0.02) -> str:
         """A range in words: from, above, below, or the direction where it is all of one sign.
 

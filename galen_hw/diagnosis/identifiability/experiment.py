@@ -110,7 +110,7 @@ def pair_of(selection: Selection, finding: Finding, rival: str, model: Model) ->
 
 def _straight(model: Model, h: Hypothesis) -> tuple[Effect, Array]:
     """An effect of the model with its parameters (k,) as columns can be staged of it: what is curved, by its relaxation."""
-    theta = model.final[dict(zip(map(id, model.parts), model.slices(), strict=True))[id(h)]]
+    theta = model.final[model.slice_of(h)]
     assert h.effect is not None, "effects, not nuisances"
     if not h.effect.curved:
         return h.effect, theta
@@ -120,7 +120,7 @@ def _straight(model: Model, h: Hypothesis) -> tuple[Effect, Array]:
 
 def best_of(model: Model, pair: Pair) -> Advice | None:
     """The recipe that settles the pair soonest; None where none of them can."""
-    able = [a for a in _advised(model, pair) if a.distance > 0.05 * SETTLED and a.minutes < MEANS.longest]
+    able = [a for a in _advised(model, pair) if a.distance > 0.05 * SETTLED]
     # Where the two stay close, what the model leaves out elsewhere decides: a wide angle comes first.
     wide = [a for a in able if a.angle >= WIDE]
     return min(wide or able, key=lambda a: a.minutes, default=None)
@@ -131,8 +131,7 @@ def options_of(model: Model, selection: Selection, findings: list[Finding]) -> l
     for finding in findings:
         if finding.rivals:
             pair = pair_of(selection, finding, finding.rivals[0].effect, model)
-            able = [] if pair is None else [a for a in _advised(model, pair) if a.minutes < MEANS.longest]
-            return sorted(able, key=lambda a: (a.angle < WIDE, a.minutes))
+            return sorted([] if pair is None else _advised(model, pair), key=lambda a: (a.angle < WIDE, a.minutes))
     return []
 
 
@@ -140,7 +139,7 @@ def _advised(model: Model, pair: Pair) -> Iterator[Advice]:
     bench, joints = model.bench, tuple(dict.fromkeys((*pair.found.joints, *pair.rival.joints)))
     keys = {pair.found.KEY, pair.rival.KEY}
     others = [h for h in model.effects if h.effect is not None and h.effect.KEY not in keys]
-    for recipe in recipes(bench.scene, _step(model), joints):
+    for recipe in recipes(bench.scene, model.bench.period, joints):
         if recipe.keys and not recipe.keys & keys:
             continue
         try:
@@ -148,13 +147,8 @@ def _advised(model: Model, pair: Pair) -> Iterator[Advice]:
         except ValueError:
             return
         advice = _distance(model, staged, pair, others)
-        if advice is not None:
+        if advice is not None and advice.minutes < MEANS.longest:
             yield advice
-
-
-def _step(model: Model) -> float:
-    """Seconds between rows of the bench."""
-    return float(np.median(np.diff(model.bench.rows.average(model.bench.scene.time))))
 
 
 def _distance(model: Model, staged: Stage, pair: Pair, others: list[Hypothesis]) -> Advice | None:
@@ -282,7 +276,7 @@ def _halving(model: Model, h: Hypothesis, error: float) -> Advice | None:
     effect, theta = _straight(model, h)
     others = [o for o in model.effects if o is not h]
     out = []
-    for recipe in recipes(model.bench.scene, _step(model), effect.joints):
+    for recipe in recipes(model.bench.scene, model.bench.period, effect.joints):
         try:
             staged = stage(model.bench.scene, recipe)
         except ValueError:

@@ -141,7 +141,11 @@ def rivals(
                 if rival.key != finding.effect and rival.lead < best.get(rival.key, rival).lead + 1e-9:
                     best[rival.key] = rival
             near = sorted(best.values(), key=lambda rival: rival.angle)
-            coarse = [(_coarse(r) and k < sharpened) or _pinned(scorer, r.effect) for k, r in enumerate(near)]
+            # Where the searched value is the size, a point of the grid says nothing of the rival.
+            coarse = [
+                (_coarse(r) and k < sharpened) or r.effect.pinned(scorer.bench.scene) is not None
+                for k, r in enumerate(near)
+            ]
             sharp = Sharpener(scorer, own) if any(coarse) else None
             for k, rival in enumerate(near):
                 one = sharp.sharpened(rival) if sharp and coarse[k] else rival
@@ -194,11 +198,6 @@ def _coarse(rival: Rival, *, already: float = 0.5) -> bool:
     return len(rival.effect.searched()) == 1 and already < rival.angle < NEAR
 
 
-def _pinned(scorer: Scorer, effect: Effect) -> bool:
-    """Return whether its searched value is its size: what it would add at a point of the grid says nothing of it."""
-    return effect.pinned(scorer.bench.scene) is not None
-
-
 class Sharpener:
     """Rivals of one chosen effect between the points of their grids: the library's grid must not decide what is alike.
 
@@ -236,7 +235,7 @@ class Sharpener:
             reach: factor up and down within which a searched value is sought.
         """
         effect = rival.effect.unlimited()
-        pinned = self._pinned(effect)
+        pinned = effect.pinned(self.scorer.bench.scene)
         # Where the size is not free, the searched value is the size: without its limit it may lie far below the grid.
         down = 1.0 / reach if pinned is None or effect == rival.effect else 0.0
         for name, value in rival.effect.searched().items():
@@ -267,13 +266,10 @@ class Sharpener:
         best = minimize_scalar(missed, bounds=(low, high), method="bounded", options=options)
         return effect.with_searched({name: float(np.exp(best.x))})
 
-    def _pinned(self, effect: Effect) -> Array | None:
-        return effect.pinned(self.scorer.bench.scene)
-
     def _rest(self, effect: Effect) -> tuple[float, Array]:
         """Squares of the found signal that an effect does not make, and its columns beside the model."""
         X = self._left(self._rows(self.scorer.bench.add(effect)))
-        pinned = self._pinned(effect)
+        pinned = effect.pinned(self.scorer.bench.scene)
         A, r = X.T @ X, X.T @ self.signal
         theta = solve_sym(A, r[:, None])[:, 0] if pinned is None else pinned_at(pinned, A, r)
         answer = X @ theta
@@ -295,20 +291,18 @@ def _places(selection: Selection, finding: Finding) -> list[int]:
 def _others(scorer: Scorer, chosen: list[int], i: int) -> Left:
     """What the model without hypothesis i leaves, which may be one of the constants."""
     at, b, total = scorer.beside([j for j in chosen if j != i])
-    own = scorer.places[i]
-    return Left(np.asarray(at[(at < own.start) | (at >= own.stop)], dtype=np.intp), b, total)
+    return Left(at[~scorer.own(at, i)], b, total)
 
 
 def _own(scorer: Scorer, chosen: list[int], i: int) -> Own:
     """Hypothesis i as it stands in the model."""
     theta, every, rest = scorer.solve(chosen)
-    place = scorer.places[i]
+    mine = scorer.own(every, i)
     with unbent(scorer, i):
         straight = scorer.solve(chosen)[0]
         at, b, total = _others(scorer, chosen, i)
         alone = solve_sym(scorer.products.between(at, at), b[at][:, None])[:, 0]
         without = total - float(alone @ b[at])
-    mine = (every >= place.start) & (every < place.stop)
     return Own(i, tuple(chosen), without - rest, theta[mine], straight[mine])
 
 

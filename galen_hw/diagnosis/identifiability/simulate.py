@@ -123,9 +123,8 @@ class Eye:
     def __init__(self, bench: Bench, staged: Stage) -> None:
         self.bench = bench
         time = np.concatenate([part.time for part in staged.recipe.parts])
-        own = float(np.median(np.diff(bench.rows.average(bench.scene.time)))) if len(bench.rows) > 1 else 1.0
         # Rows of the stage stand for as many rows of a recording as fit between them.
-        self.ratio = max(float(np.median(np.diff(time))) / max(own, 1e-12), 1e-12)
+        self.ratio = max(float(np.median(np.diff(time))) / max(bench.period, 1e-12), 1e-12)
         frequency = np.fft.rfftfreq(len(time))
         self.level = bench.noise.spectrum(np.minimum(frequency / self.ratio, 0.5))
 

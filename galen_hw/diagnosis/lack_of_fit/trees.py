@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
 from galen_hw.diagnosis.lack_of_fit.gram import Functions
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder
 from galen_hw.diagnosis.lack_of_fit.structure_test import T_NEEDED, Left, sureness
+from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.diagnosis.stats.sampling import Index, folds
 from galen_hw.spatial import Array
 
@@ -77,7 +77,7 @@ def hidden(model: Model, *, slower: float = 2.0, most_by_time: float = 0.5) -> l
     X = np.concatenate([inputs.position, inputs.rate, inputs.second], axis=1)
     if not X.shape[1]:  # nothing moves
         return []
-    time = bench.rows.average(bench.scene.time)[:, None]
+    time = bench.time[:, None]
     rest = model.rest()[:, slow] / bench.noise.sigma[slow]
     fold = folds(bench.block)
     number = np.unique(bench.block[good], return_inverse=True)[1]

@@ -3,8 +3,8 @@
 import numpy as np
 
 from galen_hw.diagnosis.noise.low_frequency import whitest
-from galen_hw.diagnosis.noise.resolution import RESOLUTION
 from galen_hw.diagnosis.noise.spectrum import Noise
+from galen_hw.diagnosis.settings import RESOLUTION
 from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.spatial import Array
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import chi2
 
-from galen_hw.diagnosis.noise.resolution import RESOLUTION
+from galen_hw.diagnosis.settings import RESOLUTION
 from galen_hw.spatial import Array
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.fft import dct, idct, next_fast_len
 
 from galen_hw.diagnosis.noise.low_frequency import shelves, smoothed, walking
-from galen_hw.diagnosis.noise.resolution import RESOLUTION
+from galen_hw.diagnosis.settings import RESOLUTION
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.sampling import Mask, Rows
 from galen_hw.lazy import cached_property

@@ -2,12 +2,11 @@
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
-from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.stats.paired_test import PIECES
 from galen_hw.diagnosis.stats.sampling import Index, Mask
 from galen_hw.errors import UsageError
@@ -15,12 +14,39 @@ from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.pose import QUATERNION
 from galen_hw.physics.signals.differentiation import at_rest, denoised
+from galen_hw.premises import Action, Examination
 from galen_hw.spatial import Array
 
 ORIENTATION: Final = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
 
 
-def premises(scene: Scene, *, short: int = 100) -> Premise:
+@dataclass
+class Screening:
+    """Hold a recording without the rows that cannot be compared, and what was noted of it.
+
+    Args:
+        scene: without the rows that cannot be compared.
+        notes: one line each.
+        wrong: lines that make every finding worthless (axes, signs, units); channels they concern.
+    """
+
+    scene: Scene
+    notes: list[str] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+    channels: list[str] = field(default_factory=list)
+
+    def take(self, examination: Examination) -> None:
+        """Take up what the premises say of the recording; what they claim as physics becomes a finding as well."""
+        first = [r for r in examination.remarks if r.action is not Action.REFUSED]
+        self.notes[:0] = [r.line for r in first] + [r.line for r in examination.refused]
+        if examination.refused:
+            # What is refused is the cause; what later checks see are its consequences.
+            self.notes = [line for line in self.notes if line not in self.wrong]
+            self.wrong = [r.line for r in examination.refused]
+            self.channels = [c for r in examination.refused for c in r.columns]
+
+
+def screened(scene: Scene, *, short: int = 100) -> Screening:
     """Leave out rows that cannot be compared; axes, signs, units and clocks were looked at before (`galen_hw.premises`).
 
     Args:
@@ -33,7 +59,7 @@ def premises(scene: Scene, *, short: int = 100) -> Premise:
         group = scene.observations.predict
         raise UsageError(f"no column of the group {group!r} is there to compare", where="recording", todo="see predict")
     _drivable(scene)
-    out = Premise(scene)
+    out = Screening(scene)
     for step in (_measured, _with_tool, _ordered, _parted, _driven):
         out.scene = step(out.scene, out.notes)
     out.scene = _complete(out.scene, out.notes, out.wrong)
@@ -48,7 +74,7 @@ def held_out(scene: Scene, notes: list[str]) -> Scene:
     """A second recording, to be judged on, without the rows that cannot be compared; what is left out is noted.
 
     Raises:
-        UsageError: as `premises`.
+        UsageError: as `screened`.
     """
     mine: list[str] = []
     for step in (_with_tool, _ordered, _parted, _driven, _complete):

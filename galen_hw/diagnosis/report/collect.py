@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from galen_hw.diagnosis.findings.localisation import baseline_rest, organised
-from galen_hw.diagnosis.findings.variables import Variable, variables
+from galen_hw.diagnosis.findings.variables import variables
 from galen_hw.diagnosis.identifiability.experiment import options_of
 from galen_hw.diagnosis.identifiability.rivals import rivals
 from galen_hw.diagnosis.report.caps import CAPS
@@ -19,8 +19,9 @@ from galen_hw.spatial import Array
 def traces_of(work: Work) -> Traces:
     """Everything that the page draws."""
     bench, scene, before = work.bench, work.bench.scene, baseline_rest(work.model)
+    advice = options_of(work.model, work.selection, work.diagnosis.findings)[: CAPS.alike]
     return Traces(
-        time=bench.rows.average(scene.time),
+        time=bench.time,
         clock=scene.clock,
         channels=tuple(scene.channels),
         units=tuple(scene.units),
@@ -32,7 +33,7 @@ def traces_of(work: Work) -> Traces:
         curves=curves_of(work),
         evidence=_evidence(work),
         alike=_alike(work),
-        options=[Option(a.recipe.name, a.minutes, a.angle) for a in _options(work)],
+        options=[Option(a.recipe.name, a.minutes, a.angle) for a in advice],
     )
 
 
@@ -51,12 +52,8 @@ def _along(work: Work, before: Array, *, least: float = 0.1) -> list[Along]:
         whole = region is None or (region[0] <= v.values.min() and region[1] >= v.values.max())
         inside = None if whole or region is None else (float(region[0]), float(region[1]))
         if share > least or inside is not None:
-            out.append(Along(_label(v), v.unit, names.index(channel), v.values, share, inside))
+            out.append(Along(v.label, v.unit, names.index(channel), v.values, share, inside))
     return out[: CAPS.alike]
-
-
-def _label(v: Variable) -> str:
-    return v.name.removeprefix("joint.").replace(".", " ")
 
 
 def _plane(work: Work, before: Array) -> tuple[tuple[str, str, Array], tuple[str, str, Array]] | None:
@@ -68,7 +65,7 @@ def _plane(work: Work, before: Array) -> tuple[tuple[str, str, Array], tuple[str
         return None
     a = order[0]
     b = next((v for v in order[1:] if v.about != a.about), order[1])
-    return (_label(a), a.unit, a.values), (_label(b), b.unit, b.values)
+    return (a.label, a.unit, a.values), (b.label, b.unit, b.values)
 
 
 def _alike(work: Work) -> list[Alike]:
@@ -83,11 +80,6 @@ def _alike(work: Work) -> list[Alike]:
         shown += [Alike(finding.effect, key, nan, nan, nan, apart=False) for key in tied - known]
         out += sorted(shown, key=lambda one: one.apart)[: CAPS.alike]
     return out
-
-
-def _options(work: Work) -> list[Any]:
-    """Recipes for the first open question, quickest first."""
-    return options_of(work.model, work.selection, work.diagnosis.findings)[: CAPS.alike]
 
 
 def _evidence(work: Work) -> list[Evidence]:

@@ -68,13 +68,13 @@ def axis_of(work: Work, effect: Effect, channel: int, change: Array, known: list
     axis = None if follows is None else QUANTITIES[follows.quantity](_Along(work, effect, follows, channel))
     if axis is None and known:
         best = max(known, key=lambda v: _ordered(v.values, change) + 0.05 * v.name.endswith(".position"))
-        axis = Axis(best.name.removeprefix("joint.").replace(".", " "), best.unit, best.values)
+        axis = Axis(best.label, best.unit, best.values)
     return _time(work) if axis is None else axis
 
 
 def _time(work: Work) -> Axis:
     scene = work.bench.scene
-    return Axis("time" if scene.clock else "row", "s" if scene.clock else "", work.bench.rows.average(scene.time), True)
+    return Axis("time" if scene.clock else "row", "s" if scene.clock else "", work.bench.time, True)
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class _Along:
 
     def time(self) -> Axis:
         """What repeats, against the phase of its period."""
-        return _folded("time", "s", self.average(self.scene.time), self.follows)
+        return _folded("time", "s", self.work.bench.time, self.follows)
 
     def position(self) -> Axis:
         """Of the joint that it names."""

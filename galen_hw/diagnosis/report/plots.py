@@ -12,6 +12,7 @@ from galen_hw.diagnosis.findings.quantities import readable
 from galen_hw.diagnosis.report.caps import CAPS
 from galen_hw.diagnosis.report.plot_data import Along, Curve, Option, Traces
 from galen_hw.diagnosis.report.summary import channel_words
+from galen_hw.diagnosis.stats.sampling import true_runs
 from galen_hw.spatial import Array
 
 BEFORE, AFTER, FLOOR, GREY, INK, HELD = "#d1603d", "#17627f", "#d5e7ee", "#8a949b", "#1d2a33", "#efe9da"
@@ -88,9 +89,8 @@ def _residual(ax: Any, traces: Traces, c: int, keep: Array, level: float) -> Non
 
 def _shade(ax: Any, traces: Traces) -> None:
     """Mark the rows that the effects were not fitted on."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], traces.held_out.astype(int), [0]])))
     last = len(traces.time) - 1
-    for k, (a, b) in enumerate(edges.reshape(-1, 2)):
+    for k, (a, b) in enumerate(true_runs(traces.held_out)):
         if b - a < len(traces.time):
             label = "held out" if k == 0 else None
             ax.axvspan(traces.time[a], traces.time[min(b, last)], color=HELD, lw=0, zorder=-1, label=label)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis, with_parameters
-from galen_hw.diagnosis.estimation.cross_validation import errors
+from galen_hw.diagnosis.estimation.cross_validation import cross_validated
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
@@ -35,11 +35,16 @@ def improvement(
     h = None if i is None else scorer.library[i]
     fine = h is not None and h.effect is not None and not h.effect.lasting()
     without, rest = (
-        errors(bench, scorer, model, fine=fine, whitened=whitened) / sigma for model in (out.chosen, trial)
+        cross_validated(bench, scorer.parts(model), scorer.white, fine=fine, whitened=whitened) / sigma
+        for model in (out.chosen, trial)
     )
     if not len(out.begun):
-        out.begun = errors(bench, scorer, out.chosen) ** 2
-    begun = np.mean(errors(bench, scorer, [], whitened=True) ** 2, axis=0) if whitened else out.start
+        out.begun = cross_validated(bench, scorer.parts(out.chosen), scorer.white) ** 2
+    begun = (
+        np.mean(cross_validated(bench, scorer.base, scorer.white, whitened=True) ** 2, axis=0)
+        if whitened
+        else out.start
+    )
     gain = paired(without, rest, begun / sigma**2 - 1.0)
     own = list(range(bench.width)) if h is None else list(h.raw.channels)
     rows = _moments(h, bench, without[:, own])
@@ -92,7 +97,7 @@ def improves(out: Selection, before: Array, after: Array) -> bool:
 
 def left_out(out: Selection, model: list[int]) -> Array:
     """(n, C) errors of a model on training blocks, each predicted from the others, in units of the noise."""
-    return errors(out.bench, out.scorer, model) / out.bench.noise.sigma
+    return cross_validated(out.bench, out.scorer.parts(model), out.scorer.white) / out.bench.noise.sigma
 
 
 def no_worse(before: Array, after: Array) -> bool:

@@ -13,7 +13,7 @@ from galen_hw.diagnosis.estimation.least_squares import fit, rests
 from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
 from galen_hw.diagnosis.estimation.linearisation import tangent, unbent
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
-from galen_hw.diagnosis.selection.limits import LIMITS
+from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.stats.paired_test import paired
 from galen_hw.physics.effects.base import DOUBT, Effect
 from galen_hw.spatial import Array
@@ -117,7 +117,7 @@ def bent(bench: Bench, scorer: Scorer, chosen: list[int], i: int, score: Score) 
 def _approached(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Iterator[Array]:
     """(n, C) whitened rests of the training rows by the model with a nonlinear effect, after each step of the search."""
     h, y, theta = scorer.library[i], bench.y, scorer.solve([*chosen, i])[0][-scorer.library[i].count :]
-    base = [scorer.library[j] for j in [*range(len(scorer.base)), *chosen]]
+    base = scorer.parts(chosen)
     rows = np.flatnonzero(bench.train)
     for _ in range(2):
         new = tangent(bench, h, theta)

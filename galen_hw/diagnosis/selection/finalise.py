@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
-from galen_hw.diagnosis.estimation.cross_validation import of_parts
+from galen_hw.diagnosis.estimation.cross_validation import cross_validated
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.model import Model, together
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
@@ -44,11 +44,11 @@ def weighed(model: Model) -> Model:
     frequencies at which the model is wrong.
     """
     bench = model.bench
-    ours = of_parts(bench, model.parts, model.white) / bench.noise.sigma
+    ours = cross_validated(bench, model.parts, model.white) / bench.noise.sigma
     # In whitened units physics that is missing may pass for slow noise.
     if not model.effects or np.all(np.mean(ours**2, axis=0) <= CRITERIA.noise_alone):
         return model
-    gain = paired(ours, of_parts(bench, *model.flat()) / bench.noise.sigma, np.zeros(1))
+    gain = paired(ours, cross_validated(bench, *model.flat()) / bench.noise.sigma, np.zeros(1))
     return replace(model, plain=True) if gain.fall > gain.error else model
 
 

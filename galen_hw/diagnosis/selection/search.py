@@ -5,12 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
-from galen_hw.diagnosis.estimation.cross_validation import errors
+from galen_hw.diagnosis.estimation.cross_validation import cross_validated
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import retime, settle_together
 from galen_hw.diagnosis.estimation.linearisation import rebase, tangent
 from galen_hw.diagnosis.estimation.normal_equations import Scorer, threshold
-from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves import MOVES
 from galen_hw.diagnosis.selection.moves.clipping import levelled
 from galen_hw.diagnosis.selection.moves.drop import alone, dropped
@@ -18,6 +17,7 @@ from galen_hw.diagnosis.selection.moves.step_times import timed
 from galen_hw.diagnosis.selection.moves.swap import swapped
 from galen_hw.diagnosis.selection.proposals import known, sought
 from galen_hw.diagnosis.selection.search_state import Selection, Turn
+from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
@@ -49,10 +49,9 @@ def select(bench: Bench, scorer: Scorer, *, start: Start = ()) -> Selection:
         retime(bench, scorer, out.chosen)
         out.turn.failed.clear()
         # What was added only to be exchanged again would be added again.
-        model = frozenset(scorer.library[i].family for i in out.chosen)
-        if model in seen:
+        if out.families in seen:
             break
-        seen.add(model)
+        seen.add(out.families)
     _conclude(out)
     return out
 
@@ -76,7 +75,7 @@ def settled(scorer: Scorer, start: Start, needed: float, *, rivals: bool = False
 def _begin(out: Selection, start: Start) -> None:
     """Look at a model that has no effects, then put those of a start into it."""
     _look(out)
-    out.begun = errors(out.bench, out.scorer, []) ** 2
+    out.begun = cross_validated(out.bench, out.scorer.base, out.scorer.white) ** 2
     _stand(out, start)
 
 

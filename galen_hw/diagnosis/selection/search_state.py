@@ -89,6 +89,11 @@ class Selection:
         return np.asarray(self.begun.mean(axis=0))
 
     @property
+    def families(self) -> frozenset[object]:
+        """Families of the chosen effects."""
+        return frozenset(h.family for h in self.hypotheses)
+
+    @property
     def hypotheses(self) -> list[Hypothesis]:
         """The chosen ones."""
         return [self.scorer.library[i] for i in self.chosen]

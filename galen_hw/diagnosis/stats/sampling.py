@@ -133,6 +133,12 @@ def _late(x: Array, steps: float, stride: int, *, bowed: bool) -> Array:
     return out
 
 
+def true_runs(mask: Mask) -> list[tuple[int, int]]:
+    """Return the first row of each run of marked rows in a mask (N,), and the row after its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
 def blocks(runs: tuple[slice, ...], count: int) -> Index:
     """Block number (M,) of every row: about `count` contiguous blocks that do not cross segments."""
     total = sum(r.stop - r.start for r in runs)

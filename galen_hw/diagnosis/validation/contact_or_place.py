@@ -13,7 +13,7 @@ from galen_hw.diagnosis.lack_of_fit import trees
 from galen_hw.diagnosis.lack_of_fit.basis_functions import POSITION, Inputs
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.stats.criteria import CRITERIA
-from galen_hw.diagnosis.stats.sampling import Mask
+from galen_hw.diagnosis.stats.sampling import Mask, true_runs
 from galen_hw.diagnosis.validation.judgement import touched
 
 AROUND: Final = 0.5
@@ -66,12 +66,11 @@ def foretold(whole: Model, less: Model) -> list[Left]:
 
 def _each(bench: Bench, touches: Sequence[Hypothesis]) -> list[Mask]:
     """Rows (M,) of each touch with its surroundings; what overlaps is one."""
-    time = bench.rows.average(bench.scene.time)
+    time = bench.time
     near = np.zeros(len(bench.rows), dtype=bool)
     for h in touches:
         for start, end in () if h.effect is None else h.effect.touches:
             margin = AROUND * (end - start)
             near |= (time >= start - margin) & (time <= end + margin)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(int))).reshape(-1, 2)
     at = np.arange(len(near))
-    return [(at >= a) & (at < b) for a, b in edges]
+    return [(at >= a) & (at < b) for a, b in true_runs(near)]

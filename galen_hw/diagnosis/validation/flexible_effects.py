@@ -8,7 +8,6 @@ from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit import structure_test, trees
 from galen_hw.diagnosis.lack_of_fit.gram import Functions
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder, learn
-from galen_hw.diagnosis.selection.criterion import merit
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.validation.contact_or_place import foretold, touches_of
 from galen_hw.diagnosis.validation.holdout import earned, judge_remainder
@@ -100,7 +99,7 @@ def _explained(model: Model, rest: list[structure_test.Left], functions: Functio
     # A family that shows in one channel may be little in another until what is larger there is told.
     every = {one.kind for one in rest}
     kinds = {one.channel: every for one in rest}
-    remainder, own = learn(model, kinds, functions), merit(model, foretelling=True)
+    remainder, own = learn(model, kinds, functions), model.penalised_gain(predictive=True)
     if remainder is None:
         return own, None
     chosen = sum(len(families) for families in remainder.parts.values())

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
-from galen_hw.diagnosis.estimation.cross_validation import white_left_out
+from galen_hw.diagnosis.estimation.cross_validation import cross_validated
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder
 from galen_hw.diagnosis.stats.paired_test import Gain, paired
-from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, predict, touched
+from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, touched
 from galen_hw.diagnosis.validation.other_recording import apply, noisier, undisturbed
 from galen_hw.diagnosis.validation.support import HoldoutTest
 from galen_hw.physics.effects.base import Effect
@@ -40,7 +40,7 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
     if holdout is None:
         rows = bench.judged if bench.judged.any() else bench.train
         name = "contiguous blocks set aside" if bench.judged.any() else "the recording itself"
-        before = np.asarray(np.mean((bench.whole - predict(baseline))[rows] ** 2, axis=0))
+        before = np.asarray(np.mean(baseline.rest()[rows] ** 2, axis=0))
         judged = Judged(name, before, np.mean(model.rest()[rows] ** 2, axis=0), {}, floor)
         free = rows & ~touched(model)
         if 0 < free.sum() < rows.sum():
@@ -112,7 +112,7 @@ def _at_home(model: Model, part: Model) -> Gain:
     A temperature that stays where it is, or a joint that rests, says nothing for an effect and nothing against it.
     """
     each = (model, part, model.without(model.effects))
-    rest, without, before = (white_left_out(model.bench, one.parts, one.white) for one in each)
+    rest, without, before = (cross_validated(model.bench, one.parts, one.white, whitened=True) for one in each)
     return paired(without, rest, np.mean(before**2, axis=0) - 1.0)
 
 

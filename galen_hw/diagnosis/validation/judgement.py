@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import predicted
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.stats.criteria import CRITERIA
@@ -100,8 +99,3 @@ def touched(model: Model) -> Mask:
         if h.effect is not None and h.effect.touches:
             out |= h.raw.values.any(axis=(1, 2))
     return out
-
-
-def predict(model: Model) -> Array:
-    """(M, C) of the model on its own bench."""
-    return predicted(model.parts, model.theta, np.arange(len(model.bench.y)), model.bench.width)

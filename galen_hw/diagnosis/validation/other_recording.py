@@ -152,8 +152,7 @@ def _moments(scene: Scene, rest: Array, rows: Rows) -> list[float]:
 
 def _full(effect: Effect, scene: Scene, rows: Rows, width: int) -> Array:
     """(M, C, k) columns of an effect in all channels, on averaged rows."""
-    full = effect.columns(scene).full(width)
-    return np.stack([rows.average(full[:, :, i]) for i in range(full.shape[2])], axis=-1)
+    return rows.average(effect.columns(scene).full(width))
 
 
 def _less(rest: Array, columns: list[Array], seen: Mask) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
-from galen_hw.diagnosis.preprocessing.data_quality import Premise
+from galen_hw.diagnosis.preprocessing.checks import Screening
 from galen_hw.diagnosis.result import Finding, Verdict
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, touched
@@ -161,10 +161,10 @@ def _followed(step: float, sigma: float) -> float:
     return float(min(FOLLOWED * step**2 / 12.0, blurred))
 
 
-def verdict_of(findings: list[Finding], rest: list[Left], premise: Premise) -> Verdict:
+def verdict_of(findings: list[Finding], rest: list[Left], screening: Screening) -> Verdict:
     """The word for what was found and what is left."""
     named = [f for f in findings if f.named]
-    if premise.wrong:
+    if screening.wrong:
         return "unexplained"
     if not named:
         return "unexplained" if rest else "agrees"

@@ -4,10 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from galen_hw.diagnosis.selection.moves.add import added
+from galen_hw.diagnosis.selection.moves.add import added, hidden
 from galen_hw.diagnosis.selection.moves.drop import dropped
 from galen_hw.diagnosis.selection.moves.exchange import regrouped
-from galen_hw.diagnosis.selection.moves.pairs import hidden
 from galen_hw.diagnosis.selection.moves.refine import refined
 from galen_hw.diagnosis.selection.moves.swap import simplified, swapped, swapped_again
 from galen_hw.diagnosis.selection.moves.tighten import tightened

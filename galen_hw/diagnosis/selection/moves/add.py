@@ -9,7 +9,6 @@ from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.acceptance import pays, plausible
 from galen_hw.diagnosis.selection.comparison import bent, polished
 from galen_hw.diagnosis.selection.kinds import kind_first
-from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves.clock_offset import clock_offset
 from galen_hw.diagnosis.selection.moves.course import finest
 from galen_hw.diagnosis.selection.moves.step_times import parted
@@ -17,6 +16,8 @@ from galen_hw.diagnosis.selection.moves.tighten import tightened
 from galen_hw.diagnosis.selection.moves.timing import own_clocks
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import plainest, undecided
+from galen_hw.diagnosis.settings import LIMITS
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 
 
 def added(out: Selection) -> bool:
@@ -122,6 +123,25 @@ def with_partner(out: Selection, i: int) -> list[int] | None:
     both = [i, j]
     real = all(plausible(bench, scorer, [*out.chosen, *(k for k in both if k != one)], one) for one in both)
     return both if real and pays(out, [*out.chosen, *both])[0] else None
+
+
+def hidden(out: Selection) -> bool:
+    """Return whether an effect joined that is supported only together with the likeliest second one.
+
+    An arm that is turned and late errs by the sum: what fits one of the two alone fits the other's half as well, and the
+    residual is hardly smaller for it on held-out blocks.
+    """
+    scorer = out.scorer
+    if scorer.misfit(out.chosen) < CRITERIA.noise_alone:
+        return False
+    leaders: dict[str, int] = {}
+    for i in out.turn.able:
+        leaders.setdefault(scorer.library[i].effect.KEY, i)  # type: ignore[union-attr]
+    for i in list(leaders.values())[: LIMITS.leaders]:
+        if with_partner(out, i) is not None:
+            out.chosen.append(i)
+            return True
+    return False
 
 
 def _plausible_kin(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], i: int) -> int | None:

@@ -15,7 +15,7 @@ def levelled(out: Selection) -> None:
     cut no other is right; a limit too low stays, and leaves a share of what the others do, or a touch, to make up for it.
     """
     bench, scorer = out.bench, out.scorer
-    measured = bench.whole + bench.rows.average(bench.scene.simulated)
+    measured = bench.whole + bench.simulated
     for i in list(out.chosen):
         effect = scorer.library[i].effect
         if effect is None or not effect.clips or scorer.library[i].looked == 1:

@@ -102,7 +102,7 @@ def _shift(bench: Bench) -> tuple[float, float] | None:
     at = int(np.argmin(left))
     if left[at] > LEFT * left[most]:
         return None
-    row = step * float(np.median(np.diff(bench.rows.average(bench.scene.time)[run])))
+    row = step * float(np.median(np.diff(bench.time[run])))
     return (at - most) * row, row
 
 

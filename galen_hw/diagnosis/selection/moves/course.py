@@ -34,7 +34,7 @@ def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
     found, looked = None, scorer.library[i].looked
     best = scorer.scores(others, [i])[0].get(i)
     rank = -np.inf if best is None else best.rank
-    for finer in effect.finer(bench.rows.average(bench.scene.time)):
+    for finer in effect.finer(bench.time):
         new = bench.add(finer, looked)
         with scorer.trying([new]):
             score = scorer.scores(others, [len(scorer.library) - 1])[0].get(len(scorer.library) - 1)
@@ -49,7 +49,7 @@ def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
 
 def _quiet_else(bench: Bench, scorer: Scorer, model: list[int], touches: tuple[Span, ...]) -> bool:
     """Return whether a model leaves hardly more than noise on the rows outside a touch's episodes."""
-    time = bench.rows.average(bench.scene.time)
+    time = bench.time
     outside = bench.train & ~np.any([(time >= start) & (time <= end) for start, end in touches], axis=0)
     rest = rests(bench, scorer, model)[0][outside]
     return len(rest) > 0 and float(np.mean((rest / bench.noise.sigma) ** 2)) < CRITERIA.noise_alone

@@ -9,9 +9,9 @@ from galen_hw.diagnosis.estimation.candidate import place_of, told
 from galen_hw.diagnosis.estimation.interactions import settle_together
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.acceptance import left_out, no_worse, plausible
-from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import undecided
+from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 
 

@@ -4,9 +4,9 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import pays, plausible
 from galen_hw.diagnosis.selection.comparison import polished
-from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves.course import followed
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 
@@ -78,8 +78,7 @@ def _bound(out: Selection) -> bool:
         for _ in range(LIMITS.chain):
             effect = scorer.library[j].effect
             theta, at, _ = scorer.solve([*others, j])
-            own = scorer.places[j]
-            told = None if effect is None else effect.told_by(theta[(at >= own.start) & (at < own.stop)])
+            told = None if effect is None else effect.told_by(theta[scorer.own(at, j)])
             if told is None:
                 break
             scorer.append([bench.add(told)])

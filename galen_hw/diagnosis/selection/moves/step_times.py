@@ -3,8 +3,8 @@
 from galen_hw.diagnosis.detection import steps
 from galen_hw.diagnosis.estimation.interactions import load
 from galen_hw.diagnosis.estimation.least_squares import rests
-from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.settings import LIMITS
 
 
 def timed(out: Selection) -> bool:
@@ -18,9 +18,9 @@ def timed(out: Selection) -> bool:
         load(bench, scorer, out.chosen)
         others = [j for j in out.chosen if j != i]
         theta, at, misfit = scorer.solve(out.chosen)
-        h, own = scorer.library[i], scorer.places[i]
+        h = scorer.library[i]
         rest, _ = rests(bench, scorer, out.chosen)
-        rest[:, list(h.raw.channels)] += h.raw.values @ theta[(at >= own.start) & (at < own.stop)]
+        rest[:, list(h.raw.channels)] += h.raw.values @ theta[scorer.own(at, i)]
         best = steps.again(bench.scene, rest, step, bench.noise)
         if best.effect == step:
             continue

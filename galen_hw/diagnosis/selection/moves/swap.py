@@ -7,11 +7,11 @@ from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.acceptance import as_good, left_out, no_worse, plausible
 from galen_hw.diagnosis.selection.comparison import ahead, in_place, loosens
 from galen_hw.diagnosis.selection.kinds import with_its_kind
-from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves.add import kin
 from galen_hw.diagnosis.selection.moves.step_times import parted
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import plainest, undecided
+from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 
 
@@ -108,10 +108,9 @@ def swapped_again(out: Selection) -> bool:
     """
     if not out.turn.swapped:
         return False
-    scorer = out.scorer
-    families = _families(scorer, out.chosen)
+    families = out.families
     with out.attempt() as attempt:
-        attempt.kept = _swap(out) and _families(scorer, out.chosen) != families
+        attempt.kept = _swap(out) and out.families != families
     return attempt.kept
 
 
@@ -119,7 +118,3 @@ def _left_behind(scorer: Scorer, i: int, j: int) -> bool:
     """Whether j is the chosen i where it stood before it was settled: a tangent says of itself that it reaches anywhere."""
     own, other = scorer.library[i], scorer.library[j]
     return other.theta is not None and own.effect == other.effect and own.effect is not None and own.effect.curved
-
-
-def _families(scorer: Scorer, chosen: list[int]) -> set[object]:
-    return {effect.family for i in chosen if (effect := scorer.library[i].effect) is not None}

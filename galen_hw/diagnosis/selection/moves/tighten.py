@@ -32,7 +32,7 @@ def tightened(out: Selection, just: int | None = None) -> bool:
     behind the spring.
     """
     scorer = out.scorer
-    model = frozenset((just is None, *(scorer.library[i].family for i in out.chosen)))
+    model = frozenset((just is None, *out.families))
     for i in out.chosen if just is None else [just]:
         effect = scorer.library[i].effect
         if effect is None or model in out.tightened or len(out.tightened) == OFTEN:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
-from galen_hw.diagnosis.estimation.cross_validation import errors
+from galen_hw.diagnosis.estimation.cross_validation import cross_validated
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import settle_together
 from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
@@ -42,7 +42,7 @@ def reclocked(out: Selection) -> bool:
     """Return whether the delays and lags of a model were exchanged for better ones: of the whole stream, or of each joint."""
     bench, scorer = out.bench, out.scorer
     # Not for ever: what the search takes back of an exchange, it would take back again.
-    model = frozenset(scorer.library[i].family for i in out.chosen)
+    model = out.families
     again = _ends(scorer, out.chosen) and out.clocked[model] < OFTEN
     proposed = shifts(bench.scene) if again else []
     out.clocked[model] += 1
@@ -74,7 +74,7 @@ def own_clocks(out: Selection) -> bool:
     if len({end.joint for end, _ in each}) < 2 or not _exchanged(bench, scorer, out, each, {}, nearly=2):
         return exchanged
     # What friction does is little beside all of the lateness, and much beside what the right clocks leave of it.
-    out.begun = errors(bench, scorer, out.chosen) ** 2
+    out.begun = cross_validated(bench, scorer.parts(out.chosen), scorer.white) ** 2
     return True
 
 
