@@ -48,7 +48,7 @@ def test_two_that_hide_each_other_are_found_together() -> None:
 def test_of_nothing_no_two_are_made() -> None:
     work = diagnosed(Bench(6, rows=2000))
     work.selection.chosen = []
-    work.selection.turn.able = [place(work, JointOffset("tilt")), place(work, BaseTilt("y"))]
+    work.selection.turn.significant = [place(work, JointOffset("tilt")), place(work, BaseTilt("y"))]
     assert not hidden(work.selection)
     assert not work.selection.chosen
 

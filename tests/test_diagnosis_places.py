@@ -48,7 +48,7 @@ def comparison_of(model: Any) -> HoldoutTest:
     """On rows of white noise of unit size."""
 
     def rest(part: Any) -> np.ndarray:
-        return np.asarray(part.rest())
+        return np.asarray(part.residual())
 
     return HoldoutTest(np.ones(rest(model).shape[1]), rest, rest, model, model.without(model.effects))
 

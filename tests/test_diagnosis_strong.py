@@ -59,11 +59,11 @@ def modelled(*placed: tuple[object, float]) -> Model:
     """Effects of given rms in one channel, in newtons, of a run without anything else: as they would be found."""
     run = Bench()
     bench = diagnose(scene_of(run.observations())).bench
-    hypotheses = [bench.add(effect) for effect, _ in placed]  # type: ignore[arg-type]
+    hypotheses = [bench.hypothesis(effect) for effect, _ in placed]  # type: ignore[arg-type]
     model = Model(bench, [], hypotheses, bench.whitened(bench.whole))
     for h, s, (_, rms) in zip(hypotheses, model.slices(), placed, strict=True):
         one = np.ones(h.count)
-        model.final[s] = one * rms / np.sqrt(np.mean(h.does(one) ** 2))
+        model.final[s] = one * rms / np.sqrt(np.mean(h.contribution(one) ** 2))
     return model
 
 

@@ -12,12 +12,12 @@ import diagnosis_cases as cases
 from diagnosis_cases import Bench, rotation
 from physics_scenes import scene
 
-from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside, descended
+from galen_hw.diagnosis.estimation.levenberg_marquardt import ConditionalGain, descended
 from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.stats.paired_test import Gain
-from galen_hw.diagnosis.validation.holdout import earned
+from galen_hw.diagnosis.validation.holdout import backward_eliminated
 from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.diagnosis.work import Work
 from galen_hw.kinematics import GalenRobot
@@ -115,7 +115,7 @@ def test_a_cable_is_told_with_its_place_and_its_friction(friction: float) -> Non
     for name, value in true.items():
         assert told[name][0] == pytest.approx(value, abs=4.0 * told[name][1]), name
     assert told["stiffness"][1] < 0.1 * 4.0
-    assert work.model.rest(white=True)[work.bench.train].std() < 1.03
+    assert work.model.residual(white=True)[work.bench.train].std() < 1.03
 
 
 @pytest.mark.inject
@@ -186,7 +186,7 @@ def test_no_cable_hangs_from_thirty_metres_away() -> None:
     bench = Bench(rows=1000)
     bench.wrench[:, 5] += 2.0 * cases.SIGMA[5] * np.maximum(bench.q[:, 4] - 0.2, 0.0) / 0.1
     work = diagnosed(bench)
-    beside, tendon = Beside(work.bench, work.selection.scorer, []), work.bench.add(CableDrag("tendon"))
+    beside, tendon = ConditionalGain(work.bench, work.selection.scorer, []), work.bench.hypothesis(CableDrag("tendon"))
     for begun in ([1.0, *ANCHOR, 0.2, *CLIP], [5e-5, -30.0, 2.0, 1.6, 43.0, -1.9, 33.0, 3.3]):
         found = descended(work.bench, beside, tendon, np.array(begun))[1]
         assert found.theta is not None
@@ -201,9 +201,11 @@ def test_a_tendon_whose_stiffness_is_not_known_is_no_cable(stiffness: float, mon
     pulled(case, stiffness, 0.2)
     bench = diagnose(scene_of(clean.observations())).bench
     bench.whole = bench.whole + bench.rows.average(case.wrench - clean.wrench)
-    tendon = tangent(bench, bench.add(CableDrag("tendon")), np.array([max(stiffness, 1e-4), *ANCHOR, 0.2, *CLIP]))
-    nuisances = [bench.made(None, columns) for columns in bench.constants()]
-    model = Model(bench, nuisances, [tendon], bench.whitened(bench.whole - tendon.bend))
+    tendon = tangent(
+        bench, bench.hypothesis(CableDrag("tendon")), np.array([max(stiffness, 1e-4), *ANCHOR, 0.2, *CLIP])
+    )
+    nuisances = [bench.hypothesis_of(None, columns) for columns in bench.constants()]
+    model = Model(bench, nuisances, [tendon], bench.whitened(bench.whole - tendon.nonlinear))
 
     def wanted(asked: Model, *_: object) -> Judged:
         keys, floor = [h.effect.KEY for h in asked.effects if h.effect is not None], bench.noise.sigma**2
@@ -212,7 +214,7 @@ def test_a_tendon_whose_stiffness_is_not_known_is_no_cable(stiffness: float, mon
         return Judged("", floor, floor, without, floor, dict.fromkeys(keys, surely), {key: [surely] for key in keys})
 
     monkeypatch.setattr("galen_hw.diagnosis.validation.holdout.judge", wanted)
-    assert earned(model, None)[0].effects == ([tendon] if stiffness else [])
+    assert backward_eliminated(model, None)[0].effects == ([tendon] if stiffness else [])
 
 
 def test_what_pushes_off_or_turns_without_a_force_is_no_cable() -> None:

@@ -13,7 +13,7 @@ from galen_hw.diagnosis.preprocessing.checks import Screening
 from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.validation.judgement import Judged
-from galen_hw.diagnosis.validation.verdict import beyond, contradicted, outlying, unsteady, verdict_of
+from galen_hw.diagnosis.validation.verdict import above_noise, contradicted, outlying, unsteady, verdict_of
 from galen_hw.physics.effects.events import Glitches
 
 
@@ -31,7 +31,7 @@ def answer(
     findings = findings_of(model, selection, judged, glitch)
     for finding in findings:
         finding.confounded_with = confusions(model, selection, finding)
-    rest = left or beyond(judged, model, untouched=True) or contradicted(judged, model)
+    rest = left or above_noise(judged, model, outside_contacts=True) or contradicted(judged, model)
     rest = rest if rest or findings else outlying(model) or unsteady(model)
     if screening.wrong or rest:
         findings.append(unknown_finding(bench, judged, rest, screening))
@@ -41,8 +41,8 @@ def answer(
     if verdict == "agrees":
         notes.append(_limit(bench))
     notes += _wandering(model) + _ringing(bench)
-    if judged.at_home:
-        told = ", ".join(key.replace("_", " ") for key in sorted(judged.at_home))
+    if judged.cross_validated:
+        told = ", ".join(key.replace("_", " ") for key in sorted(judged.cross_validated))
         notes.append(f"the recording held out hardly rouses {told}: told by blocks left out of the first")
     if bench.scene.heard is not None:
         why = (
@@ -71,7 +71,7 @@ def answer(
 def _limit(bench: Bench) -> str:
     """Return the smallest effect that would have been seen, in words: a slow one, where noise is slow."""
     least = bench.detectable
-    each = ", ".join(f"{bench.scene.channels[c]} {least[c]:.2g}" for c in np.flatnonzero(~bench.unread))
+    each = ", ".join(f"{bench.scene.channels[c]} {least[c]:.2g}" for c in np.flatnonzero(~bench.without_data))
     return f"an effect of this rms in one channel would have been seen: {each}"
 
 
@@ -81,7 +81,9 @@ def _wandering(model: Model) -> list[str]:
     drifting = {name for h in model.effects if h.effect is not None for name in h.effect.wandering}
     told = [
         f"{name} {wander:.2g} {unit}"
-        for name, unit, wander, quick in zip(bench.scene.channels, bench.scene.units, *bench.noise.wander, strict=True)
+        for name, unit, wander, quick in zip(
+            bench.scene.channels, bench.scene.units, *bench.noise.slow_and_quick_rms, strict=True
+        )
         if wander > quick and name not in drifting
     ]
     return [f"what wanders so slowly passes for noise, rms: {', '.join(told)}"] if told else []

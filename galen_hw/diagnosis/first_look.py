@@ -8,7 +8,7 @@ from joblib import Parallel, delayed
 
 from galen_hw.diagnosis.detection import outliers
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.signal_chain import Timing, arrived
+from galen_hw.diagnosis.estimation.signal_chain import OutputStage, output_of
 from galen_hw.diagnosis.lack_of_fit import structure_test
 from galen_hw.diagnosis.searching import searched
 from galen_hw.diagnosis.selection.moves.clock_offset import far_off
@@ -31,9 +31,9 @@ class Known:
     """
 
     effects: list[tuple[Effect, Array]]
-    left: dict[int, str]
+    structures: dict[int, str]
     step: float
-    ends: Timing
+    output_stage: OutputStage
     stream: Scene
 
     def alike(self, effects: Iterable[Effect], columns: Iterable[Columns]) -> list[Columns]:
@@ -68,7 +68,7 @@ class Known:
         Args:
             least: rows for each direction that may be kept from passing for noise.
         """
-        with bench.delivering(self.ends):
+        with bench.delivering(self.output_stage):
             out = [bench.raw(effect.relaxed) for effect, _ in self.effects]
             # Moments are known to a row of the first look.
             step = self.step if self.step > bench.spacing else 0.0
@@ -77,9 +77,9 @@ class Known:
             for effect, theta in self.effects:
                 change = effect.exact(bench.scene, theta)
                 if change is not None:
-                    seen = arrived(bench.stream, effect, change, self.ends)
+                    seen = output_of(bench.stream, effect, change, self.output_stage)
                     out.append(Columns(everywhere, bench.rows.average(seen)[:, :, None]))
-        for channel, kind in self.left.items():
+        for channel, kind in self.structures.items():
             alike = [one.basis for one in generic if one.kind == kind]
             # In few rows all directions of what looked best would leave too little of the noise, and find themselves again.
             most = max(len(bench.rows) // least // len(alike), 2)
@@ -91,7 +91,7 @@ def benches(scene: Scene, held: float, seed: int) -> tuple[Bench, Bench, list[Gl
     """The data of the search, those of the first look, and the isolated samples that both leave out."""
     bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, BUDGET.coarse)
     glitch = outliers.marked(bench)
-    coarse.leave_out(bench.spoilt)
+    coarse.leave_out(bench.outlier_rows)
     return bench, coarse, glitch
 
 
@@ -122,21 +122,21 @@ def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list
     """Effects and leftovers under a noise that is too small rather than too large, on few rows."""
     generic = structure_test.families(coarse)
     seen = [coarse.raw(s.effect) for s in at_first_sight(bench)]
-    extra, above = [*structure_test.compact(coarse, generic), *seen], coarse.motion_band()
+    extra, above = [*structure_test.leading_directions(coarse, generic), *seen], coarse.motion_band()
     coarse.learn_noise(columns, extra, above=above)
     ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind)
     coarse = model.bench
     if shifts := far_off(model):
         # On the clock that was off no effect is like what was measured: slow ones had passed for noise.
         late = [coarse.raw(effect) for effect in effects]
-        coarse.begin()
+        coarse.reset()
         coarse.learn_noise(late, [*extra, *shifts], above=above)
         ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind)
         coarse = model.bench
     if not left and len(coarse.noise.edges):
         # What is finely structured passes for quick noise. Only blocks that it was not fitted on can tell, whatever the noise.
         coarse.noise = coarse.noise.flat()
-        rest = model.rest()
+        rest = model.residual()
         plain = structure_test.Fitted([h.raw for h in model.parts], rest, rest / coarse.noise.sigma)
         (left,) = structure_test.leftovers(coarse, generic, [plain])
     return Known(
@@ -144,10 +144,10 @@ def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list
     )
 
 
-def begun(bench: Bench, known: Known, holdout: Scene | None) -> Scene | None:
+def restarted(bench: Bench, known: Known, holdout: Scene | None) -> Scene | None:
     """The other recording, and the bench with the stream of the first look: of the beginnings that a model leaves open."""
     every = [effect for effect, _ in known.effects]
     beginning = sum((e.beginning(bench.scene, theta, every) for e, theta in known.effects), Beginning())
-    bench.begun(bench.scene.begun(beginning))
-    bench.stand(stream=known.stream)
+    bench.restart_with(bench.scene.begun(beginning))
+    bench.update_state(stream=known.stream)
     return None if holdout is None else holdout.begun(beginning)

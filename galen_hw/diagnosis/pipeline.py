@@ -9,12 +9,17 @@ from threadpoolctl import threadpool_limits
 from galen_hw.diagnosis.answer import answer
 from galen_hw.diagnosis.detection import outliers
 from galen_hw.diagnosis.findings.claims import add_claims, claim_before
-from galen_hw.diagnosis.first_look import begun, benches, effect_columns, first_look
+from galen_hw.diagnosis.first_look import benches, effect_columns, first_look, restarted
 from galen_hw.diagnosis.lack_of_fit import structure_test, trees
 from galen_hw.diagnosis.preprocessing.checks import Screening, held_out, screened
-from galen_hw.diagnosis.searching import held_up, searched
+from galen_hw.diagnosis.searching import pruned, searched
 from galen_hw.diagnosis.selection.proposals import library
-from galen_hw.diagnosis.validation.flexible_effects import left_by, left_of_another, might_yield, predict_unnamed
+from galen_hw.diagnosis.validation.flexible_effects import (
+    has_flexible_effects,
+    predict_unnamed,
+    remaining_structures,
+    structures_of_holdout,
+)
 from galen_hw.diagnosis.validation.verdict import strong, verdict_of
 from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.columns import Columns
@@ -65,7 +70,7 @@ def diagnose(
     effects, (columns, coarser) = effect_columns(library(bench), bench, coarse)
     tell("a first look", 0.25)
     known = first_look(bench, coarse, effects, coarser, blind=bool(screening.wrong))
-    holdout = begun(bench, known, holdout)
+    holdout = restarted(bench, known, holdout)
     # What moves with the robot cannot be told from noise before it is known what is there: the first noise was too small
     # rather than too large. Now it is learnt from what the first model leaves, and everything is asked again.
     tell("learning the noise", 0.4)
@@ -79,21 +84,21 @@ def diagnose(
         generic += [structure_test.Family(one.kind, one.basis, local=False) for one in passed]
         also = [Columns((one.channel,), one.basis[:, None, 1:]) for one in passed]
         before = searches[0][1]
-        before.bench.begin()
+        before.bench.reset()
         learn(before.bench, generic, also)
         searches, left = searched(before.bench, effects, columns, generic, blind=False, start=before.placed())
         left = left or trees.hidden(searches[0][1])
     tell("judging on held-out data", 0.9)
-    selection, chosen, model, judged = held_up(searches, holdout, nothing=bool(screening.wrong))
+    selection, chosen, model, judged = pruned(searches, holdout, nothing=bool(screening.wrong))
     bench = selection.bench
     if model is not chosen:
-        left = left_by([model], generic)[0]
+        left = remaining_structures([model], generic)[0]
     left = strong(left, judged, bench)
     glitch = [] if screening.wrong else outliers.confirmed(glitch, model)
-    if (left or might_yield(model)) and not screening.wrong:
+    if (left or has_flexible_effects(model)) and not screening.wrong:
         model, judged, left = predict_unnamed(generic, model, holdout, judged, left)
     if not left and holdout is not None and not screening.wrong:
-        left = left_of_another(model, holdout, judged)
+        left = structures_of_holdout(model, holdout, judged)
     after = claim_before(judged, raw, examination)
     diagnosis = answer(model, selection, judged, left, screening, glitch, name)
     add_claims(diagnosis, examination, judged, after, bench, lambda found: verdict_of(found, left, screening))

@@ -15,8 +15,8 @@ from galen_hw.diagnosis.selection.finalise import offsets, settle_model, weighed
 from galen_hw.diagnosis.selection.search import Start, select, settled
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
-from galen_hw.diagnosis.validation.flexible_effects import left_by
-from galen_hw.diagnosis.validation.holdout import earned
+from galen_hw.diagnosis.validation.flexible_effects import remaining_structures
+from galen_hw.diagnosis.validation.holdout import backward_eliminated
 from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns
@@ -42,10 +42,10 @@ def searched(
     """
     # Creep that began at rest is redundant where any initial transient as quick is fitted.
     each = zip(effects, columns, strict=True)
-    hypotheses = [bench.made(e, raw) for e, raw in each if not e.presumes(bench.scene)]
-    bench.know(hypotheses)
+    hypotheses = [bench.hypothesis_of(e, raw) for e, raw in each if not e.presumes(bench.scene)]
+    bench.cache_columns(hypotheses)
     searches = _models(bench, hypotheses, blind=blind, start=start)
-    return searches, left_by([searches[0][1]], generic)[0]
+    return searches, remaining_structures([searches[0][1]], generic)[0]
 
 
 def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: Start) -> list[Search]:
@@ -110,7 +110,7 @@ def _explains(model: Model, other: Model) -> bool:
     Where physics is missing, as on most machines, a better likelihood is the missing physics' as soon as the model's.
     """
     kinds, its = ({h.effect.KEY for h in one.effects if h.effect is not None} for one in (model, other))
-    square = np.mean((model.rest()[model.bench.train] / model.bench.noise.sigma) ** 2, axis=0)
+    square = np.mean((model.residual()[model.bench.train] / model.bench.noise.sigma) ** 2, axis=0)
     alone = bool(np.all(square <= CRITERIA.noise_alone))
     return alone and len(kinds) <= len(its) and model.penalised_gain() > other.penalised_gain() + CRITERIA.log_odds
 
@@ -119,7 +119,7 @@ def _families(effects: Iterable[Effect | None]) -> set[object]:
     return {effect.family for effect in effects if effect is not None}
 
 
-def held_up(searches: list[Search], holdout: Scene | None, *, nothing: bool) -> tuple[Selection, Model, Model, Judged]:
+def pruned(searches: list[Search], holdout: Scene | None, *, nothing: bool) -> tuple[Selection, Model, Model, Judged]:
     """How it was found, the model that leaves `left`, the model without what held-out data refuse, and how it does on these.
 
     With `nothing` a premise refuses the recording: constants too are numbers of something else.
@@ -129,11 +129,11 @@ def held_up(searches: list[Search], holdout: Scene | None, *, nothing: bool) -> 
     """
     (selection, found), *others = searches
     chosen = found.without(list(found.effects)) if nothing else weighed(found)
-    model, judged = earned(chosen, holdout)
+    model, judged = backward_eliminated(chosen, holdout)
     if model is chosen or nothing:
         return selection, chosen, model, judged
     for other, rival in others:
-        kept, its = earned(weighed(rival), holdout)
+        kept, its = backward_eliminated(weighed(rival), holdout)
         if kept.penalised_gain() > model.penalised_gain() + CRITERIA.log_odds:
             return other, chosen, kept, its
     return selection, chosen, model, judged

@@ -12,10 +12,10 @@ from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
 
-def walks(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
+def random_walks(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
     """A wander with every wave that is slower than noise, of each channel of which the rest (M, C) walks."""
     proposed = {d.channel: d for d in Drift.propose(scene) if d.form == "wander"}
-    walking = [name for name, walks in zip(scene.channels, noise.walks(rest, WALK), strict=True) if walks]
+    walking = [name for name, walks in zip(scene.channels, noise.random_walks(rest, WALK), strict=True) if walks]
     return [Sought(replace(proposed[name], waves=WALK), 1) for name in walking if name in proposed]
 
 

@@ -35,11 +35,11 @@ def marked(bench: Bench) -> list[Glitches]:
     return [Glitches(names, tuple(int(r) for r in rows))]
 
 
-def off(model: Model) -> Array:
+def sample_residual(model: Model) -> Array:
     """(N, C) how far every single sample is off what the model says."""
     bench = model.bench
     place = np.searchsorted(bench.rows.starts, np.arange(len(bench.scene)), side="right") - 1
-    return np.asarray(bench.scene.raw_residual - (bench.whole - model.rest())[place])
+    return np.asarray(bench.scene.raw_residual - (bench.whole - model.residual())[place])
 
 
 def deviations(bench: Bench, rest: Array) -> Array:
@@ -55,7 +55,7 @@ def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
     if not glitch:
         return []
     bench, out = model.bench, []
-    z, again = deviations(bench, off(model)), repeated(bench.scene)
+    z, again = deviations(bench, sample_residual(model)), repeated(bench.scene)
     single = np.where(again, 0.0, z)
     for one in glitch:
         rows = np.array(one.rows)

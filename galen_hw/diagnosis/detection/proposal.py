@@ -15,7 +15,7 @@ class Sought:
     """Something found by looking, and at how many places was looked."""
 
     effect: Effect
-    looked: int
+    trials: int
 
 
 FEW_ROWS = 40

@@ -120,7 +120,7 @@ def is_seen_by_itself(effect: Effect | None) -> TypeGuard[Step]:
     return isinstance(effect, Step) and not effect.carried
 
 
-def again(scene: Scene, rest: Array, step: Step, noise: Noise) -> Sought:
+def relocated(scene: Scene, rest: Array, step: Step, noise: Noise) -> Sought:
     """A jump at the moment where it takes most out of a rest (M, C) that it is still in, in its own channels.
 
     Found beside a model that had not all of the rest, it may be off by what a touch between the two moments then makes up for.

@@ -40,14 +40,14 @@ class Hypothesis:
     effect: Effect | None
     raw: Columns
     whitened: Columns | None
-    looked: int = 1
+    trials: int = 1
     name: str = ""
     theta: Array | None = None
-    bend: Array | None = None
-    beside: Array | None = None
+    nonlinear: Array | None = None
+    interaction: Array | None = None
     noise: Noise | None = None
-    unseen: int | None = None
-    telling: float | None = None
+    _unobserved: int | None = None
+    _informative_share: float | None = None
 
     @property
     def count(self) -> int:
@@ -74,15 +74,15 @@ class Hypothesis:
         at = np.flatnonzero(self.live[i])
         return at, self.white.values[:, i] if len(at) == self.count else self.white.values[:, i, at]
 
-    def aside(self, train: Mask) -> int:
+    def unobserved(self, train: Mask) -> int:
         """How many parameters belong to moments of which no row is learnt from: they gain nothing there, and cost nothing.
 
         Told once, for it is asked at every turn of a search: the rows `train` (M,) of a bench stay as they are.
         """
-        if self.unseen is None:
+        if self._unobserved is None:
             episodic = self.effect is not None and self.effect.EPISODIC
-            self.unseen = sum(not self._seen(j, train) for j in range(self.count)) if episodic else 0
-        return self.unseen
+            self._unobserved = sum(not self._seen(j, train) for j in range(self.count)) if episodic else 0
+        return self._unobserved
 
     def _seen(self, column: int, train: Mask) -> bool:
         """Whether a column is other than zero in any row that is learnt from; only channels in which it lives are looked at."""
@@ -103,12 +103,12 @@ class Hypothesis:
         return None if self.effect is None else self.effect.line(scene)
 
     @property
-    def held(self) -> Array:
+    def fixed(self) -> Array:
         """(k,) values of its parameters that are not fitted in a model, nan for those that are."""
         held = None if self.effect is None else self.effect.held
         return np.full(self.count, np.nan) if held is None else held
 
-    def owed(self, count: int | None = None, *, whole: bool = False) -> int:
+    def effective_parameters(self, count: int | None = None, *, whole: bool = False) -> int:
         """Numbers that it pays for: those that its physics has, searched values included, of `count` columns that show (all).
 
         `whole`: with all parameters of a loose hypothesis, which stands for physics with fewer and may not be it.
@@ -119,33 +119,33 @@ class Hypothesis:
         relaxed = self.effect.freedom is not None and not (whole and self.effect.loose)
         return (min(shown, self.effect.freedom or 0) if relaxed else shown) + len(self.effect.searched())
 
-    def lasts(self, train: Mask) -> float:
+    def informative_share(self, train: Mask) -> float:
         """Share of the rows that are learnt from which tell of its parameters: of touches those while they last, else all.
 
         Told once, as `aside` is.
         """
-        if self.telling is None:
+        if self._informative_share is None:
             touching = self.effect is not None and bool(self.effect.touches)
-            self.telling = float(np.mean(self.raw.values[train].any(axis=(1, 2)))) if touching else 1.0
-        return self.telling
+            self._informative_share = float(np.mean(self.raw.values[train].any(axis=(1, 2)))) if touching else 1.0
+        return self._informative_share
 
     def price(self, bench: "Bench") -> float:
         """Of one of its numbers: the log of how many independent values tell of it (Schwarz 1978).
 
         Of few no less than two: what it takes of noise alone on average, and as much again (Akaike 1974).
         """
-        return max(float(np.log(max(bench.noise.effective * self.lasts(bench.train), 1.0))), 2.0)
+        return max(float(np.log(max(bench.noise.effective * self.informative_share(bench.train), 1.0))), 2.0)
 
-    def ways(self, train: Mask) -> float:
+    def log_trials(self, train: Mask) -> float:
         """Log of how many ways it could have been found in: each of several touches, of which rows are learnt from, anywhere."""
         times = 1.0
         if self.effect is not None and self.effect.touches and self.count:
-            times = len(self.effect.touches) * (1.0 - self.aside(train) / self.count)
-        return times * math.log(self.looked)
+            times = len(self.effect.touches) * (1.0 - self.unobserved(train) / self.count)
+        return times * math.log(self.trials)
 
-    def does(self, theta: Array) -> Array:
+    def contribution(self, theta: Array) -> Array:
         """(M, len(channels)) its change with parameters theta (k,), what it is bent by included."""
-        more = [x[:, list(self.raw.channels)] for x in (self.bend, self.beside) if x is not None]
+        more = [x[:, list(self.raw.channels)] for x in (self.nonlinear, self.interaction) if x is not None]
         return np.asarray(sum(more, self.raw.values @ theta))
 
     def pinned_gain(self, scene: Scene, A: Array, r: Array) -> float | None:
@@ -183,6 +183,6 @@ def place_of(effect: Effect | None) -> tuple[str, ...]:
     return () if effect is None else effect.location
 
 
-def told(effect: Effect | None) -> tuple[object, ...]:
+def identity_of(effect: Effect | None) -> tuple[object, ...]:
     """What an effect is, and which of its numbers are searched: a bearing with friction is not one without."""
     return () if effect is None else (effect.family, *effect.searched())

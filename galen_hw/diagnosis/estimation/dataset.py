@@ -12,8 +12,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
-from galen_hw.diagnosis.estimation.signal_chain import Timing as Ends
-from galen_hw.diagnosis.estimation.signal_chain import through
+from galen_hw.diagnosis.estimation.signal_chain import OutputStage, through
 from galen_hw.diagnosis.noise.estimator import estimate, quantisation
 from galen_hw.diagnosis.noise.spectrum import Noise
 from galen_hw.diagnosis.settings import BUDGET
@@ -42,9 +41,9 @@ class ModelState:
 
     y: Array
     stream: Scene
-    timing: Ends = ()
+    timing: OutputStage = ()
     interaction: Array | float = 0.0
-    restless: bool = False
+    diverging: bool = False
 
 
 @dataclass
@@ -62,23 +61,23 @@ class Bench:
     """
 
     scene: Scene
-    held: float = 0.3
+    held_share: float = 0.3
     seed: int = 0
     most: int = BUDGET.rows
     pose: float = field(default=1.0, kw_only=True)
     in_order: int = field(default=1000, kw_only=True)
     rows: Rows = field(init=False)
     block: Index = field(init=False)
-    aside: Mask = field(init=False)
-    hollow: Mask = field(init=False)
-    unread: Mask = field(init=False)
+    held_out: Mask = field(init=False)
+    invalid_rows: Mask = field(init=False)
+    without_data: Mask = field(init=False)
     """(C,) channels that read one value in every row, as simulated, while others do not (a sensor without them)."""
-    read: int = field(init=False)
+    live_channels: int = field(init=False)
     """Channels that hold data: the others add no degree of freedom."""
-    dropped: Mask = field(init=False)
+    excluded_rows: Mask = field(init=False)
     noise: Noise = field(init=False)
     state: ModelState = field(init=False)
-    plain: dict[Effect, Hypothesis] = field(default_factory=dict)
+    known_columns: dict[Effect, Hypothesis] = field(default_factory=dict)
     """See `know`."""
 
     def __post_init__(self) -> None:
@@ -89,27 +88,31 @@ class Bench:
         self.rows = Rows(tuple(self.scene.segments), stride, self.scene.cut)
         count = 40 if len(self.rows) >= 400 else max(min(len(self.rows) // 4, 14), 4)
         self.block = blocks(self.rows.runs, count)
-        self.aside = set_aside(self.block, self.held, self.seed) if self.held > 0 else np.zeros(len(self.rows), bool)
+        self.held_out = (
+            set_aside(self.block, self.held_share, self.seed) if self.held_share > 0 else np.zeros(len(self.rows), bool)
+        )
         still = np.ptp(self.scene.measured, axis=0) + np.ptp(self.scene.simulated, axis=0) == 0.0
-        self.unread = still & ~still.all()
-        self.read = int((~self.unread).sum())
-        self.whole = np.where(self.unread, 0.0, self.rows.average(self.scene.residual))
+        self.without_data = still & ~still.all()
+        self.live_channels = int((~self.without_data).sum())
+        self.whole = np.where(self.without_data, 0.0, self.rows.average(self.scene.residual))
         self.state = ModelState(self.whole, self.scene)
         self.steps = quantisation(self.scene.measured)
         self.width = len(self.scene.channels)
         self.leave_out(np.zeros(n, dtype=bool))
 
-    def leave_out(self, spoilt: Mask) -> None:
+    def leave_out(self, outlier_rows: Mask) -> None:
         """Rows (N,) of the recording that no fit may see, its ends among them; the averaged rows that hold one are bridged."""
-        self.spoilt = spoilt
+        self.outlier_rows = outlier_rows
         scene = self.scene
-        self.hollow = self.rows.spread(spoilt | scene.ends)
-        self.dropped = self.hollow | self.rows.spread(scene.unanswered)
-        good = np.flatnonzero(~self.hollow)
-        if self.hollow.any() and len(good):
-            at = np.arange(len(self.hollow))
+        self.invalid_rows = self.rows.spread(outlier_rows | scene.ends)
+        self.excluded_rows = self.invalid_rows | self.rows.spread(scene.unanswered)
+        good = np.flatnonzero(~self.invalid_rows)
+        if self.invalid_rows.any() and len(good):
+            at = np.arange(len(self.invalid_rows))
             self.whole = np.stack([np.interp(at, good, self.whole[good, c]) for c in range(self.width)], axis=-1)
-        self.stand(y=self.whole, stream=scene.carrying(np.median(self.whole[good], axis=0) if len(good) else 0.0, 0.0))
+        self.update_state(
+            y=self.whole, stream=scene.carrying(np.median(self.whole[good], axis=0) if len(good) else 0.0, 0.0)
+        )
 
     @property
     def y(self) -> Array:
@@ -122,42 +125,42 @@ class Bench:
         return self.state.stream
 
     @property
-    def timing(self) -> Ends:
+    def timing(self) -> OutputStage:
         """Ends of the stream in the present model."""
         return self.state.timing
 
-    def stand(self, **changes: Any) -> None:
+    def update_state(self, **changes: Any) -> None:
         """Let another state, with these fields changed, stand in the place of the present one."""
         self.state = replace(self.state, **changes)
 
     @contextmanager
-    def delivering(self, timing: Ends) -> Iterator[None]:
+    def delivering(self, timing: OutputStage) -> Iterator[None]:
         """Deliver all columns through other ends of the stream for a while."""
         before = self.timing
-        self.stand(timing=timing)
+        self.update_state(timing=timing)
         try:
             yield
         finally:
-            self.stand(timing=before)
+            self.update_state(timing=before)
 
-    def begun(self, scene: Scene) -> None:
+    def restart_with(self, scene: Scene) -> None:
         """The same scene with another beginning."""
         self.scene = scene
-        self.leave_out(self.spoilt)
+        self.leave_out(self.outlier_rows)
 
-    def begin(self) -> None:
+    def reset(self) -> None:
         """As before anything was chosen, but for what the stream is known to carry."""
         self.state = ModelState(self.whole, self.stream)
 
     @property
     def train(self) -> Mask:
         """Rows to learn from."""
-        return ~self.aside & ~self.dropped
+        return ~self.held_out & ~self.excluded_rows
 
     @property
     def judged(self) -> Mask:
         """Rows to judge on."""
-        return self.aside & ~self.dropped
+        return self.held_out & ~self.excluded_rows
 
     def average(self, x: Array) -> Array:
         """Signals (N, ...) on the bench's rows, (M, ...)."""
@@ -167,21 +170,21 @@ class Bench:
         """Columns (N, c, k) on the bench's rows, (M, c, k)."""
         return Columns(columns.channels, self.rows.average(columns.values))
 
-    def add(self, effect: Effect, looked: int = 1) -> Hypothesis:
+    def hypothesis(self, effect: Effect, trials: int = 1) -> Hypothesis:
         """A hypothesis with its columns, averaged and whitened."""
-        known = self.plain.get(effect) if looked == 1 and not through(effect, self.timing) else None
-        return self.made(effect, self.raw(effect), looked) if known is None else known
+        known = self.known_columns.get(effect) if trials == 1 and not through(effect, self.timing) else None
+        return self.hypothesis_of(effect, self.raw(effect), trials) if known is None else known
 
-    def know(self, hypotheses: Iterable[Hypothesis]) -> None:
+    def cache_columns(self, hypotheses: Iterable[Hypothesis]) -> None:
         """Keeps what effects do by themselves, whatever the stream carries, until the noise is another: it is asked again."""
         each = ((h.effect, h) for h in hypotheses)
-        self.plain = {e: h for e, h in each if e is not None and (not e.DOWNSTREAM or e.CLOCK)}
+        self.known_columns = {e: h for e, h in each if e is not None and (not e.DOWNSTREAM or e.CLOCK)}
 
     def raw(self, effect: Effect) -> Columns:
         """An effect's averaged columns, as the late, lagging or clipping stream delivers them."""
         ends = through(effect, self.timing)
         if not ends:
-            known = self.plain.get(effect)
+            known = self.known_columns.get(effect)
             return effect.averaged(self.scene_of(effect), self.rows.average) if known is None else known.raw
         columns = effect.columns(self.scene_of(effect))
         for downstream, theta in ends[:-1]:
@@ -220,9 +223,9 @@ class Bench:
         """The scene as an effect meets it: at the end of the stream with all that the model adds."""
         return self.stream if effect.DOWNSTREAM else self.scene
 
-    def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
+    def hypothesis_of(self, effect: Effect | None, raw: Columns, trials: int = 1, name: str = "") -> Hypothesis:
         """A hypothesis of given averaged columns."""
-        return Hypothesis(effect, raw, None, looked, name, noise=self.noise)
+        return Hypothesis(effect, raw, None, trials, name, noise=self.noise)
 
     def constants(self) -> list[Columns]:
         """What is always fitted: offsets of all channels, the baseline's own nuisances, and what fades from the beginning."""
@@ -237,10 +240,10 @@ class Bench:
 
         Below `above` (cycles a row) it is not measured but taken as at that frequency.
         """
-        self.plain = {}
+        self.known_columns = {}
         constants, library = self.constants(), list(hypotheses)
         always = [*constants, *extra]
-        M, good = len(self.rows), ~self.dropped
+        M, good = len(self.rows), ~self.excluded_rows
 
         def left(c: int) -> tuple[Array, Array]:
             whole = [_of(col, c) for col in always if c in col.channels]
@@ -250,7 +253,9 @@ class Bench:
             return np.where(good, self.y[:, c] - fit, 0.0), Q
 
         rest, basis = zip(
-            *Parallel(n_jobs=2, require="sharedmem")(delayed(left)(c) for c in np.flatnonzero(~self.unread).tolist()),
+            *Parallel(n_jobs=2, require="sharedmem")(
+                delayed(left)(c) for c in np.flatnonzero(~self.without_data).tolist()
+            ),
             strict=True,
         )
         rows, whole = self.rows, np.stack(rest, axis=-1)
@@ -259,10 +264,10 @@ class Bench:
             list(basis),
             rows,
             ordered=self.ordered,
-            apart=self.apart,
-            steps=self.steps[~self.unread],
+            static_poses=self.static_poses,
+            steps=self.steps[~self.without_data],
             above=above,
-        ).padded(self.unread)
+        ).padded(self.without_data)
 
     @property
     def detectable(self) -> Array:
@@ -279,7 +284,7 @@ class Bench:
         return self.scene.clock or len(self.rows) >= self.in_order
 
     @property
-    def apart(self) -> bool:
+    def static_poses(self) -> bool:
         """Return whether each row is a pose by itself, held for a second or for nobody knows how long."""
         return not self.scene.clock or self.spacing >= self.pose
 
@@ -303,7 +308,7 @@ class Bench:
 
     def whitened(self, y: Array) -> Array:
         """(M, C) residual whitened; rows that hold nothing are bridged first."""
-        return self.noise.bridged(y, ~self.hollow)
+        return self.noise.bridged(y, ~self.invalid_rows)
 
     def surrogates(self, count: int = BUDGET.surrogates) -> Array:
         """(M, C, count) whitened noise like this recording's, quantised where its channels are."""

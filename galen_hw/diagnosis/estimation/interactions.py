@@ -26,11 +26,13 @@ def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
             if h.effect is not None and h.effect.DOWNSTREAM:
                 now.append((h.effect, t))
         before = bench.stream
-        load(bench, scorer, chosen)
+        update_stream(bench, scorer, chosen)
         if _same_timing(bench.timing, now) and _same_clips(now, before, bench.stream):
             return
         stream = bench.stream
-        bench.stand(timing=now, stream=stream.carrying(stream.standing, stream.carried, signal_chain.limited(now)))
+        bench.update_state(
+            timing=now, stream=stream.carrying(stream.standing, stream.carried, signal_chain.limited(now))
+        )
         scorer.retime()
         settle(bench, scorer, chosen, anew=True)
 
@@ -42,14 +44,14 @@ def cost_without(bench: Bench, scorer: Scorer, chosen: list[int], end: Effect) -
     """
     with bench.delivering([(other, theta) for other, theta in bench.timing if other != end]):
         fresh = [scorer.retimed(scorer.library[i]) for i in chosen]
-        bends = sum((h.bend for h in fresh if h.bend is not None), np.zeros_like(bench.y))
-        with scorer.against(bench.whole - bench.state.interaction - bends), scorer.trying(fresh):
+        nonlinear = sum((h.nonlinear for h in fresh if h.nonlinear is not None), np.zeros_like(bench.y))
+        with scorer.against(bench.whole - bench.state.interaction - nonlinear), scorer.trying(fresh):
             places = list(range(len(scorer.library) - len(fresh), len(scorer.library)))
             settle(bench, scorer, places, anew=True)
             return scorer.solve(places)[2]
 
 
-def load(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
+def update_stream(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
     """The bench's stream is given what the model adds to the simulation: a reading that clips, clips all of it."""
     scene, theta = bench.scene, scorer.solve(chosen)[0]
     standing = np.zeros(bench.width)
@@ -57,7 +59,7 @@ def load(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
         if len(h.raw.channels) == 1:
             standing[h.raw.channels[0]] = t[0]
     carried = signal_chain.carried(scene, _placed(scorer, chosen, theta), bench.timing)
-    bench.stand(stream=scene.carrying(standing, carried, signal_chain.limited(bench.timing)))
+    bench.update_state(stream=scene.carrying(standing, carried, signal_chain.limited(bench.timing)))
 
 
 def settle_together(bench: Bench, scorer: Scorer, chosen: list[int], *, met: float = 0.02) -> None:
@@ -70,17 +72,17 @@ def settle_together(bench: Bench, scorer: Scorer, chosen: list[int], *, met: flo
         met: of the noise of one row: what the effects do to each other is told anew when it has moved by more.
     """
     last = np.inf
-    bench.stand(restless=False)
+    bench.update_state(diverging=False)
     for _ in range(BUDGET.rounds):
         settle(bench, scorer, chosen)
         placed = _placed(scorer, chosen, scorer.solve(chosen)[0])
-        together = signal_chain.beside(bench.scene, placed, bench.timing)
+        together = signal_chain.interaction_terms(bench.scene, placed, bench.timing)
         now = sum((bench.rows.average(x) for x in together), np.zeros_like(bench.whole))
         moved = float(np.max(np.abs(now - bench.state.interaction) / bench.noise.sigma))
         if moved < met:
             return
         rests = moved < last  # not of what is not finite
-        bench.stand(interaction=now if rests else 0.0, restless=not rests)
+        bench.update_state(interaction=now if rests else 0.0, diverging=not rests)
         last = moved
         rebase(scorer, chosen)
         if not rests:
@@ -100,7 +102,7 @@ def _same_clips(timing: list[tuple[Effect, Array]], old: "Scene", new: "Scene") 
     return all(np.array_equal(c.at_limit(old), c.at_limit(new)) for c in clips)
 
 
-def _same_timing(old: signal_chain.Timing, new: list[tuple[Effect, Array]], *, share: float = 0.1) -> bool:
+def _same_timing(old: signal_chain.OutputStage, new: list[tuple[Effect, Array]], *, share: float = 0.1) -> bool:
     """Return whether a stream is as late as it was, by the same effects.
 
     Args:

@@ -23,7 +23,7 @@ def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int, stays: 
         X = np.concatenate([h.white.values[:, h.white.channels.index(c)] for h, _ in mine], axis=1)[rows]
         G[np.ix_(at, at)] += X.T @ X
         b[at] += X.T @ white[rows, c]
-    held = np.concatenate([np.empty(0), *(h.held for h in model)])
+    held = np.concatenate([np.empty(0), *(h.fixed for h in model)])
     return pinned_at(held if stays is None else np.where(np.isnan(held), stays, held), G, b)
 
 
@@ -36,7 +36,7 @@ def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int, *
     return out
 
 
-def rests(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, Array]:
+def residuals(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, Array]:
     """(M, C) rest of a model, raw and whitened."""
     theta = scorer.solve(chosen)[0]
     rest, white = bench.y.copy(), scorer.white.copy()
@@ -46,11 +46,11 @@ def rests(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, Array
     return rest, white
 
 
-def missed(bench: Bench, scorer: Scorer, chosen: list[int]) -> float:
+def reduced_chi2(bench: Bench, scorer: Scorer, chosen: list[int]) -> float:
     """Mean square of what a model leaves over the noise's, 1 where noise alone is left: whitened, or raw where that is more.
 
     Physics that is missing passes for slow noise in the weights of a short recording; a single sample knows better.
     """
-    rest = rests(bench, scorer, chosen)[0][np.ix_(bench.train, ~bench.unread)]
-    noise = (bench.noise.sigma**2 * bench.noise.slower)[~bench.unread]
+    rest = residuals(bench, scorer, chosen)[0][np.ix_(bench.train, ~bench.without_data)]
+    noise = (bench.noise.sigma**2 * bench.noise.slow_power_ratio)[~bench.without_data]
     return max(scorer.misfit(chosen), float(np.mean(rest**2 / noise)))

@@ -28,7 +28,7 @@ def mean_frequency(model: Model, h: Hypothesis, line: Line, *, count: int = 16) 
     bench, places = model.bench, list(h.raw.channels)
     time = bench.time
     run = max(bench.rows.runs, key=lambda r: r.stop - r.start)
-    rows = np.arange(run.start, run.stop)[~bench.dropped[run]]
+    rows = np.arange(run.start, run.stop)[~bench.excluded_rows[run]]
     if len(rows) < 8 * count:
         return line.frequency, 0.0
     turning = np.exp(-2j * np.pi * line.frequency * time[rows])
@@ -61,9 +61,9 @@ def _positive(value: float, error: float) -> float:
 
 def _alone(model: Model, line: Line) -> Array:
     """(M, C) what is left with the effect put back, and whatever else hums within its breadth."""
-    out = model.rest().copy()
+    out = model.residual().copy()
     for h, s in zip(model.parts, model.slices(), strict=True):
         other = h.line(model.bench.scene)
         if other is not None and abs(other.frequency - line.frequency) <= line.breadth:
-            out[:, list(h.raw.channels)] += h.does(model.theta[s])
+            out[:, list(h.raw.channels)] += h.contribution(model.theta[s])
     return out

@@ -11,7 +11,7 @@ from galen_hw.diagnosis.estimation import signal_chain
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import fit, predicted
-from galen_hw.diagnosis.estimation.linearisation import does
+from galen_hw.diagnosis.estimation.linearisation import contribution
 from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.linear_algebra import solve_sym
@@ -23,7 +23,7 @@ from galen_hw.spatial import Array
 
 
 @dataclass(frozen=True)
-class Joint:
+class ParameterErrors:
     """Errors of a model's parameters, all of them unknown at once.
 
     Args:
@@ -51,7 +51,7 @@ class Model:
     nuisances: list[Hypothesis]
     effects: list[Hypothesis]
     white: Array
-    plain: bool = False
+    unweighted: bool = False
     y: Array = field(init=False)
     theta: Array = field(init=False)
     final: Array = field(init=False)
@@ -59,9 +59,9 @@ class Model:
     def __post_init__(self) -> None:
         """Fits."""
         # Derived once, as `field(init=False)`; nothing sets them later.
-        object.__setattr__(self, "y", self.bench.whole - _beyond(self.effects, self.bench.whole))
-        train, everything = np.flatnonzero(self.bench.train), np.flatnonzero(~self.bench.dropped)
-        parts, y = self.flat() if self.plain else (self.parts, self.white)
+        object.__setattr__(self, "y", self.bench.whole - _nonlinear_contribution(self.effects, self.bench.whole))
+        train, everything = np.flatnonzero(self.bench.train), np.flatnonzero(~self.bench.excluded_rows)
+        parts, y = self.unweighted_parts() if self.unweighted else (self.parts, self.white)
         object.__setattr__(self, "final", self._fitted(parts, y, everything))
         # What belongs to moments has no rows to be learnt on but its own; the others are learnt beside it as it is.
         moments = np.full(len(self.final), np.nan)
@@ -73,11 +73,11 @@ class Model:
     @cached_property
     def covariance(self) -> Array:
         """(k, k) of the parameters learnt on all rows."""
-        parts, y = self.flat() if self.plain else (self.parts, self.white)
-        return self._covariance(parts, y, np.flatnonzero(~self.bench.dropped))
+        parts, y = self.unweighted_parts() if self.unweighted else (self.parts, self.white)
+        return self._covariance(parts, y, np.flatnonzero(~self.bench.excluded_rows))
 
     @cached_property
-    def joint(self) -> Joint:
+    def parameter_errors(self) -> ParameterErrors:
         """Errors with the searched values as unknowns too: what is not sure of one is not sure of what it can be made up by.
 
         The model is linear in a searched value where it stands (Gauss and Newton). One that the others can make up for
@@ -87,20 +87,20 @@ class Model:
         lost: dict[tuple[int, str], float] = {}
         for k, h in enumerate(self.effects):
             for name, value in (h.effect.searched() if h.effect is not None else {}).items():
-                way = self._way(k, name)
+                way = self._searched_slope(k, name)
                 if way is None:
                     lost[k, name] = abs(value)
                 else:
                     ways[k, name] = way
         if not ways:
-            return Joint(self.covariance, lost)
-        parts, y = self.flat() if self.plain else (self.parts, self.white)
-        more = [self._plain(way) for way in ways.values()] if self.plain else list(ways.values())
-        whole, size = self._covariance(parts, y, np.flatnonzero(~self.bench.dropped), more), len(self.final)
+            return ParameterErrors(self.covariance, lost)
+        parts, y = self.unweighted_parts() if self.unweighted else (self.parts, self.white)
+        more = [self._plain(way) for way in ways.values()] if self.unweighted else list(ways.values())
+        whole, size = self._covariance(parts, y, np.flatnonzero(~self.bench.excluded_rows), more), len(self.final)
         spread = np.sqrt(np.maximum(np.diag(whole)[size:], 0.0)).tolist()
-        return Joint(whole[:size, :size], lost | dict(zip(ways, spread, strict=True)))
+        return ParameterErrors(whole[:size, :size], lost | dict(zip(ways, spread, strict=True)))
 
-    def _way(self, k: int, name: str, *, share: float = 0.02, never: float = 1e-9) -> Hypothesis | None:
+    def _searched_slope(self, k: int, name: str, *, share: float = 0.02, never: float = 1e-9) -> Hypothesis | None:
         """Return how the k-th effect changes with a searched value, as a column; None where the model's own columns do the same.
 
         Args:
@@ -114,7 +114,7 @@ class Model:
         step = share * float(np.log(h.effect.doubt(self.bench.scene))) * value
         up, down = (self.bench.raw(h.effect.with_searched({name: value + sign * step})) for sign in (1.0, -1.0))
         slope = (up.values - down.values) @ self.final[s] / (2.0 * step)
-        way = self.bench.made(None, Columns(h.raw.channels, slope[:, :, None]))
+        way = self.bench.hypothesis_of(None, Columns(h.raw.channels, slope[:, :, None]))
         ones = np.eye(len(channels))[np.tile(np.arange(len(channels)), len(slope))]
         X = np.concatenate([h.white.values.reshape(-1, h.count), ones], axis=1)
         X, y = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300), way.white.values.reshape(-1)
@@ -127,24 +127,26 @@ class Model:
 
         What settles after a load is more in the end, or was less at first, and a load that was read wrong is the difference.
         """
-        out = np.maximum(np.diag(self.joint.covariance), 0.0)
+        out = np.maximum(np.diag(self.parameter_errors.covariance), 0.0)
         for h in self.effects:
             other = None if h.effect is None else h.effect.otherwise()
             if other is None or len(self.effects) < 2:
                 continue
-            rival = self.replacing(h, replace(self.bench.add(other, h.looked), beside=h.beside)).retold()
-            own, its = (float(np.sum(m.rest(white=True)[self.bench.train] ** 2)) for m in (self, rival))
+            rival = self.replacing(
+                h, replace(self.bench.hypothesis(other, h.trials), interaction=h.interaction)
+            ).with_updated_laws()
+            own, its = (float(np.sum(m.residual(white=True)[self.bench.train] ** 2)) for m in (self, rival))
             if abs(its - own) < CRITERIA.log_odds:
                 out = out + (rival.final - self.final) ** 2
         return out
 
-    def retold(self) -> "Model":
+    def with_updated_laws(self) -> "Model":
         """The same with every law that binds parameters placed anew by what they are here: a small body where it now sits."""
         effects = list(self.effects)
         for k, (h, s) in enumerate(zip(self.effects, self.slices()[len(self.nuisances) :], strict=True)):
             told = h.effect.told_by(self.final[s]) if h.effect is not None and h.effect.bound else None
             if told is not None:
-                effects[k] = replace(self.bench.add(told, h.looked), beside=h.beside)
+                effects[k] = replace(self.bench.hypothesis(told, h.trials), interaction=h.interaction)
         return self if effects == self.effects else replace(self, effects=effects)
 
     def replacing(self, old: Hypothesis, new: Hypothesis) -> "Model":
@@ -172,8 +174,8 @@ class Model:
             nothing: mean square, of the noise's, that is no matter.
         """
         assert h.effect is not None, "nuisances are linear"
-        assert h.bend is not None, "a tangent has one"
-        off = does(self.bench, h.effect, theta) - h.bend - h.raw.values @ theta
+        assert h.nonlinear is not None, "a tangent has one"
+        off = contribution(self.bench, h.effect, theta) - h.nonlinear - h.raw.values @ theta
         return bool(np.max(np.mean(off**2, axis=0) / self.bench.noise.sigma**2) < nothing)
 
     @property
@@ -202,18 +204,20 @@ class Model:
             [h.effect for h in out if h.effect is not None and h.effect.clips],
         )
         if not limits:
-            bent = any(h.bend is not None or h.beside is not None for h in out)
-            white = self.bench.whitened(self.y + _beyond(out, self.y)) if bent else self.white
+            bent = any(h.nonlinear is not None or h.interaction is not None for h in out)
+            white = self.bench.whitened(self.y + _nonlinear_contribution(out, self.y)) if bent else self.white
             return replace(self, effects=kept, white=white)
         bench = copy(self.bench)
-        bench.stand(timing=[(effect, theta) for effect, theta in bench.timing if effect not in limits])
+        bench.update_state(timing=[(effect, theta) for effect, theta in bench.timing if effect not in limits])
         whole = [
-            h if h.effect is None or h.theta is not None else replace(bench.add(h.effect, h.looked), beside=h.beside)
+            h
+            if h.effect is None or h.theta is not None
+            else replace(bench.hypothesis(h.effect, h.trials), interaction=h.interaction)
             for h in kept
         ]
         return replace(self, bench=bench, effects=whole)
 
-    def flat(self) -> tuple[list[Hypothesis], Array]:
+    def unweighted_parts(self) -> tuple[list[Hypothesis], Array]:
         """Parts and residual with all frequencies weighed alike."""
         return [self._plain(h) for h in self.parts], self.y / self.bench.noise.sigma
 
@@ -221,7 +225,7 @@ class Model:
         values = h.raw.values / self.bench.noise.sigma[list(h.raw.channels)][:, None]
         return replace(h, whitened=Columns(h.raw.channels, values))
 
-    def rest(self, *, white: bool = False) -> Array:
+    def residual(self, *, white: bool = False) -> Array:
         """(M, C) what the model learnt on the training rows leaves."""
         if not white:
             rows = np.arange(len(self.y))
@@ -241,8 +245,8 @@ class Model:
         train, penalty = self.bench.train, 0.0
         for h in self.effects:
             lasting = h.effect is not None and not h.effect.EPISODIC
-            penalty += h.owed(whole=True) * (2.0 if predictive and lasting else h.price(self.bench))
-        fall = np.sum(self.bench.whitened(self.bench.whole)[train] ** 2) - np.sum(self.rest(white=True)[train] ** 2)
+            penalty += h.effective_parameters(whole=True) * (2.0 if predictive and lasting else h.price(self.bench))
+        fall = np.sum(self.bench.whitened(self.bench.whole)[train] ** 2) - np.sum(self.residual(white=True)[train] ** 2)
         return float(fall - penalty)
 
     def _covariance(
@@ -271,7 +275,7 @@ class Model:
             e = left[rows, c]
             total += float(e @ e)
             G[np.ix_(at, at)] += X.T @ X
-            if not self.plain:
+            if not self.unweighted:
                 even_out = [
                     self.bench.noise.as_smooth(h.white.values[:, h.white.channels.index(c)], c) for h, _ in mine
                 ]
@@ -281,7 +285,7 @@ class Model:
         bread = solve_sym(G, np.eye(size))
         blocks = max(len(np.unique(self.bench.block[rows])), 2)
         meat = scores.T @ scores * blocks / max(blocks - 1, 1)
-        variance = max(1.0, total / max(len(rows) * self.bench.read - size, 1))
+        variance = max(1.0, total / max(len(rows) * self.bench.live_channels - size, 1))
         robust, plain = bread @ meat @ bread, bread * variance
         ratio = np.sqrt(np.maximum(np.diag(robust), 0.0) / np.maximum(np.diag(plain), 1e-300))
         smooth = np.diag(bread @ even @ bread) / np.maximum(np.diag(bread), 1e-300)
@@ -289,12 +293,12 @@ class Model:
         return np.asarray(plain * np.outer(factor, factor))
 
 
-def _beyond(effects: list[Hypothesis], like: Array) -> Array:
+def _nonlinear_contribution(effects: list[Hypothesis], like: Array) -> Array:
     """(M, C) what effects add beyond slope times parameters."""
-    return sum((x for h in effects for x in (h.bend, h.beside) if x is not None), np.zeros_like(like))
+    return sum((x for h in effects for x in (h.nonlinear, h.interaction) if x is not None), np.zeros_like(like))
 
 
-def together(model: Model, *, stays: float = 1e-2) -> Model:
+def with_interactions(model: Model, *, stays: float = 1e-2) -> Model:
     """The model with what its effects do to each other, fitted again until that stays: a gain scales a new load too.
 
     Where it does not come to rest, the effects are left each as if alone.
@@ -308,7 +312,7 @@ def together(model: Model, *, stays: float = 1e-2) -> Model:
     for _ in range(BUDGET.rounds):
         slices = model.slices()[len(model.nuisances) :]
         placed = [(effect, model.final[slices[k]]) for k, effect in kinds]
-        now = [bench.rows.average(x) for x in signal_chain.beside(bench.scene, placed, bench.timing)]
+        now = [bench.rows.average(x) for x in signal_chain.interaction_terms(bench.scene, placed, bench.timing)]
         moved = max(
             (float(np.max(np.abs(a - b) / bench.noise.sigma)) for a, b in zip(now, before, strict=False)), default=0.0
         )
@@ -318,7 +322,7 @@ def together(model: Model, *, stays: float = 1e-2) -> Model:
             return alone
         before, last, effects = now, moved, list(model.effects)
         for (k, _), x in zip(kinds, now, strict=True):
-            effects[k] = replace(effects[k], beside=x if x.any() else None)
+            effects[k] = replace(effects[k], interaction=x if x.any() else None)
         white = alone.white - bench.whitened(sum(now, np.zeros_like(bench.whole)))
         model = replace(model, effects=effects, white=white)
     return model

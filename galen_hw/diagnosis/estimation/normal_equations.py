@@ -36,7 +36,7 @@ class Score:
     beyond: float = 0.0
 
 
-class Left(NamedTuple):
+class Projected(NamedTuple):
     """What a model's parameters that are held leave for those that are fitted.
 
     Args:
@@ -61,7 +61,7 @@ class Scorer:
         self.bench, self.free = bench, free
         self.library: list[Hypothesis] = []
         own = bench.constants() if free else bench.constants()[0 if bench.scene.belief.bias_free else bench.width :]
-        self.base = [bench.made(None, columns, name="constant") for columns in own]
+        self.base = [bench.hypothesis_of(None, columns, name="constant") for columns in own]
         self.white = bench.whitened(bench.y)
         self.fake = bench.surrogates()
         self._train = bench.train
@@ -112,7 +112,7 @@ class Scorer:
             or (h.effect.DOWNSTREAM and not h.effect.BEHIND and not h.effect.BRIEF)
         ):
             return h
-        return self.bench.made(h.effect, self.bench.raw(h.effect), h.looked, h.name)
+        return self.bench.hypothesis_of(h.effect, self.bench.raw(h.effect), h.trials, h.name)
 
     def retarget(self, y: Array) -> None:
         """Another residual (M, C) for the same columns: what nonlinear effects predict beyond their slope is taken off."""
@@ -128,13 +128,13 @@ class Scorer:
     def against(self, y: Array) -> Iterator[None]:
         """Another residual (M, C) for a while."""
         bench, y_before, before = self.bench, self.bench.y, (self.white, self.b)
-        bench.stand(y=y)
+        bench.update_state(y=y)
         self.retarget(y)
         try:
             yield
         finally:
             grown = len(self.b) > len(before[1])
-            bench.stand(y=y_before)
+            bench.update_state(y=y_before)
             self.white, self.b = before
             if grown:
                 self.retarget(bench.y)
@@ -183,16 +183,16 @@ class Scorer:
         theta = pinned_at(held, G, b)
         return theta, at, self.total - float(2.0 * theta @ b - theta @ G @ theta)
 
-    def beside(self, chosen: list[int]) -> Left:
+    def projected(self, chosen: list[int]) -> Projected:
         """A model's free columns, and what its held ones leave."""
         at, held = self.base_with(chosen), self._held(chosen)
         fixed = ~np.isnan(held)
         value, own = held[fixed], at[fixed]
         off = value @ self.products.between(own, np.arange(len(self.products)))
-        return Left(at[~fixed], self.b - off, self.total - float(value @ (2.0 * self.b[own] - off[own])))
+        return Projected(at[~fixed], self.b - off, self.total - float(value @ (2.0 * self.b[own] - off[own])))
 
     def _held(self, chosen: list[int]) -> Array:
-        return np.concatenate([np.empty(0), *(self.library[i].held for i in [*range(len(self.base)), *chosen])])
+        return np.concatenate([np.empty(0), *(self.library[i].fixed for i in [*range(len(self.base)), *chosen])])
 
     def scores(
         self, chosen: list[int], which: list[int] | None = None, *, surrogates: bool = False
@@ -200,7 +200,7 @@ class Scorer:
         """Scores of hypotheses beside the chosen ones, and the largest surprise of each surrogate, if these are asked too."""
         every = self.fakes if surrogates else self.fakes[:, :0]
         asked = list(range(len(self.base), len(self.library))) if which is None else which
-        at, b, _ = self.beside(chosen)
+        at, b, _ = self.projected(chosen)
         # Columns of what is asked alone: most calls compare two hypotheses, not all.
         own = self._numbers(asked)
         starts = dict(zip(asked, np.cumsum([0, *(self.library[i].count for i in asked)]).tolist(), strict=False))
@@ -224,12 +224,12 @@ class Scorer:
             for m, i in enumerate(group):
                 pinned = self.library[i].pinned_gain(self.bench.scene, A[m], rest_b[rows[m]])
                 gains[m] = gains[m] if pinned is None else pinned
-            looked = np.array([self.library[i].ways(self._train) + np.log(self._forms(i)) for i in group])
-            surprise = self._surprise(gains, counts) - looked
+            trials = np.array([self.library[i].log_trials(self._train) + np.log(self._forms(i)) for i in group])
+            surprise = self._surprise(gains, counts) - trials
             # What was sought in the residual has no counterpart in the surrogates: `looked` pays for it instead.
-            mirrored = (counts > 0) & (np.array([self.library[i].looked for i in group]) == 1)
+            mirrored = (counts > 0) & (np.array([self.library[i].trials for i in group]) == 1)
             if surrogates and mirrored.any():
-                reached = self._surprise(fakes[mirrored], counts[mirrored, None]) - looked[mirrored, None]
+                reached = self._surprise(fakes[mirrored], counts[mirrored, None]) - trials[mirrored, None]
                 highest = np.maximum(highest, reached.max(axis=0))
             for m, i in enumerate(group):
                 if counts[m]:
@@ -240,15 +240,15 @@ class Scorer:
 
     def _score(self, i: int, gain: float, count: int, surprise: float) -> Score:
         h = self.library[i]
-        price = h.owed(max(count - h.aside(self._train), 0)) * h.price(self.bench)
+        price = h.effective_parameters(max(count - h.unobserved(self._train), 0)) * h.price(self.bench)
         # What was sought in the residual pays for the places it was sought at.
-        places = 2.0 * h.ways(self._train) if h.looked > 1 else self._occam.get(self._key(i), 0.0)
+        places = 2.0 * h.log_trials(self._train) if h.trials > 1 else self._occam.get(self._key(i), 0.0)
         return Score(gain, count, surprise, float(gain - price - places))
 
     def in_full(self, i: int, score: Score) -> Score:
         """A score with the price of all numbers that a loose hypothesis has; of another the same."""
         h = self.library[i]
-        owed = h.owed(score.count, whole=True) - h.owed(score.count)
+        owed = h.effective_parameters(score.count, whole=True) - h.effective_parameters(score.count)
         return replace(score, rank=score.rank - owed * h.price(self.bench))
 
     def covariance(self, at: Index) -> Array:
@@ -262,7 +262,7 @@ class Scorer:
     def misfit(self, chosen: list[int]) -> float:
         """Whitened mean square of a model's rest: 1 when only noise is left, more when physics is missing."""
         _, at, rest = self.solve(chosen)
-        return max(1.0, rest / max(int(self._train.sum()) * self.bench.read - len(at), 1))
+        return max(1.0, rest / max(int(self._train.sum()) * self.bench.live_channels - len(at), 1))
 
     def _key(self, i: int) -> str:
         effect = self.library[i].effect

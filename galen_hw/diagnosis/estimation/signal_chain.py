@@ -10,11 +10,11 @@ from galen_hw.physics.effects.interactions import Placed, compound, meet
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
-Timing = Sequence[tuple[Effect, Array]]
+OutputStage = Sequence[tuple[Effect, Array]]
 """The ends of a stream with their parameters, the first one first."""
 
 
-def through(effect: Effect, timing: Timing) -> Timing:
+def through(effect: Effect, timing: OutputStage) -> OutputStage:
     """What an effect's change goes through before it is read; nothing for what belongs to moments."""
     if effect.EPISODIC:
         return ()
@@ -23,15 +23,15 @@ def through(effect: Effect, timing: Timing) -> Timing:
     return [(other, theta) for other, theta in timing if other.KEY not in effect.contains]
 
 
-def arriving(scene: Scene, effects: Sequence[Placed], timing: Timing) -> Array:
+def total_output(scene: Scene, effects: Sequence[Placed], timing: OutputStage) -> Array:
     """(N, C) what effects add together, each as it arrives."""
     out = np.zeros((len(scene), len(scene.channels)))
     for (effect, _), change in zip(effects, compound(scene, effects), strict=True):
-        out += arrived(scene, effect, change, timing)
+        out += output_of(scene, effect, change, timing)
     return out
 
 
-def arrived(scene: Scene, effect: Effect, change: Array, timing: Timing) -> Array:
+def output_of(scene: Scene, effect: Effect, change: Array, timing: OutputStage) -> Array:
     """(N, C) what one effect adds, as it arrives."""
     columns = Columns(tuple(range(len(scene.channels))), change[:, :, None])
     for other, its in through(effect, timing):
@@ -39,33 +39,33 @@ def arrived(scene: Scene, effect: Effect, change: Array, timing: Timing) -> Arra
     return columns.values[:, :, 0]
 
 
-def carried(scene: Scene, effects: Sequence[Placed], timing: Timing) -> Array:
+def carried(scene: Scene, effects: Sequence[Placed], timing: OutputStage) -> Array:
     """(N, C) what all but limits add, as if nothing clipped."""
     open_end = [(other, its) for other, its in timing if not other.clips]
-    return arriving(scene, [(e, theta) for e, theta in effects if not e.clips], open_end)
+    return total_output(scene, [(e, theta) for e, theta in effects if not e.clips], open_end)
 
 
-def beside(scene: Scene, effects: Sequence[Placed], timing: Timing) -> list[Array]:
+def interaction_terms(scene: Scene, effects: Sequence[Placed], timing: OutputStage) -> list[Array]:
     """(N, C) what each effect adds, as it arrives, because the others are there too; nothing at all where none meets another."""
     out: list[Array] = []
     if not meet(scene, effects):
         return out
     for (effect, theta), change in zip(effects, compound(scene, effects), strict=True):
         more = np.zeros_like(change) if effect.DOWNSTREAM else change - effect.change(scene, theta)
-        out.append(arrived(scene, effect, more, timing) if more.any() else more)
+        out.append(output_of(scene, effect, more, timing) if more.any() else more)
     return out
 
 
-def limited(timing: Timing) -> list[str]:
+def limited(timing: OutputStage) -> list[str]:
     """Channels whose readings clip."""
     return [other.clips[0] for other, _ in timing if other.clips]
 
 
-def added(scene: Scene, effects: Sequence[Placed], timing: Timing) -> Array:
+def added(scene: Scene, effects: Sequence[Placed], timing: OutputStage) -> Array:
     """(N, C) what a model adds to a recording that it has not seen, whose constants are not known before."""
     whole = carried(scene, effects, timing)
     if not any(effect.clips for effect, _ in effects):
         return whole
     # Few rows clip: the median constant is that of the others.
     stream = scene.carrying(np.median(scene.residual - whole, axis=0), whole, limited(timing))
-    return arriving(stream, effects, timing)
+    return total_output(stream, effects, timing)

@@ -47,8 +47,10 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
     free = _free(model)
     for n, h in enumerate(parts):
         s = model.slice_of(h)
-        signal[:, list(h.raw.channels)] += h.does(model.final[s])
-        variance[list(h.raw.channels)] += _rms_variance(h, model.final[s], model.joint.covariance[s, s], free)
+        signal[:, list(h.raw.channels)] += h.contribution(model.final[s])
+        variance[list(h.raw.channels)] += _rms_variance(
+            h, model.final[s], model.parameter_errors.covariance[s, s], free
+        )
         parameters |= _parameters(model, h, s, prefix=_prefix(h) if len(parts) > 1 else "", number=n)
     power = np.mean((signal - free * signal.mean(axis=0)) ** 2, axis=0)
     energy = power / bench.noise.sigma**2
@@ -64,7 +66,7 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
     evidence = {"heldout_gain": gain, "score": score, "false_alarm_probability": chance}
     finding = Finding(key, channels, joints, "", parameters, evidence)
     remarks = dict.fromkeys(h.effect.remark for h in parts if h.effect is not None and h.effect.remark)
-    if key in judged.at_home:
+    if key in judged.cross_validated:
         remarks["The other recording hardly rouses it; that was told by blocks left out of this one."] = None
     finding.says = " ".join([says(finding), *remarks])
     return finding
@@ -91,9 +93,9 @@ def _free(model: Model) -> Array:
 
 def _rms_variance(h: Hypothesis, theta: Array, covariance: Array, free: Array) -> Array:
     """Variance of the rms of a signal in each of its channels, to first order in its parameters."""
-    free, does = free[list(h.raw.channels)], h.does(theta)
+    free, contribution = free[list(h.raw.channels)], h.contribution(theta)
     centred = h.raw.values - free[:, None] * h.raw.values.mean(axis=0)
-    signal = does - free * does.mean(axis=0)
+    signal = contribution - free * contribution.mean(axis=0)
     size = np.sqrt(np.maximum(np.mean(signal**2, axis=0), 1e-300))
     slope = np.einsum("nc,nck->ck", signal, centred) / (len(signal) * size[:, None])
     return np.asarray(np.einsum("ck,kl,cl->c", slope, covariance, slope))
@@ -111,7 +113,7 @@ def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int)
     assert effect is not None, "effects, not nuisances"
     variance = model.variance[s]
     values = effect.searched()
-    searched = {name: model.joint.searched[model.effects.index(h), name] for name in values}
+    searched = {name: model.parameter_errors.searched[model.effects.index(h), name] for name in values}
     line = effect.line(bench.scene)
     if line is not None:
         values["frequency"], wandering = mean_frequency(model, h, line)
@@ -160,7 +162,7 @@ def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
     """Rows that stand off what the model says; their share is of the whole excess of the recording, theirs included."""
     bench, rows = model.bench, np.asarray(glitch.rows)
     places = [bench.scene.channels.index(name) for name in glitch.channels]
-    rest = outliers.off(model)
+    rest = outliers.sample_residual(model)
     away, z = (x[rows][:, places] for x in (np.abs(rest), outliers.deviations(bench, rest)))
     # In the channel that stands out most often: newtons and newton metres have no common size.
     strongest = np.argmax(z, axis=1)

@@ -28,9 +28,9 @@ def channels_of(bench: Bench, judged: Judged) -> list[dict[str, Any]]:
             "channel": bench.scene.channels[c],
             "excess_share": float(share[c]),
             "rmse": float(np.sqrt(judged.before[c])),
-            "noise_floor": 0.0 if bench.unread[c] else float(np.sqrt(floor[c])),
+            "noise_floor": 0.0 if bench.without_data[c] else float(np.sqrt(floor[c])),
         }
-        for c in np.lexsort((-share, bench.unread))
+        for c in np.lexsort((-share, bench.without_data))
     ]
 
 
@@ -50,7 +50,7 @@ class Region:
     mask: Mask
 
     @property
-    def lift(self) -> float:
+    def concentration(self) -> float:
         """How much more of the excess than of the rows."""
         return self.share - self.rows
 
@@ -62,9 +62,9 @@ def where_of(model: Model, *, least: float = 0.5) -> list[dict[str, Any]]:
         least: share of the held-out excess from which a variable is said to organise it.
     """
     bench = model.bench
-    rest = baseline_rest(model)
+    rest = baseline_residual(model)
     known = variables(bench)
-    energy = np.sum((rest**2 / bench.noise.sigma**2 - 1.0)[:, ~bench.unread], axis=1)
+    energy = np.sum((rest**2 / bench.noise.sigma**2 - 1.0)[:, ~bench.without_data], axis=1)
     found = regions(bench, known, energy)
     out = [_region_entry(one) for one in found]
     named = {one.parts[0][0].name for one in found}
@@ -76,7 +76,7 @@ def where_of(model: Model, *, least: float = 0.5) -> list[dict[str, Any]]:
     return out
 
 
-def baseline_rest(model: Model) -> Array:
+def baseline_residual(model: Model) -> Array:
     """(M, C) what was recorded less the baseline, whose own nuisances are fitted by least squares on the training rows."""
     bench, parts = model.bench, model.nuisances
     if not parts:
@@ -98,7 +98,7 @@ def regions(bench: Bench, known: list[Variable], energy: Array, *, most: int = 3
     everywhere = np.ones(len(energy), dtype=bool)
     single = [one for v in known if (one := _region((), everywhere, v, energy, bench, learn, check))]
     # Speeds and loads often only follow positions: they must hold clearly more to be named in their stead.
-    single.sort(key=lambda one: -one.lift - (0.08 if one.parts[0][0].name.endswith(".position") else 0.0))
+    single.sort(key=lambda one: -one.concentration - (0.08 if one.parts[0][0].name.endswith(".position") else 0.0))
     kept: list[Region] = []
     for one in single:
         if len(kept) < most and all(_overlap(one.mask, other.mask) < 0.5 for other in kept):
@@ -193,8 +193,8 @@ def _narrowed(one: Region, known: list[Variable], energy: Array, bench: Bench, l
         for v in known
         if v is not own and v.about != own.about and (two := _region(parts, inside, v, energy, bench, learn, check))
     ]
-    best = max(found, key=lambda two: two.lift, default=one)
-    return best if best.lift > one.lift + 0.02 and best.share > 0.5 * one.share else one
+    best = max(found, key=lambda two: two.concentration, default=one)
+    return best if best.concentration > one.concentration + 0.02 and best.share > 0.5 * one.share else one
 
 
 def _overlap(a: Mask, b: Mask) -> float:
@@ -253,7 +253,7 @@ def episodes_of(model: Model, glitch: list[Glitches]) -> list[list[float]]:
 def _loud(model: Model) -> list[list[float]]:
     """Stretches whose energy is more than twice the mean."""
     bench = model.bench
-    energy = np.sum(baseline_rest(model) ** 2 / bench.noise.sigma**2, axis=1)
+    energy = np.sum(baseline_residual(model) ** 2 / bench.noise.sigma**2, axis=1)
     count = min(60, len(energy) // 8)
     if count < 8:
         return []

@@ -17,7 +17,7 @@ from galen_hw.diagnosis.findings.quantities import SIGNAL
 from galen_hw.diagnosis.findings.wording import settled_by
 from galen_hw.diagnosis.identifiability.motions import MEANS, Recipe, recipes
 from galen_hw.diagnosis.identifiability.rivals import Rival, rivals
-from galen_hw.diagnosis.identifiability.simulate import Eye, Stage, beside, stacked, stage
+from galen_hw.diagnosis.identifiability.simulate import Eye, Stage, projected_out, stacked, stage
 from galen_hw.diagnosis.lack_of_fit.structure_test import Left
 from galen_hw.diagnosis.result import Finding
 from galen_hw.diagnosis.selection.search_state import Selection
@@ -104,7 +104,7 @@ def pair_of(selection: Selection, finding: Finding, rival: str, model: Model) ->
     # Of what drives the rival nothing was recorded: it is taken to have done as much within the range supposed.
     other, span = supposed
     theta = _straight(model, part)[1]
-    size = float(np.ptp(part.does(theta)[:, 0])) / span
+    size = float(np.ptp(part.contribution(theta)[:, 0])) / span
     return Pair(part.effect, theta, other, np.array([size]), (other,), float("nan"))
 
 
@@ -114,8 +114,10 @@ def _straight(model: Model, h: Hypothesis) -> tuple[Effect, Array]:
     assert h.effect is not None, "effects, not nuisances"
     if not h.effect.curved:
         return h.effect, theta
-    X = model.bench.raw(h.effect.relaxed).full(model.bench.width).reshape(h.does(theta).size, -1)
-    return h.effect.relaxed, np.asarray(np.linalg.lstsq(X, h.does(theta).reshape(-1), rcond=1e-9)[0], dtype=float)
+    X = model.bench.raw(h.effect.relaxed).full(model.bench.width).reshape(h.contribution(theta).size, -1)
+    return h.effect.relaxed, np.asarray(
+        np.linalg.lstsq(X, h.contribution(theta).reshape(-1), rcond=1e-9)[0], dtype=float
+    )
 
 
 def best_of(model: Model, pair: Pair) -> Advice | None:
@@ -160,7 +162,7 @@ def _distance(model: Model, staged: Stage, pair: Pair, others: list[Hypothesis])
         return None  # what belongs to the recording's own moments has no counterpart in another
     eye = Eye(bench, staged)
     nuisance = _nuisances(staged, others, width, constants=not (pair.found.CONSTANT or pair.rival.CONSTANT))
-    white = beside(eye.whiten(np.concatenate([found, rival], axis=2)), N := eye.whiten(nuisance))
+    white = projected_out(eye.whiten(np.concatenate([found, rival], axis=2)), N := eye.whiten(nuisance))
     F, R = white[:, : found.shape[2]], white[:, found.shape[2] :]
     signal = F @ (staged.scale(pair.found) * pair.theta)
     answer = R @ (staged.scale(pair.rival) * pair.rival_theta)
@@ -168,7 +170,7 @@ def _distance(model: Model, staged: Stage, pair: Pair, others: list[Hypothesis])
     for effect in pair.kin:
         columns = staged.columns(effect, width)
         if columns is not None:
-            kin.append(beside(eye.whiten(columns), N))
+            kin.append(projected_out(eye.whiten(columns), N))
     apart = [float(np.sum(_rest(signal, X) ** 2)) for X in kin]
     back = float(np.sum(_rest(answer, F) ** 2))
     distance = min(*apart, back)
@@ -187,7 +189,7 @@ def _nuisances(staged: Stage, others: list[Hypothesis], width: int, *, constants
 
 
 def _rest(y: Array, X: Array) -> Array:
-    return beside(y[:, None], X)[:, 0]
+    return projected_out(y[:, None], X)[:, 0]
 
 
 def _settling(pair: Pair, advice: Advice, *, most_odds: float = 1e6) -> str:
@@ -285,7 +287,7 @@ def _halving(model: Model, h: Hypothesis, error: float) -> Advice | None:
         if columns is None:
             continue
         eye = Eye(model.bench, staged)
-        X = beside(eye.whiten(columns), eye.whiten(_nuisances(staged, others, model.bench.width)))
+        X = projected_out(eye.whiten(columns), eye.whiten(_nuisances(staged, others, model.bench.width)))
         signal = X @ theta
         runs = max(1.0, np.ceil(3.0 / max(error**2 * float(signal @ signal), 1e-9)))
         out.append(Advice(recipe, float(signal @ signal), float(recipe.minutes * runs), 90.0))
@@ -299,7 +301,7 @@ def _smaller(model: Model) -> str:
     least = bench.detectable
     # Of channels in different units, the one in which most of what is simulated could hide.
     reach = np.ptp(bench.simulated, axis=0)
-    c = int(np.argmax(np.where(bench.unread, -np.inf, least / np.maximum(reach, least))))
+    c = int(np.argmax(np.where(bench.without_data, -np.inf, least / np.maximum(reach, least))))
     unit, name = bench.scene.units[c], bench.scene.channels[c]
     return (
         f"Nothing is open: an effect of {least[c]:.2g} {unit} rms in {name} alone would have been seen. "

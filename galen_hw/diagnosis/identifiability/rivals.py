@@ -15,12 +15,12 @@ from scipy.linalg import subspace_angles
 from scipy.optimize import minimize_scalar
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
-from galen_hw.diagnosis.estimation.linearisation import unbent
+from galen_hw.diagnosis.estimation.linearisation import nonlinear_restored
 from galen_hw.diagnosis.estimation.model import Model
-from galen_hw.diagnosis.estimation.normal_equations import Left, Scorer
+from galen_hw.diagnosis.estimation.normal_equations import Projected, Scorer
 from galen_hw.diagnosis.findings.wording import structural, why
 from galen_hw.diagnosis.result import Confusion, Finding
-from galen_hw.diagnosis.selection.comparison import ahead, bent, unclocked
+from galen_hw.diagnosis.selection.comparison import at_nonlinear_optimum, vuong_statistic, without_timing
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.linear_algebra import WEAK, orthonormal, pinned_at, scaled, solve_sym
 from galen_hw.physics.effects.base import Effect
@@ -105,7 +105,7 @@ def _in_other_joints(selection: Selection, finding: Finding, most: int) -> list[
         if effect is None or not effect.joints:
             continue
         own, best = _own(scorer, selection.chosen, i), dict[tuple[str, ...], Rival]()
-        with unbent(scorer, i), unclocked(scorer, i):
+        with nonlinear_restored(scorer, i), without_timing(scorer, i):
             for rival in sorted(_in_place(scorer, own, own_key=True), key=lambda r: -r.angle):
                 if rival.angle < NEAR and rival.effect.joints not in ((), effect.joints):
                     best[rival.effect.joints] = rival
@@ -136,7 +136,7 @@ def rivals(
         # Where physics is missing, differences of a few hundredths are that physics.
         margin = CLOSE + 0.05 * min(1.0, misfit - 1.0) * own.gain
         best: dict[str, Rival] = {}
-        with unbent(scorer, i), unclocked(scorer, i):
+        with nonlinear_restored(scorer, i), without_timing(scorer, i):
             for rival in _in_place(scorer, own):
                 if rival.key != finding.effect and rival.lead < best.get(rival.key, rival).lead + 1e-9:
                     best[rival.key] = rival
@@ -167,7 +167,9 @@ def _at_its_best(scorer: Scorer, own: Own, rival: Rival) -> Rival:
     score = scorer.scores(others, [rival.place])[0].get(rival.place)
     if score is None:
         return rival
-    return replace(rival, lead=rival.lead + score.gain - bent(bench, scorer, others, rival.place, score).gain)
+    return replace(
+        rival, lead=rival.lead + score.gain - at_nonlinear_optimum(bench, scorer, others, rival.place, score).gain
+    )
 
 
 def _is_what_it_is_called(scorer: Scorer, rival: Rival, *, unsure: float = 0.2) -> bool:
@@ -185,8 +187,8 @@ def _is_what_it_is_called(scorer: Scorer, rival: Rival, *, unsure: float = 0.2) 
 def _agreed(scorer: Scorer, own: Own, rival: Rival) -> float:
     """The lead over a rival by what the blocks make of it: noise that the whitening has missed makes likelihoods too sure."""
     others = [j for j in own.chosen if j != own.i]
-    with scorer.trying([scorer.bench.add(rival.effect, scorer.library[rival.place].looked)]):
-        return ahead(scorer.bench, scorer, others, own.i, len(scorer.library) - 1)
+    with scorer.trying([scorer.bench.hypothesis(rival.effect, scorer.library[rival.place].trials)]):
+        return vuong_statistic(scorer.bench, scorer, others, own.i, len(scorer.library) - 1)
 
 
 def _coarse(rival: Rival, *, already: float = 0.5) -> bool:
@@ -214,9 +216,11 @@ class Sharpener:
         self.base = orthonormal(scaled(np.concatenate([nothing, *others], axis=1)))
         self.own = self._left(self._rows(scorer.library[i]))
         self.signal = self.own @ own.theta
-        bend = scorer.library[i].bend
-        if bend is not None:
-            self.signal = self.signal + self._left(scorer.bench.whitened(bend)[scorer.bench.train].reshape(-1, 1))[:, 0]
+        nonlinear = scorer.library[i].nonlinear
+        if nonlinear is not None:
+            self.signal = (
+                self.signal + self._left(scorer.bench.whitened(nonlinear)[scorer.bench.train].reshape(-1, 1))[:, 0]
+            )
         self.white = self._left(scorer.white[scorer.bench.train].reshape(-1, 1))[:, 0]
 
     def _rows(self, h: Hypothesis) -> Array:
@@ -249,7 +253,7 @@ class Sharpener:
             return rival
         theta = solve_sym(A, r[:, None])[:, 0] if pinned is None else pinned_at(pinned, A, r)
         worth = float(2.0 * theta @ r - theta @ A @ theta)
-        paid = price(library[rival.place]) - price(library[self.i])
+        paid = akaike_penalty(library[rival.place]) - akaike_penalty(library[self.i])
         nearest = float(np.degrees(np.min(subspace_angles(self.own, X))))
         angle = _angle(np.sqrt(share))
         return replace(rival, lead=self.gain - worth + paid, angle=angle, nearest=nearest, theta=theta, effect=effect)
@@ -268,7 +272,7 @@ class Sharpener:
 
     def _rest(self, effect: Effect) -> tuple[float, Array]:
         """Squares of the found signal that an effect does not make, and its columns beside the model."""
-        X = self._left(self._rows(self.scorer.bench.add(effect)))
+        X = self._left(self._rows(self.scorer.bench.hypothesis(effect)))
         pinned = effect.pinned(self.scorer.bench.scene)
         A, r = X.T @ X, X.T @ self.signal
         theta = solve_sym(A, r[:, None])[:, 0] if pinned is None else pinned_at(pinned, A, r)
@@ -288,17 +292,17 @@ def _places(selection: Selection, finding: Finding) -> list[int]:
     return [i for i in constant if names[scorer.base[i].raw.channels[0]] in finding.channels]
 
 
-def _others(scorer: Scorer, chosen: list[int], i: int) -> Left:
+def _others(scorer: Scorer, chosen: list[int], i: int) -> Projected:
     """What the model without hypothesis i leaves, which may be one of the constants."""
-    at, b, total = scorer.beside([j for j in chosen if j != i])
-    return Left(at[~scorer.own(at, i)], b, total)
+    at, b, total = scorer.projected([j for j in chosen if j != i])
+    return Projected(at[~scorer.own(at, i)], b, total)
 
 
 def _own(scorer: Scorer, chosen: list[int], i: int) -> Own:
     """Hypothesis i as it stands in the model."""
     theta, every, rest = scorer.solve(chosen)
     mine = scorer.own(every, i)
-    with unbent(scorer, i):
+    with nonlinear_restored(scorer, i):
         straight = scorer.solve(chosen)[0]
         at, b, total = _others(scorer, chosen, i)
         alone = solve_sym(scorer.products.between(at, at), b[at][:, None])[:, 0]
@@ -331,7 +335,7 @@ def _in_place(scorer: Scorer, found: Own, *, own_key: bool = False) -> list[Riva
             continue
         r = b[s] - every[:, s].T @ P[:, -1]
         worth = float(np.sum((W.T @ r) ** 2))
-        lead = (gain - price(scorer.library[i])) - (worth - price(h))
+        lead = (gain - akaike_penalty(scorer.library[i])) - (worth - akaike_penalty(h))
         U = _whitening(A, np.diagonal(mine_with[:, own]))
         nearest = float(np.linalg.norm(W.T @ cross @ U, 2)) if U.shape[1] else 0.0
         out.append(
@@ -350,14 +354,14 @@ def _whitening(A: Array, before: Array) -> Array:
     return np.asarray((vector[:, good] / np.sqrt(value[good])) / size[:, None])
 
 
-def price(h: Hypothesis) -> float:
+def akaike_penalty(h: Hypothesis) -> float:
     """What freedom takes of noise alone (Akaike 1974), and twice the log of the places looked at.
 
     What is likely beforehand has no say here: an effect with one parameter more is not ruled out by having it.
     """
     if h.effect is None:
         return 1.0
-    return float(h.owed() + 2.0 * math.log(h.looked))
+    return float(h.effective_parameters() + 2.0 * math.log(h.trials))
 
 
 def _angle(cosine: float) -> float:

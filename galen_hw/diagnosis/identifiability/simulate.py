@@ -136,7 +136,7 @@ class Eye:
         return np.asarray(out.reshape(X.shape[0] * X.shape[1], X.shape[2]))
 
 
-def beside(X: Array, others: Array) -> Array:
+def projected_out(X: Array, others: Array) -> Array:
     """Columns less what others (N, m) make of them."""
     if not others.shape[1]:
         return X

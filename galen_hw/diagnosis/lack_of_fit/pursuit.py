@@ -62,7 +62,7 @@ class Pursuit(Regression):
         """Of every function of the families that one was chosen from, in the channel's unit."""
         return self._parts
 
-    def crossed(self, *, white: bool = False) -> Array:
+    def cross_validated(self, *, white: bool = False) -> Array:
         """(n,) what the functions predict of each row from other folds, over the noise's deviation."""
         out = np.zeros(len(self.rest))
         for rows, taken, theta in zip(self.plain.folds, self._taken, self._theta, strict=True):

@@ -38,7 +38,7 @@ class Regression(ABC):
         """(k,) of every function of the chosen families, in the channel's unit."""
 
     @abstractmethod
-    def crossed(self, *, white: bool = False) -> Array:
+    def cross_validated(self, *, white: bool = False) -> Array:
         """(n,) what is predicted of each row from other folds, over the noise's deviation; or of the whitened rest."""
 
 
@@ -57,7 +57,7 @@ class Blend(Regression):
     def __post_init__(self) -> None:
         """Judges it on the same folds as each of them."""
         self.chosen = list(dict.fromkeys(name for one in self.of for name in one.chosen))
-        for_plain, for_white = self.crossed(), self.crossed(white=True)
+        for_plain, for_white = self.cross_validated(), self.cross_validated(white=True)
         self.reached = float(for_plain @ (2.0 * self.rest - for_plain))
         self.white_gain = float(for_white @ (2.0 * self.white_rest - for_white))
 
@@ -69,6 +69,6 @@ class Blend(Regression):
                 out[name] = out.get(name, 0.0) + theta / len(self.of)
         return {name: out[name] for name in self.chosen}
 
-    def crossed(self, *, white: bool = False) -> Array:
+    def cross_validated(self, *, white: bool = False) -> Array:
         """(n,) mean of what they predict of each row from other folds."""
-        return np.asarray(sum(one.crossed(white=white) for one in self.of) / len(self.of))
+        return np.asarray(sum(one.cross_validated(white=white) for one in self.of) / len(self.of))

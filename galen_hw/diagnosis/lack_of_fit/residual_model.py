@@ -43,7 +43,7 @@ class Remainder:
     parts: dict[int, dict[str, Array]]
     offsets: dict[int, float]
     gain: float
-    crossed: Array
+    cross_validated: Array
     trees: dict[int, "HistGradientBoostingRegressor"] = field(default_factory=dict)
 
     def joined(self, other: "Remainder") -> "Remainder":
@@ -53,7 +53,7 @@ class Remainder:
             parts=self.parts | other.parts,
             offsets=self.offsets | other.offsets,
             gain=self.gain + other.gain,
-            crossed=self.crossed + other.crossed,
+            cross_validated=self.cross_validated + other.cross_validated,
         )
 
     def predict(self, scene: Scene, rows: Rows, width: int) -> Array | None:
@@ -90,9 +90,9 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
     """
     bench = model.bench
     functions = functions if functions is not None and functions.bench is bench else Functions(bench)
-    rest, white = model.rest() / bench.noise.sigma, model.rest(white=True)
+    rest, white = model.residual() / bench.noise.sigma, model.residual(white=True)
     parts: dict[int, dict[str, Array]] = {}
-    offsets, gain, crossed = {}, 0.0, np.zeros_like(rest)
+    offsets, gain, cross_validated = {}, 0.0, np.zeros_like(rest)
     for c, kind in kinds.items():
         names = [name for name in functions.columns if name in kind]
         if not names:  # trees alone follow it
@@ -101,11 +101,11 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
         if best.chosen:
             parts[c] = best.coefficients()
             level = functions.level(parts[c], c, white[functions.rows, c])
-            crossed[functions.rows, c] = best.crossed() * bench.noise.sigma[c] + level
+            cross_validated[functions.rows, c] = best.cross_validated() * bench.noise.sigma[c] + level
             # The functions of another recording are not less their mean on this one.
             offsets[c] = float(sum(functions.means[n] @ t for n, t in parts[c].items())) - level
             gain += best.white_gain
-    return Remainder(functions.inputs, parts, offsets, gain, crossed) if parts else None
+    return Remainder(functions.inputs, parts, offsets, gain, cross_validated) if parts else None
 
 
 def _best(
@@ -191,7 +191,7 @@ class Ridge(Regression):
         ends = np.cumsum([len(self._sizes[n]) for n in self.chosen])[:-1]
         return dict(zip(self.chosen, np.split(theta, ends), strict=True))
 
-    def crossed(self, *, white: bool = False) -> Array:
+    def cross_validated(self, *, white: bool = False) -> Array:
         """(n,) what the chosen families predict of each row from other folds, over the noise's deviation."""
         columns = (self.white if white else self.plain).joined(self.chosen)
         out, X = np.zeros(len(self.rest)), columns / self._size(self.chosen)
@@ -245,12 +245,12 @@ class Ridge(Regression):
     def _thetas(self, names: list[str]) -> list[Array]:
         """For each fold (k, len(RIDGES)) coefficients learnt on the others, one column a ridge."""
         b = _joined(self._b, names)
-        rests = (b.sum(axis=0) - b) / self._size(names)
+        residuals = (b.sum(axis=0) - b) / self._size(names)
         if len(names) == 1:
-            return [_ridged(*eigen, rest) for eigen, rest in zip(self._eigen(names[0]), rests, strict=True)]
+            return [_ridged(*eigen, rest) for eigen, rest in zip(self._eigen(names[0]), residuals, strict=True)]
         size = self._size(names)
         G = self._learnt.gram(names) / np.outer(size, size)
-        return [_ridged(*np.linalg.eigh(G.sum(axis=0) - one), rest) for one, rest in zip(G, rests, strict=True)]
+        return [_ridged(*np.linalg.eigh(G.sum(axis=0) - one), rest) for one, rest in zip(G, residuals, strict=True)]
 
     def _whole(self, names: list[str]) -> Array:
         """(k, len(RIDGES)) coefficients learnt on all rows."""

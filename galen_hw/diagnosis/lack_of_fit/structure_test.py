@@ -56,7 +56,7 @@ class Family(NamedTuple):
 
 def families(bench: Bench) -> list[Family]:
     """The generic functions of a bench, in each family a constant first, the strongest directions next."""
-    ones, most = np.ones((len(bench.rows), 1)), max(int((~bench.dropped).sum()) // 6, 3)
+    ones, most = np.ones((len(bench.rows), 1)), max(int((~bench.excluded_rows).sum()) // 6, 3)
     inputs = Inputs.of(bench.scene, bench.rows)
 
     def of(kind: str, X: Array, is_local: bool) -> Family:
@@ -68,7 +68,7 @@ def families(bench: Bench) -> list[Family]:
     return list(Parallel(n_jobs=2, require="sharedmem")(delayed(of)(*one) for one in functions if one[1].shape[1]))
 
 
-def compact(bench: Bench, generic: list[Family]) -> list[Columns]:
+def leading_directions(bench: Bench, generic: list[Family]) -> list[Columns]:
     """The leading directions of every broad family, in all channels: what they explain must not pass for noise."""
     if len(bench.rows) < 2000:
         return []
@@ -97,7 +97,7 @@ def leftovers(bench: Bench, generic: list[Family], models: Sequence[Fitted]) -> 
     Args:
         generic: `families` of the bench.
     """
-    good, known = ~bench.dropped, [bench.noise.transformed(one.basis) for one in generic]
+    good, known = ~bench.excluded_rows, [bench.noise.transformed(one.basis) for one in generic]
 
     def of(c: int) -> list[list[Left]]:
         asked: list[tuple[list[Left], Array, Array]] = []
@@ -165,14 +165,14 @@ def _found(
     if not k or z < least_z or chi2.sf(T, k) > chance:
         return None
     U, ridge = (Xw - base @ B) @ V, part + k / T
-    each = _crossed(U, y[:, None], block, ridge=ridge)[:, 0]
-    sure = sureness(each)
+    each = _cross_validated_gains(U, y[:, None], block, ridge=ridge)[:, 0]
+    sure = t_statistic(each)
     if sure < T_NEEDED and not (sure >= least_t and _beyond_shuffled(U, y, block, ridge=ridge)):
         return None
     return z, float(each.sum()), V @ projected
 
 
-def _crossed(U: Array, Y: Array, block: Index, *, ridge: float) -> Array:
+def _cross_validated_gains(U: Array, Y: Array, block: Index, *, ridge: float) -> Array:
     """(blocks, m) falls of the sums of squares of m residuals Y (n, m) by orthonormal functions U (n, k) learnt on other blocks.
 
     Ridge regression, so that many functions of which few matter may win and none is trusted that mostly lives in the blocks
@@ -188,7 +188,7 @@ def _crossed(U: Array, Y: Array, block: Index, *, ridge: float) -> Array:
     return np.stack([np.bincount(number, column) for column in gain.T], axis=-1)
 
 
-def sureness(each: Array) -> float:
+def t_statistic(each: Array) -> float:
     """Mean gain of the blocks over its standard error."""
     spread = float(np.std(each, ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else np.inf
     return float(np.mean(each)) / max(spread, 1e-300)
@@ -213,7 +213,7 @@ def _beyond_shuffled(
     # Most are far from it, and a few orders show that.
     for count, needed in ((first, 0.5 * beyond), (orders_asked, beyond)):
         orders = np.stack([y, *(y[order] for order in shuffled[:count])], axis=-1)
-        gains = _crossed(U, orders, block, ridge=ridge).sum(axis=0)
+        gains = _cross_validated_gains(U, orders, block, ridge=ridge).sum(axis=0)
         if gains[0] <= np.mean(gains[1:]) + needed * np.std(gains[1:]):
             return False
     return True

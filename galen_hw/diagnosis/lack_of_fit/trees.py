@@ -13,7 +13,7 @@ from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
 from galen_hw.diagnosis.lack_of_fit.gram import Functions
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder
-from galen_hw.diagnosis.lack_of_fit.structure_test import T_NEEDED, Left, sureness
+from galen_hw.diagnosis.lack_of_fit.structure_test import T_NEEDED, Left, t_statistic
 from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.diagnosis.stats.sampling import Index, folds
 from galen_hw.spatial import Array
@@ -25,7 +25,7 @@ TOGETHER: Final = "all inputs together, as no function that was tried does"
 """What trees follow, in words."""
 
 
-def new() -> "HistGradientBoostingRegressor":
+def boosted_trees() -> "HistGradientBoostingRegressor":
     """Gradient-boosted trees (Friedman 2001) as the library sets them, the same ones every time."""
     # Half a second to import, which most recordings never ask for.
     from sklearn.ensemble import HistGradientBoostingRegressor
@@ -35,25 +35,25 @@ def new() -> "HistGradientBoostingRegressor":
 
 # Threads of several diagnoses at once would spin and wait for one another: seven times as long on two cores.
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
-def beside(remainder: Remainder, model: Model, functions: Functions) -> Remainder:
+def blended(remainder: Remainder, model: Model, functions: Functions) -> Remainder:
     """A remainder's mean with trees on the inputs and their past, in the channels where it predicts blocks left out better.
 
     Never trees alone: where another motion goes further they stay as they are. Errors of so different a kind partly cancel
     in the mean (Bates and Granger 1969).
     """
     rows, X = functions.rows, remainder.inputs.seen
-    rest, crossed, trees = model.rest(), remainder.crossed.copy(), {}
+    rest, cross_validated, trees = model.residual(), remainder.cross_validated.copy(), {}
     for c in remainder.parts:
-        y, linear, own = rest[rows, c], remainder.crossed[rows, c], np.zeros(len(rows))
+        y, linear, own = rest[rows, c], remainder.cross_validated[rows, c], np.zeros(len(rows))
         every = np.arange(len(rows))
         for fold in functions.folds:
             others = np.delete(every, fold)
-            own[fold] = new().fit(X[rows[others]], y[others]).predict(X[rows[fold]])
+            own[fold] = boosted_trees().fit(X[rows[others]], y[others]).predict(X[rows[fold]])
         both = 0.5 * (linear + own)
         if _left(y - both) < _left(y - linear):
-            trees[c] = new().fit(X[rows], y)
-            crossed[rows, c] = both
-    return replace(remainder, trees=trees, crossed=crossed)
+            trees[c] = boosted_trees().fit(X[rows], y)
+            cross_validated[rows, c] = both
+    return replace(remainder, trees=trees, cross_validated=cross_validated)
 
 
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
@@ -68,7 +68,7 @@ def hidden(model: Model, *, slower: float = 2.0, most_by_time: float = 0.5) -> l
             nothing to be found.
         most_by_time: share of what they win that trees on the time alone may.
     """
-    bench, good = model.bench, np.flatnonzero(~model.bench.dropped)
+    bench, good = model.bench, np.flatnonzero(~model.bench.excluded_rows)
     levels = bench.noise.levels
     slow = np.flatnonzero(levels.max(axis=0) > slower * levels.min(axis=0)) if len(levels) else np.empty(0, dtype=int)
     if not len(slow):
@@ -78,21 +78,21 @@ def hidden(model: Model, *, slower: float = 2.0, most_by_time: float = 0.5) -> l
     if not X.shape[1]:  # nothing moves
         return []
     time = bench.time[:, None]
-    rest = model.rest()[:, slow] / bench.noise.sigma[slow]
+    rest = model.residual()[:, slow] / bench.noise.sigma[slow]
     fold = folds(bench.block)
     number = np.unique(bench.block[good], return_inverse=True)[1]
 
     def asked(of: Array) -> tuple[Array, Array]:
-        foretold = _foretold(of, rest, fold, good)
+        foretold = _predicted(of, rest, fold, good)
         each = (foretold * (2.0 * rest - foretold))[good]
         return foretold, np.stack([np.bincount(number, column) for column in each.T], axis=-1)
 
     foretold, gain = asked(X)
-    if max(map(sureness, gain.T)) < T_NEEDED:
+    if max(map(t_statistic, gain.T)) < T_NEEDED:
         return []
     out, by_time = [], asked(time)[1].sum(axis=0)
     for k, c in enumerate(slow):
-        own, sure = float(gain[:, k].sum()), sureness(gain[:, k])
+        own, sure = float(gain[:, k].sum()), t_statistic(gain[:, k])
         if sure >= T_NEEDED and by_time[k] <= most_by_time * own:
             basis = np.linalg.qr(np.stack([np.ones(len(rest)), foretold[:, k]], axis=-1))[0]
             share, size = own / float(rest[good, k] @ rest[good, k]), np.sqrt(own / len(good)) * bench.noise.sigma[c]
@@ -100,7 +100,7 @@ def hidden(model: Model, *, slower: float = 2.0, most_by_time: float = 0.5) -> l
     return sorted(out, key=lambda left: -left.z)
 
 
-def _foretold(X: Array, y: Array, fold: Index, good: Index) -> Array:
+def _predicted(X: Array, y: Array, fold: Index, good: Index) -> Array:
     """(M, m) rests (M, m) as trees on inputs (M, k) predict them that were learnt on some of the good rows of other folds."""
     out, seen = np.zeros(y.shape), good[:: max(len(good) // BUDGET.coarse, 1)]
     for f in range(int(fold.max()) + 1):

@@ -17,7 +17,7 @@ def estimate(
     ordered: bool,
     steps: Array,
     above: float = 0.0,
-    apart: bool = False,
+    static_poses: bool = False,
 ) -> Noise:
     """Noise from what is left (M, C) after a fit with an orthonormal basis (M, r) in each channel.
 
@@ -35,7 +35,7 @@ def estimate(
     np.fill_diagonal(correlation, 1.0)
     long = [run for run in rows.runs if run.stop - run.start >= RESOLUTION.shortest]
     if not ordered or not long:
-        sigma = np.minimum(sigma, _by_neighbours(rest, sigma, freedom, rows)) if apart else sigma
+        sigma = np.minimum(sigma, _by_neighbours(rest, sigma, freedom, rows)) if static_poses else sigma
         return Noise(rows, np.empty(0), np.empty((0, C)), sigma, float(freedom.sum()), correlation, steps)
     edges = _bands(max(run.stop - run.start for run in long))
     levels = np.stack([_levels(rest[:, c], basis[c], long, edges, above) for c in range(C)], axis=-1)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from galen_hw.diagnosis.stats.sampling import Index, Mask
 
 
-def shelves(
+def plateaus(
     centres: Array,
     levels: Array,
     lines: Array,
@@ -61,8 +61,8 @@ def shelves(
     flat = noise & (np.sum(sure[noise]) >= certain) & (sure > contrary) & (corner - both < hidden)
     # The shelf is known from the bands below the corner alone; in doubt slow noise is stronger.
     known = np.array([np.sum(weights[centres <= corners[k]]) for k in which])
-    shelf = np.where(flat, fitted[0] * (1.0 + 1.0 / np.sqrt(known)), np.nan)
-    return np.where(steep & ~flat, walked[0] * (centres[0] / slowest) ** 2, shelf)
+    plateau = np.where(flat, fitted[0] * (1.0 + 1.0 / np.sqrt(known)), np.nan)
+    return np.where(steep & ~flat, walked[0] * (centres[0] / slowest) ** 2, plateau)
 
 
 def walking(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.fft import dct, idct, next_fast_len
 
-from galen_hw.diagnosis.noise.low_frequency import shelves, smoothed, walking
+from galen_hw.diagnosis.noise.low_frequency import plateaus, smoothed, walking
 from galen_hw.diagnosis.settings import RESOLUTION
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.sampling import Mask, Rows
@@ -40,8 +40,8 @@ class Noise:
     degrees: float
     correlation: Array
     steps: Array
-    unread: Mask | None = None
-    kept: dict[tuple[int, float], Array] = field(default_factory=dict, compare=False)
+    without_data: Mask | None = None
+    cache: dict[tuple[int, float], Array] = field(default_factory=dict, compare=False)
 
     def spectrum(self, frequency: Array) -> Array:
         """(F, C) level at frequencies in cycles a row."""
@@ -49,8 +49,8 @@ class Noise:
             return np.tile(self.sigma**2, (len(frequency), 1))
         centres = np.log(self.centres)
         at = np.log(np.maximum(frequency, 0.07 * self.edges[0]))
-        channels = zip(np.log(self.levels).T, np.log(self._shelves), strict=True)
-        return np.exp(np.stack([_line(at, centres, level, shelf) for level, shelf in channels], axis=-1))
+        channels = zip(np.log(self.levels).T, np.log(self._plateaus), strict=True)
+        return np.exp(np.stack([_line(at, centres, level, plateau) for level, plateau in channels], axis=-1))
 
     @cached_property
     def centres(self) -> Array:
@@ -73,11 +73,11 @@ class Noise:
         return RESOLUTION.forgets / (2.0 * np.pi * max(self._lengths))
 
     @cached_property
-    def _shelves(self) -> Array:
+    def _plateaus(self) -> Array:
         """(C,) level below the slowest band where the noise is known there for certain, else nan."""
-        return shelves(self.centres, self.levels, self.lines, self.slowest)
+        return plateaus(self.centres, self.levels, self.lines, self.slowest)
 
-    def walks(self, rest: Array, waves: int) -> Mask:
+    def random_walks(self, rest: Array, waves: int) -> Mask:
         """(C,) whether what is left (M, C) of a channel is no noise but a walk; `waves` half cosines lie below the bands."""
         if len(self.centres) < RESOLUTION.fewest or len(self.rows.runs) > 1:
             return np.zeros(len(self.sigma), dtype=bool)
@@ -125,36 +125,36 @@ class Noise:
         smooth = smoothed(self.centres, self.levels, self.lines)
         return np.asarray(np.log(smooth / self.levels))
 
-    def padded(self, unread: Mask, *, beyond: float = 1e9) -> "Noise":
+    def padded(self, without_data: Mask, *, above_noise: float = 1e9) -> "Noise":
         """Return this noise of the other channels with those (C,) without data among them, which then count for nothing.
 
         Args:
             beyond: standard deviation of their noise, larger than all that could be in them, in any unit.
         """
-        if not unread.any():
+        if not without_data.any():
             return self
 
         def among(x: Array, fill: float) -> Array:
-            out = np.full((*x.shape[:-1], len(unread)), fill)
-            out[..., ~unread] = x
+            out = np.full((*x.shape[:-1], len(without_data)), fill)
+            out[..., ~without_data] = x
             return out
 
-        correlation = np.eye(len(unread))
-        correlation[np.ix_(~unread, ~unread)] = self.correlation
+        correlation = np.eye(len(without_data))
+        correlation[np.ix_(~without_data, ~without_data)] = self.correlation
         return replace(
             self,
-            levels=among(self.levels, beyond**2),
-            sigma=among(self.sigma, beyond),
+            levels=among(self.levels, above_noise**2),
+            sigma=among(self.sigma, above_noise),
             correlation=correlation,
             steps=among(self.steps, 0.0),
-            unread=unread,
-            kept={},
+            without_data=without_data,
+            cache={},
         )
 
     def flat(self) -> "Noise":
         """White noise at the lowest level of the spectrum: the least that the noise can be."""
         sigma = np.sqrt(np.min(self.levels, axis=0))
-        return replace(self, edges=np.empty(0), levels=np.empty((0, len(sigma))), sigma=sigma, kept={})
+        return replace(self, edges=np.empty(0), levels=np.empty((0, len(sigma))), sigma=sigma, cache={})
 
     def transformed(self, x: Array) -> Array:
         """(P, ...) of rows (M, ...) as `whitened` takes them, P >= M: the part of the work that is the same for all channels.
@@ -200,9 +200,9 @@ class Noise:
 
     def _levels(self, n: int, power: float) -> Array:
         """A power of the spectrum at the frequencies of a cosine transform of length n, kept."""
-        if (n, power) not in self.kept:
-            self.kept[n, power] = self.spectrum(np.arange(n) / (2.0 * n)) ** power
-        return self.kept[n, power]
+        if (n, power) not in self.cache:
+            self.cache[n, power] = self.spectrum(np.arange(n) / (2.0 * n)) ** power
+        return self.cache[n, power]
 
     def independent(self, rows: int) -> Array:
         """(C,) independent values among so many rows, for the error of a mean square."""
@@ -210,12 +210,12 @@ class Noise:
         return np.asarray(rows * np.mean(level, axis=0) ** 2 / np.mean(level**2, axis=0))
 
     @cached_property
-    def slower(self) -> Array:
+    def slow_power_ratio(self) -> Array:
         """(C,) mean square over all rows, with what is too slow to be measured, over `sigma` squared."""
         return np.asarray(np.maximum(np.mean(self._all, axis=0) / self.sigma**2, 1.0))
 
     @property
-    def wander(self) -> tuple[Array, Array]:
+    def slow_and_quick_rms(self) -> tuple[Array, Array]:
         """(C,) rms of what is slower than a fiftieth of the recording, (C,) of what is quicker."""
         if not len(self.edges):
             return np.zeros_like(self.sigma), self.sigma
@@ -261,10 +261,10 @@ class Noise:
     def effective(self) -> float:
         """Number of independent values that a slow regressor meets, over all channels with data."""
         independent = len(self.rows) * np.minimum(1.0, self.sigma**2 / self.slow)
-        return float(max(np.sum(independent, where=True if self.unread is None else ~self.unread), 20.0))
+        return float(max(np.sum(independent, where=True if self.without_data is None else ~self.without_data), 20.0))
 
 
-def _line(at: Array, centres: Array, level: Array, shelf: float, *, steepest: float = -1.0) -> Array:
+def _line(at: Array, centres: Array, level: Array, plateau: float, *, steepest: float = -1.0) -> Array:
     """Linear interpolation; below the first centre the shelf, else along the slope of the slowest decade (at most `steepest`).
 
     Args:
@@ -273,8 +273,8 @@ def _line(at: Array, centres: Array, level: Array, shelf: float, *, steepest: fl
     """
     out = np.interp(at, centres, level)
     below = at < centres[0]
-    if np.isfinite(shelf):
-        out[below] = shelf
+    if np.isfinite(plateau):
+        out[below] = plateau
         return out
     slowest = centres < centres[0] + 1.5 * np.log(10.0)
     slope = _slope(centres[slowest], level[slowest]) if slowest.sum() >= 3 else 0.0

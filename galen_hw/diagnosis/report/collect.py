@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from galen_hw.diagnosis.findings.localisation import baseline_rest, organised
+from galen_hw.diagnosis.findings.localisation import baseline_residual, organised
 from galen_hw.diagnosis.findings.variables import variables
 from galen_hw.diagnosis.identifiability.experiment import options_of
 from galen_hw.diagnosis.identifiability.rivals import rivals
@@ -18,7 +18,7 @@ from galen_hw.spatial import Array
 
 def traces_of(work: Work) -> Traces:
     """Everything that the page draws."""
-    bench, scene, before = work.bench, work.bench.scene, baseline_rest(work.model)
+    bench, scene, before = work.bench, work.bench.scene, baseline_residual(work.model)
     advice = options_of(work.model, work.selection, work.diagnosis.findings)[: CAPS.alike]
     return Traces(
         time=bench.time,
@@ -26,8 +26,8 @@ def traces_of(work: Work) -> Traces:
         channels=tuple(scene.channels),
         units=tuple(scene.units),
         before=before,
-        after=work.model.rest(),
-        held_out=np.asarray(bench.aside),
+        after=work.model.residual(),
+        held_out=np.asarray(bench.held_out),
         along=_along(work, before),
         plane=_plane(work, before),
         curves=curves_of(work),

@@ -29,13 +29,13 @@ class Axis:
 
 def curves_of(work: Work) -> list[Curve]:
     """One picture for every part of every effect, in its strongest channel."""
-    model, rest, scene = work.model, work.model.rest(), work.bench.scene
+    model, rest, scene = work.model, work.model.residual(), work.bench.scene
     known = variables(work.bench)
     out: list[Curve] = []
     for h, s in zip(model.parts, model.slices(), strict=True):
         if h.effect is None or not h.count or len(out) == CAPS.curves:
             continue
-        change = h.does(model.theta[s])
+        change = h.contribution(model.theta[s])
         best = int(np.argmax(np.std(change, axis=0) / work.bench.noise.sigma[list(h.raw.channels)]))
         c = h.raw.channels[best]
         axis = axis_of(work, h.effect, c, change[:, best], known)

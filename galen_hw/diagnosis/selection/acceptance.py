@@ -14,7 +14,7 @@ from galen_hw.diagnosis.stats.paired_test import Gain, paired
 from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.spatial import Array
 
-UNDONE = 0.1
+CANCELLED = 0.1
 """Share of either of two effects that their sum must reach: what they do is not to cancel."""
 
 
@@ -38,12 +38,12 @@ def improvement(
         cross_validated(bench, scorer.parts(model), scorer.white, fine=fine, whitened=whitened) / sigma
         for model in (out.chosen, trial)
     )
-    if not len(out.begun):
-        out.begun = cross_validated(bench, scorer.parts(out.chosen), scorer.white) ** 2
+    if not len(out.initial_errors):
+        out.initial_errors = cross_validated(bench, scorer.parts(out.chosen), scorer.white) ** 2
     begun = (
         np.mean(cross_validated(bench, scorer.base, scorer.white, whitened=True) ** 2, axis=0)
         if whitened
-        else out.start
+        else out.initial_mean_square
     )
     gain = paired(without, rest, begun / sigma**2 - 1.0)
     own = list(range(bench.width)) if h is None else list(h.raw.channels)
@@ -89,13 +89,13 @@ def pays(out: Selection, trial: list[int], i: int | None = None) -> tuple[bool, 
 
 def improves(out: Selection, before: Array, after: Array) -> bool:
     """Return whether errors (n, C) on blocks left out, in units of the noise, fall with a trial as a finding's have to."""
-    gain = paired(before, after, out.start / out.bench.noise.sigma**2 - 1.0)
+    gain = paired(before, after, out.initial_mean_square / out.bench.noise.sigma**2 - 1.0)
     square = np.mean(after**2, axis=0)
     left = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0)) / max(gain.excess, 1e-300)
     return gain.credible(unexplained=min(left, 1.0))
 
 
-def left_out(out: Selection, model: list[int]) -> Array:
+def held_out_errors(out: Selection, model: list[int]) -> Array:
     """(n, C) errors of a model on training blocks, each predicted from the others, in units of the noise."""
     return cross_validated(out.bench, out.scorer.parts(model), out.scorer.white) / out.bench.noise.sigma
 
@@ -124,10 +124,10 @@ def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
     # A lag of a twentieth is no lag. Bounds matter where physics is missing: else the shape has proved it, whatever its size.
     named_so = all(p.near(t, s) and (misfit < CRITERIA.noise_alone or p.plausible(t, s)) for p, t, s in named)
     real = named_so and h.effect.at_work(bench.scene) and h.effect.possible(bench.scene, theta[-h.count :], spread)
-    return real and not _undone(bench, scorer, [*chosen, i], theta)
+    return real and not _cancelled(bench, scorer, [*chosen, i], theta)
 
 
-def _undone(bench: Bench, scorer: Scorer, chosen: list[int], theta: Array) -> bool:
+def _cancelled(bench: Bench, scorer: Scorer, chosen: list[int], theta: Array) -> bool:
     """Whether the last of the chosen and another do the same with opposite signs, but for a small part which alone is needed.
 
     `theta` (k,): parameters of what is always fitted, and of the chosen in their order.
@@ -137,9 +137,10 @@ def _undone(bench: Bench, scorer: Scorer, chosen: list[int], theta: Array) -> bo
     changes = []
     for h, t in list(with_parameters(scorer.parts(chosen), theta))[len(scorer.base) :]:
         change = np.zeros_like(bench.y)
-        change[:, list(h.raw.channels)] = h.does(t)
+        change[:, list(h.raw.channels)] = h.contribution(t)
         changes.append((change - change.mean(axis=0)) / bench.noise.sigma)
     last, size = changes[-1], float(np.linalg.norm(changes[-1]))
     return any(
-        float(np.linalg.norm(last + other)) < UNDONE * min(size, float(np.linalg.norm(other))) for other in changes[:-1]
+        float(np.linalg.norm(last + other)) < CANCELLED * min(size, float(np.linalg.norm(other)))
+        for other in changes[:-1]
     )

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from galen_hw.diagnosis.estimation.candidate import Hypothesis, place_of, told, with_parameters
+from galen_hw.diagnosis.estimation.candidate import Hypothesis, identity_of, place_of, with_parameters
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import fit, rests
-from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
-from galen_hw.diagnosis.estimation.linearisation import tangent, unbent
+from galen_hw.diagnosis.estimation.least_squares import fit, residuals
+from galen_hw.diagnosis.estimation.levenberg_marquardt import ConditionalGain
+from galen_hw.diagnosis.estimation.linearisation import nonlinear_restored, tangent
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.stats.paired_test import paired
@@ -26,7 +26,7 @@ def in_place(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> dict[in
     """
     others, rest = [j for j in chosen if j != i], scorer.solve(chosen)[2]
     firm, found = len(scorer.library), dict[object, tuple[Hypothesis, Score]]()
-    with unbent(scorer, i), unclocked(scorer, i) as for_a_while:
+    with nonlinear_restored(scorer, i), without_timing(scorer, i) as for_a_while:
         scores = scorer.scores(others)[0]
         if i not in scores:
             return {j: s for j, s in scores.items() if j < firm}
@@ -34,8 +34,8 @@ def in_place(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> dict[in
         scores[i] = replace(scores[i], gain=gain, rank=scores[i].rank + gain - scores[i].gain)
         for j in _near(scorer, scores, i):
             h = scorer.library[j]
-            if h.theta is None and j != i and _is_bent(bench, h):
-                scores[j] = bent(bench, scorer, others, j, scores[j])
+            if h.theta is None and j != i and _is_nonlinear(bench, h):
+                scores[j] = at_nonlinear_optimum(bench, scorer, others, j, scores[j])
             elif _on_a_grid(h):
                 better = polished(bench, scorer, others, j)
                 if better != j:
@@ -51,7 +51,7 @@ def in_place(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> dict[in
 
 
 @contextmanager
-def unclocked(scorer: Scorer, i: int) -> Iterator[bool]:
+def without_timing(scorer: Scorer, i: int) -> Iterator[bool]:
     """The scorer for a while with other ends of the stream (a filter behind a delay) as if the chosen i had never been there.
 
     Whether there are any: then what joins the library meanwhile leaves it again.
@@ -64,12 +64,12 @@ def unclocked(scorer: Scorer, i: int) -> Iterator[bool]:
         yield False
         return
     with bench.delivering(others):
-        fresh = [bench.add(h.effect, h.looked) for h in behind if h.effect is not None]
+        fresh = [bench.hypothesis(h.effect, h.trials) for h in behind if h.effect is not None]
         with scorer.trying(fresh):
             yield True
 
 
-def _is_bent(bench: Bench, h: Hypothesis) -> bool:
+def _is_nonlinear(bench: Bench, h: Hypothesis) -> bool:
     return h.effect is not None and h.effect.bends(bench.scene, np.zeros(h.count))
 
 
@@ -83,7 +83,7 @@ def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:
             break
         if loosens(effect, scorer.library[i].effect):
             continue
-        leaders.setdefault(told(effect), j)
+        leaders.setdefault(identity_of(effect), j)
     rivals = [j for j in leaders.values() if j != i][: LIMITS.rivals]
     return [i, *rivals]
 
@@ -103,13 +103,13 @@ def loosens(other: Effect | None, effect: Effect | None) -> bool:
 
 def _on_a_grid(h: Hypothesis) -> bool:
     """Return whether it has searched values, and these from a grid; what was sought in the residual has found its own."""
-    return h.effect is not None and bool(h.effect.searched()) and h.looked == 1
+    return h.effect is not None and bool(h.effect.searched()) and h.trials == 1
 
 
-def bent(bench: Bench, scorer: Scorer, chosen: list[int], i: int, score: Score) -> Score:
+def at_nonlinear_optimum(bench: Bench, scorer: Scorer, chosen: list[int], i: int, score: Score) -> Score:
     """The score of a nonlinear effect at its own optimum (Gauss and Newton) instead of by its slope at zero."""
     rows = np.flatnonzero(bench.train)
-    before = float(np.sum(rests(bench, scorer, chosen)[1][rows] ** 2))
+    before = float(np.sum(residuals(bench, scorer, chosen)[1][rows] ** 2))
     best = max(score.gain, *(before - float(np.sum(rest**2)) for rest in _approached(bench, scorer, chosen, i)))
     return replace(score, gain=best, rank=score.rank + best - score.gain)
 
@@ -121,8 +121,8 @@ def _approached(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Iter
     rows = np.flatnonzero(bench.train)
     for _ in range(2):
         new = tangent(bench, h, theta)
-        assert new.bend is not None, "a tangent has one"
-        target = bench.whitened(y - new.bend)
+        assert new.nonlinear is not None, "a tangent has one"
+        target = bench.whitened(y - new.nonlinear)
         model = [*base, new]
         solved = fit(model, target, rows, bench.width)
         rest = target[rows].copy()
@@ -132,7 +132,7 @@ def _approached(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Iter
         yield rest
 
 
-def ahead(bench: Bench, scorer: Scorer, others: list[int], i: int, j: int) -> float:
+def vuong_statistic(bench: Bench, scorer: Scorer, others: list[int], i: int, j: int) -> float:
     """By how many standard errors hypothesis i explains the training blocks better than j, both beside the others.
 
     Source: Vuong 1989, the likelihood ratio of models that are not nested, over blocks since rows depend on each other.
@@ -146,17 +146,17 @@ def ahead(bench: Bench, scorer: Scorer, others: list[int], i: int, j: int) -> fl
 def _best_rest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> Array:
     """(n, C) whitened rest of the training rows with hypothesis i at its optimum."""
     h = scorer.library[i]
-    if h.theta is None and _is_bent(bench, h):
+    if h.theta is None and _is_nonlinear(bench, h):
         return min(_approached(bench, scorer, others, i), key=lambda rest: float(np.sum(rest**2)))
     # What a tangent predicts beyond its slope is not in its columns.
-    with nullcontext() if h.bend is None else scorer.against(bench.y - h.bend):
+    with nullcontext() if h.nonlinear is None else scorer.against(bench.y - h.nonlinear):
         pinned = None if h.effect is None else h.effect.pinned(bench.scene)
         if pinned is None or np.isnan(pinned).any():
-            return rests(bench, scorer, [*others, i])[1][bench.train]
+            return residuals(bench, scorer, [*others, i])[1][bench.train]
     own = np.zeros_like(bench.y)
     own[:, list(h.raw.channels)] = h.raw.values @ pinned
     with scorer.against(bench.y - own):
-        return rests(bench, scorer, others)[1][bench.train]
+        return residuals(bench, scorer, others)[1][bench.train]
 
 
 def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int, passes: int = 1) -> int:
@@ -168,27 +168,27 @@ def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int, passes: in
     effect = hypothesis.effect
     if effect is None or not effect.searched():
         return i
-    beside, best = Beside(bench, scorer, chosen), -np.inf
+    given, best = ConditionalGain(bench, scorer, chosen), -np.inf
     for left in reversed(range(passes if len(effect.searched()) > 1 else 1)):
         for name, value in effect.searched().items():
-            effect = _along(bench, beside, effect, name, value)
+            effect = _along(bench, given, effect, name, value)
         if left:
-            before, best = best, beside.gain(bench.add(effect))
+            before, best = best, given.gain(bench.hypothesis(effect))
             if best < before + LIMITS.tie:
                 break
-    scorer.append([bench.add(effect, hypothesis.looked)])
+    scorer.append([bench.hypothesis(effect, hypothesis.trials)])
     last = len(scorer.library) - 1
     pair, _ = scorer.scores(chosen, [i, last])
     return last if last in pair and (i not in pair or pair[last].gain > pair[i].gain) else i
 
 
-def _along(bench: Bench, beside: Beside, effect: Effect, name: str, value: float) -> Effect:
+def _along(bench: Bench, given: ConditionalGain, effect: Effect, name: str, value: float) -> Effect:
     bound = effect.SEARCHED[name]
     wide = effect.doubt(bench.scene)
 
     def cost(log_value: float) -> float:
-        h = bench.add(effect.with_searched({name: float(np.exp(log_value))}))
-        return -beside.gain(h)
+        h = bench.hypothesis(effect.with_searched({name: float(np.exp(log_value))}))
+        return -given.gain(h)
 
     low, high = max(np.log(value / wide), np.log(bound.low)), min(np.log(value * wide), np.log(bound.high))
     if not high > low:

@@ -5,8 +5,8 @@ import numpy as np
 from galen_hw.diagnosis.detection import clipping, drift, proposal, spectral_lines, steps
 from galen_hw.diagnosis.detection.contacts import contacts
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.interactions import load
-from galen_hw.diagnosis.estimation.least_squares import rests
+from galen_hw.diagnosis.estimation.interactions import update_stream
+from galen_hw.diagnosis.estimation.least_squares import residuals
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.registry import kinds
@@ -21,18 +21,18 @@ def library(bench: Bench) -> list[Effect]:
 
 def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sought]:
     """What the rest of the present model shows by itself."""
-    load(bench, scorer, chosen)
-    rest, _ = rests(bench, scorer, chosen)
+    update_stream(bench, scorer, chosen)
+    rest, _ = residuals(bench, scorer, chosen)
     found = steps.steps(bench.scene, rest, bench.rows, bench.noise) + steps.staircases(bench.scene, rest, bench.noise)
     found += contacts(bench.scene, rest, bench.rows)
     found += steps.slips(bench.scene, rest, bench.rows)
     found += steps.loads(bench.scene, rest, bench.rows)
-    found += drift.walks(bench.scene, rest, bench.noise)
+    found += drift.random_walks(bench.scene, rest, bench.noise)
     found += drift.drifts(bench.scene, rest, bench.rows)
     found += drift.temperatures(bench.scene, rest, bench.rows)
     # A limit that was found before something else was is sought again as if it had not been.
     added = bench.rows.average(np.asarray(bench.stream.standing + bench.stream.carried))
-    stream, seen = bench.simulated + added, ~bench.dropped
+    stream, seen = bench.simulated + added, ~bench.excluded_rows
     found += clipping.saturations(bench.scene, np.asarray(bench.whole - added)[seen], stream[seen])
     hums = [(h.raw.channels, line) for h in (scorer.library[i] for i in chosen) if (line := h.line(bench.scene))]
     return (

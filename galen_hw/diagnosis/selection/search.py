@@ -11,9 +11,9 @@ from galen_hw.diagnosis.estimation.interactions import retime, settle_together
 from galen_hw.diagnosis.estimation.linearisation import rebase, tangent
 from galen_hw.diagnosis.estimation.normal_equations import Scorer, threshold
 from galen_hw.diagnosis.selection.moves import MOVES
-from galen_hw.diagnosis.selection.moves.clipping import levelled
+from galen_hw.diagnosis.selection.moves.clipping import limits_updated
 from galen_hw.diagnosis.selection.moves.drop import alone, dropped
-from galen_hw.diagnosis.selection.moves.step_times import timed
+from galen_hw.diagnosis.selection.moves.step_times import steps_relocated
 from galen_hw.diagnosis.selection.moves.swap import swapped
 from galen_hw.diagnosis.selection.proposals import known, sought
 from galen_hw.diagnosis.selection.search_state import Selection, Turn
@@ -75,25 +75,25 @@ def settled(scorer: Scorer, start: Start, needed: float, *, rivals: bool = False
 def _begin(out: Selection, start: Start) -> None:
     """Look at a model that has no effects, then put those of a start into it."""
     _look(out)
-    out.begun = cross_validated(out.bench, out.scorer.base, out.scorer.white) ** 2
+    out.initial_errors = cross_validated(out.bench, out.scorer.base, out.scorer.white) ** 2
     _stand(out, start)
 
 
 def _stand(out: Selection, start: Start) -> None:
     """Put the effects of a start into a model that has none, and let them settle."""
     bench, scorer = out.bench, out.scorer
-    looked = {h.effect.family: h.looked for h in scorer.library if h.effect is not None}
+    trials = {h.effect.family: h.trials for h in scorer.library if h.effect is not None}
     first = len(scorer.library)
-    scorer.append([_placed(bench, effect, theta, looked.get(effect.family, 1)) for effect, theta in start])
+    scorer.append([_placed(bench, effect, theta, trials.get(effect.family, 1)) for effect, theta in start])
     out.chosen = list(range(first, first + len(start)))
     rebase(scorer, out.chosen)
     settle_together(bench, scorer, out.chosen)
     retime(bench, scorer, out.chosen)
 
 
-def _placed(bench: Bench, effect: Effect, theta: Array, looked: int) -> Hypothesis:
+def _placed(bench: Bench, effect: Effect, theta: Array, trials: int) -> Hypothesis:
     """An effect as a hypothesis that stands where its parameters (k,) are."""
-    h = bench.add(effect, looked)
+    h = bench.hypothesis(effect, trials)
     return tangent(bench, h, theta) if effect.bends(bench.scene, np.zeros(h.count)) else h
 
 
@@ -101,10 +101,10 @@ def _look(out: Selection) -> None:
     """Begin a turn: propose what the rest shows by itself, place limits and jumps anew, score all."""
     bench, scorer = out.bench, out.scorer
     fresh = [s for s in sought(bench, scorer, out.chosen) if not known(bench, scorer, s.effect)]
-    scorer.append([bench.add(s.effect, s.looked) for s in fresh])
-    levelled(out)
-    timed(out)
-    out.turn.able = []
+    scorer.append([bench.hypothesis(s.effect, s.trials) for s in fresh])
+    limits_updated(out)
+    steps_relocated(out)
+    out.turn.significant = []
     out.turn.scores, highest = scorer.scores(out.chosen, surrogates=True)
     out.needed = max(out.needed, threshold(highest, CRITERIA.chance))
     out.first = out.first or out.turn.scores
@@ -127,5 +127,5 @@ def _conclude(out: Selection) -> None:
 
 def _rest(out: Selection) -> None:
     """Leave the residual to the model, which tells by itself what its effects do to each other."""
-    out.bench.stand(interaction=0.0)
+    out.bench.update_state(interaction=0.0)
     rebase(out.scorer, out.chosen)

@@ -26,7 +26,7 @@ class Turn:
     """
 
     scores: dict[int, Score] = field(default_factory=dict)
-    able: list[int] = field(default_factory=list)
+    significant: list[int] = field(default_factory=list)
     failed: set[int] = field(default_factory=set)
     swapped: bool = False
 
@@ -63,7 +63,7 @@ class Selection:
     clocked: Counter[frozenset[object]] = field(default_factory=Counter)
     tightened: set[frozenset[object]] = field(default_factory=set)
     regrouped: set[frozenset[object]] = field(default_factory=set)
-    begun: Array = field(default_factory=lambda: np.empty((0, 0)))
+    initial_errors: Array = field(default_factory=lambda: np.empty((0, 0)))
     turn: Turn = field(default_factory=Turn)
 
     @property
@@ -84,9 +84,9 @@ class Selection:
                     self.scorer.retarget(before.y)
 
     @property
-    def start(self) -> Array:
+    def initial_mean_square(self) -> Array:
         """(C,) mean squared error on blocks left out before anything was chosen."""
-        return np.asarray(self.begun.mean(axis=0))
+        return np.asarray(self.initial_errors.mean(axis=0))
 
     @property
     def families(self) -> frozenset[object]:

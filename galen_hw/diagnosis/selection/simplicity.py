@@ -1,9 +1,9 @@
 """Which of two look-alikes goes first: the plainer one, where the recording does not say otherwise."""
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import missed
+from galen_hw.diagnosis.estimation.least_squares import reduced_chi2
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
-from galen_hw.diagnosis.selection.comparison import ahead
+from galen_hw.diagnosis.selection.comparison import vuong_statistic
 from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
@@ -34,18 +34,18 @@ def plainest(
         lead = scores[best].rank - scores[i].rank
         tied = lead <= nothing or (
             lead <= CRITERIA.least_share * scores[best].gain
-            and missed(bench, scorer, [*chosen, i]) <= CRITERIA.noise_alone
+            and reduced_chi2(bench, scorer, [*chosen, i]) <= CRITERIA.noise_alone
         )
-        if tied or (asked < LIMITS.rivals and ahead(bench, scorer, chosen, best, i) < 1.0):
+        if tied or (asked < LIMITS.rivals and vuong_statistic(bench, scorer, chosen, best, i) < 1.0):
             return i
     return best
 
 
 def undecided(bench: Bench, scorer: Scorer, model: list[int]) -> float:
     """Difference of rank that says nothing between models: a part of what the better one leaves above the noise."""
-    over = missed(bench, scorer, model)
+    over = reduced_chi2(bench, scorer, model)
     return (
-        CRITERIA.beside_unexplained * (over - 1.0) * bench.train.sum() * bench.read
+        CRITERIA.beside_unexplained * (over - 1.0) * bench.train.sum() * bench.live_channels
         if over > CRITERIA.noise_alone
         else 0.0
     )

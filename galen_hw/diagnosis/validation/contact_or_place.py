@@ -26,7 +26,7 @@ def touches_of(model: Model) -> list[Hypothesis]:
 
 
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
-def foretold(whole: Model, less: Model) -> list[Left]:
+def predicted_by_place(whole: Model, less: Model) -> list[Left]:
     """What a model without its contacts leaves during each, if that follows from where the arm was during the others.
 
     Of trees on the joint positions, which know corners of a workspace that polynomials do not. One touch alone has no others.
@@ -37,19 +37,21 @@ def foretold(whole: Model, less: Model) -> list[Left]:
     bench, touches = whole.bench, touches_of(whole)
     channels = sorted({c for h in touches for c in h.raw.channels})
     # What belongs to moments is fitted on all rows, those set aside too.
-    good = ~bench.dropped
+    good = ~bench.excluded_rows
     during = good & touched(whole)
     each = [rows for rows in _each(bench, touches) if np.any(during & rows)]
     if len(each) < 2:
         return []
     sigma = bench.noise.sigma[channels]
-    missed, kept = (model.rest()[:, channels] / sigma for model in (less, whole))
+    missed, kept = (model.residual()[:, channels] / sigma for model in (less, whole))
     position = Inputs.of(bench.scene, bench.rows).position
     predicted = np.zeros_like(missed)
     for rows in each:
         others, asked = good & ~rows, during & rows
         for c in range(len(channels)):
-            predicted[asked, c] = trees.new().fit(position[others], missed[others, c]).predict(position[asked])
+            predicted[asked, c] = (
+                trees.boosted_trees().fit(position[others], missed[others, c]).predict(position[asked])
+            )
     gain = np.sum(predicted * (2.0 * missed - predicted), axis=0)
     taken = np.sum(missed[during] ** 2 - kept[during] ** 2)
     if taken <= 0.0 or gain.sum() < CRITERIA.beside_unexplained * taken:

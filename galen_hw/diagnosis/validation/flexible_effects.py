@@ -9,36 +9,41 @@ from galen_hw.diagnosis.lack_of_fit import structure_test, trees
 from galen_hw.diagnosis.lack_of_fit.gram import Functions
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder, learn
 from galen_hw.diagnosis.stats.criteria import CRITERIA
-from galen_hw.diagnosis.validation.contact_or_place import foretold, touches_of
-from galen_hw.diagnosis.validation.holdout import earned, judge_remainder
+from galen_hw.diagnosis.validation.contact_or_place import predicted_by_place, touches_of
+from galen_hw.diagnosis.validation.holdout import backward_eliminated, judge_remainder
 from galen_hw.diagnosis.validation.judgement import Judged
-from galen_hw.diagnosis.validation.other_recording import left_elsewhere
-from galen_hw.diagnosis.validation.verdict import beyond, strong
+from galen_hw.diagnosis.validation.other_recording import structures_elsewhere
+from galen_hw.diagnosis.validation.verdict import above_noise, strong
 from galen_hw.physics.scenes.base import Scene
 
 
-def left_by(models: Sequence[Model], generic: list[structure_test.Family]) -> list[list[structure_test.Left]]:
+def remaining_structures(
+    models: Sequence[Model], generic: list[structure_test.Family]
+) -> list[list[structure_test.Left]]:
     """What each of some models of one recording leaves above the noise."""
     benches = {id(model.bench): model.bench for model in models}
     known: dict[int, list[structure_test.Left]] = {}
     for bench in benches.values():
         mine = [model for model in models if model.bench is bench]
-        fitted = [structure_test.Fitted([h.white for h in m.parts], m.rest(), m.rest(white=True)) for m in mine]
+        fitted = [structure_test.Fitted([h.white for h in m.parts], m.residual(), m.residual(white=True)) for m in mine]
         known |= {id(m): left for m, left in zip(mine, structure_test.leftovers(bench, generic, fitted), strict=True)}
     return [known[id(model)] for model in models]
 
 
-def might_yield(model: Model) -> bool:
+def has_flexible_effects(model: Model) -> bool:
     """Return whether a model believes in something that bends far enough to be part of what has no name."""
-    return bool(_yielding(model))
+    return bool(_removal_sets(model))
 
 
-def left_of_another(model: Model, holdout: Scene, judged: Judged) -> list[structure_test.Left]:
+def structures_of_holdout(model: Model, holdout: Scene, judged: Judged) -> list[structure_test.Left]:
     """What a model leaves of another recording, worth saying: asked where names bend, and wherever it does not hold there."""
-    missed, bends = {one.channel for one in beyond(judged, model, untouched=True)}, might_yield(model)
+    missed, bends = (
+        {one.channel for one in above_noise(judged, model, outside_contacts=True)},
+        has_flexible_effects(model),
+    )
     if not missed and not bends:
         return []
-    left = strong(left_elsewhere(model, holdout, judged), judged, model.bench)
+    left = strong(structures_elsewhere(model, holdout, judged), judged, model.bench)
     return [one for one in left if bends or one.channel in missed]
 
 
@@ -57,13 +62,16 @@ def predict_unnamed(
     functions = Functions(model.bench)
     now, remainder = _explained(model, rest, functions)
     judged = judge_remainder(model, holdout, judged, remainder)
-    yielding = _yielding(model)
-    smaller = [earned(model.without([h for h in model.effects if id(h) in out]), holdout, judged) for out in yielding]
-    theirs = left_by([less for less, _ in smaller], generic)
-    for out, (less, plainly), left in zip(yielding, smaller, theirs, strict=True):
+    removal_sets = _removal_sets(model)
+    smaller = [
+        backward_eliminated(model.without([h for h in model.effects if id(h) in out]), holdout, judged)
+        for out in removal_sets
+    ]
+    theirs = remaining_structures([less for less, _ in smaller], generic)
+    for out, (less, plainly), left in zip(removal_sets, smaller, theirs, strict=True):
         its_rest = strong(left, judged, model.bench)
         # Asked of contacts alone: what else leaves with them may have been there.
-        place = foretold(model, less) if {id(h) for h in touches_of(model)} == out else []
+        place = predicted_by_place(model, less) if {id(h) for h in touches_of(model)} == out else []
         its_rest = sorted([*its_rest, *place], key=lambda one: -one.z)
         reached, its_own = _explained(less, its_rest, functions)
         if reached > now + CRITERIA.log_odds or place:
@@ -88,7 +96,7 @@ def _finished(
     found = {one.kind for one in rest}
     others = learn(model, {c: found for c in range(model.bench.width) if c not in remainder.parts}, functions)
     wider = remainder if others is None else remainder.joined(others)
-    return judge_remainder(model, holdout, judged, trees.beside(wider, model, functions))
+    return judge_remainder(model, holdout, judged, trees.blended(wider, model, functions))
 
 
 def _explained(model: Model, rest: list[structure_test.Left], functions: Functions) -> tuple[float, Remainder | None]:
@@ -106,7 +114,7 @@ def _explained(model: Model, rest: list[structure_test.Left], functions: Functio
     return own + remainder.gain - 2.0 * chosen * float(np.log(len(functions.columns))), remainder
 
 
-def _yielding(model: Model) -> list[set[int]]:
+def _removal_sets(model: Model) -> list[set[int]]:
     """Sets of effects that may be no more than part of what has no name: all flexible ones, each kind, polynomials."""
     kinds: dict[str, set[int]] = {}
     for h in model.effects:

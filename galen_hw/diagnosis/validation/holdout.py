@@ -12,7 +12,7 @@ from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder
 from galen_hw.diagnosis.stats.paired_test import Gain, paired
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, touched
-from galen_hw.diagnosis.validation.other_recording import apply, noisier, undisturbed
+from galen_hw.diagnosis.validation.other_recording import apply, noise_ratio, undisturbed
 from galen_hw.diagnosis.validation.support import HoldoutTest
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.registry import effect_class
@@ -40,13 +40,13 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
     if holdout is None:
         rows = bench.judged if bench.judged.any() else bench.train
         name = "contiguous blocks set aside" if bench.judged.any() else "the recording itself"
-        before = np.asarray(np.mean(baseline.rest()[rows] ** 2, axis=0))
-        judged = Judged(name, before, np.mean(model.rest()[rows] ** 2, axis=0), {}, floor)
+        before = np.asarray(np.mean(baseline.residual()[rows] ** 2, axis=0))
+        judged = Judged(name, before, np.mean(model.residual()[rows] ** 2, axis=0), {}, floor)
         free = rows & ~touched(model)
         if 0 < free.sum() < rows.sum():
-            judged.untouched = np.asarray(np.mean(model.rest()[free] ** 2, axis=0))
+            judged.outside_contacts = np.asarray(np.mean(model.residual()[free] ** 2, axis=0))
         test = HoldoutTest(
-            floor, lambda part: part.rest()[rows], lambda part: part.rest(white=True)[rows], model, baseline
+            floor, lambda part: part.residual()[rows], lambda part: part.residual(white=True)[rows], model, baseline
         )
     else:
         if first is None or first.good is None:
@@ -55,9 +55,9 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
             good, episodes = first.good, first.episodes
         rest = apply(model, holdout, good)
         before = np.mean(apply(baseline, holdout, good)[good] ** 2, axis=0)
-        floor = floor * noisier(model, rest[good])
+        floor = floor * noise_ratio(model, rest[good])
         judged = Judged(ELSEWHERE, before, np.mean(rest[good] ** 2, axis=0), {}, floor, episodes=episodes, good=good)
-        noise = replace(bench.noise, rows=bench.rows.of(holdout.segments), kept={})
+        noise = replace(bench.noise, rows=bench.rows.of(holdout.segments), cache={})
         test = HoldoutTest(
             floor,
             lambda part: apply(part, holdout, good)[good],
@@ -68,7 +68,7 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
     for key, part in smaller.items():
         judged.without[key] = np.mean(test.raw(part) ** 2, axis=0)
         _ask(judged, key, test, (model, part, baseline), len(smaller), elsewhere=holdout is not None)
-    judged.places = _places(model, test, len(smaller))
+    judged.by_place = _places(model, test, len(smaller))
     return judged
 
 
@@ -90,8 +90,8 @@ def _ask(
             judged.refused.add(key)
         tests = [_at_moments(model, part, baseline)]
     elif elsewhere and not told:
-        judged.at_home.add(key)
-        tests = [_at_home(model, part)]
+        judged.cross_validated.add(key)
+        tests = [_cross_validated_gain(model, part)]
     elif test.belied(part, _channels(model, key), questions):
         judged.refused.add(key)
     # Raw errors are the first that were asked.
@@ -100,13 +100,15 @@ def _ask(
 
 def _at_moments(model: Model, part: Model, baseline: Model) -> Gain:
     """What falls with what a smaller model has left out on the rows that it was learnt on, which alone hold its moments."""
-    good, sigma = ~model.bench.dropped, model.bench.noise.sigma
-    rest, without, before = (one.rest()[good] / sigma for one in (model, part, baseline))
-    learnt = sum(h.owed(whole=True) for h in model.effects) - sum(h.owed(whole=True) for h in part.effects)
+    good, sigma = ~model.bench.excluded_rows, model.bench.noise.sigma
+    rest, without, before = (one.residual()[good] / sigma for one in (model, part, baseline))
+    learnt = sum(h.effective_parameters(whole=True) for h in model.effects) - sum(
+        h.effective_parameters(whole=True) for h in part.effects
+    )
     return paired(without, rest, np.mean(before**2, axis=0) - 1.0, parameters=learnt)
 
 
-def _at_home(model: Model, part: Model) -> Gain:
+def _cross_validated_gain(model: Model, part: Model) -> Gain:
     """What falls with what a smaller model has left out, on blocks left out of its own data.
 
     A temperature that stays where it is, or a joint that rests, says nothing for an effect and nothing against it.
@@ -123,7 +125,7 @@ def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remaind
         return judged
     if holdout is None:
         rows = bench.judged if bench.judged.any() else bench.train
-        rest = model.rest()[rows]
+        rest = model.residual()[rows]
         fuller = rest - remainder.own(bench.width)[rows]
     else:
         said = remainder.predict(holdout, bench.rows.of(holdout.segments), bench.width)
@@ -138,7 +140,7 @@ def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remaind
         gain = paired(without, with_it, judged.before[[c]] / judged.floor[[c]] - 1.0)
         if gain.credible(questions=len(remainder.parts)):
             unnamed[c] = better
-    return replace(judged, unnamed=unnamed) if np.any(unnamed != judged.after) else judged
+    return replace(judged, with_generic=unnamed) if np.any(unnamed != judged.after) else judged
 
 
 def _beside(model: Model, key: str) -> list[int]:
@@ -164,7 +166,7 @@ def _places(model: Model, test: HoldoutTest, questions: int) -> dict[int, list[G
     return out
 
 
-def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) -> tuple[Model, Judged]:
+def backward_eliminated(model: Model, holdout: Scene | None, judged: Judged | None = None) -> tuple[Model, Judged]:
     """The model without what held-out data do not support, the least supported first.
 
     What belongs to moments shows nowhere else, and need not be wanted there; it only must not make worse what it touches. Where a
@@ -186,7 +188,7 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
         ]
         places = [
             (max(one.share for one in tests), k)
-            for k, tests in judged.places.items()
+            for k, tests in judged.by_place.items()
             if not _supported(judged, tests, model.effects[k].raw.channels, asked)
         ]
         vague = _vague(model)

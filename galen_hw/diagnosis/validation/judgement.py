@@ -45,17 +45,17 @@ class Judged:
     gains: dict[str, Gain] = field(default_factory=dict)
     tests: dict[str, list[Gain]] = field(default_factory=dict)
     refused: set[str] = field(default_factory=set)
-    places: dict[int, list[Gain]] = field(default_factory=dict)
-    at_home: set[str] = field(default_factory=set)
+    by_place: dict[int, list[Gain]] = field(default_factory=dict)
+    cross_validated: set[str] = field(default_factory=set)
     episodes: tuple[tuple[float, float], ...] = ()
     good: Mask | None = None
-    untouched: Array | None = None
-    unnamed: Array | None = None
+    outside_contacts: Array | None = None
+    with_generic: Array | None = None
 
     @property
     def reached(self) -> Array:
         """(C,) mean squared errors with all that can be predicted, named or not."""
-        return self.after if self.unnamed is None else self.unnamed
+        return self.after if self.with_generic is None else self.with_generic
 
     def gain(self, key: str) -> float:
         """Share of the excess, channels weighed by their noise, that an effect removes."""
@@ -68,7 +68,7 @@ class Judged:
 
     def unnamed_gain(self) -> float:
         """The same of what is predicted without a name."""
-        return 0.0 if self.unnamed is None else self.share(self.after - self.unnamed)
+        return 0.0 if self.with_generic is None else self.share(self.after - self.with_generic)
 
     def share(self, lost: Array) -> float:
         """Return the share of the held-out excess, channels weighed by their noise, that mean squares (C,) are."""
@@ -86,7 +86,7 @@ class Judged:
         values = {
             "rmse_before": np.sqrt(self.before),
             "rmse_after": np.sqrt(after),
-            "noise_floor": np.where(bench.unread, 0.0, np.sqrt(self.floor)),
+            "noise_floor": np.where(bench.without_data, 0.0, np.sqrt(self.floor)),
             "ceiling": np.sqrt(np.minimum(hoped, after)),
         }
         return {k: {n: float(x) for n, x in zip(names, v, strict=True)} for k, v in values.items()}

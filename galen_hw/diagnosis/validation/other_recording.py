@@ -22,7 +22,7 @@ from galen_hw.physics.scenes.initial_state import fading
 from galen_hw.spatial import Array
 
 
-def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure_test.Left]:
+def structures_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure_test.Left]:
     """What a model leaves above the noise of another recording, strongest first, by the noise of the first.
 
     To be asked of models with flexible names: these may follow one motion by what the next one does not have, and there generic
@@ -42,11 +42,11 @@ def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure
     rest = apply(model, scene, judged.good)
     # The second recording's noise may be larger or smaller, of the same colour.
     white = here.whitened(rest) * model.bench.noise.sigma / np.sqrt(judged.floor)
-    own = [here.made(None, columns).white for columns in here.constants()]
+    own = [here.hypothesis_of(None, columns).white for columns in here.constants()]
     for h, effect in effects:
         if effect.touches:
             continue
-        again = here.add(effect)
+        again = here.hypothesis(effect)
         own.append((again if h.theta is None else tangent(here, again, h.theta)).white)
     (left,) = structure_test.leftovers(here, structure_test.families(here), [structure_test.Fitted(own, rest, white)])
     return [
@@ -64,25 +64,25 @@ def _anew(effect: Effect) -> bool:
 def _bench(model: Model, scene: Scene, judged: Judged) -> Bench | None:
     """One for the other recording with rows as long, the first one's noise and clocks; None where its rows cannot be as long."""
     first = model.bench
-    here = Bench(scene, held=0.0, most=max(-(-len(scene) // first.rows.stride), 1))
+    here = Bench(scene, held_share=0.0, most=max(-(-len(scene) // first.rows.stride), 1))
     if here.rows.stride != first.rows.stride:
         return None
     if judged.good is not None:
-        here.hollow = here.dropped = ~judged.good
-    here.noise = replace(first.noise, rows=here.rows, kept={})
-    here.stand(timing=first.timing)
+        here.invalid_rows = here.excluded_rows = ~judged.good
+    here.noise = replace(first.noise, rows=here.rows, cache={})
+    here.update_state(timing=first.timing)
     return here
 
 
-def noisier(model: Model, rest: Array) -> Array:
+def noise_ratio(model: Model, rest: Array) -> Array:
     """(C,) noise of another recording over that of the first, from second differences: they hold hardly any motion.
 
     Of rounded readings no less: where what is read stands between two steps, rounding hides the noise, and not its own error.
     Outside touches, whose edges no smooth shape follows.
     """
-    good = ~model.bench.dropped
+    good = ~model.bench.excluded_rows
     free = good & ~touched(model)
-    own = model.rest()[free if free.any() else good]
+    own = model.residual()[free if free.any() else good]
     here, there = (np.mean(np.diff(x, n=2, axis=0) ** 2, axis=0) for x in (own, rest))
     told = model.bench.scene.clock & (here > 0.0) & (there > 0.0)
     ratio = np.where(told, there / np.where(told, here, 1.0), 1.0)
@@ -97,7 +97,7 @@ def undisturbed(model: Model, scene: Scene) -> tuple[Mask, tuple[tuple[float, fl
     """
     rows = model.bench.rows.of(scene.segments)
     whole = ~rows.spread(scene.ends | scene.unanswered)
-    if model.bench.spoilt.any():
+    if model.bench.outlier_rows.any():
         spoilt = outliers.spikes(scene.raw_residual, tuple(scene.segments))
         whole &= ~rows.spread(np.asarray((spoilt | repeated(scene)).any(axis=1)))
     good, episodes, time = whole, tuple[tuple[float, float], ...](), rows.average(scene.time)
@@ -133,12 +133,12 @@ def apply(model: Model, scene: Scene, good: Mask | None = None, besides: Array |
     start, length = float(scene.time[0]), max(float(np.ptp(scene.time)), 1e-9)
     for effect in found:
         columns += [_full(other, scene, rows, bench.width) for other in effect.again(start, length)]
-    left = _less(rest, columns, seen)
+    left = _residual_after(rest, columns, seen)
     for effect in found:
         if effect.jump is not None:
             jumps = [_full(effect.jumping(t), scene, rows, bench.width) for t in _moments(scene, left, rows)]
-            columns.append(min(jumps, key=lambda jump: float(np.sum(_less(left, [jump], seen)[seen] ** 2))))
-            left = _less(rest, columns, seen)
+            columns.append(min(jumps, key=lambda jump: float(np.sum(_residual_after(left, [jump], seen)[seen] ** 2))))
+            left = _residual_after(rest, columns, seen)
     return left
 
 
@@ -155,7 +155,7 @@ def _full(effect: Effect, scene: Scene, rows: Rows, width: int) -> Array:
     return rows.average(effect.columns(scene).full(width))
 
 
-def _less(rest: Array, columns: list[Array], seen: Mask) -> Array:
+def _residual_after(rest: Array, columns: list[Array], seen: Mask) -> Array:
     """(M, C) of a rest without what columns (M, C, k) do in it, by plain least squares on the rows seen (M,)."""
     if not columns:
         return rest

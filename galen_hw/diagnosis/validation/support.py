@@ -40,8 +40,8 @@ class HoldoutTest:
         bench = model.bench
         if (
             bench.scene.clock
-            and np.mean(self._rest[:, ~bench.unread] ** 2) < CRITERIA.noise_alone
-            and np.mean((whitened := white(model))[:, ~bench.unread] ** 2) < CRITERIA.noise_alone
+            and np.mean(self._rest[:, ~bench.without_data] ** 2) < CRITERIA.noise_alone
+            and np.mean((whitened := white(model))[:, ~bench.without_data] ** 2) < CRITERIA.noise_alone
         ):
             self._white_rest = whitened
             # Plain least squares, as anybody would fit the baseline, have no errors in whitened units.

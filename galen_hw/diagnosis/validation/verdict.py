@@ -26,16 +26,16 @@ def tolerated(judged: Judged) -> Array:
     return np.asarray(CRITERIA.least_share * np.maximum(judged.before - judged.floor, 0.0))
 
 
-def beyond(judged: Judged, model: Model, *, untouched: bool = False) -> list[Left]:
+def above_noise(judged: Judged, model: Model, *, outside_contacts: bool = False) -> list[Left]:
     """Channels in which the model does not hold on data that it did not learn from; z is the ratio of mean squares here.
 
     `untouched`: contacts are believed in, and what they leave during themselves is nobody's law.
     """
     bench = model.bench
-    after = judged.untouched if untouched and judged.untouched is not None else judged.after
+    after = judged.outside_contacts if outside_contacts and judged.outside_contacts is not None else judged.after
     # Of noise that grows ever slower a recording holds more than a single sample's variance shows.
-    ratio = after / judged.floor / bench.noise.slower
-    believed = np.maximum(after - tolerated(judged), judged.floor) / judged.floor / bench.noise.slower
+    ratio = after / judged.floor / bench.noise.slow_power_ratio
+    believed = np.maximum(after - tolerated(judged), judged.floor) / judged.floor / bench.noise.slow_power_ratio
     rows = int(bench.judged.sum() or bench.train.sum())
     # Slow noise has few independent values.
     luck = CRITERIA.standard_errors(bench.width) * np.sqrt(2.0 / bench.noise.independent(rows))
@@ -62,9 +62,9 @@ def contradicted(judged: Judged, model: Model) -> list[Left]:
         return []
     bench = model.bench
     free = bench.train & ~touched(model)
-    after = np.mean(model.rest()[free if free.any() else bench.train] ** 2, axis=0)
-    here = replace(judged, after=after, floor=bench.noise.sigma**2, untouched=None)
-    return [replace(one, kind=NOTHING_ELSEWHERE) for one in beyond(here, model)]
+    after = np.mean(model.residual()[free if free.any() else bench.train] ** 2, axis=0)
+    here = replace(judged, after=after, floor=bench.noise.sigma**2, outside_contacts=None)
+    return [replace(one, kind=NOTHING_ELSEWHERE) for one in above_noise(here, model)]
 
 
 FAR_OFF = 8.0
@@ -80,7 +80,7 @@ def outlying(model: Model) -> list[Left]:
     so far off hold a quarter.
     """
     out, none = [], np.zeros((len(model.bench.rows), 0))
-    rest = model.rest()[~model.bench.dropped]
+    rest = model.residual()[~model.bench.excluded_rows]
     away = np.abs(rest - np.median(rest, axis=0))
     usual = 1.4826 * np.median(away, axis=0)
     for c in np.flatnonzero(usual > 0.0).tolist():
@@ -111,7 +111,7 @@ def unsteady(model: Model, at_once: int = 100) -> list[Left]:
     if bench.scene.moved or np.any(np.ptp(bench.scene.simulated, axis=0) > 0.0) or len(bench.rows) < 8 * PIECES:
         return []
     rng, out, none = np.random.default_rng(bench.seed), [], np.zeros((len(bench.rows), 0))
-    rest, good = model.rest(), ~bench.dropped
+    rest, good = model.residual(), ~bench.excluded_rows
     for c in range(bench.width):
         least = bench.steps[c] ** 2 / 12.0 + 1e-6 * bench.noise.sigma[c] ** 2
         found = float(_loudest(rest[good, c, None], float(least))[0])

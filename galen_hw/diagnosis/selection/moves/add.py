@@ -7,13 +7,13 @@ import numpy as np
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.acceptance import pays, plausible
-from galen_hw.diagnosis.selection.comparison import bent, polished
+from galen_hw.diagnosis.selection.comparison import at_nonlinear_optimum, polished
 from galen_hw.diagnosis.selection.kinds import kind_first
 from galen_hw.diagnosis.selection.moves.clock_offset import clock_offset
 from galen_hw.diagnosis.selection.moves.course import finest
-from galen_hw.diagnosis.selection.moves.step_times import parted
+from galen_hw.diagnosis.selection.moves.step_times import steps_split
 from galen_hw.diagnosis.selection.moves.tighten import tightened
-from galen_hw.diagnosis.selection.moves.timing import own_clocks
+from galen_hw.diagnosis.selection.moves.timing import clocks_per_joint
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import plainest, undecided
 from galen_hw.diagnosis.settings import LIMITS
@@ -32,8 +32,8 @@ def added(out: Selection) -> bool:
 def _admit(out: Selection, i: int) -> None:
     """A hypothesis joins the model: a first clock as those of each joint if it is these, a spring as a tendon if it is one."""
     out.chosen.append(i)
-    parted(out)
-    if not own_clocks(out):
+    steps_split(out)
+    if not clocks_per_joint(out):
         tightened(out, i)
 
 
@@ -42,7 +42,7 @@ def _best(out: Selection) -> list[int]:
 
     The turn's `able` is filled with those that chance does not explain, best first.
     """
-    bench, scorer, scores, able, failed = out.bench, out.scorer, out.turn.scores, out.turn.able, out.turn.failed
+    bench, scorer, scores, able, failed = out.bench, out.scorer, out.turn.scores, out.turn.significant, out.turn.failed
     fit = [i for i, s in scores.items() if s.surprise > out.needed and s.rank > 0.0 and i not in failed]
     fit = elsewhere(scorer, out.chosen, fit)
     fit.sort(key=lambda i: -scores[i].rank)
@@ -60,7 +60,7 @@ def _best(out: Selection) -> list[int]:
             break
         tries += 1
         share = 0.0
-        for better, paid, share in _ways(out, i):
+        for better, paid, share in _variants(out, i):
             if paid and plausible(bench, scorer, out.chosen, better):
                 return [better]
             if paid:
@@ -92,7 +92,7 @@ def _kinds_first(scorer: Scorer, able: list[int]) -> list[int]:
     return list(dict.fromkeys([*first.values(), *able]))
 
 
-def _ways(out: Selection, i: int) -> Iterator[tuple[int, bool, float]]:
+def _variants(out: Selection, i: int) -> Iterator[tuple[int, bool, float]]:
     """Yield the hypothesis, what it searches at the optimum, then in a finer form, each with what `pays` says of it.
 
     As it was proposed it says whether the optimum is worth the time.
@@ -135,7 +135,7 @@ def hidden(out: Selection) -> bool:
     if scorer.misfit(out.chosen) < CRITERIA.noise_alone:
         return False
     leaders: dict[str, int] = {}
-    for i in out.turn.able:
+    for i in out.turn.significant:
         leaders.setdefault(scorer.library[i].effect.KEY, i)  # type: ignore[union-attr]
     for i in list(leaders.values())[: LIMITS.leaders]:
         if with_partner(out, i) is not None:
@@ -168,7 +168,7 @@ def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int,
     for i in list(leaders.values())[: LIMITS.leaders]:
         effect = scorer.library[i].effect
         if effect is not None and effect.bends(bench.scene, np.zeros(scorer.library[i].count)):
-            scores[i] = bent(bench, scorer, chosen, i, scores[i])
+            scores[i] = at_nonlinear_optimum(bench, scorer, chosen, i, scores[i])
         elif effect is not None and effect.searched() and len(leaders) > 1:
             better = polished(bench, scorer, chosen, i)
             if better != i:

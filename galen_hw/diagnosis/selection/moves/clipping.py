@@ -8,7 +8,7 @@ from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 
 
-def levelled(out: Selection) -> None:
+def limits_updated(out: Selection) -> None:
     """Limits that were sought beside another model stand where the readings that clip beside the present one have their mean.
 
     With all columns told anew: what the other effects do is cut where the readings clip, and beside columns that one limit has
@@ -18,7 +18,7 @@ def levelled(out: Selection) -> None:
     measured = bench.whole + bench.simulated
     for i in list(out.chosen):
         effect = scorer.library[i].effect
-        if effect is None or not effect.clips or scorer.library[i].looked == 1:
+        if effect is None or not effect.clips or scorer.library[i].trials == 1:
             continue
         name, limit = effect.clips
         c = bench.scene.channels.index(name)
@@ -28,7 +28,7 @@ def levelled(out: Selection) -> None:
         if off < CRITERIA.standard_errors() or any(h.effect == level for h in scorer.library):
             continue
         before, cost = list(out.chosen), scorer.solve(out.chosen)[2]
-        scorer.append([bench.add(level, scorer.library[i].looked)])
+        scorer.append([bench.hypothesis(level, scorer.library[i].trials)])
         out.chosen = [len(scorer.library) - 1 if k == i else k for k in before]
         _told_anew(out)
         if scorer.solve(out.chosen)[2] > cost:

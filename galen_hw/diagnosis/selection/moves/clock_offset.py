@@ -9,8 +9,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
-from galen_hw.diagnosis.estimation.linearisation import does, tangent
+from galen_hw.diagnosis.estimation.levenberg_marquardt import ConditionalGain
+from galen_hw.diagnosis.estimation.linearisation import contribution, tangent
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.kinds import in_each_joint
@@ -47,11 +47,11 @@ def clock_offset(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[i
     if shift is None:
         return None
     plain = next(iter(shifts(bench.scene)))
-    h, beside, everywhere = scorer.library[own], Beside(bench, scorer, chosen), tuple(range(bench.width))
+    h, given, everywhere = scorer.library[own], ConditionalGain(bench, scorer, chosen), tuple(range(bench.width))
 
     def cost(late: float) -> float:
-        change = does(bench, plain, np.array([late]))
-        return -beside.whole(bench.made(None, Columns(everywhere, change[:, :, None])))
+        change = contribution(bench, plain, np.array([late]))
+        return -given.fixed_gain(bench.hypothesis_of(None, Columns(everywhere, change[:, :, None])))
 
     seconds, step = shift
     bounds = (seconds - step, seconds + step)
@@ -69,7 +69,7 @@ def far_off(model: Model) -> list[Columns]:
     out, bench, everywhere = [], model.bench, tuple(range(model.bench.width))
     for h, s in zip(model.parts, model.slices(), strict=True):
         if _whole(h.effect):
-            change = does(bench, h.effect, model.final[s])
+            change = contribution(bench, h.effect, model.final[s])
             slope = bench.averaged(h.effect.columns(bench.scene)).values @ model.final[s]
             if np.sum((change - slope) ** 2) > BY_SLOPE * np.sum(change**2):
                 out.append(Columns(everywhere, change[:, :, None]))

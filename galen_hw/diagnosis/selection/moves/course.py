@@ -3,7 +3,7 @@
 import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import rests
+from galen_hw.diagnosis.estimation.least_squares import residuals
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
@@ -31,11 +31,11 @@ def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
     effect = scorer.library[i].effect
     if effect is None or not effect.touches or not _quiet_else(bench, scorer, [*others, i], effect.touches):
         return i
-    found, looked = None, scorer.library[i].looked
+    found, trials = None, scorer.library[i].trials
     best = scorer.scores(others, [i])[0].get(i)
     rank = -np.inf if best is None else best.rank
     for finer in effect.finer(bench.time):
-        new = bench.add(finer, looked)
+        new = bench.hypothesis(finer, trials)
         with scorer.trying([new]):
             score = scorer.scores(others, [len(scorer.library) - 1])[0].get(len(scorer.library) - 1)
         if score is None or score.rank <= rank + CRITERIA.log_odds:
@@ -51,5 +51,5 @@ def _quiet_else(bench: Bench, scorer: Scorer, model: list[int], touches: tuple[S
     """Return whether a model leaves hardly more than noise on the rows outside a touch's episodes."""
     time = bench.time
     outside = bench.train & ~np.any([(time >= start) & (time <= end) for start, end in touches], axis=0)
-    rest = rests(bench, scorer, model)[0][outside]
+    rest = residuals(bench, scorer, model)[0][outside]
     return len(rest) > 0 and float(np.mean((rest / bench.noise.sigma) ** 2)) < CRITERIA.noise_alone

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.linearisation import rebase, unbent
+from galen_hw.diagnosis.estimation.linearisation import nonlinear_restored, rebase
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
 
@@ -24,5 +24,5 @@ def dropped(out: Selection) -> bool:
 
 def alone(scorer: Scorer, chosen: list[int], i: int) -> Score | None:
     """The score of a chosen hypothesis beside the others."""
-    with unbent(scorer, i):
+    with nonlinear_restored(scorer, i):
         return scorer.scores([j for j in chosen if j != i], [i])[0].get(i)

@@ -5,10 +5,10 @@ from itertools import combinations
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.candidate import place_of, told
+from galen_hw.diagnosis.estimation.candidate import identity_of, place_of
 from galen_hw.diagnosis.estimation.interactions import settle_together
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
-from galen_hw.diagnosis.selection.acceptance import left_out, no_worse, plausible
+from galen_hw.diagnosis.selection.acceptance import held_out_errors, no_worse, plausible
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import undecided
 from galen_hw.diagnosis.settings import LIMITS
@@ -23,7 +23,7 @@ def regrouped(out: Selection) -> bool:
     A model that does not come to rest has no optimum with which others could be compared, and takes long not to.
     """
     bench, scorer = out.bench, out.scorer
-    if bench.state.restless:
+    if bench.state.diverging:
         return False
     able = [
         i
@@ -36,8 +36,8 @@ def regrouped(out: Selection) -> bool:
             continue
         out.regrouped.add(tried)
         others = [i for i in out.chosen if i not in pair]
-        bends = sum((b for i in pair if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
-        with scorer.against(bench.y + bends):
+        nonlinear = sum((b for i in pair if (b := scorer.library[i].nonlinear) is not None), np.zeros_like(bench.y))
+        with scorer.against(bench.y + nonlinear):
             scores = scorer.scores(others)[0]
             price = {i: scores[i].gain - scores[i].rank for i in scores}
             if not all(i in scores for i in pair):
@@ -64,11 +64,11 @@ def _counted_otherwise(out: Selection) -> bool:
         h = scorer.library[i]
         other = None if h.effect is None else h.effect.otherwise()
         lasting = [j for j in out.chosen if j != i and (e := scorer.library[j].effect) is not None and not e.EPISODIC]
-        tried = frozenset((told(scorer.library[j].effect), j == i) for j in out.chosen)
+        tried = frozenset((identity_of(scorer.library[j].effect), j == i) for j in out.chosen)
         if other is None or not lasting or tried in out.regrouped:
             continue
         out.regrouped.add(tried)
-        scorer.append([bench.add(other, h.looked)])
+        scorer.append([bench.hypothesis(other, h.trials)])
         instead = len(scorer.library) - 1
         for j in lasting:
             others = [k for k in out.chosen if k not in (i, j)]
@@ -151,15 +151,15 @@ def _rigid(scorer: Scorer, i: int) -> bool:
 def _taken(out: Selection, pair: tuple[int, ...], chain: list[int], price: dict[int, float]) -> bool:
     """Return whether the others, at their optimum, were better and were taken."""
     bench, scorer = out.bench, out.scorer
-    before, errors = scorer.solve(out.chosen)[2], left_out(out, out.chosen)
+    before, errors = scorer.solve(out.chosen)[2], held_out_errors(out, out.chosen)
     saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
     with out.attempt() as attempt:
         out.chosen = trial = [*(i for i in out.chosen if i not in pair), *chain]
         settle_together(bench, scorer, trial)
         new, fall = trial[len(trial) - len(chain) :], before - scorer.solve(trial)[2]
         margin = _needed(pair, chain, price) + undecided(bench, scorer, trial)
-        rests = not bench.state.restless
+        rests = not bench.state.diverging
         real = rests and all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in new)
         better = real and fall + saved > margin
-        attempt.kept = better and no_worse(errors, left_out(out, trial))
+        attempt.kept = better and no_worse(errors, held_out_errors(out, trial))
     return attempt.kept

@@ -51,7 +51,7 @@ def _grown(bench: Bench, scorer: Scorer, others: list[int], forms: list[Effect])
     if not forms or (forms[0].family, *forms[0].searched()) in known:
         return
     first = len(scorer.library)
-    scorer.append([bench.add(one) for one in forms])
+    scorer.append([bench.hypothesis(one) for one in forms])
     scores = scorer.scores(others, list(range(first, len(scorer.library))))[0]
     if scores:
         polished(bench, scorer, others, max(scores, key=lambda j: scores[j].rank), LIMITS.forms)
@@ -81,7 +81,7 @@ def _bound(out: Selection) -> bool:
             told = None if effect is None else effect.told_by(theta[scorer.own(at, j)])
             if told is None:
                 break
-            scorer.append([bench.add(told)])
+            scorer.append([bench.hypothesis(told)])
             j = len(scorer.library) - 1
         if j == i:
             continue

@@ -2,13 +2,13 @@
 
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import cost_without, settle_together
-from galen_hw.diagnosis.estimation.linearisation import as_if, rebase, unbent
+from galen_hw.diagnosis.estimation.linearisation import as_if, nonlinear_restored, rebase
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
-from galen_hw.diagnosis.selection.acceptance import as_good, left_out, no_worse, plausible
-from galen_hw.diagnosis.selection.comparison import ahead, in_place, loosens
+from galen_hw.diagnosis.selection.acceptance import as_good, held_out_errors, no_worse, plausible
+from galen_hw.diagnosis.selection.comparison import in_place, loosens, vuong_statistic
 from galen_hw.diagnosis.selection.kinds import with_its_kind
 from galen_hw.diagnosis.selection.moves.add import kin
-from galen_hw.diagnosis.selection.moves.step_times import parted
+from galen_hw.diagnosis.selection.moves.step_times import steps_split
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import plainest, undecided
 from galen_hw.diagnosis.settings import LIMITS
@@ -53,14 +53,14 @@ def _swap(out: Selection, *, simpler: bool = False) -> bool:
         flattered = _flattered(bench, scorer, trial, i, best)
         if flattered > 0.0 and rivals[best].rank - flattered <= rivals[i].rank + CRITERIA.log_odds:
             continue
-        before = left_out(out, out.chosen)
+        before = held_out_errors(out, out.chosen)
         with out.attempt() as attempt:
             out.chosen = trial
-            parted(out)
+            steps_split(out)
             rebase(scorer, out.chosen)
             # What stays was settled beside what goes: beside what comes it stands elsewhere.
             settle_together(bench, scorer, out.chosen)
-            attempt.kept = (as_good if simpler else no_worse)(before, left_out(out, out.chosen))
+            attempt.kept = (as_good if simpler else no_worse)(before, held_out_errors(out, out.chosen))
     return out.chosen != start
 
 
@@ -72,7 +72,7 @@ def _best(out: Selection, others: list[int], i: int, rivals: dict[int, Score], *
     bench, scorer = out.bench, out.scorer
     own, ranked = set(kin(scorer, i)), sorted(rivals, key=lambda j: -rivals[j].rank)
     best, whole = i, with_its_kind(scorer, rivals, i)
-    with unbent(scorer, i):
+    with nonlinear_restored(scorer, i):
         for j in ranked[: LIMITS.tries]:
             # What acts in several channels at once is compared with all joints' own: one of them alone does less.
             lead = rivals[j].rank - (whole if len(scorer.library[j].raw.channels) > 1 else rivals[i].rank)
@@ -80,7 +80,7 @@ def _best(out: Selection, others: list[int], i: int, rivals: dict[int, Score], *
                 break
             better = j in own or (
                 lead > CRITERIA.log_odds + undecided(bench, scorer, [*others, j])
-                and ahead(bench, scorer, others, j, i) >= 1.0
+                and vuong_statistic(bench, scorer, others, j, i) >= 1.0
             )
             if better and plausible(bench, scorer, others, j):
                 best = j

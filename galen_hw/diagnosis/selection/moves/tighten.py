@@ -4,11 +4,11 @@ import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside, descended
+from galen_hw.diagnosis.estimation.levenberg_marquardt import ConditionalGain, descended
 from galen_hw.diagnosis.estimation.linearisation import as_if, rebase
 from galen_hw.diagnosis.estimation.nonlinear import settle
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.acceptance import left_out, no_worse
+from galen_hw.diagnosis.selection.acceptance import held_out_errors, no_worse
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
@@ -46,7 +46,7 @@ def tightened(out: Selection, just: int | None = None) -> bool:
 def _instead(out: Selection, i: int, most: int) -> bool:
     """Return whether a better tendon, with so many others at most, took the place of the chosen cable i."""
     bench, scorer = out.bench, out.scorer
-    before, errors = scorer.solve(out.chosen)[2], left_out(out, out.chosen)
+    before, errors = scorer.solve(out.chosen)[2], held_out_errors(out, out.chosen)
     others = [j for j in out.chosen if j != i]
     starts = _starts(bench, scorer, others, i)
     if not starts:
@@ -54,7 +54,7 @@ def _instead(out: Selection, i: int, most: int) -> bool:
     trial = _with_tendon(bench, scorer, out, others, starts, most)
     more = sum(_numbers(scorer, j) for j in trial) - sum(_numbers(scorer, j) for j in out.chosen)
     price = more * float(np.log(bench.noise.effective)) + (CRITERIA.log_odds if more == 0 else 0.0)
-    if scorer.solve(trial)[2] + price < before and no_worse(errors, left_out(out, trial)):
+    if scorer.solve(trial)[2] + price < before and no_worse(errors, held_out_errors(out, trial)):
         out.chosen = trial
         return True
     rebase(scorer, out.chosen)
@@ -87,7 +87,7 @@ def _with_tendon(
     """The others with the tendon that suits them, and with what comes to light beside it, best first."""
     rebase(scorer, others)
     while True:
-        found = _best(bench, Beside(bench, scorer, others), starts)
+        found = _best(bench, ConditionalGain(bench, scorer, others), starts)
         scorer.append([found])
         trial = [*others, len(scorer.library) - 1]
         settle(bench, scorer, trial)
@@ -109,34 +109,34 @@ def _beside(scorer: Scorer, out: Selection, trial: list[int]) -> int | None:
 def _is_plain(scorer: Scorer, j: int) -> bool:
     """Return whether it lasts and nothing of it is searched: a spring that is linear knows neither the clock nor the past."""
     h = scorer.library[j]
-    return h.effect is not None and not h.effect.EPISODIC and not h.effect.searched() and h.looked == 1
+    return h.effect is not None and not h.effect.EPISODIC and not h.effect.searched() and h.trials == 1
 
 
 def _numbers(scorer: Scorer, i: int) -> int:
     """Parameters that a hypothesis has, whatever its physics would need."""
     h = scorer.library[i]
-    return h.count - int(np.sum(~np.isnan(h.held))) + (0 if h.effect is None else len(h.effect.searched()))
+    return h.count - int(np.sum(~np.isnan(h.fixed))) + (0 if h.effect is None else len(h.effect.searched()))
 
 
-def _best(bench: Bench, beside: Beside, starts: list[Start]) -> Hypothesis:
+def _best(bench: Bench, given: ConditionalGain, starts: list[Start]) -> Hypothesis:
     """The tendon that explains most beside a model, from tendons to begin with; one that rubs where that pays."""
-    cost, found = _least(bench, beside, starts)
+    cost, found = _least(bench, given, starts)
     effect, theta = _start(bench, found)
     best = found
     for starts_of_form in effect.richer_starts(bench.scene, theta):
-        less, other = _least(bench, beside, starts_of_form)
+        less, other = _least(bench, given, starts_of_form)
         price = (len(starts_of_form[0][1]) - len(theta)) * np.log(bench.noise.effective) + CRITERIA.log_odds
         if less + price < cost:
             cost, best = less + price, other
     return best
 
 
-def _least(bench: Bench, beside: Beside, starts: list[Start]) -> tuple[float, Hypothesis]:
+def _least(bench: Bench, given: ConditionalGain, starts: list[Start]) -> tuple[float, Hypothesis]:
     """From the start that promises most after a few steps."""
-    tendons = {effect: bench.add(effect) for effect, _ in starts}
+    tendons = {effect: bench.hypothesis(effect) for effect, _ in starts}
     effect, begun = starts[0]
     if len(starts) > 1:
-        first = [(e, descended(bench, beside, tendons[e], start, FIRST_STEPS)) for e, start in starts]
+        first = [(e, descended(bench, given, tendons[e], start, FIRST_STEPS)) for e, start in starts]
         effect, (_, found) = min(first, key=lambda end: end[1][0])
         begun = begun if found.theta is None else found.theta
-    return descended(bench, beside, tendons[effect], begun)
+    return descended(bench, given, tendons[effect], begun)

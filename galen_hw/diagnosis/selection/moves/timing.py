@@ -14,11 +14,11 @@ from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.cross_validation import cross_validated
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import settle_together
-from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
+from galen_hw.diagnosis.estimation.levenberg_marquardt import ConditionalGain
 from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.estimation.nonlinear import settle
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.acceptance import improves, left_out
+from galen_hw.diagnosis.selection.acceptance import held_out_errors, improves
 from galen_hw.diagnosis.selection.moves.timing_search import Clocks, ClockSearch, numbers
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
@@ -55,7 +55,7 @@ def reclocked(out: Selection) -> bool:
     return False
 
 
-def own_clocks(out: Selection) -> bool:
+def clocks_per_joint(out: Selection) -> bool:
     """Whether the first clock gave way to those of each joint, which take nearly all that the best of one clock for all leaves.
 
     Before anything else is chosen: of servos that answer each in its own time it would take the rest of their lateness.
@@ -74,7 +74,7 @@ def own_clocks(out: Selection) -> bool:
     if len({end.joint for end, _ in each}) < 2 or not _exchanged(bench, scorer, out, each, {}, nearly=2):
         return exchanged
     # What friction does is little beside all of the lateness, and much beside what the right clocks leave of it.
-    out.begun = cross_validated(bench, scorer.parts(out.chosen), scorer.white) ** 2
+    out.initial_errors = cross_validated(bench, scorer.parts(out.chosen), scorer.white) ** 2
     return True
 
 
@@ -92,17 +92,17 @@ def _sought(
     """
     old = _ends(scorer, chosen)
     # Friction of a servo has the servo's lag in it: it goes where that goes.
-    within = [e for i in chosen if (e := scorer.library[i].effect) is not None and _has_clock(e)]
-    others = [i for i in chosen if i not in old and scorer.library[i].effect not in within]
+    friction = [e for i in chosen if (e := scorer.library[i].effect) is not None and _has_clock(e)]
+    others = [i for i in chosen if i not in old and scorer.library[i].effect not in friction]
     swings = any("damping" in e.searched() for i in old if (e := scorer.library[i].effect) is not None)
-    none = bench.y + sum((b for i in old if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
+    none = bench.y + sum((b for i in old if (b := scorer.library[i].nonlinear) is not None), np.zeros_like(bench.y))
     with scorer.against(none):
-        beside = Beside(bench, scorer, others)
+        given = ConditionalGain(bench, scorer, others)
     for ends in groups:
-        mine = [tuple(one for one in within if e.joint in ("", *one.joints)) for e in ends]
-        searches = [ClockSearch(bench, beside, e, some, swings) for e, some in zip(ends, mine, strict=True)]
-        clocks = [clock for search in searches for clock in search.either()]
-        yield clocks, {one: other for search in searches for one, other in search.instead.items()}
+        mine = [tuple(one for one in friction if e.joint in ("", *one.joints)) for e in ends]
+        searches = [ClockSearch(bench, given, e, some, swings) for e, some in zip(ends, mine, strict=True)]
+        clocks = [clock for search in searches for clock in search.best_interpolation()]
+        yield clocks, {one: other for search in searches for one, other in search.replacements.items()}
 
 
 def _has_clock(effect: Effect) -> bool:
@@ -123,7 +123,7 @@ def _exchanged(
 
     `nearly`: only if these take nearly all that is above the noise wherever they are better, in so many channels at least.
     """
-    before, missed, old = scorer.solve(out.chosen)[2], left_out(out, out.chosen), _ends(scorer, out.chosen)
+    before, missed, old = scorer.solve(out.chosen)[2], held_out_errors(out, out.chosen), _ends(scorer, out.chosen)
     gone = [one for i in old if (one := scorer.library[i].effect) is not None]
     price = (numbers([one for one, _ in clocks]) - numbers(gone)) * float(np.log(bench.noise.effective))
     # What lies between two rows is no number more.
@@ -132,9 +132,9 @@ def _exchanged(
     with out.attempt() as attempt:
         out.chosen = trial = _through(bench, scorer, [i for i in out.chosen if i not in old], clocks, instead)
         better = before - scorer.solve(trial)[2] - price > CRITERIA.log_odds
-        attempt.kept = better and _pays(out, missed, left_out(out, trial), nearly=nearly, plainer=plainer)
+        attempt.kept = better and _pays(out, missed, held_out_errors(out, trial), nearly=nearly, plainer=plainer)
     if attempt.kept:
-        _as_told(scorer, clocks)
+        _same_interpolation(scorer, clocks)
     return attempt.kept
 
 
@@ -148,10 +148,10 @@ def _through(
     with bench.delivering([*kept, *ends]):
         fresh = [scorer.retimed(_in_place_of(bench, scorer.library[i], instead)) for i in others]
         for effect, size in clocks:
-            h = bench.add(effect)
+            h = bench.hypothesis(effect)
             fresh.append(tangent(bench, h, np.array([size])) if effect.SHIFT else h)
-        bends = sum((h.bend for h in fresh if h.bend is not None), np.zeros_like(bench.y))
-        bench.stand(y=bench.whole - bench.state.interaction - bends)
+        nonlinear = sum((h.nonlinear for h in fresh if h.nonlinear is not None), np.zeros_like(bench.y))
+        bench.update_state(y=bench.whole - bench.state.interaction - nonlinear)
         scorer.append(fresh)
         scorer.retarget(bench.y)
         trial = list(range(len(scorer.library) - len(fresh), len(scorer.library)))
@@ -159,7 +159,7 @@ def _through(
     return trial
 
 
-def _as_told(scorer: Scorer, clocks: Clocks) -> None:
+def _same_interpolation(scorer: Scorer, clocks: Clocks) -> None:
     """What lies between two rows is one thing to all clocks of a stream: those that were not chosen are made anew by it."""
     told = {end.joints: end.interpolation for end, _ in clocks}
     for i, h in enumerate(scorer.library):
@@ -170,7 +170,7 @@ def _as_told(scorer: Scorer, clocks: Clocks) -> None:
 
 def _in_place_of(bench: Bench, h: Hypothesis, instead: dict[Effect, Effect]) -> Hypothesis:
     """The one that stands instead of the hypothesis, or this one."""
-    return h if h.effect is None or h.effect not in instead else bench.add(instead[h.effect], h.looked)
+    return h if h.effect is None or h.effect not in instead else bench.hypothesis(instead[h.effect], h.trials)
 
 
 def _pays(out: Selection, before: Array, after: Array, *, nearly: int, plainer: bool) -> bool:
@@ -178,7 +178,7 @@ def _pays(out: Selection, before: Array, after: Array, *, nearly: int, plainer: 
 
     `nearly`: by nearly all of the excess wherever they fall, in so many channels at least.
     """
-    gain = paired(before, after, out.start / out.bench.noise.sigma**2 - 1.0)
+    gain = paired(before, after, out.initial_mean_square / out.bench.noise.sigma**2 - 1.0)
     if nearly:
         old, new = (np.mean(x**2, axis=0) - 1.0 for x in (before, after))
         fallen = (old - new) / np.maximum(old, NOTHING)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
+from galen_hw.diagnosis.estimation.levenberg_marquardt import ConditionalGain
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.clocks import BETWEEN, Shift, Timing
@@ -46,33 +46,33 @@ class ClockSearch:
     """
 
     bench: Bench
-    beside: Beside
+    given: ConditionalGain
     delay: Shift
-    within: tuple[Effect, ...]
+    friction: tuple[Effect, ...]
     swings: bool
 
     def __post_init__(self) -> None:
         self.places = self.delay.places(self.bench.stream)
         self.simulated = self.bench.stream.simulated[:, self.places]
         self.averaged = self.bench.simulated[:, self.places]
-        self.behind: dict[object, Array] = {}
-        self.instead: dict[Effect, Effect] = {}
+        self.lagged: dict[object, Array] = {}
+        self.replacements: dict[Effect, Effect] = {}
         self.price = float(np.log(self.bench.noise.effective))
         self.shortest = 0.5 * spacing(self.bench.scene)
 
-    def either(self) -> Clocks:
+    def best_interpolation(self) -> Clocks:
         """The clocks that are there, by what lies `BETWEEN` two rows as the recording is nearest to it.
 
         Machines are smooth; a logger that fills in rows draws straight lines; a filter of samples takes each for the time
         before it.
         """
         clocks, search = self.best(), self
-        if not clocks or self.within or self.bench.stream.commanded:
+        if not clocks or self.friction or self.bench.stream.commanded:
             return clocks
         for between in BETWEEN:
             if between != self.delay.between and self._differs(clocks, between) >= CRITERIA.log_odds:
                 other = replace(self, delay=self.delay.interpolated(between))
-                if other.worth(found := other.best()) > search.worth(clocks):
+                if other.penalised_gain(found := other.best()) > search.penalised_gain(clocks):
                     clocks, search = found, other
         return clocks
 
@@ -84,7 +84,7 @@ class ClockSearch:
         change = other.arriving(late + sooner, constant, 1.0, (), damping) - self.arriving(
             late, constant, 1.0, (), damping
         )
-        white = self.bench.made(None, Columns(self.places, change[:, :, None])).white.values
+        white = self.bench.hypothesis_of(None, Columns(self.places, change[:, :, None])).white.values
         return float(np.sum(white[self.bench.train] ** 2))
 
     def best(self) -> Clocks:
@@ -104,22 +104,22 @@ class ClockSearch:
         clocks = self._plainer(self._refined(max(ways, key=lambda way: way[0])[1], all_late), all_late)
         # A response of second order looks like a delay, or a delay and a lag; friction within has a lag of the first. In one
         # joint by itself two more numbers would take what the others show to be something else.
-        if self.within or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
+        if self.friction or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
             return clocks
-        wanted = self.worth(clocks) + (0.0 if self.swings else CRITERIA.log_odds)
+        wanted = self.penalised_gain(clocks) + (0.0 if self.swings else CRITERIA.log_odds)
         swinging = self._swinging(all_late, wanted)
-        return swinging if self.worth(swinging) > wanted else clocks
+        return swinging if self.penalised_gain(swinging) > wanted else clocks
 
     def _plainer(self, clocks: Clocks, all_late: float) -> Clocks:
         """A lag alone for a delay of what lags, where it does as well: on a grid it stands beside its optimum, and is late."""
-        if len(clocks) < 2 or self.within:
+        if len(clocks) < 2 or self.friction:
             return clocks
         (_, late), (_, constant) = clocks
         lag = self.delay.lagging(constant + late, self.shortest)
         alone = self._refined([(lag, constant + late)], all_late)
-        return alone if self.worth(alone) + CRITERIA.log_odds >= self.worth(clocks) else clocks
+        return alone if self.penalised_gain(alone) + CRITERIA.log_odds >= self.penalised_gain(clocks) else clocks
 
-    def worth(self, clocks: Clocks) -> float:
+    def penalised_gain(self, clocks: Clocks) -> float:
         """Gain less the price of delay, lag or swing alone."""
         late, constant, damping = _read(clocks)
         return self._gain(late, constant, damping=damping) - self.price * numbers([end for end, _ in clocks])
@@ -129,27 +129,29 @@ class ClockSearch:
         if not clocks or clocks[-1][0].SHIFT:
             return clocks
         delays, constant = clocks[:-1], clocks[-1][1]
-        begun = np.array([0.0, *(late / all_late for _, late in delays), *(bool(self.within) * [0.0])])
+        begun = np.array([0.0, *(late / all_late for _, late in delays), *(bool(self.friction) * [0.0])])
         limits = [(np.log(min(self.shortest / constant, 1.0)), LN2), *(len(delays) * [(0.0, 1.0)]), (-LN2, LN2)]
 
         def read(at: Array) -> tuple[float, float, float]:
             late = all_late * float(at[1]) if delays else 0.0
-            return late, constant * float(np.exp(at[0])), float(np.exp(at[-1])) if self.within else 1.0
+            return late, constant * float(np.exp(at[0])), float(np.exp(at[-1])) if self.friction else 1.0
 
-        def missed(within: tuple[Effect, ...], at: Array) -> float:
-            return -self._gain(*read(at), within)
+        def missed(friction: tuple[Effect, ...], at: Array) -> float:
+            return -self._gain(*read(at), friction)
 
         best, least = (0.0, constant, 1.0), np.inf
-        for within in dict.fromkeys((self.within, tuple(one.stripped for one in self.within))):
-            at, cost = _lowest(partial(missed, within), begun, limits[: len(begun)])
+        for friction in dict.fromkeys((self.friction, tuple(one.stripped for one in self.friction))):
+            at, cost = _lowest(partial(missed, friction), begun, limits[: len(begun)])
             if FINE**2 * -cost > NEAR:
-                at, cost = _lowest(partial(missed, within), at, limits[: len(begun)], FINEST, FINE)
-            cost += self.price * sum(len(one.searched()) for one in within)
+                at, cost = _lowest(partial(missed, friction), at, limits[: len(begun)], FINEST, FINE)
+            cost += self.price * sum(len(one.searched()) for one in friction)
             if cost < least:
                 best, least = read(at), cost
-                self.instead = dict(zip(self.within, (_with_lag(one, *best[1:]) for one in within), strict=True))
+                self.replacements = dict(
+                    zip(self.friction, (_with_lag(one, *best[1:]) for one in friction), strict=True)
+                )
         late, constant, _ = best
-        if delays and not self.within and constant <= SHORTEST * self.shortest:
+        if delays and not self.friction and constant <= SHORTEST * self.shortest:
             # At its shortest it is none, but a part of the delay.
             return [(self.delay, self._latest(0.0, (0.0, 2.0 * all_late))[1])] if all_late > 0.0 else clocks[:-1]
         return [*((end, late) for end, _ in delays), (self.delay.lagging(constant, self.shortest), constant)]
@@ -189,38 +191,43 @@ class ClockSearch:
         self,
         late: float,
         constant: float,
-        wide: float = 1.0,
-        within: tuple[Effect, ...] | None = None,
+        band_factor: float = 1.0,
+        friction: tuple[Effect, ...] | None = None,
         damping: float | None = None,
     ) -> float:
         """Fall of the whitened sum of squares with a delay and a lag, s, and bands of friction so many times as wide."""
-        y = self.arriving(late, constant, wide, self.within if within is None else within, damping) - self.averaged
-        return self.beside.whole(self.bench.made(None, Columns(self.places, y[:, :, None])))
+        y = (
+            self.arriving(late, constant, band_factor, self.friction if friction is None else friction, damping)
+            - self.averaged
+        )
+        return self.given.fixed_gain(self.bench.hypothesis_of(None, Columns(self.places, y[:, :, None])))
 
     def arriving(
-        self, late: float, constant: float, wide: float, within: tuple[Effect, ...], damping: float | None
+        self, late: float, constant: float, band_factor: float, friction: tuple[Effect, ...], damping: float | None
     ) -> Array:
         """(M, m) averages of what the same make of the simulated."""
-        return self.bench.late(self._lagged(constant, wide, within, damping), late, bowed=self.delay.bowed)
+        return self.bench.late(self._lagged(constant, band_factor, friction, damping), late, bowed=self.delay.bowed)
 
-    def _lagged(self, constant: float, wide: float, within: tuple[Effect, ...], damping: float | None) -> Array:
+    def _lagged(
+        self, constant: float, band_factor: float, friction: tuple[Effect, ...], damping: float | None
+    ) -> Array:
         """(N, m) what servos with this constant (s) make of the simulated; kept, for it comes again with other delays."""
         x, stream = self.simulated, self.bench.stream
         if damping is not None:
             return self.delay.lagging(constant, self.shortest, damping).filtered(stream, x)
-        key = (constant, wide, within)
-        if key not in self.behind:
+        key = (constant, band_factor, friction)
+        if key not in self.lagged:
             y = self.delay.lagging(constant, self.shortest).filtered(stream, x) if constant > 0.0 else x
-            for one in within:
-                stands = _with_lag(one, constant, wide).columns(self.bench.scene)
+            for one in friction:
+                stands = _with_lag(one, constant, band_factor).columns(self.bench.scene)
                 y = y + Columns(stands.channels, stands.values[:, :, :1]).full(self.bench.width)[:, self.places, 0]
-            self.behind[key] = y
-        return self.behind[key]
+            self.lagged[key] = y
+        return self.lagged[key]
 
     def _by_slope(self) -> float:
         """How late the recording is for small delays, s."""
-        made = self.bench.made(None, self.bench.averaged(self.delay.columns(self.bench.stream)))
-        A, r = self.beside.products(made)
+        made = self.bench.hypothesis_of(None, self.bench.averaged(self.delay.columns(self.bench.stream)))
+        A, r = self.given.products(made)
         return float(r[0] / A[0, 0]) if A[0, 0] > 0.0 else 0.0
 
 
@@ -245,10 +252,10 @@ def _lowest(
     return found.x, float(found.fun)
 
 
-def _with_lag(effect: Effect, constant: float, wide: float) -> Effect:
+def _with_lag(effect: Effect, constant: float, band_factor: float) -> Effect:
     """Friction of a servo whose lag has this constant (s; 0: its own), in a band so many times as wide."""
     response = {"response": constant} if constant > 0.0 else {}
-    return effect.with_searched({"coulomb": wide * effect.searched()["coulomb"]} | response)
+    return effect.with_searched({"coulomb": band_factor * effect.searched()["coulomb"]} | response)
 
 
 def numbers(effects: Sequence[Effect]) -> int:
