@@ -93,7 +93,9 @@ def test_angles_are_those_between_the_whitened_spans_beside_the_model() -> None:
         # A rival may stand between two points of its grid: its columns are those of its own searched value.
         with without_timing(scorer, one.instead):  # beside no delay but in its place
             full = work.bench.hypothesis(one.effect).white.full(work.bench.width)[train]
-        A, B = (projected_out(X, base) for X in (stacked(scorer, [one.instead], train), full.reshape(-1, full.shape[2])))
+        A, B = (
+            projected_out(X, base) for X in (stacked(scorer, [one.instead], train), full.reshape(-1, full.shape[2]))
+        )
         assert np.degrees(subspace_angles(A, B)).min() == pytest.approx(one.nearest, abs=0.05)
         signal = A @ one.own
         nonlinear = scorer.library[one.instead].nonlinear

@@ -86,7 +86,7 @@ def test_a_touch_that_is_not_learnt_from_costs_nothing() -> None:
     one, both = (scorer.scores([], [first + k])[0][first + k] for k in range(2))
     assert both.rank - both.gain == pytest.approx(one.rank - one.gain)
     # A level and a bow in two channels; one of two places.
-    assert one.gain - one.rank == pytest.approx(4.0 * scorer.library[first].price(bench) + 2.0 * np.log(2.0))
+    assert one.gain - one.rank == pytest.approx(4.0 * scorer.library[first].penalty(bench) + 2.0 * np.log(2.0))
 
 
 def test_a_touch_owes_for_the_rows_that_tell_of_it() -> None:
@@ -98,8 +98,8 @@ def test_a_touch_owes_for_the_rows_that_tell_of_it() -> None:
     lasts = touch.informative_share(bench.train)
     assert lasts == np.mean(((time >= start) & (time <= end))[bench.train])
     assert 0.0 < lasts < 0.03
-    assert jump.price(bench) == pytest.approx(np.log(bench.noise.effective))
-    assert touch.price(bench) == pytest.approx(np.log(bench.noise.effective * lasts))
+    assert jump.penalty(bench) == pytest.approx(np.log(bench.noise.effective))
+    assert touch.penalty(bench) == pytest.approx(np.log(bench.noise.effective * lasts))
 
 
 def test_each_of_several_touches_owes_its_place() -> None:

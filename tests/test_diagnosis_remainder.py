@@ -359,7 +359,7 @@ def test_what_touches_in_a_place_is_told_in_the_channel_and_size_that_it_has() -
     episodes = tuple((float(corner.t[a]) - 0.3, float(corner.t[b - 1]) + 0.3) for a, b in on.reshape(-1, 2))
     assert len(episodes) >= 3
 
-    def found(episodes: tuple[tuple[float, float], ...]) -> list[structure_test.Left]:
+    def found(episodes: tuple[tuple[float, float], ...]) -> list[structure_test.Structure]:
         touches = work.bench.hypothesis(Contact(("wrench.torque.x",), episodes))
         whole = Model(work.bench, work.model.nuisances, [touches], work.model.white)
         return predicted_by_place(whole, whole.without([touches]))
@@ -406,11 +406,11 @@ def test_one_function_of_many_is_taken_alone_and_holds_on_another_motion_better_
     bench, names = work.bench, ["products of speeds", "positions times speeds"]
     functions = Functions(bench)
     sums = functions.plain(names, 0), functions.white(names, 0)
-    rests = (
+    residuals = (
         work.model.residual()[functions.rows, 0] / bench.noise.sigma[0],
         work.model.residual(white=True)[functions.rows, 0],
     )
-    alone, family = (of(*sums, *rests, weighed=True) for of in (Pursuit, Ridge))
+    alone, family = (of(*sums, *residuals, weighed=True) for of in (Pursuit, Ridge))
     assert alone.chosen == ["products of speeds"]
     assert np.count_nonzero(alone.coefficients()["products of speeds"]) == 1
     assert alone.reached > family.reached
@@ -418,11 +418,11 @@ def test_one_function_of_many_is_taken_alone_and_holds_on_another_motion_better_
     scene = scene_of(other.observations())
     rows = Rows(tuple(scene.segments), bench.rows.stride)
     inputs = Inputs.of(scene, rows, like=functions.inputs)
-    rest = rows.average(scene.residual)[:, 0]
+    residual = rows.average(scene.residual)[:, 0]
 
     def error(parts: dict[str, np.ndarray]) -> float:
         told = sum(by_name(inputs)[n] @ t - functions.means[n] @ t for n, t in parts.items())
-        return float(np.std(rest - told))
+        return float(np.std(residual - told))
 
     assert error(alone.coefficients()) < error(family.coefficients())
     assert error(alone.coefficients()) < 1.01 * SIGMA[0] / np.sqrt(bench.rows.stride)
@@ -502,11 +502,11 @@ def test_trees_stand_beside_functions_where_they_say_more_of_blocks_left_out_and
     both = blended(alone, work.model, functions)
     assert list(both.trees) == [0]
     rows = Rows(tuple(other.segments), work.bench.rows.stride)
-    rest = rows.average(other.residual)
+    residual = rows.average(other.residual)
 
     def error(told: np.ndarray | None) -> float:
         assert told is not None
-        return float(np.std((rest - told)[:, 0]))
+        return float(np.std((residual - told)[:, 0]))
 
     assert error(both.predict(other, rows, 6)) < 0.95 * error(alone.predict(other, rows, 6))
     smooth = of_stray()

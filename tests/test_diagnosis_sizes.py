@@ -132,15 +132,17 @@ def test_what_is_searched_is_as_unknown_as_what_is_linear() -> None:
     X = np.stack([*J, *(one.reshape(-1) for one in ones)], axis=1)
     X = X[np.repeat(~bench.excluded_rows, bench.width)]
     size = np.linalg.norm(X, axis=0)
-    wanted = (np.sqrt(np.diag(np.linalg.inv(X.T @ X / np.outer(size, size)))) / size)[: len(J)]
+    required = (np.sqrt(np.diag(np.linalg.inv(X.T @ X / np.outer(size, size)))) / size)[: len(J)]
     y = whole(linear, searched).reshape(bench.whole.shape) + bench.whitened(bench.rows.average(case.noise))
     model = Model(bench, constants, hypotheses, y)
     places = np.concatenate([np.arange(s.start, s.stop) for s in model.slices()[len(constants) :]])
-    told = np.concatenate([np.sqrt(np.diag(model.parameter_errors.covariance)[places]), list(model.joint.searched.values())])
-    assert len(told) == len(wanted)
+    told = np.concatenate(
+        [np.sqrt(np.diag(model.parameter_errors.covariance)[places]), list(model.parameter_errors.searched.values())]
+    )
+    assert len(told) == len(required)
     # The sandwich of forty blocks is never below, and errs by a tenth or two.
-    assert np.all(told > 0.95 * wanted)
-    assert np.all(told < 1.5 * wanted)
+    assert np.all(told > 0.95 * required)
+    assert np.all(told < 1.5 * required)
     alone = np.sqrt(np.diag(model.covariance)[places])
     assert np.max(told[: len(alone)] / alone) > 1.3
 

@@ -21,7 +21,7 @@ def answer(
     model: Model,
     selection: Selection,
     judged: Judged,
-    left: list[structure_test.Left],
+    structures: list[structure_test.Structure],
     screening: Screening,
     glitch: list[Glitches],
     name: str,
@@ -31,12 +31,12 @@ def answer(
     findings = findings_of(model, selection, judged, glitch)
     for finding in findings:
         finding.confounded_with = confusions(model, selection, finding)
-    rest = left or above_noise(judged, model, outside_contacts=True) or contradicted(judged, model)
-    rest = rest if rest or findings else outlying(model) or unsteady(model)
-    if screening.wrong or rest:
-        findings.append(unknown_finding(bench, judged, rest, screening))
-    verdict = verdict_of(findings, rest, screening)
-    advice = next_experiment(model, selection, findings, rest)
+    unexplained = structures or above_noise(judged, model, outside_contacts=True) or contradicted(judged, model)
+    unexplained = unexplained if unexplained or findings else outlying(model) or unsteady(model)
+    if screening.wrong or unexplained:
+        findings.append(unknown_finding(bench, judged, unexplained, screening))
+    verdict = verdict_of(findings, unexplained, screening)
+    advice = next_experiment(model, selection, findings, unexplained)
     notes = list(screening.notes)
     if verdict == "agrees":
         notes.append(_limit(bench))
@@ -61,7 +61,7 @@ def answer(
         where=where_of(model) if findings else [],
         when=episodes_of(model, glitch) if findings else [],
         findings=findings,
-        fit=judged.fit(bench, left),
+        fit=judged.fit(bench, structures),
         next_experiment=advice,
         notes=notes,
         terms=[effect.to_term(bench.scene, theta) for effect, theta in model.placed()],

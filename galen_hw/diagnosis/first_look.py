@@ -124,23 +124,23 @@ def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list
     seen = [coarse.raw(s.effect) for s in at_first_sight(bench)]
     extra, above = [*structure_test.leading_directions(coarse, generic), *seen], coarse.motion_band()
     coarse.learn_noise(columns, extra, above=above)
-    ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind)
+    ((_, model), *_), structures = searched(coarse, effects, columns, generic, blind=blind)
     coarse = model.bench
     if shifts := far_off(model):
         # On the clock that was off no effect is like what was measured: slow ones had passed for noise.
         late = [coarse.raw(effect) for effect in effects]
         coarse.reset()
         coarse.learn_noise(late, [*extra, *shifts], above=above)
-        ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind)
+        ((_, model), *_), structures = searched(coarse, effects, columns, generic, blind=blind)
         coarse = model.bench
-    if not left and len(coarse.noise.edges):
+    if not structures and len(coarse.noise.edges):
         # What is finely structured passes for quick noise. Only blocks that it was not fitted on can tell, whatever the noise.
         coarse.noise = coarse.noise.flat()
-        rest = model.residual()
-        plain = structure_test.Fitted([h.raw for h in model.parts], rest, rest / coarse.noise.sigma)
-        (left,) = structure_test.leftovers(coarse, generic, [plain])
+        residual = model.residual()
+        plain = structure_test.Fitted([h.raw for h in model.parts], residual, residual / coarse.noise.sigma)
+        (structures,) = structure_test.leftovers(coarse, generic, [plain])
     return Known(
-        model.placed(), {x.channel: x.kind for x in reversed(left)}, coarse.spacing, coarse.timing, coarse.stream
+        model.placed(), {x.channel: x.kind for x in reversed(structures)}, coarse.spacing, coarse.timing, coarse.stream
     )
 
 

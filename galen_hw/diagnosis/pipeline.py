@@ -78,32 +78,32 @@ def diagnose(
     learn = partial(known.learn_noise, effects, columns)
     learn(bench, generic)
     tell("choosing effects", 0.5)
-    searches, left = searched(bench, effects, columns, generic, blind=bool(screening.wrong), start=known.effects)
-    if not left and not screening.wrong and (passed := trees.hidden(searches[0][1])):
+    searches, structures = searched(bench, effects, columns, generic, blind=bool(screening.wrong), start=known.effects)
+    if not structures and not screening.wrong and (passed := trees.hidden(searches[0][1])):
         # What passed for slow noise hides others too: all is asked again beside it.
         generic += [structure_test.Family(one.kind, one.basis, local=False) for one in passed]
         also = [Columns((one.channel,), one.basis[:, None, 1:]) for one in passed]
         before = searches[0][1]
         before.bench.reset()
         learn(before.bench, generic, also)
-        searches, left = searched(before.bench, effects, columns, generic, blind=False, start=before.placed())
-        left = left or trees.hidden(searches[0][1])
+        searches, structures = searched(before.bench, effects, columns, generic, blind=False, start=before.placed())
+        structures = structures or trees.hidden(searches[0][1])
     tell("judging on held-out data", 0.9)
     selection, chosen, model, judged = pruned(searches, holdout, nothing=bool(screening.wrong))
     bench = selection.bench
     if model is not chosen:
-        left = remaining_structures([model], generic)[0]
-    left = strong(left, judged, bench)
+        structures = remaining_structures([model], generic)[0]
+    structures = strong(structures, judged, bench)
     glitch = [] if screening.wrong else outliers.confirmed(glitch, model)
-    if (left or has_flexible_effects(model)) and not screening.wrong:
-        model, judged, left = predict_unnamed(generic, model, holdout, judged, left)
-    if not left and holdout is not None and not screening.wrong:
-        left = structures_of_holdout(model, holdout, judged)
+    if (structures or has_flexible_effects(model)) and not screening.wrong:
+        model, judged, structures = predict_unnamed(generic, model, holdout, judged, structures)
+    if not structures and holdout is not None and not screening.wrong:
+        structures = structures_of_holdout(model, holdout, judged)
     after = claim_before(judged, raw, examination)
-    diagnosis = answer(model, selection, judged, left, screening, glitch, name)
-    add_claims(diagnosis, examination, judged, after, bench, lambda found: verdict_of(found, left, screening))
+    diagnosis = answer(model, selection, judged, structures, screening, glitch, name)
+    add_claims(diagnosis, examination, judged, after, bench, lambda found: verdict_of(found, structures, screening))
     tell("done", 1.0)
-    return Work(bench, selection, model, judged, left, diagnosis)
+    return Work(bench, selection, model, judged, structures, diagnosis)
 
 
 def _comparable(scene: Scene, examination: Examination) -> Screening:

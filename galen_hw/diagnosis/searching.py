@@ -34,7 +34,7 @@ def searched(
     *,
     blind: bool,
     start: Start = (),
-) -> tuple[list[Search], list[structure_test.Left]]:
+) -> tuple[list[Search], list[structure_test.Structure]]:
     """What was searched under the present noise, the better model first, and what that leaves.
 
     Args:

@@ -8,7 +8,7 @@ from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
 
-def saturations(scene: Scene, rest: Array, simulated: Array, *, few: int = 5, fewest: float = 1e-3) -> list[Sought]:
+def saturations(scene: Scene, residual: Array, simulated: Array, *, few: int = 5, fewest: float = 1e-3) -> list[Sought]:
     """For each end of each channel the limit at which clipping of what is simulated (M, C) takes most out of the rest (M, C).
 
     Rows that no fit sees do not belong here: what is filled in there says that nothing was clipped.
@@ -23,7 +23,7 @@ def saturations(scene: Scene, rest: Array, simulated: Array, *, few: int = 5, fe
     out = []
     for c, name in enumerate(scene.channels):
         for sign in (1.0, -1.0):
-            w, r = sign * simulated[:, c], sign * (rest[:, c] - np.median(rest[:, c]))
+            w, r = sign * simulated[:, c], sign * (residual[:, c] - np.median(residual[:, c]))
             order = np.argsort(-w)
             w, r = w[order], r[order]
             k = np.arange(1, len(w))

@@ -15,7 +15,7 @@ Episode = tuple[int, int]
 
 def contacts(
     scene: Scene,
-    rest: Array,
+    residual: Array,
     rows: Rows,
     *,
     shares: tuple[float, ...] = (0.004, 0.01, 0.02),
@@ -38,11 +38,11 @@ def contacts(
         knock: times the width of a mean that an episode may be for a knock: a mean opens what it is as wide as to
             three times that.
     """
-    N, C = rest.shape
+    N, C = residual.shape
     # What is tracked pose by pose shows a push by the arm's give alone, and nobody leans on one pose after another.
     if N < FEW_ROWS or (not scene.clock and scene.observations.predict in ("pose", "targets")):
         return []
-    away = rest - np.median(rest, axis=0)
+    away = residual - np.median(residual, axis=0)
     away = away / np.maximum(1.4826 * np.median(np.abs(away), axis=0), 1e-300)
     out: dict[Contact, Sought] = {}
     for share in shares:
@@ -98,6 +98,6 @@ def _felt(scene: Scene, episodes: list[Episode], away: Array, z: Array, *, least
     for a, b in episodes:
         inside[a:b] = True
     share = np.sum(away[inside] ** 2, axis=0) / np.maximum(np.sum(away**2, axis=0), 1e-300)
-    ways = (share > 1.2 * inside.mean() + 0.02, np.mean(z[inside] ** 2, axis=0) > least)
-    channels = [tuple(n for n, there in zip(scene.channels, way, strict=True) if there) for way in ways]
+    criteria = (share > 1.2 * inside.mean() + 0.02, np.mean(z[inside] ** 2, axis=0) > least)
+    channels = [tuple(n for n, there in zip(scene.channels, criterion, strict=True) if there) for criterion in criteria]
     return [names for names in channels if names]

@@ -42,9 +42,9 @@ def sample_residual(model: Model) -> Array:
     return np.asarray(bench.scene.raw_residual - (bench.whole - model.residual())[place])
 
 
-def deviations(bench: Bench, rest: Array) -> Array:
+def deviations(bench: Bench, residual: Array) -> Array:
     """(N, C) what samples are off, in standard deviations of a single one; 0 where nothing was recorded."""
-    return np.asarray(np.nan_to_num(np.abs(rest) / (np.sqrt(bench.rows.stride) * bench.noise.sigma)))
+    return np.asarray(np.nan_to_num(np.abs(residual) / (np.sqrt(bench.rows.stride) * bench.noise.sigma)))
 
 
 def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:

@@ -17,7 +17,7 @@ from galen_hw.spatial import Array
 
 def lines(
     scene: Scene,
-    rest: Array,
+    residual: Array,
     rows: Rows,
     known: Sequence[tuple[tuple[int, ...], Line]] = (),
     *,
@@ -42,7 +42,7 @@ def lines(
     n = long.stop - long.start
     if not scene.clock or n < 256:
         return []
-    x = rest[long] - rest[long].mean(axis=0)
+    x = residual[long] - residual[long].mean(axis=0)
     pad = 4 * n
     power = np.abs(np.fft.rfft(x * np.hanning(n)[:, None], pad, axis=0)) ** 2
     ground = _ground(power, 4 * 61) + 1e-300
@@ -60,13 +60,13 @@ def lines(
         *((ratio[:, c], (scene.channels[c],)) for c in range(ratio.shape[1])),
     ]:
         f = _peak(score) / (pad * dt)
-        hums = [Vibration(tuple(names), float(f), wander) for wander in wanders]
-        reach, widest, away = hums[-2].breadth(scene), hums[-1].breadth(scene), np.abs(frequency - f)
+        candidates = [Vibration(tuple(names), float(f), wander) for wander in wanders]
+        reach, widest, away = candidates[-2].breadth(scene), candidates[-1].breadth(scene), np.abs(frequency - f)
         skirt, around = (away >= reach) & (away < widest), (away >= widest) & (away < 3.0 * widest)
         mine = power[:, [scene.channels.index(name) for name in names]]
         if not around.any() or np.all(mine[skirt].mean(axis=0) < stands_out * mine[around].mean(axis=0)):
-            hums.pop()
-        out += [Sought(hum, n // 2) for hum in hums if hum.breadth(scene) <= narrow * hum.frequency]
+            candidates.pop()
+        out += [Sought(hum, n // 2) for hum in candidates if hum.breadth(scene) <= narrow * hum.frequency]
     return out
 
 
@@ -105,7 +105,7 @@ def _above_motion(scene: Scene, rows: Rows, pad: int, n: int) -> int:
     return max(least, int(2.0 * reach * pad / len(x)))
 
 
-def ripples(scene: Scene, rest: Array, rows: Rows) -> list[Sought]:
+def ripples(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
     """For every joint effort the wave number at which a sine of the joint's position fits best.
 
     A period is longer than two steps of the position's reading: finer ones are aliases of its rounding (a standing arm's, above
@@ -124,7 +124,7 @@ def ripples(scene: Scene, rest: Array, rows: Rows) -> list[Sought]:
         numbers = numbers[numbers * quantisation(scene.q[:, [scene.joint_index(joint)]])[0] < np.pi]
         if not len(numbers):
             continue
-        r = rest[:, c] - rest[:, c].mean()
+        r = residual[:, c] - residual[:, c].mean()
         power = np.array([np.abs(np.mean(r * np.exp(-1j * k * q))) ** 2 for k in numbers])
         out.append(Sought(TorqueRipple(joint, float(numbers[int(np.argmax(power))])), len(numbers)))
     return out

@@ -17,15 +17,15 @@ from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
 
-def steps(scene: Scene, rest: Array, rows: Rows, noise: Noise | None = None) -> list[Sought]:
+def steps(scene: Scene, residual: Array, rows: Rows, noise: Noise | None = None) -> list[Sought]:
     """The moment at which a jump takes most out of the rest (M, C), channel by channel and over all together.
 
     Where the noise is known to have a memory its slow wander is told from a jump.
     """
-    N, C = rest.shape
+    N, C = residual.shape
     if N < FEW_ROWS:
         return []
-    gain, names, places = _gains(rest, noise), scene.channels, places_of(N)
+    gain, names, places = _gains(residual, noise), scene.channels, places_of(N)
     found = [Sought(Step((names[c],), moment(scene, rows, int(np.argmax(gain[:, c])) + 1)), places) for c in range(C)]
     if C > 1:
         row = int(np.argmax(gain.sum(axis=1)))
@@ -41,23 +41,25 @@ def places_of(rows: int) -> int:
     return rows // 4
 
 
-def staircases(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
+def staircases(scene: Scene, residual: Array, noise: Noise) -> list[Sought]:
     """Up to six jumps of each channel, and at moments that channels share, that together take most out of a rest (M, C).
 
     Each is where it takes most beside those before it, and is placed once more beside all others. What comes back to where it
     was is no staircase: somebody touched the arm.
     """
-    N, C = rest.shape
+    N, C = residual.shape
     if N < FEW_ROWS:
         return []
-    found = [([c], _stairs(rest[:, [c]], noise, [c])) for c in range(C)]
+    found = [([c], _stairs(residual[:, [c]], noise, [c])) for c in range(C)]
     if C > 1:
-        rows = _stairs(rest, noise, list(range(C)))
-        taken = (rest.var(axis=0) - _treads(rest, rows).var(axis=0)) / np.maximum(slow_spread(rest) ** 2, 1e-300)
+        rows = _stairs(residual, noise, list(range(C)))
+        taken = (residual.var(axis=0) - _treads(residual, rows).var(axis=0)) / np.maximum(
+            slow_spread(residual) ** 2, 1e-300
+        )
         found.append((np.flatnonzero(taken > SHARED * taken.max()).tolist(), rows))
     out = []
     for own, rows in found:
-        if len(rows) > 1 and not _returns(rest[:, own], rows):
+        if len(rows) > 1 and not _returns(residual[:, own], rows):
             first, *later = (moment(scene, noise.rows, row) for row in sorted(rows))
             step = Step(tuple(scene.channels[c] for c in own), first, later=tuple(later))
             out.append(Sought(step, places_of(N) ** len(rows)))
@@ -65,7 +67,7 @@ def staircases(scene: Scene, rest: Array, noise: Noise) -> list[Sought]:
 
 
 def _stairs(
-    rest: Array, noise: Noise, own: list[int], *, worth: float = 25.0, hardly: float = 0.2, most: int = 6
+    residual: Array, noise: Noise, own: list[int], *, worth: float = 25.0, hardly: float = 0.2, most: int = 6
 ) -> list[int]:
     """First rows of up to `most` treads of a staircase in the rest (M, c) of channels `own`, most telling first.
 
@@ -77,39 +79,39 @@ def _stairs(
         most: stairs; of more it is a slope, or a walk.
     """
     rows: list[int] = []
-    whole = rest.var(axis=0)
-    excess = whole - slow_spread(rest) ** 2
+    whole = residual.var(axis=0)
+    excess = whole - slow_spread(residual) ** 2
     while len(rows) < most:
-        gain = _gains(_treads(rest, rows), noise, own).sum(axis=1)
+        gain = _gains(_treads(residual, rows), noise, own).sum(axis=1)
         row = int(np.argmax(gain)) + 1
         if gain[row - 1] < worth * len(own) or row in rows:
             break
         rows.append(row)
         for k in range(len(rows)):
             others = rows[:k] + rows[k + 1 :]
-            again = int(np.argmax(_gains(_treads(rest, others), noise, own).sum(axis=1))) + 1
+            again = int(np.argmax(_gains(_treads(residual, others), noise, own).sum(axis=1))) + 1
             rows[k] = rows[k] if again in others else again
-        if len(rows) > 1 and np.all(whole - _treads(rest, rows).var(axis=0) < hardly * excess):
+        if len(rows) > 1 and np.all(whole - _treads(residual, rows).var(axis=0) < hardly * excess):
             break
     return rows
 
 
-def _treads(rest: Array, rows: list[int]) -> Array:
+def _treads(residual: Array, rows: list[int]) -> Array:
     """(M, C) of a rest without its mean between jumps."""
-    edges = [0, *sorted(rows), len(rest)]
-    return np.concatenate([rest[a:b] - rest[a:b].mean(axis=0) for a, b in itertools.pairwise(edges)])
+    edges = [0, *sorted(rows), len(residual)]
+    return np.concatenate([residual[a:b] - residual[a:b].mean(axis=0) for a, b in itertools.pairwise(edges)])
 
 
-def _returns(rest: Array, rows: list[int], *, same: float = 0.01, sure: float = 4.0) -> bool:
+def _returns(residual: Array, rows: list[int], *, same: float = 0.01, sure: float = 4.0) -> bool:
     """Return whether a staircase in a rest (M, c) ever goes back from a tread to the one before, by its jumps and by the noise.
 
     Args:
         same: share of the larger jump's square by which two levels may differ and be one.
         sure: variances of the difference by which they may do so besides.
     """
-    edges, spread = [0, *sorted(rows), len(rest)], np.maximum(slow_spread(rest), 1e-300)
-    level = np.stack([rest[a:b].mean(axis=0) / spread for a, b in itertools.pairwise(edges)])
-    error = rest.shape[1] / np.diff(edges)
+    edges, spread = [0, *sorted(rows), len(residual)], np.maximum(slow_spread(residual), 1e-300)
+    level = np.stack([residual[a:b].mean(axis=0) / spread for a, b in itertools.pairwise(edges)])
+    error = residual.shape[1] / np.diff(edges)
     jump = np.sum(np.diff(level, axis=0) ** 2, axis=1)
     back = np.sum((level[2:] - level[:-2]) ** 2, axis=1)
     return bool(np.any(back < same * np.maximum(jump[1:], jump[:-1]) + sure * (error[2:] + error[:-2])))
@@ -120,107 +122,107 @@ def is_seen_by_itself(effect: Effect | None) -> TypeGuard[Step]:
     return isinstance(effect, Step) and not effect.carried
 
 
-def relocated(scene: Scene, rest: Array, step: Step, noise: Noise) -> Sought:
+def relocated(scene: Scene, residual: Array, step: Step, noise: Noise) -> Sought:
     """A jump at the moment where it takes most out of a rest (M, C) that it is still in, in its own channels.
 
     Found beside a model that had not all of the rest, it may be off by what a touch between the two moments then makes up for.
     """
     own = [scene.channels.index(name) for name in step.channels]
-    row = int(np.argmax(_gains(rest[:, own], noise, own).sum(axis=1)))
-    return Sought(replace(step, moment=moment(scene, noise.rows, row + 1)), places_of(len(rest)))
+    row = int(np.argmax(_gains(residual[:, own], noise, own).sum(axis=1)))
+    return Sought(replace(step, moment=moment(scene, noise.rows, row + 1)), places_of(len(residual)))
 
 
-def _gains(rest: Array, noise: Noise | None, own: list[int] | None = None) -> Array:
+def _gains(residual: Array, noise: Noise | None, own: list[int] | None = None) -> Array:
     """(M - 1, c) how much a jump before each row but the first takes out of the rest (M, c) of channels `own` (all).
 
     None near its ends.
     """
     white = noise is None or not len(noise.edges) or len(noise.rows.runs) > 1
-    gain = _white_jumps(rest) if noise is None or white else _jumps(rest, noise, own)
-    margin = max(len(rest) // 60, 3)
+    gain = _white_jumps(residual) if noise is None or white else _jumps(residual, noise, own)
+    margin = max(len(residual) // 60, 3)
     gain[:margin], gain[-margin:] = 0.0, 0.0
     return gain
 
 
-def _white_jumps(rest: Array) -> Array:
+def _white_jumps(residual: Array) -> Array:
     """(M - 1, C) how much a jump before each row but the first takes out of a rest with white noise."""
-    N = len(rest)
-    z = (rest - rest.mean(axis=0)) / np.maximum(slow_spread(rest), 1e-300)
+    N = len(residual)
+    z = (residual - residual.mean(axis=0)) / np.maximum(slow_spread(residual), 1e-300)
     k = np.arange(1, N)[:, None]
     return np.asarray(np.cumsum(z, axis=0)[:-1] ** 2 / (k * (N - k) / N))
 
 
-def _jumps(rest: Array, noise: Noise, own: list[int] | None = None) -> Array:
+def _jumps(residual: Array, noise: Noise, own: list[int] | None = None) -> Array:
     """The same by generalised least squares, all moments at once: in cosine lines noise is diagonal.
 
     Line j of a jump before row k of N is -sqrt(2 / N) sin(pi j k / N) / (2 sin(pi j / (2 N))).
     """
-    N = len(rest)
+    N = len(residual)
     lines = np.arange(1, N)[:, None]
     level = noise.spectrum(lines[:, 0] / (2.0 * N))[:, slice(None) if own is None else own]
-    weighed = np.zeros_like(rest)
-    weighed[1:] = dct(rest, axis=0, norm="ortho")[1:] / level
+    weighed = np.zeros_like(residual)
+    weighed[1:] = dct(residual, axis=0, norm="ortho")[1:] / level
     inner = np.cumsum(idct(weighed, axis=0, norm="ortho"), axis=0)[:-1]
-    power = np.zeros_like(rest)
+    power = np.zeros_like(residual)
     power[1:] = 1.0 / (2.0 * N * np.sin(np.pi * lines / (2.0 * N)) ** 2 * level)
     square = 0.5 * (power.sum(axis=0) - fft(power, axis=0).real[1:])
     return np.asarray(inner**2 / square)
 
 
-def slips(scene: Scene, rest: Array, rows: Rows) -> list[Sought]:
+def slips(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
     """For all that the arm carries the moment at which a slip of it takes most out of the rest (M, C).
 
     The baseline places what is carried by the whole recording: it takes the same columns of all rows, of which S is the square.
     Behind a moment these leave A - A S^-1 A of the square A of a slip.
     """
-    if len(rest) < FEW_ROWS:
+    if len(residual) < FEW_ROWS:
         return []
     out = []
     for one in scene.slipping():
         own = list(one.channels)
-        X, r = _in_noise(rows.average(one.values), rest[:, own])
+        X, r = _in_noise(rows.average(one.values), residual[:, own])
         A, b, moments = _behind(X, r)
         whole = np.linalg.pinv(np.einsum("mck,mcl->kl", X, X), rcond=1e-9, hermitian=True)
         when = _most(scene, A - A @ whole @ A, b, moments, rows)
-        out.append(Sought(Step(tuple(scene.channels[c] for c in own), when, one.name), places_of(len(rest))))
+        out.append(Sought(Step(tuple(scene.channels[c] for c in own), when, one.name), places_of(len(residual))))
     return out
 
 
-def loads(scene: Scene, rest: Array, rows: Rows) -> list[Sought]:
+def loads(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
     """The moment at which another load takes most out of the rest (M, C): a part picked up, or one that slips in its clamp.
 
     The offsets of the channels, which are free, take their part of it.
     """
     # Efforts of an arm that somebody pushes are those of a load too.
     port = scene.body_port() if scene.clock and scene.observations.predict == "wrench" else None
-    if port is None or len(rest) < FEW_ROWS:
+    if port is None or len(residual) < FEW_ROWS:
         return []
     out = []
     for part, body in (("moment", slice(1, 4)), ("body", slice(0, 4))):
-        X, r = _in_noise(rows.average(port[:, :, body]), rest)
+        X, r = _in_noise(rows.average(port[:, :, body]), residual)
         A, b, moments = _behind(X, r)
         sums = np.cumsum(X[::-1], axis=0)[::-1][moments]
-        when = _most(scene, A - np.einsum("mck,mcl->mkl", sums, sums) / len(rest), b, moments, rows)
-        out.append(Sought(Payload(part, since=when), places_of(len(rest))))
+        when = _most(scene, A - np.einsum("mck,mcl->mkl", sums, sums) / len(residual), b, moments, rows)
+        out.append(Sought(Payload(part, since=when), places_of(len(residual))))
     return out
 
 
-def _in_noise(X: Array, rest: Array) -> tuple[Array, Array]:
+def _in_noise(X: Array, residual: Array) -> tuple[Array, Array]:
     """Columns (M, c, k) and a rest (M, c) over its quick spread; moves, masses and moments made comparable."""
-    sigma = np.maximum(slow_spread(rest), 1e-300)
+    sigma = np.maximum(slow_spread(residual), 1e-300)
     X = X / sigma[:, None]
-    return X / np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300), (rest - rest.mean(axis=0)) / sigma
+    return X / np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300), (residual - residual.mean(axis=0)) / sigma
 
 
-def _behind(X: Array, rest: Array, *, count: int = 400) -> tuple[Array, Array, Array]:
+def _behind(X: Array, residual: Array, *, count: int = 400) -> tuple[Array, Array, Array]:
     """Squares (m, k, k) of columns X (M, c, k) behind moments, their products (m, k) with a rest (M, c), and first rows (m,).
 
     Args:
         count: moments that are looked at.
     """
-    margin = max(len(rest) // 60, 3)
-    moments = np.unique(np.linspace(margin, len(rest) - margin - 1, count).astype(int))
-    each = np.einsum("mck,mcl->mkl", X, X), np.einsum("mck,mc->mk", X, rest)
+    margin = max(len(residual) // 60, 3)
+    moments = np.unique(np.linspace(margin, len(residual) - margin - 1, count).astype(int))
+    each = np.einsum("mck,mcl->mkl", X, X), np.einsum("mck,mc->mk", X, residual)
     A, b = (np.cumsum(one[::-1], axis=0)[::-1][moments] for one in each)
     return A, b, moments
 

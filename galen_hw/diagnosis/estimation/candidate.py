@@ -129,7 +129,7 @@ class Hypothesis:
             self._informative_share = float(np.mean(self.raw.values[train].any(axis=(1, 2)))) if touching else 1.0
         return self._informative_share
 
-    def price(self, bench: "Bench") -> float:
+    def penalty(self, bench: "Bench") -> float:
         """Of one of its numbers: the log of how many independent values tell of it (Schwarz 1978).
 
         Of few no less than two: what it takes of noise alone on average, and as much again (Akaike 1974).

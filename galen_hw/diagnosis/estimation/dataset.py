@@ -245,20 +245,20 @@ class Bench:
         always = [*constants, *extra]
         M, good = len(self.rows), ~self.excluded_rows
 
-        def left(c: int) -> tuple[Array, Array]:
+        def residual_of(c: int) -> tuple[Array, Array]:
             whole = [_of(col, c) for col in always if c in col.channels]
             rich = [_of(col, c) for col in library if c in col.channels]
             Q = rich_basis(np.concatenate(whole, axis=1), rich, M)
             fit = Q @ solve_sym(Q[good].T @ Q[good], Q[good].T @ self.y[good, c][:, None])[:, 0]
             return np.where(good, self.y[:, c] - fit, 0.0), Q
 
-        rest, basis = zip(
+        residual, basis = zip(
             *Parallel(n_jobs=2, require="sharedmem")(
-                delayed(left)(c) for c in np.flatnonzero(~self.without_data).tolist()
+                delayed(residual_of)(c) for c in np.flatnonzero(~self.without_data).tolist()
             ),
             strict=True,
         )
-        rows, whole = self.rows, np.stack(rest, axis=-1)
+        rows, whole = self.rows, np.stack(residual, axis=-1)
         self.noise = estimate(
             whole,
             list(basis),

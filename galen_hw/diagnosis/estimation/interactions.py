@@ -81,11 +81,11 @@ def settle_together(bench: Bench, scorer: Scorer, chosen: list[int], *, met: flo
         moved = float(np.max(np.abs(now - bench.state.interaction) / bench.noise.sigma))
         if moved < met:
             return
-        rests = moved < last  # not of what is not finite
-        bench.update_state(interaction=now if rests else 0.0, diverging=not rests)
+        converging = moved < last  # not of what is not finite
+        bench.update_state(interaction=now if converging else 0.0, diverging=not converging)
         last = moved
         rebase(scorer, chosen)
-        if not rests:
+        if not converging:
             settle(bench, scorer, chosen)
             return
 

@@ -39,11 +39,11 @@ def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int, *
 def residuals(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, Array]:
     """(M, C) rest of a model, raw and whitened."""
     theta = scorer.solve(chosen)[0]
-    rest, white = bench.y.copy(), scorer.white.copy()
+    residual, white = bench.y.copy(), scorer.white.copy()
     for h, t in with_parameters(scorer.parts(chosen), theta):
-        rest[:, list(h.raw.channels)] -= h.raw.values @ t
+        residual[:, list(h.raw.channels)] -= h.raw.values @ t
         white[:, list(h.white.channels)] -= h.white.values @ t
-    return rest, white
+    return residual, white
 
 
 def reduced_chi2(bench: Bench, scorer: Scorer, chosen: list[int]) -> float:
@@ -51,6 +51,6 @@ def reduced_chi2(bench: Bench, scorer: Scorer, chosen: list[int]) -> float:
 
     Physics that is missing passes for slow noise in the weights of a short recording; a single sample knows better.
     """
-    rest = residuals(bench, scorer, chosen)[0][np.ix_(bench.train, ~bench.without_data)]
+    residual = residuals(bench, scorer, chosen)[0][np.ix_(bench.train, ~bench.without_data)]
     noise = (bench.noise.sigma**2 * bench.noise.slow_power_ratio)[~bench.without_data]
-    return max(scorer.misfit(chosen), float(np.mean(rest**2 / noise)))
+    return max(scorer.misfit(chosen), float(np.mean(residual**2 / noise)))

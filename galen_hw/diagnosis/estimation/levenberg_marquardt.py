@@ -23,9 +23,9 @@ class ConditionalGain:
 
     def __init__(self, bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
         model = [h for h in scorer.parts(chosen) if np.isnan(h.fixed).all()]
-        rest, rows = residuals(bench, scorer, chosen)[1], bench.train
+        residual, rows = residuals(bench, scorer, chosen)[1], bench.train
         self.train, self.width, self.scene = rows, bench.width, bench.scene
-        self.rest = [rest[rows, c] for c in range(bench.width)]
+        self.residual = [residual[rows, c] for c in range(bench.width)]
         ends = np.cumsum([0, *(h.count for h in model)])
         self.at: list[Index] = []
         self.columns: list[Array] = []
@@ -57,7 +57,7 @@ class ConditionalGain:
         for i, c in enumerate(h.white.channels):
             X = h.white.values[:, i][self.train]
             own += X.T @ X
-            r += X.T @ self.rest[c]
+            r += X.T @ self.residual[c]
             cross[self.at[c]] += self.columns[c].T @ X
         explained = self.root.T @ cross
         return own - explained.T @ explained, r

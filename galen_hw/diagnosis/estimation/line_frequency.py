@@ -33,12 +33,12 @@ def mean_frequency(model: Model, h: Hypothesis, line: Line, *, count: int = 16) 
         return line.frequency, 0.0
     turning = np.exp(-2j * np.pi * line.frequency * time[rows])
     # Without the effect, as it was fitted, the rest holds the oscillation itself.
-    rest = _alone(model, line)[rows][:, places] / bench.noise.sigma[places]
+    residual = _alone(model, line)[rows][:, places] / bench.noise.sigma[places]
     cycles = np.clip([line.frequency * bench.period], 1e-6, 0.5)
     level = np.array([bench.noise.spectrum(cycles)[0, c] for c in places])
-    weight = np.conj(np.sum(rest * turning[:, None], axis=0) / len(rows)) * bench.noise.sigma[places] ** 2 / level
+    weight = np.conj(np.sum(residual * turning[:, None], axis=0) / len(rows)) * bench.noise.sigma[places] ** 2 / level
     pieces = np.array_split(np.arange(len(rows)), count)
-    z = np.array([np.sum(rest[p] * turning[p, None] @ weight) for p in pieces])
+    z = np.array([np.sum(residual[p] * turning[p, None] @ weight) for p in pieces])
     noise = np.array([len(p) * np.sum(np.abs(weight) ** 2 * level / bench.noise.sigma[places] ** 2) for p in pieces])
     steps = np.angle(z[1:] * np.conj(z[:-1]))
     by_noise = float(np.mean(noise / np.maximum(np.abs(z) ** 2, 1e-300)))

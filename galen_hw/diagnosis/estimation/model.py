@@ -83,22 +83,22 @@ class Model:
         The model is linear in a searched value where it stands (Gauss and Newton). One that the others can make up for
         altogether is not known at all.
         """
-        ways: dict[tuple[int, str], Hypothesis] = {}
+        slopes: dict[tuple[int, str], Hypothesis] = {}
         lost: dict[tuple[int, str], float] = {}
         for k, h in enumerate(self.effects):
             for name, value in (h.effect.searched() if h.effect is not None else {}).items():
-                way = self._searched_slope(k, name)
-                if way is None:
+                slope = self._searched_slope(k, name)
+                if slope is None:
                     lost[k, name] = abs(value)
                 else:
-                    ways[k, name] = way
-        if not ways:
+                    slopes[k, name] = slope
+        if not slopes:
             return ParameterErrors(self.covariance, lost)
         parts, y = self.unweighted_parts() if self.unweighted else (self.parts, self.white)
-        more = [self._plain(way) for way in ways.values()] if self.unweighted else list(ways.values())
+        more = [self._plain(slope) for slope in slopes.values()] if self.unweighted else list(slopes.values())
         whole, size = self._covariance(parts, y, np.flatnonzero(~self.bench.excluded_rows), more), len(self.final)
         spread = np.sqrt(np.maximum(np.diag(whole)[size:], 0.0)).tolist()
-        return ParameterErrors(whole[:size, :size], lost | dict(zip(ways, spread, strict=True)))
+        return ParameterErrors(whole[:size, :size], lost | dict(zip(slopes, spread, strict=True)))
 
     def _searched_slope(self, k: int, name: str, *, share: float = 0.02, never: float = 1e-9) -> Hypothesis | None:
         """Return how the k-th effect changes with a searched value, as a column; None where the model's own columns do the same.
@@ -114,12 +114,12 @@ class Model:
         step = share * float(np.log(h.effect.doubt(self.bench.scene))) * value
         up, down = (self.bench.raw(h.effect.with_searched({name: value + sign * step})) for sign in (1.0, -1.0))
         slope = (up.values - down.values) @ self.final[s] / (2.0 * step)
-        way = self.bench.hypothesis_of(None, Columns(h.raw.channels, slope[:, :, None]))
+        column = self.bench.hypothesis_of(None, Columns(h.raw.channels, slope[:, :, None]))
         ones = np.eye(len(channels))[np.tile(np.arange(len(channels)), len(slope))]
         X = np.concatenate([h.white.values.reshape(-1, h.count), ones], axis=1)
-        X, y = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300), way.white.values.reshape(-1)
-        left = y - X @ np.linalg.lstsq(X, y, rcond=1e-9)[0]
-        return way if float(left @ left) > never * float(y @ y) else None
+        X, y = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300), column.white.values.reshape(-1)
+        residual = y - X @ np.linalg.lstsq(X, y, rcond=1e-9)[0]
+        return column if float(residual @ residual) > never * float(y @ y) else None
 
     @cached_property
     def variance(self) -> Array:
@@ -245,7 +245,7 @@ class Model:
         train, penalty = self.bench.train, 0.0
         for h in self.effects:
             lasting = h.effect is not None and not h.effect.EPISODIC
-            penalty += h.effective_parameters(whole=True) * (2.0 if predictive and lasting else h.price(self.bench))
+            penalty += h.effective_parameters(whole=True) * (2.0 if predictive and lasting else h.penalty(self.bench))
         fall = np.sum(self.bench.whitened(self.bench.whole)[train] ** 2) - np.sum(self.residual(white=True)[train] ** 2)
         return float(fall - penalty)
 
@@ -260,9 +260,9 @@ class Model:
         size = len(self.final) + len(more)
         G, even = np.zeros((size, size)), np.zeros((size, size))
         scores = np.zeros((int(self.bench.block.max()) + 1, size))
-        left = white.copy()
+        residual = white.copy()
         for h, s in zip(parts, self.slices(), strict=True):
-            left[:, list(h.white.channels)] -= h.white.values @ self.final[s]
+            residual[:, list(h.white.channels)] -= h.white.values @ self.final[s]
         total = 0.0
         behind = [slice(len(self.final) + k, len(self.final) + k + 1) for k in range(len(more))]
         placed = list(zip([*parts, *more], [*self.slices(), *behind], strict=True))
@@ -272,7 +272,7 @@ class Model:
                 continue
             at = np.concatenate([np.arange(s.start, s.stop) for _, s in mine])
             X = np.concatenate([h.white.values[:, h.white.channels.index(c)] for h, _ in mine], axis=1)[rows]
-            e = left[rows, c]
+            e = residual[rows, c]
             total += float(e @ e)
             G[np.ix_(at, at)] += X.T @ X
             if not self.unweighted:

@@ -206,8 +206,8 @@ class Scorer:
         starts = dict(zip(asked, np.cumsum([0, *(self.library[i].count for i in asked)]).tolist(), strict=False))
         GS, cross, K = self.products.between(at, at), self.products.between(at, own), len(own)
         P = solve_sym(GS, np.concatenate([cross, b[at][:, None], every[at]], axis=1))
-        rest_b = b[own] - cross.T @ P[:, K]
-        rest_f = every[own] - cross.T @ P[:, K + 1 :]
+        residual_b = b[own] - cross.T @ P[:, K]
+        residual_f = every[own] - cross.T @ P[:, K + 1 :]
         out: dict[int, Score] = {}
         highest = np.zeros(every.shape[1])
         by_count: dict[int, list[int]] = {}
@@ -219,10 +219,10 @@ class Scorer:
             G = self.products.within(np.array([self.places[i].start for i in group]))
             A = G - np.einsum("smk,sml->mkl", cross[:, rows], P[:, rows])
             squares = np.diagonal(G, axis1=1, axis2=2)
-            gains, fakes, counts = quadratic(A, squares, rest_b[rows], rest_f[rows])
+            gains, fakes, counts = quadratic(A, squares, residual_b[rows], residual_f[rows])
             free = gains.copy()
             for m, i in enumerate(group):
-                pinned = self.library[i].pinned_gain(self.bench.scene, A[m], rest_b[rows[m]])
+                pinned = self.library[i].pinned_gain(self.bench.scene, A[m], residual_b[rows[m]])
                 gains[m] = gains[m] if pinned is None else pinned
             trials = np.array([self.library[i].log_trials(self._train) + np.log(self._forms(i)) for i in group])
             surprise = self._surprise(gains, counts) - trials
@@ -240,16 +240,16 @@ class Scorer:
 
     def _score(self, i: int, gain: float, count: int, surprise: float) -> Score:
         h = self.library[i]
-        price = h.effective_parameters(max(count - h.unobserved(self._train), 0)) * h.price(self.bench)
+        penalty = h.effective_parameters(max(count - h.unobserved(self._train), 0)) * h.penalty(self.bench)
         # What was sought in the residual pays for the places it was sought at.
         places = 2.0 * h.log_trials(self._train) if h.trials > 1 else self._occam.get(self._key(i), 0.0)
-        return Score(gain, count, surprise, float(gain - price - places))
+        return Score(gain, count, surprise, float(gain - penalty - places))
 
     def in_full(self, i: int, score: Score) -> Score:
         """A score with the price of all numbers that a loose hypothesis has; of another the same."""
         h = self.library[i]
         owed = h.effective_parameters(score.count, whole=True) - h.effective_parameters(score.count)
-        return replace(score, rank=score.rank - owed * h.price(self.bench))
+        return replace(score, rank=score.rank - owed * h.penalty(self.bench))
 
     def covariance(self, at: Index) -> Array:
         """Of the parameters of the columns `at`, for noise of unit variance."""
@@ -261,8 +261,8 @@ class Scorer:
 
     def misfit(self, chosen: list[int]) -> float:
         """Whitened mean square of a model's rest: 1 when only noise is left, more when physics is missing."""
-        _, at, rest = self.solve(chosen)
-        return max(1.0, rest / max(int(self._train.sum()) * self.bench.live_channels - len(at), 1))
+        _, at, residual = self.solve(chosen)
+        return max(1.0, residual / max(int(self._train.sum()) * self.bench.live_channels - len(at), 1))
 
     def _key(self, i: int) -> str:
         effect = self.library[i].effect

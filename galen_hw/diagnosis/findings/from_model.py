@@ -15,7 +15,7 @@ from galen_hw.diagnosis.findings.quantities import SIGNAL, headline
 from galen_hw.diagnosis.findings.variables import joint_units
 from galen_hw.diagnosis.findings.wording import believing, saying
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
-from galen_hw.diagnosis.lack_of_fit.structure_test import FALSE_ALARM, Left
+from galen_hw.diagnosis.lack_of_fit.structure_test import FALSE_ALARM, Structure
 from galen_hw.diagnosis.preprocessing.checks import Screening
 from galen_hw.diagnosis.result import UNKNOWN, Finding, Value
 from galen_hw.diagnosis.selection.search_state import Selection
@@ -162,8 +162,8 @@ def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
     """Rows that stand off what the model says; their share is of the whole excess of the recording, theirs included."""
     bench, rows = model.bench, np.asarray(glitch.rows)
     places = [bench.scene.channels.index(name) for name in glitch.channels]
-    rest = outliers.sample_residual(model)
-    away, z = (x[rows][:, places] for x in (np.abs(rest), outliers.deviations(bench, rest)))
+    residual = outliers.sample_residual(model)
+    away, z = (x[rows][:, places] for x in (np.abs(residual), outliers.deviations(bench, residual)))
     # In the channel that stands out most often: newtons and newton metres have no common size.
     strongest = np.argmax(z, axis=1)
     first = int(np.bincount(strongest).argmax())
@@ -184,7 +184,7 @@ def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
 
 
 def unknown_finding(
-    bench: Bench, judged: Judged, left: list[Left], screening: Screening, *, near: float = 0.9
+    bench: Bench, judged: Judged, structures: list[Structure], screening: Screening, *, near: float = 0.9
 ) -> Finding:
     """Return the finding of what nothing named explains.
 
@@ -192,12 +192,12 @@ def unknown_finding(
         near: share of the strongest evidence with which a plainer family of functions is named in its place.
     """
     names = bench.scene.channels
-    channels = list(dict.fromkeys([*screening.channels, *(names[one.channel] for one in left)]))
+    channels = list(dict.fromkeys([*screening.channels, *(names[one.channel] for one in structures)]))
     if screening.wrong:
         says, share, z = screening.wrong[0], 0.0, 10.0
     else:
         # What says the same in plainer words is what people want to read.
-        alike = [one for one in left if one.channel == left[0].channel and one.z >= near * left[0].z]
+        alike = [one for one in structures if one.channel == structures[0].channel and one.z >= near * structures[0].z]
         best = min(alike, key=lambda one: one.place)
         share, z = best.share, best.z
         where = names[best.channel] + (f" of {ELSEWHERE}" if best.elsewhere else "")

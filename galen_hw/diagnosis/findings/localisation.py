@@ -62,13 +62,13 @@ def where_of(model: Model, *, least: float = 0.5) -> list[dict[str, Any]]:
         least: share of the held-out excess from which a variable is said to organise it.
     """
     bench = model.bench
-    rest = baseline_residual(model)
+    residual = baseline_residual(model)
     known = variables(bench)
-    energy = np.sum((rest**2 / bench.noise.sigma**2 - 1.0)[:, ~bench.without_data], axis=1)
+    energy = np.sum((residual**2 / bench.noise.sigma**2 - 1.0)[:, ~bench.without_data], axis=1)
     found = regions(bench, known, energy)
     out = [_region_entry(one) for one in found]
     named = {one.parts[0][0].name for one in found}
-    for variable, share, channel in organised(bench, known, rest)[:2]:
+    for variable, share, channel in organised(bench, known, residual)[:2]:
         if share > least and variable.name not in named:
             low, high = float(variable.values.min()), float(variable.values.max())
             says = f"{100 * share:.0f} % of the unexplained error of {channel} is one function of {variable.name}"
@@ -208,14 +208,16 @@ def _region_entry(one: Region) -> dict[str, Any]:
     return {"variable": variable.name, "range": [low, high], "excess_share": one.share, "says": says}
 
 
-def organised(bench: Bench, known: list[Variable], rest: Array, bins: int = 20) -> list[tuple[Variable, float, str]]:
+def organised(
+    bench: Bench, known: list[Variable], residual: Array, bins: int = 20
+) -> list[tuple[Variable, float, str]]:
     """For every variable the share of the excess of its best channel that is a function of it, on rows set aside.
 
     The function is the mean in bins of equal count, learnt on the other rows; most first.
     """
     learn, check = halves(bench)
     floor, names = bench.noise.sigma**2, bench.scene.channels
-    excess = np.mean(rest[check] ** 2, axis=0) - floor
+    excess = np.mean(residual[check] ** 2, axis=0) - floor
     able = np.flatnonzero(excess / floor > 0.05 * max(float(np.max(excess / floor)), 1e-300))
     out = []
     for v in known:
@@ -224,9 +226,9 @@ def organised(bench: Bench, known: list[Variable], rest: Array, bins: int = 20) 
             continue
         place = np.clip(np.searchsorted(edges, v.values, side="right") - 1, 0, len(edges) - 2)
         count = np.maximum(np.bincount(place[learn], minlength=len(edges) - 1), 1)
-        mean = [np.bincount(place[learn], rest[learn, c], len(edges) - 1) / count for c in able]
-        after = [float(np.mean((rest[check, c] - m[place[check]]) ** 2)) for c, m in zip(able, mean, strict=True)]
-        share = [(np.mean(rest[check, c] ** 2) - a) / excess[c] for c, a in zip(able, after, strict=True)]
+        mean = [np.bincount(place[learn], residual[learn, c], len(edges) - 1) / count for c in able]
+        after = [float(np.mean((residual[check, c] - m[place[check]]) ** 2)) for c, m in zip(able, mean, strict=True)]
+        share = [(np.mean(residual[check, c] ** 2) - a) / excess[c] for c, a in zip(able, after, strict=True)]
         best = int(np.argmax(share * excess[able] / floor[able]))
         out.append((v, float(np.clip(share[best], 0.0, 1.0)), names[able[best]]))
     return sorted(out, key=lambda one: -one[1])

@@ -18,7 +18,7 @@ from galen_hw.diagnosis.findings.wording import settled_by
 from galen_hw.diagnosis.identifiability.motions import MEANS, Recipe, recipes
 from galen_hw.diagnosis.identifiability.rivals import Rival, rivals
 from galen_hw.diagnosis.identifiability.simulate import Eye, Stage, projected_out, stacked, stage
-from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.lack_of_fit.structure_test import Structure
 from galen_hw.diagnosis.result import Finding
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.physics.effects.base import Effect
@@ -62,13 +62,13 @@ class Pair:
     now: float
 
 
-def next_experiment(model: Model, selection: Selection, findings: list[Finding], left: list[Left]) -> str:
+def next_experiment(model: Model, selection: Selection, findings: list[Finding], structures: list[Structure]) -> str:
     """One or two sentences: what to record next, and what that would show."""
     if any(not f.named and not f.parameters["share_left"].value for f in findings):
         return "First put right what is said of the recording itself; nothing else is worth an experiment before."
     said = [_settled(model, selection, f) for f in findings if f.rivals][:1]
-    if left:
-        said.append(_unexplained(model, left))
+    if structures:
+        said.append(_unexplained(model, structures))
     if not said:
         said.append(_sharper(model, findings) if findings else _smaller(model))
     return " ".join(said)
@@ -96,19 +96,19 @@ def pair_of(selection: Selection, finding: Finding, rival: str, model: Model) ->
         found = scorer.library[one.instead].effect or part.effect
         effects = (h.effect for h in scorer.library if h.effect is not None)
         kin = tuple(effect for effect in effects if effect.family == one.effect.family)
-        mine = _straight(model, part) if found.curved else (found, one.own)
+        mine = _linearised(model, part) if found.curved else (found, one.own)
         return Pair(*mine, one.effect, one.theta, kin[:8], one.angle)
     supposed = effect_class(rival).supposed(model.bench.scene.channels[part.raw.channels[0]])
     if supposed is None:
         return None
     # Of what drives the rival nothing was recorded: it is taken to have done as much within the range supposed.
     other, span = supposed
-    theta = _straight(model, part)[1]
+    theta = _linearised(model, part)[1]
     size = float(np.ptp(part.contribution(theta)[:, 0])) / span
     return Pair(part.effect, theta, other, np.array([size]), (other,), float("nan"))
 
 
-def _straight(model: Model, h: Hypothesis) -> tuple[Effect, Array]:
+def _linearised(model: Model, h: Hypothesis) -> tuple[Effect, Array]:
     """An effect of the model with its parameters (k,) as columns can be staged of it: what is curved, by its relaxation."""
     theta = model.final[model.slice_of(h)]
     assert h.effect is not None, "effects, not nuisances"
@@ -171,8 +171,8 @@ def _distance(model: Model, staged: Stage, pair: Pair, others: list[Hypothesis])
         columns = staged.columns(effect, width)
         if columns is not None:
             kin.append(projected_out(eye.whiten(columns), N))
-    apart = [float(np.sum(_rest(signal, X) ** 2)) for X in kin]
-    back = float(np.sum(_rest(answer, F) ** 2))
+    apart = [float(np.sum(_residual(signal, X) ** 2)) for X in kin]
+    back = float(np.sum(_residual(answer, F) ** 2))
     distance = min(*apart, back)
     size = float(signal @ signal)
     angle = float(np.degrees(np.arcsin(np.sqrt(np.clip(min(apart) / size, 0.0, 1.0))))) if size > 0.0 else 0.0
@@ -188,7 +188,7 @@ def _nuisances(staged: Stage, others: list[Hypothesis], width: int, *, constants
     return stacked([*known, *(c for c in more if c is not None)], rows, width)
 
 
-def _rest(y: Array, X: Array) -> Array:
+def _residual(y: Array, X: Array) -> Array:
     return projected_out(y[:, None], X)[:, 0]
 
 
@@ -223,14 +223,14 @@ def _plain(key: str) -> str:
     return key.replace("_", " ")
 
 
-def _unexplained(model: Model, left: list[Left]) -> str:
+def _unexplained(model: Model, structures: list[Structure]) -> str:
     """Where no name fits: whether it is of place, of time or of speed."""
-    place = f" in {model.bench.scene.channels[left[0].channel]}"
-    if left[0].kind.startswith("covariate."):
+    place, kind = f" in {model.bench.scene.channels[structures[0].channel]}", structures[0].kind
+    if kind.startswith("covariate."):
         return (
-            f"Something is left{place} that no name fits and that {left[0].kind} goes with: run once with that held constant, "
-            "and once with it alone moved, up and down again, with pauses. What stays after a pause is friction or play, what "
-            "goes back with it is give."
+            f"Something is left{place} that no name fits and that {kind} goes with: run once with that held constant, and once with "
+            "it alone moved, up and down again, with pauses. What stays after a pause is friction or play, what goes back with it "
+            "is give."
         )
     if not model.bench.scene.clock:
         return (
@@ -275,7 +275,7 @@ def _error(finding: Finding) -> float:
 def _halving(model: Model, h: Hypothesis, error: float) -> Advice | None:
     """The recipe whose information on an effect's size reaches three times the present one soonest."""
     assert h.effect is not None, "effects, not nuisances"
-    effect, theta = _straight(model, h)
+    effect, theta = _linearised(model, h)
     others = [o for o in model.effects if o is not h]
     out = []
     for recipe in recipes(model.bench.scene, model.bench.period, effect.joints):

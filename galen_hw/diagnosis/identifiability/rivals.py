@@ -82,7 +82,7 @@ class Own:
     chosen: tuple[int, ...]
     gain: float
     theta: Array
-    straight: Array
+    linear: Array
 
 
 def confusions(model: Model, selection: Selection, finding: Finding, *, most: int = 5) -> list[Confusion]:
@@ -210,18 +210,18 @@ class Sharpener:
     def __init__(self, scorer: Scorer, own: Own) -> None:
         self.scorer, self.i, self.gain = scorer, own.i, own.gain
         i = own.i
-        rest = [j for j in [*range(len(scorer.base)), *own.chosen] if j != i]
+        present = [j for j in [*range(len(scorer.base)), *own.chosen] if j != i]
         nothing = self._rows(scorer.library[i])[:, :0]  # a model without nuisances has nothing else in it
-        others = [self._rows(scorer.library[j]) for j in rest]
+        others = [self._rows(scorer.library[j]) for j in present]
         self.base = orthonormal(scaled(np.concatenate([nothing, *others], axis=1)))
-        self.own = self._left(self._rows(scorer.library[i]))
+        self.own = self._projected(self._rows(scorer.library[i]))
         self.signal = self.own @ own.theta
         nonlinear = scorer.library[i].nonlinear
         if nonlinear is not None:
             self.signal = (
-                self.signal + self._left(scorer.bench.whitened(nonlinear)[scorer.bench.train].reshape(-1, 1))[:, 0]
+                self.signal + self._projected(scorer.bench.whitened(nonlinear)[scorer.bench.train].reshape(-1, 1))[:, 0]
             )
-        self.white = self._left(scorer.white[scorer.bench.train].reshape(-1, 1))[:, 0]
+        self.white = self._projected(scorer.white[scorer.bench.train].reshape(-1, 1))[:, 0]
 
     def _rows(self, h: Hypothesis) -> Array:
         """(n C, k) whitened columns on the training rows."""
@@ -229,7 +229,7 @@ class Sharpener:
         full = h.white.full(bench.width)[bench.train]
         return full.reshape(full.shape[0] * full.shape[1], h.count)
 
-    def _left(self, X: Array) -> Array:
+    def _projected(self, X: Array) -> Array:
         return np.asarray(X - self.base @ (self.base.T @ X))
 
     def sharpened(self, rival: Rival, *, reach: float = 8.0) -> Rival:
@@ -244,8 +244,8 @@ class Sharpener:
         down = 1.0 / reach if pinned is None or effect == rival.effect else 0.0
         for name, value in rival.effect.searched().items():
             effect = self._along(effect, name, (down * value, reach * value), finely=pinned is not None)
-        rest, X = self._rest(effect)
-        share = max(1.0 - rest / float(self.signal @ self.signal), 0.0)
+        residual, X = self._residual_of(effect)
+        share = max(1.0 - residual / float(self.signal @ self.signal), 0.0)
         if pinned is None and _angle(np.sqrt(share)) >= rival.angle:
             return rival
         A, r, library = X.T @ X, X.T @ self.white, self.scorer.library
@@ -263,16 +263,16 @@ class Sharpener:
         low, high = np.log(max(within[0], bound.low)), np.log(min(within[1], bound.high))
 
         def missed(at: float) -> float:
-            return self._rest(effect.with_searched({name: float(np.exp(at))}))[0]
+            return self._residual_of(effect.with_searched({name: float(np.exp(at))}))[0]
 
         # Where the size is not free, the searched value is the size.
         options = {"xatol": 1e-3, "maxiter": 30} if finely else {"xatol": 0.02, "maxiter": 14}
         best = minimize_scalar(missed, bounds=(low, high), method="bounded", options=options)
         return effect.with_searched({name: float(np.exp(best.x))})
 
-    def _rest(self, effect: Effect) -> tuple[float, Array]:
+    def _residual_of(self, effect: Effect) -> tuple[float, Array]:
         """Squares of the found signal that an effect does not make, and its columns beside the model."""
-        X = self._left(self._rows(self.scorer.bench.hypothesis(effect)))
+        X = self._projected(self._rows(self.scorer.bench.hypothesis(effect)))
         pinned = effect.pinned(self.scorer.bench.scene)
         A, r = X.T @ X, X.T @ self.signal
         theta = solve_sym(A, r[:, None])[:, 0] if pinned is None else pinned_at(pinned, A, r)
@@ -300,19 +300,19 @@ def _others(scorer: Scorer, chosen: list[int], i: int) -> Projected:
 
 def _own(scorer: Scorer, chosen: list[int], i: int) -> Own:
     """Hypothesis i as it stands in the model."""
-    theta, every, rest = scorer.solve(chosen)
+    theta, every, residual = scorer.solve(chosen)
     mine = scorer.own(every, i)
     with nonlinear_restored(scorer, i):
-        straight = scorer.solve(chosen)[0]
+        linear = scorer.solve(chosen)[0]
         at, b, total = _others(scorer, chosen, i)
         alone = solve_sym(scorer.products.between(at, at), b[at][:, None])[:, 0]
         without = total - float(alone @ b[at])
-    return Own(i, tuple(chosen), without - rest, theta[mine], straight[mine])
+    return Own(i, tuple(chosen), without - residual, theta[mine], linear[mine])
 
 
 def _in_place(scorer: Scorer, found: Own, *, own_key: bool = False) -> list[Rival]:
     """Every hypothesis of another key (or of its `own_key`) that can make at least half of the found signal."""
-    i, gain, theta = found.i, found.gain, found.straight
+    i, gain, theta = found.i, found.gain, found.linear
     at, b, _ = _others(scorer, list(found.chosen), i)
     own = scorer.places[i]
     columns = np.arange(len(b))

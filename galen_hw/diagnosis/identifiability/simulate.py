@@ -106,8 +106,8 @@ def _simulation(scene: Scene, part: Part, rates: tuple[Array, Array]) -> dict[st
     X, y = features(scene.q[rows], scene.rates[0][rows], scene.rates[1][rows]), scene.simulated[rows]
     scale = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
     weights = np.linalg.lstsq(X / scale, y, rcond=1e-9)[0] / scale[:, None]
-    left = np.sum((y - X @ weights) ** 2) / max(float(np.sum((y - y.mean(axis=0)) ** 2)), 1e-300)
-    if not left < 0.1:
+    unexplained = np.sum((y - X @ weights) ** 2) / max(float(np.sum((y - y.mean(axis=0)) ** 2)), 1e-300)
+    if not unexplained < 0.1:
         raise ValueError("the given simulation is not a plain function of the motion")
     values = features(part.q, *rates) @ weights
     return {name: values[:, c] for c, name in enumerate(scene.channels)}

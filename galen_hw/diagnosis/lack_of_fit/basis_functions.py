@@ -121,8 +121,8 @@ class Inputs:
         beside = [rows.average(np.asarray(given[name], dtype=float))[:, None] for name in others]
         named = joints, forces, places, others
         still = np.zeros((len(rows), 0))
-        warmth, rest = (np.concatenate([still, *columns], axis=1) for columns in (warm, beside))
-        return cls._scaled(scene, rows, np.concatenate(raw, axis=1), load, warmth, rest, like, named)
+        warmth, recorded = (np.concatenate([still, *columns], axis=1) for columns in (warm, beside))
+        return cls._scaled(scene, rows, np.concatenate(raw, axis=1), load, warmth, recorded, like, named)
 
     @classmethod
     def _scaled(
@@ -132,7 +132,7 @@ class Inputs:
         raw: Array,
         load: Array,
         warm: Array,
-        rest: Array,
+        recorded: Array,
         like: "Inputs | None",
         named: tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], tuple[str, ...]],
         *,
@@ -151,7 +151,7 @@ class Inputs:
         period = float(np.median(np.diff(rows.average(scene.time)))) if scene.clock and len(rows) > 1 else 0.0
         lags = tuple(k for k in lags if k < len(rows) // 4) if like is None else like.lags
         heat = Scale.of(warm) if like is None else like.scales[4]
-        others = Scale.of(rest) if like is None else like.scales[5]
+        others = Scale.of(recorded) if like is None else like.scales[5]
         scales = (scale, weight, speed, bend, heat, others)
         return cls(
             position,
@@ -160,7 +160,7 @@ class Inputs:
             bend(second),
             reach,
             heat(warm),
-            others(rest),
+            others(recorded),
             lags,
             rows.runs,
             scales,

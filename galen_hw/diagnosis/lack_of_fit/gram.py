@@ -52,7 +52,7 @@ class Functions:
         columns = {n: self.bench.noise.whiten(self.columns[n], channel)[self.rows] for n in names}
         return Sums(columns, self.folds, self._white.setdefault(channel, {}))
 
-    def level(self, parts: dict[str, Array], channel: int, white_rest: Array) -> float:
+    def level(self, parts: dict[str, Array], channel: int, white_residual: Array) -> float:
         """The constant, in the channel's unit, beside functions with coefficients (k,), by name, for a whitened rest (n,).
 
         The model's own was fitted where nothing else stood for what has no name, by weights that call it slow noise: it is off.
@@ -60,7 +60,7 @@ class Functions:
         said = sum(self.columns[n] @ theta for n, theta in parts.items())
         both = np.stack([np.ones(len(self.bench.rows)), said], axis=-1)
         one, white = self.bench.noise.whiten(both, channel)[self.rows].T
-        return float(one @ (white_rest - white) / (one @ one))
+        return float(one @ (white_residual - white) / (one @ one))
 
 
 @dataclass(frozen=True)

@@ -34,20 +34,20 @@ class Pursuit(Regression):
         self._places = [(name, k) for name, X in self.plain.columns.items() for k in range(X.shape[1])]
         self._products: dict[int, Array] = {}
         self._learnt = self.white if self.weighed else self.plain
-        inner = self._learnt.against(self.white_rest if self.weighed else self.rest)
+        inner = self._learnt.against(self.white_residual if self.weighed else self.residual)
         self._b, self._squares = np.concatenate(list(inner.values()), axis=1), self._learnt.squares()
         size = np.sqrt(self._squares.sum(axis=0))
         self._size = np.where(size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300), size, np.inf)
         paths = [self._path(fold) for fold in range(len(self.plain.folds))]
-        raw = self._gains(paths, self.plain, self.rest)
+        raw = self._gains(paths, self.plain, self.residual)
         best = float(raw.max())
-        if best <= self.least * float(self.rest @ self.rest):
+        if best <= self.least * float(self.residual @ self.residual):
             return
         # Another motion is where more functions than are needed differ.
         count = int(np.flatnonzero(raw >= self.enough * best)[0])
         self.reached, self.white_gain = (
             float(raw[count]),
-            float(self._gains(paths, self.white, self.white_rest)[count]),
+            float(self._gains(paths, self.white, self.white_residual)[count]),
         )
         self._taken, self._theta = [taken for taken, _ in paths], [theta[:, count] for _, theta in paths]
         taken, theta = self._path(None)
@@ -64,7 +64,7 @@ class Pursuit(Regression):
 
     def cross_validated(self, *, white: bool = False) -> Array:
         """(n,) what the functions predict of each row from other folds, over the noise's deviation."""
-        out = np.zeros(len(self.rest))
+        out = np.zeros(len(self.residual))
         for rows, taken, theta in zip(self.plain.folds, self._taken, self._theta, strict=True):
             out[rows] = self._columns(self.white if white else self.plain, taken)[rows] @ theta
         return out
@@ -72,7 +72,7 @@ class Pursuit(Regression):
     def _columns(self, sums: Sums, which: list[int]) -> Array:
         """(n, len(which)) functions by their numbers."""
         each = [sums.columns[name][:, k] for name, k in (self._places[j] for j in which)]
-        return np.stack(each, axis=-1) * sums.scale if each else np.zeros((len(self.rest), 0))
+        return np.stack(each, axis=-1) * sums.scale if each else np.zeros((len(self.residual), 0))
 
     def _with(self, j: int) -> Array:
         """(folds, k) inner products of all functions with one of them."""
@@ -87,27 +87,27 @@ class Pursuit(Regression):
         One column for each number of functions; the last again where no more are taken.
         """
 
-        def rest(each: Array) -> Array:
+        def without_fold(each: Array) -> Array:
             return np.asarray(each.sum(axis=0) - (0.0 if fold is None else each[fold]))
 
-        b, squares = rest(self._b), np.maximum(rest(self._squares), 0.0)
+        b, squares = without_fold(self._b), np.maximum(without_fold(self._squares), 0.0)
         norm = np.sqrt(squares)
         # Of a function that hardly lives in these rows nothing can be learnt from them.
         able = norm > self.alive * self._size
         taken: list[int] = []
         found: list[Array] = []
-        left = b.copy()
+        correlation = b.copy()
         while len(taken) < self.most and able.any():
-            j = int(np.argmax(np.where(able, np.abs(left) / np.where(able, norm, 1.0), -1.0)))
+            j = int(np.argmax(np.where(able, np.abs(correlation) / np.where(able, norm, 1.0), -1.0)))
             trial = [*taken, j]
-            G = np.stack([rest(self._with(i))[trial] for i in trial])
+            G = np.stack([without_fold(self._with(i))[trial] for i in trial])
             # What depends on those taken before it is worth nothing beside them.
             if np.linalg.matrix_rank(G / np.outer(norm[trial], norm[trial]), hermitian=True) < len(trial):
                 break
             taken, theta = trial, np.linalg.solve(G, b[trial])
             able[j] = False
             found.append(np.asarray(theta))
-            left = b - sum(t * rest(self._with(i)) for i, t in zip(taken, theta, strict=True))
+            correlation = b - sum(t * without_fold(self._with(i)) for i, t in zip(taken, theta, strict=True))
         out = np.zeros((len(taken), self.most))
         for count in range(self.most if found else 0):
             theta = found[min(count, len(found) - 1)]

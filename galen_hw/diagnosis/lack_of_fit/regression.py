@@ -25,8 +25,8 @@ class Regression(ABC):
 
     plain: Sums
     white: Sums
-    rest: Array
-    white_rest: Array
+    residual: Array
+    white_residual: Array
     weighed: bool
     least: float = field(default=1e-3, kw_only=True)
     chosen: list[str] = field(init=False, default_factory=list)
@@ -52,14 +52,14 @@ class Blend(Regression):
     def between(cls, *of: Regression) -> Self:
         """Of regressions of one rest on the same families."""
         one = of[0]
-        return cls(one.plain, one.white, one.rest, one.white_rest, one.weighed, of)
+        return cls(one.plain, one.white, one.residual, one.white_residual, one.weighed, of)
 
     def __post_init__(self) -> None:
         """Judges it on the same folds as each of them."""
         self.chosen = list(dict.fromkeys(name for one in self.of for name in one.chosen))
         for_plain, for_white = self.cross_validated(), self.cross_validated(white=True)
-        self.reached = float(for_plain @ (2.0 * self.rest - for_plain))
-        self.white_gain = float(for_white @ (2.0 * self.white_rest - for_white))
+        self.reached = float(for_plain @ (2.0 * self.residual - for_plain))
+        self.white_gain = float(for_white @ (2.0 * self.white_residual - for_white))
 
     def coefficients(self) -> dict[str, Array]:
         """Means of theirs; 0 where one takes nothing."""

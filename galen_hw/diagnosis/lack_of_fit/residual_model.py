@@ -90,14 +90,14 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
     """
     bench = model.bench
     functions = functions if functions is not None and functions.bench is bench else Functions(bench)
-    rest, white = model.residual() / bench.noise.sigma, model.residual(white=True)
+    residual, white = model.residual() / bench.noise.sigma, model.residual(white=True)
     parts: dict[int, dict[str, Array]] = {}
-    offsets, gain, cross_validated = {}, 0.0, np.zeros_like(rest)
+    offsets, gain, cross_validated = {}, 0.0, np.zeros_like(residual)
     for c, kind in kinds.items():
         names = [name for name in functions.columns if name in kind]
         if not names:  # trees alone follow it
             continue
-        best = _best(functions, names, c, rest[functions.rows, c], white[functions.rows, c])
+        best = _best(functions, names, c, residual[functions.rows, c], white[functions.rows, c])
         if best.chosen:
             parts[c] = best.coefficients()
             level = functions.level(parts[c], c, white[functions.rows, c])
@@ -109,7 +109,7 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
 
 
 def _best(
-    functions: Functions, names: list[str], channel: int, rest: Array, white_rest: Array, *, short: float = 0.03
+    functions: Functions, names: list[str], channel: int, residual: Array, white_residual: Array, *, short: float = 0.03
 ) -> Regression:
     """The regression of a channel's rest (n,) that explains most of blocks left out; one on low powers if it does nearly as well.
 
@@ -122,7 +122,7 @@ def _best(
 
     def of(kind: type[Ridge | Pursuit], some: list[str]) -> Ridge | Pursuit:
         plain, white = functions.plain(some, channel), functions.white(some, channel)
-        each = (kind(plain, white, rest, white_rest, weighed=weighed) for weighed in (True, False))
+        each = (kind(plain, white, residual, white_residual, weighed=weighed) for weighed in (True, False))
         return max(each, key=lambda one: one.reached)
 
     tried: list[Regression] = [of(Ridge, names), of(Pursuit, names)]
@@ -156,17 +156,17 @@ class Ridge(Regression):
         as the best is taken, and another beside it must be worth it.
         """
         self._learnt = self.white if self.weighed else self.plain
-        self._plain_b, self._white_b = self.plain.against(self.rest), self.white.against(self.white_rest)
+        self._plain_b, self._white_b = self.plain.against(self.residual), self.white.against(self.white_residual)
         self._b = self._white_b if self.weighed else self._plain_b
         self._alone: dict[str, list[tuple[Array, Array]]] = {}
-        total, names = float(self.rest @ self.rest), list(self.plain.columns)
+        total, names = float(self.residual @ self.residual), list(self.plain.columns)
         while len(self.chosen) < self.most:
-            left = [n for n in names if n not in self.chosen]
+            candidates = [n for n in names if n not in self.chosen]
             if self.chosen:
-                promise = self._promises(left)
-                best_few = sorted(left, key=lambda n: -promise[n])[: self.tried]
-                left = [n for n in left if n in best_few]
-            tried = {n: self._gains([*self.chosen, n]) for n in left}
+                promise = self._promises(candidates)
+                best_few = sorted(candidates, key=lambda n: -promise[n])[: self.tried]
+                candidates = [n for n in candidates if n in best_few]
+            tried = {n: self._gains([*self.chosen, n]) for n in candidates}
             gains = {n: float(raw.max()) for n, (raw, _) in tried.items()}
             best = max(gains.values(), default=0.0)
             if best - self.reached < max(self.worth * best, self.least * total):
@@ -194,7 +194,7 @@ class Ridge(Regression):
     def cross_validated(self, *, white: bool = False) -> Array:
         """(n,) what the chosen families predict of each row from other folds, over the noise's deviation."""
         columns = (self.white if white else self.plain).joined(self.chosen)
-        out, X = np.zeros(len(self.rest)), columns / self._size(self.chosen)
+        out, X = np.zeros(len(self.residual)), columns / self._size(self.chosen)
         for rows, theta in zip(self.plain.folds, self._thetas(self.chosen), strict=True):
             out[rows] = X[rows] @ theta[:, self._ridge]
         return out
@@ -219,8 +219,8 @@ class Ridge(Regression):
         thetas = [theta[:, self._ridge] / size for theta in self._thetas(chosen)]
         for name in names:
             mine = self._sizes[name]
-            learnt = self._left(self._learnt, self._b, name, thetas)
-            judged = self._left(self.plain, self._plain_b, name, thetas)
+            learnt = self._residual_products(self._learnt, self._b, name, thetas)
+            judged = self._residual_products(self.plain, self._plain_b, name, thetas)
             G = self.plain.pair(name, name) / np.outer(mine, mine)
             gain = np.zeros(len(RIDGES))
             for f, (value, vector) in enumerate(self._eigen(name)):
@@ -230,7 +230,7 @@ class Ridge(Regression):
             out[name] = float(gain.max())
         return out
 
-    def _left(self, sums: Sums, inner: dict[str, Array], name: str, thetas: list[Array]) -> list[Array]:
+    def _residual_products(self, sums: Sums, inner: dict[str, Array], name: str, thetas: list[Array]) -> list[Array]:
         """For each fold's parameters of the chosen families, (folds, k) of a family with what they leave."""
         cross = np.concatenate([sums.pair(name, other) for other in self.chosen], axis=2)
         return [inner[name] - cross @ theta for theta in thetas]
@@ -247,10 +247,12 @@ class Ridge(Regression):
         b = _joined(self._b, names)
         residuals = (b.sum(axis=0) - b) / self._size(names)
         if len(names) == 1:
-            return [_ridged(*eigen, rest) for eigen, rest in zip(self._eigen(names[0]), residuals, strict=True)]
+            return [_ridged(*eigen, residual) for eigen, residual in zip(self._eigen(names[0]), residuals, strict=True)]
         size = self._size(names)
         G = self._learnt.gram(names) / np.outer(size, size)
-        return [_ridged(*np.linalg.eigh(G.sum(axis=0) - one), rest) for one, rest in zip(G, residuals, strict=True)]
+        return [
+            _ridged(*np.linalg.eigh(G.sum(axis=0) - one), residual) for one, residual in zip(G, residuals, strict=True)
+        ]
 
     def _whole(self, names: list[str]) -> Array:
         """(k, len(RIDGES)) coefficients learnt on all rows."""

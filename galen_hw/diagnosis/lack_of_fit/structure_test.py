@@ -24,7 +24,7 @@ T_NEEDED: Final = 3.0
 
 
 @dataclass(frozen=True)
-class Left:
+class Structure:
     """One kind of structure that is left in one channel.
 
     Args:
@@ -85,11 +85,11 @@ class Fitted:
     """
 
     columns: list[Columns]
-    rest: Array
+    residual: Array
     white: Array
 
 
-def leftovers(bench: Bench, generic: list[Family], models: Sequence[Fitted]) -> list[list[Left]]:
+def leftovers(bench: Bench, generic: list[Family], models: Sequence[Fitted]) -> list[list[Structure]]:
     """Structure in the rest of each of some models, strongest first; only what also predicts blocks it was not fitted on.
 
     All models of one bench are asked together: most of the work is to whiten the generic functions.
@@ -99,11 +99,11 @@ def leftovers(bench: Bench, generic: list[Family], models: Sequence[Fitted]) -> 
     """
     good, known = ~bench.excluded_rows, [bench.noise.transformed(one.basis) for one in generic]
 
-    def of(c: int) -> list[list[Left]]:
-        asked: list[tuple[list[Left], Array, Array]] = []
+    def of(c: int) -> list[list[Structure]]:
+        asked: list[tuple[list[Structure], Array, Array]] = []
         for model in models:
             own = [x.values[:, x.channels.index(c)] for x in model.columns if c in x.channels and x.count]
-            whole = np.concatenate([*own, np.zeros((len(model.rest), 0))], axis=1)[good]
+            whole = np.concatenate([*own, np.zeros((len(model.residual), 0))], axis=1)[good]
             base = orthonormal(scaled(whole), weakest=1e-9)
             asked.append(([], base, model.white[good, c] - base @ (base.T @ model.white[good, c])))
         for place, (one, transformed) in enumerate(zip(generic, known, strict=True)):
@@ -116,7 +116,7 @@ def leftovers(bench: Bench, generic: list[Family], models: Sequence[Fitted]) -> 
                     # Slow structure is larger in raw units than the whitening makes it look.
                     size = np.sqrt(gain / len(y)) * np.std(one.basis[good] @ w) / max(np.std(Xw @ w), 1e-300)
                     share = gain / max(float(y @ y), 1e-300)
-                    out.append(Left(c, one.kind, z, share, float(size), one.basis, place))
+                    out.append(Structure(c, one.kind, z, share, float(size), one.basis, place))
         return [out for out, _, _ in asked]
 
     each = Parallel(n_jobs=2, require="sharedmem")(delayed(of)(c) for c in range(bench.width))

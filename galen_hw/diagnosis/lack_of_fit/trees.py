@@ -13,7 +13,7 @@ from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
 from galen_hw.diagnosis.lack_of_fit.gram import Functions
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder
-from galen_hw.diagnosis.lack_of_fit.structure_test import T_NEEDED, Left, t_statistic
+from galen_hw.diagnosis.lack_of_fit.structure_test import T_NEEDED, Structure, t_statistic
 from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.diagnosis.stats.sampling import Index, folds
 from galen_hw.spatial import Array
@@ -42,22 +42,22 @@ def blended(remainder: Remainder, model: Model, functions: Functions) -> Remaind
     in the mean (Bates and Granger 1969).
     """
     rows, X = functions.rows, remainder.inputs.seen
-    rest, cross_validated, trees = model.residual(), remainder.cross_validated.copy(), {}
+    residual, cross_validated, trees = model.residual(), remainder.cross_validated.copy(), {}
     for c in remainder.parts:
-        y, linear, own = rest[rows, c], remainder.cross_validated[rows, c], np.zeros(len(rows))
+        y, linear, own = residual[rows, c], remainder.cross_validated[rows, c], np.zeros(len(rows))
         every = np.arange(len(rows))
         for fold in functions.folds:
             others = np.delete(every, fold)
             own[fold] = boosted_trees().fit(X[rows[others]], y[others]).predict(X[rows[fold]])
         both = 0.5 * (linear + own)
-        if _left(y - both) < _left(y - linear):
+        if _sum_of_squares(y - both) < _sum_of_squares(y - linear):
             trees[c] = boosted_trees().fit(X[rows], y)
             cross_validated[rows, c] = both
     return replace(remainder, trees=trees, cross_validated=cross_validated)
 
 
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
-def hidden(model: Model, *, slower: float = 2.0, most_by_time: float = 0.5) -> list[Left]:
+def hidden(model: Model, *, slower: float = 2.0, most_by_time: float = 0.5) -> list[Structure]:
     """Structure of a model's rest that passes for slow noise, a channel at a time: what trees predict of blocks left out.
 
     A law of several inputs at once that is in no family is followed by none, and by its own slowness it is noise then. What
@@ -78,25 +78,28 @@ def hidden(model: Model, *, slower: float = 2.0, most_by_time: float = 0.5) -> l
     if not X.shape[1]:  # nothing moves
         return []
     time = bench.time[:, None]
-    rest = model.residual()[:, slow] / bench.noise.sigma[slow]
+    residual = model.residual()[:, slow] / bench.noise.sigma[slow]
     fold = folds(bench.block)
     number = np.unique(bench.block[good], return_inverse=True)[1]
 
     def asked(of: Array) -> tuple[Array, Array]:
-        foretold = _predicted(of, rest, fold, good)
-        each = (foretold * (2.0 * rest - foretold))[good]
-        return foretold, np.stack([np.bincount(number, column) for column in each.T], axis=-1)
+        predicted = _predicted(of, residual, fold, good)
+        each = (predicted * (2.0 * residual - predicted))[good]
+        return predicted, np.stack([np.bincount(number, column) for column in each.T], axis=-1)
 
-    foretold, gain = asked(X)
+    predicted, gain = asked(X)
     if max(map(t_statistic, gain.T)) < T_NEEDED:
         return []
     out, by_time = [], asked(time)[1].sum(axis=0)
     for k, c in enumerate(slow):
         own, sure = float(gain[:, k].sum()), t_statistic(gain[:, k])
         if sure >= T_NEEDED and by_time[k] <= most_by_time * own:
-            basis = np.linalg.qr(np.stack([np.ones(len(rest)), foretold[:, k]], axis=-1))[0]
-            share, size = own / float(rest[good, k] @ rest[good, k]), np.sqrt(own / len(good)) * bench.noise.sigma[c]
-            out.append(Left(int(c), TOGETHER, sure, share, float(size), basis))
+            basis = np.linalg.qr(np.stack([np.ones(len(residual)), predicted[:, k]], axis=-1))[0]
+            share, size = (
+                own / float(residual[good, k] @ residual[good, k]),
+                np.sqrt(own / len(good)) * bench.noise.sigma[c],
+            )
+            out.append(Structure(int(c), TOGETHER, sure, share, float(size), basis))
     return sorted(out, key=lambda left: -left.z)
 
 
@@ -123,5 +126,5 @@ def _many(*, number: int = 30, leaf: int = 10) -> "ExtraTreesRegressor":
     return ExtraTreesRegressor(number, min_samples_leaf=leaf, random_state=0)
 
 
-def _left(rest: Array) -> float:
-    return float(rest @ rest)
+def _sum_of_squares(residual: Array) -> float:
+    return float(residual @ residual)

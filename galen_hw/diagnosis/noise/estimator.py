@@ -10,7 +10,7 @@ from galen_hw.spatial import Array
 
 
 def estimate(
-    rest: Array,
+    residual: Array,
     basis: list[Array],
     rows: Rows,
     *,
@@ -26,19 +26,19 @@ def estimate(
         above: cycles a row below which physics may still be in the rest: there the noise is taken as at that frequency.
         apart: whether each row is a pose by itself, so that what rows next to each other share is no noise.
     """
-    M, C = rest.shape
+    M, C = residual.shape
     freedom = np.array([max(M - b.shape[1], 2) for b in basis], dtype=float)
-    sigma = np.sqrt(np.sum(rest**2, axis=0) / freedom)
-    sigma = np.maximum(sigma, 1e-12 * (np.max(np.abs(rest)) + 1e-300) + 1e-15)
+    sigma = np.sqrt(np.sum(residual**2, axis=0) / freedom)
+    sigma = np.maximum(sigma, 1e-12 * (np.max(np.abs(residual)) + 1e-300) + 1e-15)
     with np.errstate(invalid="ignore"):  # of a channel that the fit leaves nothing of
-        correlation = np.nan_to_num(np.corrcoef((rest / sigma).T)) if C > 1 else np.ones((1, 1))
+        correlation = np.nan_to_num(np.corrcoef((residual / sigma).T)) if C > 1 else np.ones((1, 1))
     np.fill_diagonal(correlation, 1.0)
     long = [run for run in rows.runs if run.stop - run.start >= RESOLUTION.shortest]
     if not ordered or not long:
-        sigma = np.minimum(sigma, _by_neighbours(rest, sigma, freedom, rows)) if static_poses else sigma
+        sigma = np.minimum(sigma, _by_neighbours(residual, sigma, freedom, rows)) if static_poses else sigma
         return Noise(rows, np.empty(0), np.empty((0, C)), sigma, float(freedom.sum()), correlation, steps)
     edges = _bands(max(run.stop - run.start for run in long))
-    levels = np.stack([_levels(rest[:, c], basis[c], long, edges, above) for c in range(C)], axis=-1)
+    levels = np.stack([_levels(residual[:, c], basis[c], long, edges, above) for c in range(C)], axis=-1)
     if len(levels) < RESOLUTION.fewest:
         levels = whitest(levels, sum(run.stop - run.start for run in long) * np.diff(edges))
     noise = Noise(rows, edges, levels, sigma, float(freedom.sum()), correlation, steps)
@@ -48,7 +48,7 @@ def estimate(
     return Noise(rows, edges, levels, total, float(freedom.sum()), correlation, steps)
 
 
-def _by_neighbours(rest: Array, sigma: Array, freedom: Array, rows: Rows, *, surely: float = 2.5) -> Array:
+def _by_neighbours(residual: Array, sigma: Array, freedom: Array, rows: Rows, *, surely: float = 2.5) -> Array:
     """(C,) standard deviation by the differences of neighbours, where these are surely smaller than noise of sigma (C,) has.
 
     In white noise half the mean squared difference over the variance is 1, with a deviation of 1 / sqrt(n) (von Neumann 1941).
@@ -56,8 +56,8 @@ def _by_neighbours(rest: Array, sigma: Array, freedom: Array, rows: Rows, *, sur
     Args:
         surely: standard deviations of that ratio by which the differences must be smaller.
     """
-    difference = np.concatenate([np.diff(rest[run], axis=0) for run in rows.runs])
-    square = 0.5 * np.mean(difference**2, axis=0) * len(rest) / freedom
+    difference = np.concatenate([np.diff(residual[run], axis=0) for run in rows.runs])
+    square = 0.5 * np.mean(difference**2, axis=0) * len(residual) / freedom
     return np.where(square < (1.0 - surely / np.sqrt(freedom)) * sigma**2, np.sqrt(square), sigma)
 
 
@@ -77,7 +77,9 @@ def _bands(n: int, *, lines: int = 18, per_decade: int = 6, slowest: float = 7.0
     return np.array([*edges[:-1], 0.5])
 
 
-def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array, above: float, *, least: float = 5.0) -> Array:
+def _levels(
+    residual: Array, basis: Array, runs: list[slice], edges: Array, above: float, *, least: float = 5.0
+) -> Array:
     """(B,) level a band: what the rich fit has left there over the share of the band that it could not reach.
 
     The rest of a fit with an orthonormal basis Q has at frequency f the expected power (1 - t) S, t the basis' own power
@@ -92,25 +94,25 @@ def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array, above: f
         window = np.hanning(n + 2)[1:-1]
         window /= np.sqrt(np.mean(window**2))
         f = np.fft.rfftfreq(n)
-        lines.append(np.abs(np.fft.rfft(rest[run] * window)) ** 2 / n)
+        lines.append(np.abs(np.fft.rfft(residual[run] * window)) ** 2 / n)
         taken = np.zeros(len(f))
         for start in range(0, basis.shape[1], 32):
             part = basis[run, start : start + 32] * window[:, None]
             taken += np.sum(np.abs(np.fft.rfft(part, axis=0)) ** 2, axis=1) / n
         free.append(np.clip(1.0 - taken, 0.0, 1.0))
         place.append(np.where(f > 0, np.searchsorted(edges, f, side="right") - 1, -1).clip(-1, len(edges) - 2))
-    line, left, band = np.concatenate(lines), np.concatenate(free), np.concatenate(place)
+    line, reachable, band = np.concatenate(lines), np.concatenate(free), np.concatenate(place)
     level = np.full(len(edges) - 1, np.nan)
     for b in range(len(level)):
-        inside = (band == b) & (left > 0.02)
-        if np.sum(left[inside]) < least or edges[b] < above:
+        inside = (band == b) & (reachable > 0.02)
+        if np.sum(reachable[inside]) < least or edges[b] < above:
             continue
         # A single line (mains, a periodic motion) must not pass for noise; of few lines one may well be the largest.
-        single, told = line[inside] / left[inside], left[inside] > 0.3
+        single, told = line[inside] / reachable[inside], reachable[inside] > 0.3
         many = told.sum() >= 12 and len(level) >= RESOLUTION.fewest
         usual = np.median(single[told]) / 0.69 if many else np.inf
         good = single < 8.0 * usual
-        level[b] = np.sum(line[inside][good]) / np.sum(left[inside][good])
+        level[b] = np.sum(line[inside][good]) / np.sum(reachable[inside][good])
     return _filled(level, edges)
 
 

@@ -77,12 +77,12 @@ class Noise:
         """(C,) level below the slowest band where the noise is known there for certain, else nan."""
         return plateaus(self.centres, self.levels, self.lines, self.slowest)
 
-    def random_walks(self, rest: Array, waves: int) -> Mask:
+    def random_walks(self, residual: Array, waves: int) -> Mask:
         """(C,) whether what is left (M, C) of a channel is no noise but a walk; `waves` half cosines lie below the bands."""
         if len(self.centres) < RESOLUTION.fewest or len(self.rows.runs) > 1:
             return np.zeros(len(self.sigma), dtype=bool)
-        modes = dct(rest, axis=0, norm="ortho")[1 : 1 + waves] ** 2
-        return walking(self.centres, self.levels, self.lines, modes, len(rest), self.slowest)
+        modes = dct(residual, axis=0, norm="ortho")[1 : 1 + waves] ** 2
+        return walking(self.centres, self.levels, self.lines, modes, len(residual), self.slowest)
 
     def whiten(self, x: Array, channel: int) -> Array:
         """(M, k) columns of one channel, scaled and filtered so that its noise becomes white with unit variance."""
@@ -287,5 +287,5 @@ def _slope(x: Array, y: Array) -> float:
     A = np.stack([np.ones_like(x), x - x[0]], axis=-1)
     inverse = np.linalg.inv(A.T @ A)
     value = inverse @ A.T @ y
-    rest = y - A @ value
-    return float(value[1] - np.sqrt(rest @ rest / max(len(x) - 2, 1) * inverse[1, 1]))
+    residual = y - A @ value
+    return float(value[1] - np.sqrt(residual @ residual / max(len(x) - 2, 1) * inverse[1, 1]))

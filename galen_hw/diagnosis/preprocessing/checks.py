@@ -254,8 +254,8 @@ def _as_near(other: Scene, scene: Scene, *, sure: float = 4.0, most: float = 0.1
         sure: standard errors over pieces of the recording.
         most: share of the variance of what the simulation misses that may come to it; more is motion taken for noise.
     """
-    rest, its = (one.residual - np.nanmean(one.residual, axis=0) for one in (scene, other))
-    more = (its**2 - rest**2) / np.maximum(np.nanvar(rest, axis=0), 1e-30)
+    residual, its = (one.residual - np.nanmean(one.residual, axis=0) for one in (scene, other))
+    more = (its**2 - residual**2) / np.maximum(np.nanvar(residual, axis=0), 1e-30)
     pieces = [np.nanmean(x) for x in np.array_split(more, min(PIECES, len(more)))]
     surely = np.mean(pieces) > sure * np.std(pieces) / np.sqrt(len(pieces))
     return bool(np.nanmean(more) <= most and not surely)

@@ -29,7 +29,7 @@ class Axis:
 
 def curves_of(work: Work) -> list[Curve]:
     """One picture for every part of every effect, in its strongest channel."""
-    model, rest, scene = work.model, work.model.residual(), work.bench.scene
+    model, residual, scene = work.model, work.model.residual(), work.bench.scene
     known = variables(work.bench)
     out: list[Curve] = []
     for h, s in zip(model.parts, model.slices(), strict=True):
@@ -41,7 +41,7 @@ def curves_of(work: Work) -> list[Curve]:
         axis = axis_of(work, h.effect, c, change[:, best], known)
         name = channel_words(scene.channels[c])
         place = ", ".join(h.effect.joints) or name
-        data = change[:, best] + rest[:, c]
+        data = change[:, best] + residual[:, c]
         title = f"{h.effect.KEY.replace('_', ' ')}, {place}"
         out.append(
             Curve(

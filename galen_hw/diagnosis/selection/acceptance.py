@@ -34,7 +34,7 @@ def improvement(
     sigma = np.ones(bench.width) if whitened else bench.noise.sigma
     h = None if i is None else scorer.library[i]
     fine = h is not None and h.effect is not None and not h.effect.lasting()
-    without, rest = (
+    without, residual = (
         cross_validated(bench, scorer.parts(model), scorer.white, fine=fine, whitened=whitened) / sigma
         for model in (out.chosen, trial)
     )
@@ -45,12 +45,12 @@ def improvement(
         if whitened
         else out.initial_mean_square
     )
-    gain = paired(without, rest, begun / sigma**2 - 1.0)
+    gain = paired(without, residual, begun / sigma**2 - 1.0)
     own = list(range(bench.width)) if h is None else list(h.raw.channels)
     rows = _moments(h, bench, without[:, own])
-    square = np.mean(rest[rows][:, own] ** 2, axis=0)
-    left = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0) * np.mean(rows))
-    return gain, min(left / gain.excess, 1.0) if gain.excess > 0.0 else 0.0
+    square = np.mean(residual[rows][:, own] ** 2, axis=0)
+    unexplained = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0) * np.mean(rows))
+    return gain, min(unexplained / gain.excess, 1.0) if gain.excess > 0.0 else 0.0
 
 
 def _moments(h: Hypothesis | None, bench: Bench, without: Array) -> Mask:
@@ -77,22 +77,22 @@ def pays(out: Selection, trial: list[int], i: int | None = None) -> tuple[bool, 
     effect = None if i is None else out.scorer.library[i].effect
     lasting = effect is None or effect.lasting()
     moments = len(effect.single) or 1 if effect is not None and effect.EPISODIC and not effect.THROUGHOUT else 0
-    gain, left = improvement(out, trial, i)
-    if gain.credible(unexplained=left, moments=moments):
+    gain, unexplained = improvement(out, trial, i)
+    if gain.credible(unexplained=unexplained, moments=moments):
         return True, gain.share
     if not (lasting and gain.tolerable and out.bench.scene.clock) or out.scorer.misfit(trial) >= CRITERIA.noise_alone:
         return False, gain.share
-    white, left = improvement(out, trial, i, whitened=True)
+    white, unexplained = improvement(out, trial, i, whitened=True)
     # Raw errors alone tell what completes: in whitened units physics that is missing may pass for slow noise.
-    return replace(white, completes=gain.completes).credible(unexplained=left), gain.share
+    return replace(white, completes=gain.completes).credible(unexplained=unexplained), gain.share
 
 
 def improves(out: Selection, before: Array, after: Array) -> bool:
     """Return whether errors (n, C) on blocks left out, in units of the noise, fall with a trial as a finding's have to."""
     gain = paired(before, after, out.initial_mean_square / out.bench.noise.sigma**2 - 1.0)
     square = np.mean(after**2, axis=0)
-    left = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0)) / max(gain.excess, 1e-300)
-    return gain.credible(unexplained=min(left, 1.0))
+    unexplained = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0)) / max(gain.excess, 1e-300)
+    return gain.credible(unexplained=min(unexplained, 1.0))
 
 
 def held_out_errors(out: Selection, model: list[int]) -> Array:

@@ -24,13 +24,13 @@ def in_place(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> dict[in
 
     Where i is bent, the others are scored on the residual with its bend put back, as if i had never been there.
     """
-    others, rest = [j for j in chosen if j != i], scorer.solve(chosen)[2]
+    others, residual = [j for j in chosen if j != i], scorer.solve(chosen)[2]
     firm, found = len(scorer.library), dict[object, tuple[Hypothesis, Score]]()
     with nonlinear_restored(scorer, i), without_timing(scorer, i) as for_a_while:
         scores = scorer.scores(others)[0]
         if i not in scores:
             return {j: s for j, s in scores.items() if j < firm}
-        gain = scorer.solve(others)[2] - rest
+        gain = scorer.solve(others)[2] - residual
         scores[i] = replace(scores[i], gain=gain, rank=scores[i].rank + gain - scores[i].gain)
         for j in _near(scorer, scores, i):
             h = scorer.library[j]
@@ -110,7 +110,7 @@ def at_nonlinear_optimum(bench: Bench, scorer: Scorer, chosen: list[int], i: int
     """The score of a nonlinear effect at its own optimum (Gauss and Newton) instead of by its slope at zero."""
     rows = np.flatnonzero(bench.train)
     before = float(np.sum(residuals(bench, scorer, chosen)[1][rows] ** 2))
-    best = max(score.gain, *(before - float(np.sum(rest**2)) for rest in _approached(bench, scorer, chosen, i)))
+    best = max(score.gain, *(before - float(np.sum(residual**2)) for residual in _approached(bench, scorer, chosen, i)))
     return replace(score, gain=best, rank=score.rank + best - score.gain)
 
 
@@ -125,11 +125,11 @@ def _approached(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Iter
         target = bench.whitened(y - new.nonlinear)
         model = [*base, new]
         solved = fit(model, target, rows, bench.width)
-        rest = target[rows].copy()
+        residual = target[rows].copy()
         for part, t in with_parameters(model, solved):
-            rest[:, list(part.white.channels)] -= part.white.values[rows] @ t
+            residual[:, list(part.white.channels)] -= part.white.values[rows] @ t
         theta = solved[-h.count :]
-        yield rest
+        yield residual
 
 
 def vuong_statistic(bench: Bench, scorer: Scorer, others: list[int], i: int, j: int) -> float:
@@ -138,16 +138,16 @@ def vuong_statistic(bench: Bench, scorer: Scorer, others: list[int], i: int, j: 
     Source: Vuong 1989, the likelihood ratio of models that are not nested, over blocks since rows depend on each other.
     Beside its own spread a likelihood ratio shows whether it is evidence, or what both miss.
     """
-    worse, better = (_best_rest(bench, scorer, others, k) for k in (j, i))
+    worse, better = (_best_residual(bench, scorer, others, k) for k in (j, i))
     gain = paired(worse, better, np.zeros(1))
     return gain.fall / max(gain.error, 1e-300)
 
 
-def _best_rest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> Array:
+def _best_residual(bench: Bench, scorer: Scorer, others: list[int], i: int) -> Array:
     """(n, C) whitened rest of the training rows with hypothesis i at its optimum."""
     h = scorer.library[i]
     if h.theta is None and _is_nonlinear(bench, h):
-        return min(_approached(bench, scorer, others, i), key=lambda rest: float(np.sum(rest**2)))
+        return min(_approached(bench, scorer, others, i), key=lambda residual: float(np.sum(residual**2)))
     # What a tangent predicts beyond its slope is not in its columns.
     with nullcontext() if h.nonlinear is None else scorer.against(bench.y - h.nonlinear):
         pinned = None if h.effect is None else h.effect.pinned(bench.scene)
@@ -169,10 +169,10 @@ def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int, passes: in
     if effect is None or not effect.searched():
         return i
     given, best = ConditionalGain(bench, scorer, chosen), -np.inf
-    for left in reversed(range(passes if len(effect.searched()) > 1 else 1)):
+    for remaining in reversed(range(passes if len(effect.searched()) > 1 else 1)):
         for name, value in effect.searched().items():
             effect = _along(bench, given, effect, name, value)
-        if left:
+        if remaining:
             before, best = best, given.gain(bench.hypothesis(effect))
             if best < before + LIMITS.tie:
                 break

@@ -22,23 +22,25 @@ def library(bench: Bench) -> list[Effect]:
 def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sought]:
     """What the rest of the present model shows by itself."""
     update_stream(bench, scorer, chosen)
-    rest, _ = residuals(bench, scorer, chosen)
-    found = steps.steps(bench.scene, rest, bench.rows, bench.noise) + steps.staircases(bench.scene, rest, bench.noise)
-    found += contacts(bench.scene, rest, bench.rows)
-    found += steps.slips(bench.scene, rest, bench.rows)
-    found += steps.loads(bench.scene, rest, bench.rows)
-    found += drift.random_walks(bench.scene, rest, bench.noise)
-    found += drift.drifts(bench.scene, rest, bench.rows)
-    found += drift.temperatures(bench.scene, rest, bench.rows)
+    residual, _ = residuals(bench, scorer, chosen)
+    found = steps.steps(bench.scene, residual, bench.rows, bench.noise) + steps.staircases(
+        bench.scene, residual, bench.noise
+    )
+    found += contacts(bench.scene, residual, bench.rows)
+    found += steps.slips(bench.scene, residual, bench.rows)
+    found += steps.loads(bench.scene, residual, bench.rows)
+    found += drift.random_walks(bench.scene, residual, bench.noise)
+    found += drift.drifts(bench.scene, residual, bench.rows)
+    found += drift.temperatures(bench.scene, residual, bench.rows)
     # A limit that was found before something else was is sought again as if it had not been.
     added = bench.rows.average(np.asarray(bench.stream.standing + bench.stream.carried))
     stream, seen = bench.simulated + added, ~bench.excluded_rows
     found += clipping.saturations(bench.scene, np.asarray(bench.whole - added)[seen], stream[seen])
-    hums = [(h.raw.channels, line) for h in (scorer.library[i] for i in chosen) if (line := h.line(bench.scene))]
+    known_lines = [(h.raw.channels, line) for h in (scorer.library[i] for i in chosen) if (line := h.line(bench.scene))]
     return (
         found
-        + spectral_lines.lines(bench.scene, rest, bench.rows, hums)
-        + spectral_lines.ripples(bench.scene, rest, bench.rows)
+        + spectral_lines.lines(bench.scene, residual, bench.rows, known_lines)
+        + spectral_lines.ripples(bench.scene, residual, bench.rows)
     )
 
 
@@ -50,7 +52,7 @@ def known(bench: Bench, scorer: Scorer, effect: Effect) -> bool:
 
 def at_first_sight(bench: Bench) -> list[proposal.Sought]:
     """What belongs to moments and shows in the residual itself: it must not pass for noise, whatever it is to be called."""
-    rest = bench.whole - np.median(bench.whole, axis=0)
-    found = contacts(bench.scene, rest, bench.rows)
-    found += spectral_lines.lines(bench.scene, rest, bench.rows, narrow=np.inf)
-    return found + steps.steps(bench.scene, rest, bench.rows)[:-1]
+    residual = bench.whole - np.median(bench.whole, axis=0)
+    found = contacts(bench.scene, residual, bench.rows)
+    found += spectral_lines.lines(bench.scene, residual, bench.rows, narrow=np.inf)
+    return found + steps.steps(bench.scene, residual, bench.rows)[:-1]

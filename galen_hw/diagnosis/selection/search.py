@@ -68,7 +68,7 @@ def settled(scorer: Scorer, start: Start, needed: float, *, rivals: bool = False
     _stand(out, start)
     if rivals and swapped(out):
         settle_together(out.bench, scorer, out.chosen)
-    _rest(out)
+    _residual(out)
     return out
 
 
@@ -122,10 +122,10 @@ def _conclude(out: Selection) -> None:
         if score is not None:
             out.evidence[i] = score
     out.turn = Turn()
-    _rest(out)
+    _residual(out)
 
 
-def _rest(out: Selection) -> None:
+def _residual(out: Selection) -> None:
     """Leave the residual to the model, which tells by itself what its effects do to each other."""
     out.bench.update_state(interaction=0.0)
     rebase(out.scorer, out.chosen)

@@ -69,7 +69,7 @@ class Gain:
 
 
 def paired(
-    without: Array, rest: Array, excess: Array, *, own: Sequence[int] | slice = slice(None), parameters: int = 0
+    without: Array, residual: Array, excess: Array, *, own: Sequence[int] | slice = slice(None), parameters: int = 0
 ) -> Gain:
     """Compare the errors (n, C) without an effect and with it on the same rows, in units of the noise.
 
@@ -84,12 +84,12 @@ def paired(
         own: channels that are compared; all have to be noise alone where the effect completes the model.
         parameters: that were learnt on these very rows: each takes as much of the noise as it adds elsewhere (Akaike 1974).
     """
-    old, new = (np.mean(x**2, axis=0) for x in (without, rest))
+    old, new = (np.mean(x**2, axis=0) for x in (without, residual))
     whole = bool(np.any(old > CRITERIA.beyond_noise) and np.all(new <= CRITERIA.noise_alone))
-    without, rest, excess = without[:, own], rest[:, own], excess[own]
-    effect, n = without - rest, max(len(rest), 1)
-    count = max(min(PIECES, len(rest)), 1)
-    luck = np.sum(rest * effect, axis=1)
+    without, residual, excess = without[:, own], residual[:, own], excess[own]
+    effect, n = without - residual, max(len(residual), 1)
+    count = max(min(PIECES, len(residual)), 1)
+    luck = np.sum(residual * effect, axis=1)
     match = np.sum(effect**2, axis=1) + luck
     fall, error = _sum(match + luck, 2.0 * luck, count)
     matched, its = _sum(match, luck, count)

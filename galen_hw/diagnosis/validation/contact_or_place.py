@@ -11,7 +11,7 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit import trees
 from galen_hw.diagnosis.lack_of_fit.basis_functions import POSITION, Inputs
-from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.lack_of_fit.structure_test import Structure
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.sampling import Mask, true_runs
 from galen_hw.diagnosis.validation.judgement import touched
@@ -26,7 +26,7 @@ def touches_of(model: Model) -> list[Hypothesis]:
 
 
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
-def predicted_by_place(whole: Model, less: Model) -> list[Left]:
+def predicted_by_place(whole: Model, less: Model) -> list[Structure]:
     """What a model without its contacts leaves during each, if that follows from where the arm was during the others.
 
     Of trees on the joint positions, which know corners of a workspace that polynomials do not. One touch alone has no others.
@@ -59,7 +59,7 @@ def predicted_by_place(whole: Model, less: Model) -> list[Left]:
     share = gain / np.sum(missed[good] ** 2, axis=0)
     size = sigma * np.sqrt(np.sum(predicted**2, axis=0) / good.sum())
     found = [
-        Left(c, POSITION, float(gain[k] - 1.0) / np.sqrt(2.0), float(share[k]), float(size[k]), predicted[:, [k]])
+        Structure(c, POSITION, float(gain[k] - 1.0) / np.sqrt(2.0), float(share[k]), float(size[k]), predicted[:, [k]])
         for k, c in enumerate(channels)
         if gain[k] > 0.0
     ]

@@ -19,14 +19,14 @@ from galen_hw.physics.scenes.base import Scene
 
 def remaining_structures(
     models: Sequence[Model], generic: list[structure_test.Family]
-) -> list[list[structure_test.Left]]:
+) -> list[list[structure_test.Structure]]:
     """What each of some models of one recording leaves above the noise."""
     benches = {id(model.bench): model.bench for model in models}
-    known: dict[int, list[structure_test.Left]] = {}
+    known: dict[int, list[structure_test.Structure]] = {}
     for bench in benches.values():
         mine = [model for model in models if model.bench is bench]
         fitted = [structure_test.Fitted([h.white for h in m.parts], m.residual(), m.residual(white=True)) for m in mine]
-        known |= {id(m): left for m, left in zip(mine, structure_test.leftovers(bench, generic, fitted), strict=True)}
+        known |= {id(m): found for m, found in zip(mine, structure_test.leftovers(bench, generic, fitted), strict=True)}
     return [known[id(model)] for model in models]
 
 
@@ -35,7 +35,7 @@ def has_flexible_effects(model: Model) -> bool:
     return bool(_removal_sets(model))
 
 
-def structures_of_holdout(model: Model, holdout: Scene, judged: Judged) -> list[structure_test.Left]:
+def structures_of_holdout(model: Model, holdout: Scene, judged: Judged) -> list[structure_test.Structure]:
     """What a model leaves of another recording, worth saying: asked where names bend, and wherever it does not hold there."""
     missed, bends = (
         {one.channel for one in above_noise(judged, model, outside_contacts=True)},
@@ -43,8 +43,8 @@ def structures_of_holdout(model: Model, holdout: Scene, judged: Judged) -> list[
     )
     if not missed and not bends:
         return []
-    left = strong(structures_elsewhere(model, holdout, judged), judged, model.bench)
-    return [one for one in left if bends or one.channel in missed]
+    found = strong(structures_elsewhere(model, holdout, judged), judged, model.bench)
+    return [one for one in found if bends or one.channel in missed]
 
 
 def predict_unnamed(
@@ -52,15 +52,15 @@ def predict_unnamed(
     model: Model,
     holdout: Scene | None,
     judged: Judged,
-    rest: list[structure_test.Left],
-) -> tuple[Model, Judged, list[structure_test.Left]]:
+    structures: list[structure_test.Structure],
+) -> tuple[Model, Judged, list[structure_test.Structure]]:
     """What is left predicted without a name, where held-out data support that.
 
     A flexible effect has a name only if it says more than generic functions do in its place: what these explain better alone
     has none. They are asked even if nothing else is left: with enough parameters they follow nearly anything in one recording.
     """
     functions = Functions(model.bench)
-    now, remainder = _explained(model, rest, functions)
+    now, remainder = _explained(model, structures, functions)
     judged = judge_remainder(model, holdout, judged, remainder)
     removal_sets = _removal_sets(model)
     smaller = [
@@ -68,18 +68,18 @@ def predict_unnamed(
         for out in removal_sets
     ]
     theirs = remaining_structures([less for less, _ in smaller], generic)
-    for out, (less, plainly), left in zip(removal_sets, smaller, theirs, strict=True):
-        its_rest = strong(left, judged, model.bench)
+    for out, (less, plainly), found in zip(removal_sets, smaller, theirs, strict=True):
+        its_structures = strong(found, judged, model.bench)
         # Asked of contacts alone: what else leaves with them may have been there.
         place = predicted_by_place(model, less) if {id(h) for h in touches_of(model)} == out else []
-        its_rest = sorted([*its_rest, *place], key=lambda one: -one.z)
-        reached, its_own = _explained(less, its_rest, functions)
+        its_structures = sorted([*its_structures, *place], key=lambda one: -one.z)
+        reached, its_own = _explained(less, its_structures, functions)
         if reached > now + CRITERIA.log_odds or place:
             other = judge_remainder(less, holdout, plainly, its_own)
             # A contact is fitted to the moments that it is judged on: nothing else can do as well there.
             if place or float(np.sum(other.reached / judged.floor)) < float(np.sum(judged.reached / judged.floor)):
-                return less, _finished(less, holdout, other, its_own, its_rest, functions), its_rest
-    return model, _finished(model, holdout, judged, remainder, rest, functions), rest
+                return less, _finished(less, holdout, other, its_own, its_structures, functions), its_structures
+    return model, _finished(model, holdout, judged, remainder, structures, functions), structures
 
 
 def _finished(
@@ -87,26 +87,28 @@ def _finished(
     holdout: Scene | None,
     judged: Judged,
     remainder: Remainder | None,
-    rest: list[structure_test.Left],
+    structures: list[structure_test.Structure],
     functions: Functions,
 ) -> Judged:
     """With what no name is weighed against: the other channels, in which slow noise hides the same physics, and trees."""
     if remainder is None:
         return judged
-    found = {one.kind for one in rest}
+    found = {one.kind for one in structures}
     others = learn(model, {c: found for c in range(model.bench.width) if c not in remainder.parts}, functions)
     wider = remainder if others is None else remainder.joined(others)
     return judge_remainder(model, holdout, judged, trees.blended(wider, model, functions))
 
 
-def _explained(model: Model, rest: list[structure_test.Left], functions: Functions) -> tuple[float, Remainder | None]:
+def _explained(
+    model: Model, structures: list[structure_test.Structure], functions: Functions
+) -> tuple[float, Remainder | None]:
     """Merit of a model together with what generic functions predict of its rest on blocks left out; and these.
 
     Each family pays for having been chosen among all: that choice no block was left out of.
     """
     # A family that shows in one channel may be little in another until what is larger there is told.
-    every = {one.kind for one in rest}
-    kinds = {one.channel: every for one in rest}
+    every = {one.kind for one in structures}
+    kinds = {one.channel: every for one in structures}
     remainder, own = learn(model, kinds, functions), model.penalised_gain(predictive=True)
     if remainder is None:
         return own, None

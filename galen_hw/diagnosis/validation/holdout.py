@@ -36,7 +36,7 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
         key: model.without([h for h in model.effects if h.effect is not None and key == h.effect.KEY]) for key in keys
     }
     floor = bench.noise.sigma**2
-    rest: Array
+    residual: Array
     if holdout is None:
         rows = bench.judged if bench.judged.any() else bench.train
         name = "contiguous blocks set aside" if bench.judged.any() else "the recording itself"
@@ -53,10 +53,12 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
             good, episodes = undisturbed(model, holdout)
         else:
             good, episodes = first.good, first.episodes
-        rest = apply(model, holdout, good)
+        residual = apply(model, holdout, good)
         before = np.mean(apply(baseline, holdout, good)[good] ** 2, axis=0)
-        floor = floor * noise_ratio(model, rest[good])
-        judged = Judged(ELSEWHERE, before, np.mean(rest[good] ** 2, axis=0), {}, floor, episodes=episodes, good=good)
+        floor = floor * noise_ratio(model, residual[good])
+        judged = Judged(
+            ELSEWHERE, before, np.mean(residual[good] ** 2, axis=0), {}, floor, episodes=episodes, good=good
+        )
         noise = replace(bench.noise, rows=bench.rows.of(holdout.segments), cache={})
         test = HoldoutTest(
             floor,
@@ -101,11 +103,11 @@ def _ask(
 def _at_moments(model: Model, part: Model, baseline: Model) -> Gain:
     """What falls with what a smaller model has left out on the rows that it was learnt on, which alone hold its moments."""
     good, sigma = ~model.bench.excluded_rows, model.bench.noise.sigma
-    rest, without, before = (one.residual()[good] / sigma for one in (model, part, baseline))
+    residual, without, before = (one.residual()[good] / sigma for one in (model, part, baseline))
     learnt = sum(h.effective_parameters(whole=True) for h in model.effects) - sum(
         h.effective_parameters(whole=True) for h in part.effects
     )
-    return paired(without, rest, np.mean(before**2, axis=0) - 1.0, parameters=learnt)
+    return paired(without, residual, np.mean(before**2, axis=0) - 1.0, parameters=learnt)
 
 
 def _cross_validated_gain(model: Model, part: Model) -> Gain:
@@ -114,8 +116,8 @@ def _cross_validated_gain(model: Model, part: Model) -> Gain:
     A temperature that stays where it is, or a joint that rests, says nothing for an effect and nothing against it.
     """
     each = (model, part, model.without(model.effects))
-    rest, without, before = (cross_validated(model.bench, one.parts, one.white, whitened=True) for one in each)
-    return paired(without, rest, np.mean(before**2, axis=0) - 1.0)
+    residual, without, before = (cross_validated(model.bench, one.parts, one.white, whitened=True) for one in each)
+    return paired(without, residual, np.mean(before**2, axis=0) - 1.0)
 
 
 def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remainder: Remainder | None) -> Judged:
@@ -125,18 +127,18 @@ def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remaind
         return judged
     if holdout is None:
         rows = bench.judged if bench.judged.any() else bench.train
-        rest = model.residual()[rows]
-        fuller = rest - remainder.own(bench.width)[rows]
+        residual = model.residual()[rows]
+        fuller = residual - remainder.own(bench.width)[rows]
     else:
         said = remainder.predict(holdout, bench.rows.of(holdout.segments), bench.width)
         if said is None:
             return judged
         good = np.ones(len(said), dtype=bool) if judged.good is None else judged.good
-        rest, fuller = (apply(model, holdout, good, besides)[good] for besides in (None, said))
+        residual, fuller = (apply(model, holdout, good, besides)[good] for besides in (None, said))
     unnamed = judged.after.copy()
     for c in remainder.parts:
         better = float(np.mean(fuller[:, c] ** 2))
-        with_it, without = (x[:, [c]] / np.sqrt(judged.floor[c]) for x in (fuller, rest))
+        with_it, without = (x[:, [c]] / np.sqrt(judged.floor[c]) for x in (fuller, residual))
         gain = paired(without, with_it, judged.before[[c]] / judged.floor[[c]] - 1.0)
         if gain.credible(questions=len(remainder.parts)):
             unnamed[c] = better

@@ -7,7 +7,7 @@ import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.model import Model
-from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.lack_of_fit.structure_test import Structure
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.paired_test import Gain
 from galen_hw.diagnosis.stats.sampling import Mask
@@ -75,11 +75,11 @@ class Judged:
         excess = float(np.sum(np.maximum(self.before - self.floor, 0.0) / self.floor))
         return float(np.clip(np.sum(lost / self.floor) / excess, -1.0, 1.0)) if excess > 0 else 0.0
 
-    def fit(self, bench: Bench, left: list[Left]) -> dict[str, dict[str, float]]:
+    def fit(self, bench: Bench, structures: list[Structure]) -> dict[str, dict[str, float]]:
         """The `fit` part of the answer."""
         names = bench.scene.channels
         better = np.zeros(bench.width)
-        for one in left:
+        for one in structures:
             better[one.channel] = max(better[one.channel], one.share)
         after = self.reached
         hoped = np.maximum(self.after * (1.0 - np.clip(better, 0.0, 1.0)), np.minimum(self.floor, self.after))

@@ -22,7 +22,7 @@ from galen_hw.physics.scenes.initial_state import fading
 from galen_hw.spatial import Array
 
 
-def structures_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure_test.Left]:
+def structures_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure_test.Structure]:
     """What a model leaves above the noise of another recording, strongest first, by the noise of the first.
 
     To be asked of models with flexible names: these may follow one motion by what the next one does not have, and there generic
@@ -39,19 +39,21 @@ def structures_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[str
     here = _bench(model, scene, judged)
     if here is None:
         return []
-    rest = apply(model, scene, judged.good)
+    residual = apply(model, scene, judged.good)
     # The second recording's noise may be larger or smaller, of the same colour.
-    white = here.whitened(rest) * model.bench.noise.sigma / np.sqrt(judged.floor)
+    white = here.whitened(residual) * model.bench.noise.sigma / np.sqrt(judged.floor)
     own = [here.hypothesis_of(None, columns).white for columns in here.constants()]
     for h, effect in effects:
         if effect.touches:
             continue
         again = here.hypothesis(effect)
         own.append((again if h.theta is None else tangent(here, again, h.theta)).white)
-    (left,) = structure_test.leftovers(here, structure_test.families(here), [structure_test.Fitted(own, rest, white)])
+    (structures,) = structure_test.leftovers(
+        here, structure_test.families(here), [structure_test.Fitted(own, residual, white)]
+    )
     return [
         replace(one, elsewhere=True)
-        for one in left
+        for one in structures
         if ratio[one.channel] > CRITERIA.noise_alone and one.size**2 > CRITERIA.least_share * excess[one.channel]
     ]
 
@@ -74,7 +76,7 @@ def _bench(model: Model, scene: Scene, judged: Judged) -> Bench | None:
     return here
 
 
-def noise_ratio(model: Model, rest: Array) -> Array:
+def noise_ratio(model: Model, residual: Array) -> Array:
     """(C,) noise of another recording over that of the first, from second differences: they hold hardly any motion.
 
     Of rounded readings no less: where what is read stands between two steps, rounding hides the noise, and not its own error.
@@ -83,7 +85,7 @@ def noise_ratio(model: Model, rest: Array) -> Array:
     good = ~model.bench.excluded_rows
     free = good & ~touched(model)
     own = model.residual()[free if free.any() else good]
-    here, there = (np.mean(np.diff(x, n=2, axis=0) ** 2, axis=0) for x in (own, rest))
+    here, there = (np.mean(np.diff(x, n=2, axis=0) ** 2, axis=0) for x in (own, residual))
     told = model.bench.scene.clock & (here > 0.0) & (there > 0.0)
     ratio = np.where(told, there / np.where(told, here, 1.0), 1.0)
     return np.where(model.bench.steps > 0.0, np.maximum(ratio, 1.0), ratio)
@@ -126,26 +128,28 @@ def apply(model: Model, scene: Scene, good: Mask | None = None, besides: Array |
     seen = np.ones(len(rows), dtype=bool) if good is None else good
     refit = [h for h in model.parts if h.effect is None]
     lasting = [(effect, theta) for effect, theta in model.placed() if not effect.EPISODIC]
-    rest = rows.average(scene.residual - signal_chain.added(scene, lasting, bench.timing))
-    rest = rest - (0.0 if besides is None else besides)
+    residual = rows.average(scene.residual - signal_chain.added(scene, lasting, bench.timing))
+    residual = residual - (0.0 if besides is None else besides)
     columns = [_nuisances(refit, scene, rows, bench)] if refit else []
     found = [h.effect for h in model.parts if h.effect is not None]
     start, length = float(scene.time[0]), max(float(np.ptp(scene.time)), 1e-9)
     for effect in found:
         columns += [_full(other, scene, rows, bench.width) for other in effect.again(start, length)]
-    left = _residual_after(rest, columns, seen)
+    refitted = _residual_after(residual, columns, seen)
     for effect in found:
         if effect.jump is not None:
-            jumps = [_full(effect.jumping(t), scene, rows, bench.width) for t in _moments(scene, left, rows)]
-            columns.append(min(jumps, key=lambda jump: float(np.sum(_residual_after(left, [jump], seen)[seen] ** 2))))
-            left = _residual_after(rest, columns, seen)
-    return left
+            jumps = [_full(effect.jumping(t), scene, rows, bench.width) for t in _moments(scene, refitted, rows)]
+            columns.append(
+                min(jumps, key=lambda jump: float(np.sum(_residual_after(refitted, [jump], seen)[seen] ** 2)))
+            )
+            refitted = _residual_after(residual, columns, seen)
+    return refitted
 
 
-def _moments(scene: Scene, rest: Array, rows: Rows) -> list[float]:
+def _moments(scene: Scene, residual: Array, rows: Rows) -> list[float]:
     """Times at which something may have jumped in a recording; its start where nothing did."""
-    jumps = steps.steps(scene, rest, rows) + steps.slips(scene, rest, rows)
-    jumps += steps.loads(scene, rest, rows)
+    jumps = steps.steps(scene, residual, rows) + steps.slips(scene, residual, rows)
+    jumps += steps.loads(scene, residual, rows)
     found = [s.effect.jump for s in jumps if s.effect.jump is not None]
     return sorted(set(found)) or [float(scene.time[0])]
 
@@ -155,13 +159,13 @@ def _full(effect: Effect, scene: Scene, rows: Rows, width: int) -> Array:
     return rows.average(effect.columns(scene).full(width))
 
 
-def _residual_after(rest: Array, columns: list[Array], seen: Mask) -> Array:
+def _residual_after(residual: Array, columns: list[Array], seen: Mask) -> Array:
     """(M, C) of a rest without what columns (M, C, k) do in it, by plain least squares on the rows seen (M,)."""
     if not columns:
-        return rest
+        return residual
     stacked = np.concatenate(columns, axis=2)
-    X, y = stacked[seen].reshape(-1, stacked.shape[2]), rest[seen].reshape(-1)
-    return np.asarray(rest - stacked @ np.linalg.lstsq(X, y, rcond=1e-9)[0])
+    X, y = stacked[seen].reshape(-1, stacked.shape[2]), residual[seen].reshape(-1)
+    return np.asarray(residual - stacked @ np.linalg.lstsq(X, y, rcond=1e-9)[0])
 
 
 def _nuisances(refit: list[Hypothesis], scene: Scene, rows: Rows, bench: Bench) -> Array:

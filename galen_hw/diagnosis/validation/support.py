@@ -33,17 +33,17 @@ class HoldoutTest:
     ) -> None:
         self._raw, self._white, self._size = raw, white, np.sqrt(floor)
         self._asked = model, raw(model)
-        self._rest = self._asked[1] / self._size
+        self._residual = self._asked[1] / self._size
         self._excess = np.mean((raw(baseline) / self._size) ** 2, axis=0) - 1.0
-        self._white_rest: Array | None = None
+        self._white_residual: Array | None = None
         # In whitened units physics that is missing may pass for slow noise: raw errors have to say that none is.
         bench = model.bench
         if (
             bench.scene.clock
-            and np.mean(self._rest[:, ~bench.without_data] ** 2) < CRITERIA.noise_alone
+            and np.mean(self._residual[:, ~bench.without_data] ** 2) < CRITERIA.noise_alone
             and np.mean((whitened := white(model))[:, ~bench.without_data] ** 2) < CRITERIA.noise_alone
         ):
-            self._white_rest = whitened
+            self._white_residual = whitened
             # Plain least squares, as anybody would fit the baseline, have no errors in whitened units.
             self._white_excess = np.mean(white(model.without(model.effects)) ** 2, axis=0) - 1.0
 
@@ -56,21 +56,21 @@ class HoldoutTest:
     def gain(self, part: Model, own: Sequence[int] | None = None) -> Gain:
         """Compare raw errors; `own`: in these channels alone."""
         at = slice(None) if own is None else list(own)
-        return paired(self.raw(part) / self._size, self._rest, self._excess, own=at)
+        return paired(self.raw(part) / self._size, self._residual, self._excess, own=at)
 
     def gains(self, part: Model, own: Sequence[int] | None = None) -> list[Gain]:
         """Compare errors in each of the units that can tell: one of them has to be credible."""
         out = [self.gain(part, own)]
-        if self._white_rest is not None and out[0].tolerable:
+        if self._white_residual is not None and out[0].tolerable:
             at = slice(None) if own is None else list(own)
-            white = paired(self._white(part), self._white_rest, self._white_excess, own=at)
+            white = paired(self._white(part), self._white_residual, self._white_excess, own=at)
             out.append(replace(white, completes=out[0].completes))
         return out
 
     def belied(self, part: Model, own: Sequence[int], questions: int) -> bool:
         """Return whether an effect makes the error of some channel larger: what is right in one and wrong in the next is none."""
         without, whole = self.raw(part) / self._size, float(np.sum(np.maximum(self._excess, 0.0)))
-        each = (paired(without[:, [c]], self._rest[:, [c]], np.array([whole])) for c in own)
+        each = (paired(without[:, [c]], self._residual[:, [c]], np.array([whole])) for c in own)
         return any(one.contrary(questions=questions * len(own)) for one in each)
 
     def could_tell(self, part: Model, questions: int) -> bool:
@@ -79,8 +79,10 @@ class HoldoutTest:
         Luck has the square of the effect itself for its variance, in units of the noise: a motion that hardly rouses an effect
         neither supports nor refuses it.
         """
-        rest, of = (self._rest, self._raw_of) if self._white_rest is None else (self._white_rest, self._white)
-        return float(np.sum((of(part) - rest) ** 2)) >= CRITERIA.standard_errors(questions) ** 2
+        residual, of = (
+            (self._residual, self._raw_of) if self._white_residual is None else (self._white_residual, self._white)
+        )
+        return float(np.sum((of(part) - residual) ** 2)) >= CRITERIA.standard_errors(questions) ** 2
 
     def _raw_of(self, part: Model) -> Array:
         return self.raw(part) / self._size

@@ -7,7 +7,7 @@ import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.model import Model
-from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.lack_of_fit.structure_test import Structure
 from galen_hw.diagnosis.preprocessing.checks import Screening
 from galen_hw.diagnosis.result import Finding, Verdict
 from galen_hw.diagnosis.stats.criteria import CRITERIA
@@ -26,7 +26,7 @@ def tolerated(judged: Judged) -> Array:
     return np.asarray(CRITERIA.least_share * np.maximum(judged.before - judged.floor, 0.0))
 
 
-def above_noise(judged: Judged, model: Model, *, outside_contacts: bool = False) -> list[Left]:
+def above_noise(judged: Judged, model: Model, *, outside_contacts: bool = False) -> list[Structure]:
     """Channels in which the model does not hold on data that it did not learn from; z is the ratio of mean squares here.
 
     `untouched`: contacts are believed in, and what they leave during themselves is nobody's law.
@@ -43,7 +43,7 @@ def above_noise(judged: Judged, model: Model, *, outside_contacts: bool = False)
     enough = np.maximum(CRITERIA.beyond_noise, 1.0 + 2.0 * luck)
     none = np.zeros((len(bench.rows), 0))
     return [
-        Left(
+        Structure(
             int(c),
             NOTHING_RECORDED,
             float(ratio[c]),
@@ -56,7 +56,7 @@ def above_noise(judged: Judged, model: Model, *, outside_contacts: bool = False)
     ]
 
 
-def contradicted(judged: Judged, model: Model) -> list[Left]:
+def contradicted(judged: Judged, model: Model) -> list[Structure]:
     """The same of the recording itself where another one has judged: what explained it may not have held there."""
     if judged.name != ELSEWHERE:
         return []
@@ -73,30 +73,30 @@ FEW = 0.05
 """Share of the samples that few are at most."""
 
 
-def outlying(model: Model) -> list[Left]:
+def outlying(model: Model) -> list[Structure]:
     """Channels in which few samples hold most of what is left where nothing was found: knocks pass for loud noise.
 
     z is the mean square over that of a usual sample. Of noise with heavy tails (Student's t of three degrees of freedom) samples
     so far off hold a quarter.
     """
     out, none = [], np.zeros((len(model.bench.rows), 0))
-    rest = model.residual()[~model.bench.excluded_rows]
-    away = np.abs(rest - np.median(rest, axis=0))
+    residual = model.residual()[~model.bench.excluded_rows]
+    away = np.abs(residual - np.median(residual, axis=0))
     usual = 1.4826 * np.median(away, axis=0)
     for c in np.flatnonzero(usual > 0.0).tolist():
         far, square = away[:, c] > FAR_OFF * usual[c], away[:, c] ** 2
         share = float(np.sum(square[far]) / np.sum(square))
         if share > 0.5 and np.mean(far) < FEW:
             ratio = float(np.mean(square) / usual[c] ** 2)
-            out.append(Left(c, FEW_SAMPLES, ratio, share, float(np.sqrt(np.mean(square))), none))
+            out.append(Structure(c, FEW_SAMPLES, ratio, share, float(np.sqrt(np.mean(square))), none))
     return sorted(out, key=lambda one: -one.z)
 
 
-PIECES, OUTER = 20, 4
+SPELLS, OUTER = 20, 4
 """Of a recording, and of these so many at either end of the order by size."""
 
 
-def unsteady(model: Model, at_once: int = 100) -> list[Left]:
+def unsteady(model: Model, at_once: int = 100) -> list[Structure]:
     """Find channels of a machine that is told to stand whose error comes and goes as no steady noise does.
 
     Nothing that is simulated moves, so no function of it can tell; but noise of one kind has one size. z is the ratio of mean
@@ -108,33 +108,33 @@ def unsteady(model: Model, at_once: int = 100) -> list[Left]:
         at_once: recordings that are drawn at a time; one of the first settles it where there is nothing.
     """
     bench = model.bench
-    if bench.scene.moved or np.any(np.ptp(bench.scene.simulated, axis=0) > 0.0) or len(bench.rows) < 8 * PIECES:
+    if bench.scene.moved or np.any(np.ptp(bench.scene.simulated, axis=0) > 0.0) or len(bench.rows) < 8 * SPELLS:
         return []
     rng, out, none = np.random.default_rng(bench.seed), [], np.zeros((len(bench.rows), 0))
-    rest, good = model.residual(), ~bench.excluded_rows
+    residual, good = model.residual(), ~bench.excluded_rows
     for c in range(bench.width):
         least = bench.steps[c] ** 2 / 12.0 + 1e-6 * bench.noise.sigma[c] ** 2
-        found = float(_loudest(rest[good, c, None], float(least))[0])
+        found = float(_loudest(residual[good, c, None], float(least))[0])
         draws = (
-            bench.noise.colour(rng.standard_normal((len(rest), at_once)), c)[good]
+            bench.noise.colour(rng.standard_normal((len(residual), at_once)), c)[good]
             for _ in range(math.ceil(bench.width / CRITERIA.chance / at_once))
         )
         if all(np.max(_loudest(drawn, float(least))) < found for drawn in draws):
-            size = float(np.std(rest[good, c]))
-            out.append(Left(c, COMES_AND_GOES, found, 1.0 - 1.0 / found, size, none))
+            size = float(np.std(residual[good, c]))
+            out.append(Structure(c, COMES_AND_GOES, found, 1.0 - 1.0 / found, size, none))
     return sorted(out, key=lambda one: -one.z)
 
 
 def _loudest(x: Array, least: float) -> Array:
     """(k,) ratio of the mean squares of the loudest of `PIECES` pieces of x (n, k) over the quietest, each of `least` more."""
-    square = np.sort([np.var(piece, axis=0) + least for piece in np.array_split(x, PIECES)], axis=0)
+    square = np.sort([np.var(piece, axis=0) + least for piece in np.array_split(x, SPELLS)], axis=0)
     return np.asarray(square[-OUTER:].mean(axis=0) / square[:OUTER].mean(axis=0))
 
 
-def strong(left: list[Left], judged: Judged, bench: Bench) -> list[Left]:
+def strong(structures: list[Structure], judged: Judged, bench: Bench) -> list[Structure]:
     """Return the leftovers that matter: no trifle beside what there was at first, nor beside the noise or the rounding."""
     out = []
-    for one in left:
+    for one in structures:
         noise = float(bench.noise.sigma[one.channel] ** 2)
         before = max(float(judged.before[one.channel]) - noise, noise)
         rounding = _followed(float(bench.steps[one.channel]), float(bench.noise.sigma[one.channel]))
@@ -161,11 +161,11 @@ def _followed(step: float, sigma: float) -> float:
     return float(min(FOLLOWED * step**2 / 12.0, blurred))
 
 
-def verdict_of(findings: list[Finding], rest: list[Left], screening: Screening) -> Verdict:
+def verdict_of(findings: list[Finding], residual: list[Structure], screening: Screening) -> Verdict:
     """The word for what was found and what is left."""
     named = [f for f in findings if f.named]
     if screening.wrong:
         return "unexplained"
     if not named:
-        return "unexplained" if rest else "agrees"
-    return "partly_explained" if rest else "explained"
+        return "unexplained" if residual else "agrees"
+    return "partly_explained" if residual else "explained"

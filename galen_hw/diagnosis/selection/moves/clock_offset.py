@@ -98,16 +98,16 @@ def _shift(bench: Bench) -> tuple[float, float] | None:
     said, measured = simulated + added, simulated + bench.whole[run]
     said, measured = (x[: n // step * step].reshape(-1, step, bench.width).mean(axis=1) for x in (said, measured))
     most = int(REACH * len(said))
-    left = [_left(measured, said, shift, bench.noise.sigma) for shift in range(-most, most + 1)]
-    at = int(np.argmin(left))
-    if left[at] > LEFT * left[most]:
+    costs = [_mean_square(measured, said, shift, bench.noise.sigma) for shift in range(-most, most + 1)]
+    at = int(np.argmin(costs))
+    if costs[at] > LEFT * costs[most]:
         return None
     row = step * float(np.median(np.diff(bench.time[run])))
     return (at - most) * row, row
 
 
-def _left(measured: Array, said: Array, shift: int, sigma: Array) -> float:
+def _mean_square(measured: Array, said: Array, shift: int, sigma: Array) -> float:
     """Mean square of what is said (n, C), late by so many rows, leaves of the measured, beside constants."""
     late, n = max(shift, 0), len(measured)
-    rest = measured[late : n + min(shift, 0)] - said[late - shift : n - late]
-    return float(np.mean(np.var(rest, axis=0) / sigma**2))
+    residual = measured[late : n + min(shift, 0)] - said[late - shift : n - late]
+    return float(np.mean(np.var(residual, axis=0) / sigma**2))

@@ -51,5 +51,5 @@ def _quiet_else(bench: Bench, scorer: Scorer, model: list[int], touches: tuple[S
     """Return whether a model leaves hardly more than noise on the rows outside a touch's episodes."""
     time = bench.time
     outside = bench.train & ~np.any([(time >= start) & (time <= end) for start, end in touches], axis=0)
-    rest = residuals(bench, scorer, model)[0][outside]
-    return len(rest) > 0 and float(np.mean((rest / bench.noise.sigma) ** 2)) < CRITERIA.noise_alone
+    residual = residuals(bench, scorer, model)[0][outside]
+    return len(residual) > 0 and float(np.mean((residual / bench.noise.sigma) ** 2)) < CRITERIA.noise_alone

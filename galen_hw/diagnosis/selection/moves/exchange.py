@@ -39,7 +39,7 @@ def regrouped(out: Selection) -> bool:
         nonlinear = sum((b for i in pair if (b := scorer.library[i].nonlinear) is not None), np.zeros_like(bench.y))
         with scorer.against(bench.y + nonlinear):
             scores = scorer.scores(others)[0]
-            price = {i: scores[i].gain - scores[i].rank for i in scores}
+            penalty = {i: scores[i].gain - scores[i].rank for i in scores}
             if not all(i in scores for i in pair):
                 continue
             whole = scorer.solve(others)[2] - scorer.solve([*others, *pair])[2]
@@ -48,8 +48,8 @@ def regrouped(out: Selection) -> bool:
                 for first in _firsts(scorer, others, pair, scores, whole)
             ]
         unsure = undecided(bench, scorer, out.chosen)
-        for chain in _best(scorer, pair, chains, price, whole, unsure):
-            if _taken(out, pair, chain, price):
+        for chain in _best(scorer, pair, chains, penalty, whole, unsure):
+            if _taken(out, pair, chain, penalty):
                 return True
     return _counted_otherwise(out)
 
@@ -73,11 +73,11 @@ def _counted_otherwise(out: Selection) -> bool:
         for j in lasting:
             others = [k for k in out.chosen if k not in (i, j)]
             scores = scorer.scores(others, [i, j, instead])[0]
-            price = {k: score.gain - score.rank for k, score in scores.items()}
+            penalty = {k: score.gain - score.rank for k, score in scores.items()}
             whole = scorer.solve(others)[2] - scorer.solve(out.chosen)[2]
-            if len(price) < 3 or scores[instead].gain < (1.0 - LIMITS.near) * whole:
+            if len(penalty) < 3 or scores[instead].gain < (1.0 - LIMITS.near) * whole:
                 continue
-            if _taken(out, (i, j), [instead], price):
+            if _taken(out, (i, j), [instead], penalty):
                 return True
     return False
 
@@ -86,24 +86,24 @@ def _best(
     scorer: Scorer,
     pair: tuple[int, ...],
     chains: list[tuple[float, list[int]]],
-    price: dict[int, float],
+    penalty: dict[int, float],
     whole: float,
     unsure: float,
 ) -> list[list[int]]:
     """The best chains of other kinds than the pair: better than that by more than `unsure`, or cheaper and nearly as good."""
-    own = sum(price[i] for i in pair)
-    ranked = sorted(((gain - sum(price[i] for i in chain), chain) for gain, chain in chains), reverse=True)
+    own = sum(penalty[i] for i in pair)
+    ranked = sorted(((gain - sum(penalty[i] for i in chain), chain) for gain, chain in chains), reverse=True)
     found: dict[frozenset[object], list[int]] = {_kinds(scorer, pair): []}
     for rank, chain in ranked:
-        plainer = _needed(pair, chain, price) < CRITERIA.log_odds
+        plainer = _needed(pair, chain, penalty) < CRITERIA.log_odds
         if rank > whole - own + unsure - plainer * LIMITS.near * whole:
             found.setdefault(_kinds(scorer, chain), chain)
     return [chain for chain in found.values() if chain][: LIMITS.rivals]
 
 
-def _needed(pair: Sequence[int], chain: Sequence[int], price: dict[int, float]) -> float:
+def _needed(pair: Sequence[int], chain: Sequence[int], penalty: dict[int, float]) -> float:
     """By how much a chain must be better than the pair, prices paid: one body need not be, beside its half and a shift."""
-    saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
+    saved = sum(penalty[i] for i in pair) - sum(penalty[i] for i in chain)
     if len(chain) < len(pair) and saved > -LIMITS.tie:
         return -CRITERIA.log_odds
     return 0.0 if len(chain) <= len(pair) and saved > LIMITS.tie else CRITERIA.log_odds
@@ -148,18 +148,18 @@ def _rigid(scorer: Scorer, i: int) -> bool:
     return effect is not None and effect.RIGID
 
 
-def _taken(out: Selection, pair: tuple[int, ...], chain: list[int], price: dict[int, float]) -> bool:
+def _taken(out: Selection, pair: tuple[int, ...], chain: list[int], penalty: dict[int, float]) -> bool:
     """Return whether the others, at their optimum, were better and were taken."""
     bench, scorer = out.bench, out.scorer
     before, errors = scorer.solve(out.chosen)[2], held_out_errors(out, out.chosen)
-    saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
+    saved = sum(penalty[i] for i in pair) - sum(penalty[i] for i in chain)
     with out.attempt() as attempt:
         out.chosen = trial = [*(i for i in out.chosen if i not in pair), *chain]
         settle_together(bench, scorer, trial)
         new, fall = trial[len(trial) - len(chain) :], before - scorer.solve(trial)[2]
-        margin = _needed(pair, chain, price) + undecided(bench, scorer, trial)
-        rests = not bench.state.diverging
-        real = rests and all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in new)
+        margin = _needed(pair, chain, penalty) + undecided(bench, scorer, trial)
+        converged = not bench.state.diverging
+        real = converged and all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in new)
         better = real and fall + saved > margin
         attempt.kept = better and no_worse(errors, held_out_errors(out, trial))
     return attempt.kept

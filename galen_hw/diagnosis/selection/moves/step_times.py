@@ -19,9 +19,9 @@ def steps_relocated(out: Selection) -> bool:
         others = [j for j in out.chosen if j != i]
         theta, at, misfit = scorer.solve(out.chosen)
         h = scorer.library[i]
-        rest, _ = residuals(bench, scorer, out.chosen)
-        rest[:, list(h.raw.channels)] += h.raw.values @ theta[scorer.own(at, i)]
-        best = steps.relocated(bench.scene, rest, step, bench.noise)
+        residual, _ = residuals(bench, scorer, out.chosen)
+        residual[:, list(h.raw.channels)] += h.raw.values @ theta[scorer.own(at, i)]
+        best = steps.relocated(bench.scene, residual, step, bench.noise)
         if best.effect == step:
             continue
         scorer.append([bench.hypothesis(best.effect, best.trials)])

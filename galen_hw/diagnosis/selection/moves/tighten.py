@@ -15,7 +15,7 @@ from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
 
 FIRST_STEPS = 6
-OFTEN = 3
+MOST_PER_SEARCH = 3
 """Times that a search asks for its tendon: where physics is missing its models never settle."""
 Start = tuple[Effect, Array]
 """A tendon, and parameters (k,) from which it is sought."""
@@ -35,7 +35,7 @@ def tightened(out: Selection, just: int | None = None) -> bool:
     model = frozenset((just is None, *out.families))
     for i in out.chosen if just is None else [just]:
         effect = scorer.library[i].effect
-        if effect is None or model in out.tightened or len(out.tightened) == OFTEN:
+        if effect is None or model in out.tightened or len(out.tightened) == MOST_PER_SEARCH:
             continue
         if effect.loose or (effect.curved and just is None):
             out.tightened.add(model)
@@ -53,8 +53,8 @@ def _instead(out: Selection, i: int, most: int) -> bool:
         return False
     trial = _with_tendon(bench, scorer, out, others, starts, most)
     more = sum(_numbers(scorer, j) for j in trial) - sum(_numbers(scorer, j) for j in out.chosen)
-    price = more * float(np.log(bench.noise.effective)) + (CRITERIA.log_odds if more == 0 else 0.0)
-    if scorer.solve(trial)[2] + price < before and no_worse(errors, held_out_errors(out, trial)):
+    penalty = more * float(np.log(bench.noise.effective)) + (CRITERIA.log_odds if more == 0 else 0.0)
+    if scorer.solve(trial)[2] + penalty < before and no_worse(errors, held_out_errors(out, trial)):
         out.chosen = trial
         return True
     rebase(scorer, out.chosen)
@@ -125,9 +125,9 @@ def _best(bench: Bench, given: ConditionalGain, starts: list[Start]) -> Hypothes
     best = found
     for starts_of_form in effect.richer_starts(bench.scene, theta):
         less, other = _least(bench, given, starts_of_form)
-        price = (len(starts_of_form[0][1]) - len(theta)) * np.log(bench.noise.effective) + CRITERIA.log_odds
-        if less + price < cost:
-            cost, best = less + price, other
+        penalty = (len(starts_of_form[0][1]) - len(theta)) * np.log(bench.noise.effective) + CRITERIA.log_odds
+        if less + penalty < cost:
+            cost, best = less + penalty, other
     return best
 
 

@@ -34,7 +34,7 @@ NOTHING = 0.02
 """Of the noise: a smaller excess is none."""
 COMPLETE = 0.9
 """The same that each joint's own clocks must take before anything else is known."""
-OFTEN = 2
+MOST_PER_MODEL = 2
 """Times that one model is asked for its clocks: its other values may have moved since."""
 
 
@@ -43,7 +43,7 @@ def reclocked(out: Selection) -> bool:
     bench, scorer = out.bench, out.scorer
     # Not for ever: what the search takes back of an exchange, it would take back again.
     model = out.families
-    again = _ends(scorer, out.chosen) and out.clocked[model] < OFTEN
+    again = _ends(scorer, out.chosen) and out.clocked[model] < MOST_PER_MODEL
     proposed = shifts(bench.scene) if again else []
     out.clocked[model] += 1
     if not proposed:
@@ -123,16 +123,16 @@ def _exchanged(
 
     `nearly`: only if these take nearly all that is above the noise wherever they are better, in so many channels at least.
     """
-    before, missed, old = scorer.solve(out.chosen)[2], held_out_errors(out, out.chosen), _ends(scorer, out.chosen)
+    before, errors, old = scorer.solve(out.chosen)[2], held_out_errors(out, out.chosen), _ends(scorer, out.chosen)
     gone = [one for i in old if (one := scorer.library[i].effect) is not None]
-    price = (numbers([one for one, _ in clocks]) - numbers(gone)) * float(np.log(bench.noise.effective))
+    penalty = (numbers([one for one, _ in clocks]) - numbers(gone)) * float(np.log(bench.noise.effective))
     # What lies between two rows is no number more.
     told = {one.interpolation for one in gone} != {one.interpolation for one, _ in clocks}
     plainer = numbers([one for one, _ in clocks]) < numbers(gone) + told
     with out.attempt() as attempt:
         out.chosen = trial = _through(bench, scorer, [i for i in out.chosen if i not in old], clocks, instead)
-        better = before - scorer.solve(trial)[2] - price > CRITERIA.log_odds
-        attempt.kept = better and _pays(out, missed, held_out_errors(out, trial), nearly=nearly, plainer=plainer)
+        better = before - scorer.solve(trial)[2] - penalty > CRITERIA.log_odds
+        attempt.kept = better and _pays(out, errors, held_out_errors(out, trial), nearly=nearly, plainer=plainer)
     if attempt.kept:
         _same_interpolation(scorer, clocks)
     return attempt.kept

@@ -57,7 +57,7 @@ class ClockSearch:
         self.averaged = self.bench.simulated[:, self.places]
         self.lagged: dict[object, Array] = {}
         self.replacements: dict[Effect, Effect] = {}
-        self.price = float(np.log(self.bench.noise.effective))
+        self.penalty = float(np.log(self.bench.noise.effective))
         self.shortest = 0.5 * spacing(self.bench.scene)
 
     def best_interpolation(self) -> Clocks:
@@ -92,23 +92,23 @@ class ClockSearch:
         step = spacing(self.bench.scene)
         reach = max(4.0 * step, 4.0 * abs(self._by_slope()))
         most, all_late = self._latest(0.0, (-reach, reach))
-        ways: list[tuple[float, Clocks]] = [
+        candidates: list[tuple[float, Clocks]] = [
             (self._gain(0.0, 0.0), []),
-            (most - self.price, [(self.delay, all_late)]),
+            (most - self.penalty, [(self.delay, all_late)]),
         ]
         for constant in log_grid(self.shortest, 2.0 * all_late, CONSTANTS):
             lag = self.delay.lagging(constant, self.shortest)
-            ways.append((self._gain(0.0, constant) - self.price, [(lag, constant)]))
+            candidates.append((self._gain(0.0, constant) - self.penalty, [(lag, constant)]))
             most, late = self._latest(constant, (0.0, all_late))
-            ways.append((most - 2.0 * self.price - CRITERIA.log_odds, [(self.delay, late), (lag, constant)]))
-        clocks = self._plainer(self._refined(max(ways, key=lambda way: way[0])[1], all_late), all_late)
+            candidates.append((most - 2.0 * self.penalty - CRITERIA.log_odds, [(self.delay, late), (lag, constant)]))
+        clocks = self._plainer(self._refined(max(candidates, key=lambda one: one[0])[1], all_late), all_late)
         # A response of second order looks like a delay, or a delay and a lag; friction within has a lag of the first. In one
         # joint by itself two more numbers would take what the others show to be something else.
         if self.friction or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
             return clocks
-        wanted = self.penalised_gain(clocks) + (0.0 if self.swings else CRITERIA.log_odds)
-        swinging = self._swinging(all_late, wanted)
-        return swinging if self.penalised_gain(swinging) > wanted else clocks
+        required = self.penalised_gain(clocks) + (0.0 if self.swings else CRITERIA.log_odds)
+        swinging = self._swinging(all_late, required)
+        return swinging if self.penalised_gain(swinging) > required else clocks
 
     def _plainer(self, clocks: Clocks, all_late: float) -> Clocks:
         """A lag alone for a delay of what lags, where it does as well: on a grid it stands beside its optimum, and is late."""
@@ -122,7 +122,7 @@ class ClockSearch:
     def penalised_gain(self, clocks: Clocks) -> float:
         """Gain less the price of delay, lag or swing alone."""
         late, constant, damping = _read(clocks)
-        return self._gain(late, constant, damping=damping) - self.price * numbers([end for end, _ in clocks])
+        return self._gain(late, constant, damping=damping) - self.penalty * numbers([end for end, _ in clocks])
 
     def _refined(self, clocks: Clocks, all_late: float) -> Clocks:
         """The same with a lag, the delay with it, and the bands of friction within it at their common optimum."""
@@ -144,7 +144,7 @@ class ClockSearch:
             at, cost = _lowest(partial(missed, friction), begun, limits[: len(begun)])
             if FINE**2 * -cost > NEAR:
                 at, cost = _lowest(partial(missed, friction), at, limits[: len(begun)], FINEST, FINE)
-            cost += self.price * sum(len(one.searched()) for one in friction)
+            cost += self.penalty * sum(len(one.searched()) for one in friction)
             if cost < least:
                 best, least = read(at), cost
                 self.replacements = dict(
@@ -156,7 +156,7 @@ class ClockSearch:
             return [(self.delay, self._latest(0.0, (0.0, 2.0 * all_late))[1])] if all_late > 0.0 else clocks[:-1]
         return [*((end, late) for end, _ in delays), (self.delay.lagging(constant, self.shortest), constant)]
 
-    def _swinging(self, all_late: float, wanted: float) -> Clocks:
+    def _swinging(self, all_late: float, required: float) -> Clocks:
         """The best lag of second order: damping and constant make up for each other, and are sought together.
 
         Roughly, where it stays far from being worth what is wanted.
@@ -174,7 +174,7 @@ class ClockSearch:
             (np.log(bound.low), np.log(bound.high)),
         ]
         at, least = _lowest(cost, np.clip(begun, *np.transpose(limits)), limits)
-        if -least - 2.0 * self.price > wanted - NEAR:
+        if -least - 2.0 * self.penalty > required - NEAR:
             at, _ = _lowest(cost, at, limits, FINEST, FINE)
         constant, damping = np.exp(at).tolist()
         return [(self.delay.lagging(constant, self.shortest, damping), constant)]
