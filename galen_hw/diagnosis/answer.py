@@ -1,4 +1,4 @@
-"""A model that was judged, in the words of an answer."""
+"""The answer of a diagnosis: findings, verdict, advice and notes of a judged model."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ def answer(
     glitch: list[Glitches],
     name: str,
 ) -> Diagnosis:
-    """Return what was found, what is left and what to record next."""
+    """Return the answer: what was found, what remains unexplained and what to record next."""
     bench = model.bench
     findings = findings_of(model, selection, judged, glitch)
     for finding in findings:
@@ -69,14 +69,14 @@ def answer(
 
 
 def _limit(bench: Bench) -> str:
-    """Return the smallest effect that would have been seen, in words: a slow one, where noise is slow."""
+    """Return the smallest effect that would have been detected, in words; of a slow one, where the noise is slow."""
     least = bench.detectable
     each = ", ".join(f"{bench.scene.channels[c]} {least[c]:.2g}" for c in np.flatnonzero(~bench.without_data))
     return f"an effect of this rms in one channel would have been seen: {each}"
 
 
 def _wandering(model: Model) -> list[str]:
-    """Return which channels wander by more than their quick noise without a drift: nobody is to take them for quiet."""
+    """Return channels with more low-frequency noise than quick noise and no drift, in words."""
     bench = model.bench
     drifting = {name for h in model.effects if h.effect is not None for name in h.effect.wandering}
     told = [

@@ -1,4 +1,4 @@
-"""A first look at a recording: what is there, so that it does not pass for noise."""
+"""A first look at a recording on few rows, so that what it finds is not taken for noise."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from galen_hw.spatial import Array
 
 @dataclass(frozen=True)
 class Known:
-    """What a first look has found: effects (with parameters where these are not linear), generic functions by channel.
+    """Result of a first look: effects with parameters, and kinds of structure by channel.
 
     step: between the rows of the first look, s; ends: late clocks, filters and limits that it goes through; stream: the scene
     with all that these effects add.
@@ -63,7 +63,7 @@ class Known:
         bench.learn_noise(self.alike(effects, columns), [*self.columns(bench, generic), *also])
 
     def columns(self, bench: Bench, generic: list[structure_test.Family], *, least: int = 12) -> list[Columns]:
-        """On the rows of a bench: what must not pass for noise, as it arrives.
+        """Return columns, on the rows of a bench, of what must not be taken for noise, through the output stage.
 
         Args:
             least: rows for each direction that may be kept from passing for noise.
@@ -88,7 +88,7 @@ class Known:
 
 
 def benches(scene: Scene, held: float, seed: int) -> tuple[Bench, Bench, list[Glitches]]:
-    """The data of the search, those of the first look, and the isolated samples that both leave out."""
+    """Return the bench of the search, that of the first look, and the isolated samples that both exclude."""
     bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, BUDGET.coarse)
     glitch = outliers.marked(bench)
     coarse.leave_out(bench.outlier_rows)
@@ -119,7 +119,7 @@ def effect_columns(effects: list[Effect], *benches: Bench) -> tuple[list[Effect]
 
 
 def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list[Columns], *, blind: bool) -> Known:
-    """Effects and leftovers under a noise that is too small rather than too large, on few rows."""
+    """Search for effects and structure on few rows, with a noise level that is too low rather than too high."""
     generic = structure_test.families(coarse)
     seen = [coarse.raw(s.effect) for s in at_first_sight(bench)]
     extra, above = [*structure_test.leading_directions(coarse, generic), *seen], coarse.motion_band()
@@ -145,7 +145,7 @@ def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list
 
 
 def restarted(bench: Bench, known: Known, holdout: Scene | None) -> Scene | None:
-    """The other recording, and the bench with the stream of the first look: of the beginnings that a model leaves open."""
+    """Give the bench the stream of the first look and its initial state; return the held-out recording with that too."""
     every = [effect for effect, _ in known.effects]
     beginning = sum((e.beginning(bench.scene, theta, every) for e, theta in known.effects), Beginning())
     bench.restart_with(bench.scene.begun(beginning))

@@ -1,4 +1,4 @@
-"""One recording from residual to verdict."""
+"""The diagnosis of one recording, from residual to verdict."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,7 +44,7 @@ def diagnose(
     progress: Progress | None = None,
     repair: bool = True,
 ) -> Work:
-    """Locate, name, model and judge.
+    """Diagnose a recording: locate, name, model and judge what the simulation left out.
 
     Args:
         scene: the recording.
@@ -107,14 +107,14 @@ def diagnose(
 
 
 def _comparable(scene: Scene, examination: Examination) -> Screening:
-    """The recording as repaired, without the rows that cannot be compared, and what was said of it."""
+    """Return the repaired recording without the rows that cannot be compared, with notes."""
     out = screened(scene if examination.observations is scene.observations else scene_of(examination.observations))
     out.take(examination)
     return out
 
 
 def _alike(holdout: Scene, examination: Examination, *, repair: bool) -> Scene:
-    """Another recording of the same machine, repaired by itself but for what the machine is: that is as in the first."""
+    """Return the held-out recording repaired by itself, with the machine's properties as found in the first."""
     ours, theirs = examination.observations.belief, holdout.observations.belief
     zeroed = theirs.zeroed_rotation if theirs.zeroed_rotation is None else theirs.zeroed_rotation @ ours.sensor_turn
     belief = replace(theirs, sensor_turn=ours.sensor_turn, gravity=ours.gravity, tool=ours.tool, zeroed_rotation=zeroed)

@@ -1,4 +1,4 @@
-"""Recordings into a diagnosis: read, joined where they are several runs of one machine, and what is odd about each."""
+"""Recordings into a diagnosis: read, and joined where they are several runs of one machine."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -83,7 +83,7 @@ def _said_better(line: str, columns: list[str]) -> bool:
 
 
 def _joined(recordings: Sequence[Recording], names: list[str]) -> tuple[Observations, list[str]]:
-    """The recordings as one, and what is odd about each."""
+    """Return the recordings joined to one, with notes on each."""
     _same_machine(recordings, names)
     each = [observed(recording) for recording in recordings]
     odd = [
@@ -99,7 +99,7 @@ def _joined(recordings: Sequence[Recording], names: list[str]) -> tuple[Observat
 
 
 def _same_machine(recordings: Sequence[Recording], names: list[str]) -> None:
-    """That all recordings are of one machine and one model, so that one set of parameters can stand for all."""
+    """Raise unless all recordings are of one machine and one model, so that one set of parameters holds for all."""
     first = recordings[0]
     for recording in recordings[1:]:
         for key in ("robot", "tool", "predict", "model", "distal_bodies"):

@@ -1,4 +1,4 @@
-"""The answer as data: what `--json` writes, key by key as `docs/diagnosis.md` has it."""
+"""The answer as data: what `--json` writes, key by key as in `docs/diagnosis.md`."""
 
 import math
 from dataclasses import asdict, dataclass, field
@@ -82,7 +82,7 @@ class Diagnosis:
     clock: bool = True
 
     def to_json(self) -> dict[str, Any]:
-        """As specified; numbers that are not finite become null, which JSON has a word for."""
+        """Return the answer as specified in `docs/diagnosis.md`; numbers that are not finite become null."""
         answer = {
             "schema": 1,
             "recording": self.recording,

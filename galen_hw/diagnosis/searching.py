@@ -1,4 +1,4 @@
-"""The searches under one noise, and what held-out data leave of the better model."""
+"""The searches under one noise model, and the pruning of their models by held-out data."""
 
 from collections.abc import Iterable
 from copy import copy
@@ -35,7 +35,7 @@ def searched(
     blind: bool,
     start: Start = (),
 ) -> tuple[list[Search], list[structure_test.Structure]]:
-    """What was searched under the present noise, the better model first, and what that leaves.
+    """Search under the present noise; return the models, the better one first, and the structure that it leaves.
 
     Args:
         start: a model that another search has found; where it is better than what was found without it, one begins there too.
@@ -49,11 +49,11 @@ def searched(
 
 
 def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: Start) -> list[Search]:
-    """One search or two, the better model first; of two each has a bench of its own, as it left it.
+    """Search once or twice, and return the better model first; of two each has a bench of its own.
 
-    With offsets always in the model and judged at the end (a drift is not called an offset), and with offsets among the
-    hypotheses (a constant error of geometry is not called one). Offsets that stand at the end meet what explains more in their
-    place. Where a start explains all and the better one does not, one more begins there.
+    Once with offsets always in the model and judged at the end (so that a drift is not called an offset), once with offsets among
+    the hypotheses (so that a constant error of geometry is not). Offsets that remain are compared with what explains more in
+    their place. Where a start explains all and the better model does not, one more search begins there.
     """
     if blind:
         nothing = Selection(Scorer(bench, hypotheses))
@@ -120,12 +120,12 @@ def _families(effects: Iterable[Effect | None]) -> set[object]:
 
 
 def pruned(searches: list[Search], holdout: Scene | None, *, nothing: bool) -> tuple[Selection, Model, Model, Judged]:
-    """How it was found, the model that leaves `left`, the model without what held-out data refuse, and how it does on these.
+    """Return selection, fitted model, model after pruning by held-out data, and its judgement.
 
-    With `nothing` a premise refuses the recording: constants too are numbers of something else.
+    With `nothing` a check has refused the recording: constants too are then meaningless.
 
-    Where some of the better model's names are refused (two offsets in the place of a warm-up), the other search may have found
-    what holds: then that is taken.
+    Where held-out data refuse some names of the better model (two offsets in the place of a warm-up), the model of the other
+    search is taken if it is better once pruned.
     """
     (selection, found), *others = searches
     chosen = found.without(list(found.effects)) if nothing else weighed(found)

@@ -12,7 +12,7 @@ from galen_hw.diagnosis.validation.judgement import Judged
 
 @dataclass
 class Work:
-    """What the diagnosis went through, for reports and tests; `structures`: what was worth saying of what is left."""
+    """Everything a diagnosis went through, for reports and tests; `structures`: what is left unexplained and matters."""
 
     bench: Bench
     selection: Selection

@@ -1,4 +1,4 @@
-"""Looks into a residual for touches: episodes in which it stays away from its usual level."""
+"""Propose contacts: episodes in which a residual stays away from its usual level."""
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -24,11 +24,12 @@ def contacts(
     poses: int = 200,
     knock: int = 4,
 ) -> list[Sought]:
-    """Episodes in which the rest (M, C) stays far above its usual level: at most a third of the time, rest before and after.
+    """Return contacts: episodes in which the residual (M, C) stays far above its usual level.
 
-    Running means over three lengths, all channels together, in units of their own robust spread (so slow noise counts as
-    noise). A mean is wider than a knock, or than a touch in a sweep of few poses: these also as narrow as their level says.
-    An episode that begins with the recording or ends with it is a step. Without a clock the row is the time.
+    They cover a third of the time at most, with quiet rows before and after. Running means over three lengths, all channels
+    together, are taken in units of their own robust spread, so that slow noise counts as noise. A mean is wider than a knock, or
+    than a contact in a sweep of few poses: these are also proposed as narrow as their level is. An episode that begins or ends
+    with the recording is a step. Without a clock the row is the time.
 
     Args:
         shares: of the rows that running means are wide, the narrowest first.
@@ -69,7 +70,7 @@ def contacts(
 
 
 def _loud(loud: Mask, length: int) -> list[Episode]:
-    """Runs of loud rows, joined over short gaps, shorter ones left out, ends opened a little."""
+    """Return runs of loud rows: joined over short gaps, without shorter ones, their ends extended a little."""
     out: list[list[int]] = []
     for a, b in true_runs(loud):
         if out and a - out[-1][1] < 3 * length:
@@ -80,7 +81,7 @@ def _loud(loud: Mask, length: int) -> list[Episode]:
 
 
 def _level(away: Array, start: int, end: int) -> Episode:
-    """The part of an episode whose mean, held over it, takes most of the rest (N, C) over its spread."""
+    """Return the part of an episode whose constant mean explains most of the scaled residual (N, C)."""
     total = np.cumsum(np.concatenate([np.zeros((1, away.shape[1])), away[start:end]]), axis=0)
     first, last = np.triu_indices(len(total), 1)
     best = int(np.argmax(np.sum((total[last] - total[first]) ** 2, axis=1) / (last - first)))
@@ -88,7 +89,7 @@ def _level(away: Array, start: int, end: int) -> Episode:
 
 
 def _felt(scene: Scene, episodes: list[Episode], away: Array, z: Array, *, least: float = 3.0) -> list[tuple[str, ...]]:
-    """Channels whose sample shows the episodes, and those of which only the mean `z` (N, C) of many does.
+    """Return the channels whose single samples show the episodes, and those of which only running means `z` (N, C) do.
 
     Args:
         least: mean square of running means during the episodes, noise alone being one, from which a channel feels

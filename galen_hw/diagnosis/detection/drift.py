@@ -1,4 +1,4 @@
-"""Slow movement in a residual: wanders, drifts and temperatures that several channels share."""
+"""Propose slow movement of a residual: random walks, drifts and temperatures that several channels share."""
 
 from dataclasses import replace
 
@@ -13,14 +13,14 @@ from galen_hw.spatial import Array
 
 
 def random_walks(scene: Scene, residual: Array, noise: Noise) -> list[Sought]:
-    """A wander with every wave that is slower than noise, of each channel of which the rest (M, C) walks."""
+    """Return drifts with every wave slower than the noise, for each channel whose residual (M, C) is a random walk."""
     proposed = {d.channel: d for d in Drift.propose(scene) if d.form == "wander"}
     walking = [name for name, walks in zip(scene.channels, noise.random_walks(residual, WALK), strict=True) if walks]
     return [Sought(replace(proposed[name], waves=WALK), 1) for name in walking if name in proposed]
 
 
 def drifts(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
-    """Slow movement that several channels share: of each form the one that takes most, in the channels that it is in.
+    """Return slow movement that several channels share: the best drift of each form, in the channels that show it.
 
     Args:
         rest: (M, C).
@@ -37,9 +37,9 @@ def drifts(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
 
 
 def temperatures(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
-    """Every thermometer that several channels follow, in these: a drift in all of them at once would be before it in one.
+    """Return each thermometer that several channels follow, with the time constant that explains most, and without one.
 
-    At once, and with the delay that takes most.
+    As one effect of these channels: a drift in all of them at once would otherwise be found before it is in one.
 
     Args:
         rest: (M, C).
@@ -60,6 +60,6 @@ def _scaled(residual: Array) -> Array:
 
 
 def _shared(scene: Scene, z: Array, shapes: Array) -> tuple[tuple[str, ...], float]:
-    """Channels of a scaled rest (M, C) that shapes (M, k) are in, and what these take of all together."""
+    """Return the channels of a scaled residual (M, C) that contain shapes (M, k), and the gain over all channels."""
     gain = np.sum((np.linalg.qr(shapes - shapes.mean(axis=0))[0].T @ z) ** 2, axis=0)
     return tuple(n for n, g in zip(scene.channels, gain, strict=True) if g > SHARED * gain.max()), float(gain.sum())

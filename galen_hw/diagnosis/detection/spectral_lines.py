@@ -1,4 +1,4 @@
-"""Looks into a residual for spectral lines, and for ripple along the way of a joint."""
+"""Propose spectral lines of a residual, and ripple over a joint's position."""
 
 from collections.abc import Sequence
 
@@ -25,9 +25,9 @@ def lines(
     wanders: tuple[int, ...] = (0, 5, 15, 45),
     stands_out: float = 3.0,
 ) -> list[Sought]:
-    """The strongest line of the spectrum over its neighbourhood, over all channels and in each.
+    """Return the strongest spectral line over its neighbourhood, over all channels together and in each.
 
-    What is left within the breadth of a known line is its own: two lines so near would be each other's wander.
+    What is left within the breadth of a known line belongs to it: two lines so near would model each other's phase noise.
 
     Args:
         known: lines with the places of their channels.
@@ -71,7 +71,7 @@ def lines(
 
 
 def _peak(score: Array) -> float:
-    """Place of the highest value, between the lines: the top of a parabola through the logarithms of three."""
+    """Return the fractional index of the highest value, by a parabola through the logarithms of three values."""
     k = int(np.argmax(score))
     if not 0 < k < len(score) - 1 or not np.all(score[k - 1 : k + 2] > 0.0):
         return float(k)
@@ -81,7 +81,7 @@ def _peak(score: Array) -> float:
 
 
 def _ground(power: Array, width: int) -> Array:
-    """Running median (F, C) over about `width` lines, from medians of half-overlapping pieces."""
+    """Return the running median (F, C) over about `width` lines, from medians of half-overlapping pieces."""
     half = width // 2
     count = max(len(power) // half - 1, 1)
     middle = np.array([np.median(power[k * half : k * half + width], axis=0) for k in range(count)])
@@ -91,7 +91,7 @@ def _ground(power: Array, width: int) -> Array:
 
 
 def _above_motion(scene: Scene, rows: Rows, pad: int, n: int) -> int:
-    """First place of the padded spectrum that lies above what the arm itself does: a line below is motion."""
+    """Return the first index of the padded spectrum above the band of the motion: a line below is motion."""
     least = (pad // n) * 8
     moving = [scene.joint_index(joint) for joint in scene.moved]
     # Where no joints are known, what is simulated of a recorded orientation shows the motion.
@@ -106,10 +106,10 @@ def _above_motion(scene: Scene, rows: Rows, pad: int, n: int) -> int:
 
 
 def ripples(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
-    """For every joint effort the wave number at which a sine of the joint's position fits best.
+    """Return for every joint effort the wave number at which a sine of the joint's position fits best.
 
-    A period is longer than two steps of the position's reading: finer ones are aliases of its rounding (a standing arm's, above
-    all, whose joints move by a few steps).
+    A period is longer than two steps of the position's reading: finer ones are aliases of its rounding (most of all for a
+    standing arm, whose joints move by a few steps).
     """
     if scene.observations.predict != "effort":
         return []

@@ -1,4 +1,4 @@
-"""Where a residual jumps: once, or several times, of which none may tell by itself."""
+"""Propose jumps of a residual: single ones, staircases, slips and changes of load."""
 
 import itertools
 from dataclasses import replace
@@ -18,9 +18,9 @@ from galen_hw.spatial import Array
 
 
 def steps(scene: Scene, residual: Array, rows: Rows, noise: Noise | None = None) -> list[Sought]:
-    """The moment at which a jump takes most out of the rest (M, C), channel by channel and over all together.
+    """Return the jump that explains most of the residual (M, C), channel by channel and over all channels.
 
-    Where the noise is known to have a memory its slow wander is told from a jump.
+    Where the noise is known to be coloured, the gains are those of generalised least squares.
     """
     N, C = residual.shape
     if N < FEW_ROWS:
@@ -37,15 +37,15 @@ def steps(scene: Scene, residual: Array, rows: Rows, noise: Noise | None = None)
 
 
 def places_of(rows: int) -> int:
-    """At how many places a jump is looked for in so many rows: neighbours are nearly the same place."""
+    """Return the number of independent places at which a jump can be found in so many rows."""
     return rows // 4
 
 
 def staircases(scene: Scene, residual: Array, noise: Noise) -> list[Sought]:
-    """Up to six jumps of each channel, and at moments that channels share, that together take most out of a rest (M, C).
+    """Return up to six jumps of each channel, and of channels together, that jointly explain most of a residual (M, C).
 
-    Each is where it takes most beside those before it, and is placed once more beside all others. What comes back to where it
-    was is no staircase: somebody touched the arm.
+    Each is placed where it explains most given those before it, and once more given all others. What returns to its former level
+    is no staircase: somebody touched the arm.
     """
     N, C = residual.shape
     if N < FEW_ROWS:
@@ -69,7 +69,7 @@ def staircases(scene: Scene, residual: Array, noise: Noise) -> list[Sought]:
 def _stairs(
     residual: Array, noise: Noise, own: list[int], *, worth: float = 25.0, hardly: float = 0.2, most: int = 6
 ) -> list[int]:
-    """First rows of up to `most` treads of a staircase in the rest (M, c) of channels `own`, most telling first.
+    """Return first rows of up to `most` treads of a staircase in the residual (M, c) of channels `own`, by gain.
 
     Args:
         worth: fall of the whitened sum of squares, a channel, for which another jump is sought beside those that
@@ -97,7 +97,7 @@ def _stairs(
 
 
 def _treads(residual: Array, rows: list[int]) -> Array:
-    """(M, C) of a rest without its mean between jumps."""
+    """Return a residual (M, C) without its mean between jumps."""
     edges = [0, *sorted(rows), len(residual)]
     return np.concatenate([residual[a:b] - residual[a:b].mean(axis=0) for a, b in itertools.pairwise(edges)])
 
@@ -123,9 +123,9 @@ def is_seen_by_itself(effect: Effect | None) -> TypeGuard[Step]:
 
 
 def relocated(scene: Scene, residual: Array, step: Step, noise: Noise) -> Sought:
-    """A jump at the moment where it takes most out of a rest (M, C) that it is still in, in its own channels.
+    """Return a jump at the moment where it explains most of a residual (M, C) that still contains it, in its own channels.
 
-    Found beside a model that had not all of the rest, it may be off by what a touch between the two moments then makes up for.
+    Found given a poorer model its moment may be off, and a contact between the two moments would make up for that.
     """
     own = [scene.channels.index(name) for name in step.channels]
     row = int(np.argmax(_gains(residual[:, own], noise, own).sum(axis=1)))
@@ -133,9 +133,9 @@ def relocated(scene: Scene, residual: Array, step: Step, noise: Noise) -> Sought
 
 
 def _gains(residual: Array, noise: Noise | None, own: list[int] | None = None) -> Array:
-    """(M - 1, c) how much a jump before each row but the first takes out of the rest (M, c) of channels `own` (all).
+    """Return the gain (M - 1, c) of a jump before each row but the first of a residual (M, c) of channels `own` (all).
 
-    None near its ends.
+    It is 0 near both ends.
     """
     white = noise is None or not len(noise.edges) or len(noise.rows.runs) > 1
     gain = _white_jumps(residual) if noise is None or white else _jumps(residual, noise, own)
@@ -145,7 +145,7 @@ def _gains(residual: Array, noise: Noise | None, own: list[int] | None = None) -
 
 
 def _white_jumps(residual: Array) -> Array:
-    """(M - 1, C) how much a jump before each row but the first takes out of a rest with white noise."""
+    """Return the gain (M - 1, C) of a jump before each row but the first, for white noise."""
     N = len(residual)
     z = (residual - residual.mean(axis=0)) / np.maximum(slow_spread(residual), 1e-300)
     k = np.arange(1, N)[:, None]
@@ -153,7 +153,7 @@ def _white_jumps(residual: Array) -> Array:
 
 
 def _jumps(residual: Array, noise: Noise, own: list[int] | None = None) -> Array:
-    """The same by generalised least squares, all moments at once: in cosine lines noise is diagonal.
+    """Return the same by generalised least squares, for all moments at once: the noise is diagonal in the cosine transform.
 
     Line j of a jump before row k of N is -sqrt(2 / N) sin(pi j k / N) / (2 sin(pi j / (2 N))).
     """
@@ -170,10 +170,10 @@ def _jumps(residual: Array, noise: Noise, own: list[int] | None = None) -> Array
 
 
 def slips(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
-    """For all that the arm carries the moment at which a slip of it takes most out of the rest (M, C).
+    """Return the slip of each carried body at the moment at which it explains most of the residual (M, C).
 
-    The baseline places what is carried by the whole recording: it takes the same columns of all rows, of which S is the square.
-    Behind a moment these leave A - A S^-1 A of the square A of a slip.
+    The baseline places what is carried by the whole recording: it fits the same columns over all rows, with the square S. After a
+    moment a slip of the square A keeps A - A S^-1 A beside the baseline.
     """
     if len(residual) < FEW_ROWS:
         return []
@@ -189,9 +189,9 @@ def slips(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
 
 
 def loads(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
-    """The moment at which another load takes most out of the rest (M, C): a part picked up, or one that slips in its clamp.
+    """Return the moment at which another load explains most of the residual (M, C): a part picked up, or one that slips.
 
-    The offsets of the channels, which are free, take their part of it.
+    The free offsets of the channels take their part of it.
     """
     # Efforts of an arm that somebody pushes are those of a load too.
     port = scene.body_port() if scene.clock and scene.observations.predict == "wrench" else None
@@ -208,14 +208,14 @@ def loads(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
 
 
 def _in_noise(X: Array, residual: Array) -> tuple[Array, Array]:
-    """Columns (M, c, k) and a rest (M, c) over its quick spread; moves, masses and moments made comparable."""
+    """Return columns (M, c, k) and a residual (M, c) over its quick standard deviation, the columns of equal size."""
     sigma = np.maximum(slow_spread(residual), 1e-300)
     X = X / sigma[:, None]
     return X / np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300), (residual - residual.mean(axis=0)) / sigma
 
 
 def _behind(X: Array, residual: Array, *, count: int = 400) -> tuple[Array, Array, Array]:
-    """Squares (m, k, k) of columns X (M, c, k) behind moments, their products (m, k) with a rest (M, c), and first rows (m,).
+    """Return squares (m, k, k) of columns (M, c, k) after moments, products (m, k) with a residual (M, c), first rows (m,).
 
     Args:
         count: moments that are looked at.
@@ -228,6 +228,6 @@ def _behind(X: Array, residual: Array, *, count: int = 400) -> tuple[Array, Arra
 
 
 def _most(scene: Scene, free: Array, b: Array, moments: Array, rows: Rows) -> float:
-    """The moment, s, with the largest gain b A^-1 b of free squares A (m, k, k) and products b (m, k)."""
+    """Return the moment, s, with the largest gain b A^-1 b of squares A (m, k, k) and products b (m, k)."""
     gain = np.einsum("mk,mkl,ml->m", b, np.linalg.pinv(free, rcond=1e-6, hermitian=True), b)
     return moment(scene, rows, int(moments[int(np.argmax(gain))]))

@@ -1,4 +1,4 @@
-"""Samples that are the one before again: of a sensor that hangs, or that drops out to a constant."""
+"""Find samples that repeat the one before: a sensor that hangs, or that drops out to a constant."""
 
 import numpy as np
 
@@ -17,12 +17,12 @@ def repeated(
     grids: float = 3.0,
     jump: float = 6.0,
 ) -> Mask:
-    """(N, C) samples that are the one before again where readings do not come again by themselves, in all channels or in one.
+    """Return samples (N, C) that repeat the one before where readings do not repeat by themselves.
 
-    Readings without noise do where nothing moves. Those on a grid do by chance: such a stretch must be too long for that, and
-    what is simulated must change over it by more than it usually does from row to row. One channel alone is asked of a wrench,
-    off a grid, and must jump there or back: a joint's effort and position stand still with the joint. Of two and more samples
-    the first is told with them: when it stopped, nobody knows.
+    Readings without noise repeat where nothing moves. Readings on a grid repeat by chance: such a stretch must be too long for
+    that, and the simulation must change over it by more than it usually does from row to row. A single channel is tested only in
+    a wrench, off a grid, and must jump into the stretch or out of it: a joint's effort and position stand still with the joint.
+    Of two and more samples the first is marked with them, for nobody knows when the sensor stopped.
 
     Args:
         most: share of samples that are the one before again; where there are more, the sensor is slower than its

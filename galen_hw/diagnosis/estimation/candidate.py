@@ -1,4 +1,4 @@
-"""One candidate term of a model: an effect at a place, with its columns plain and whitened."""
+"""One hypothesis of a model: an effect at a place, with its columns, raw and whitened."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False)
 class Hypothesis:
-    """One effect on the bench.
+    """Hold one effect with its columns on the bench.
 
     Args:
         effect: the piece of physics; None: a nuisance or a generic term.
@@ -69,15 +69,15 @@ class Hypothesis:
             self.whitened = None
 
     def own(self, channel: int) -> tuple[Index, Array]:
-        """Its columns in a channel that are not zero throughout: their numbers, and whitened (M, n)."""
+        """Return the numbers (n,) of its nonzero columns in a channel, and these whitened (M, n)."""
         i = self.raw.channels.index(channel)
         at = np.flatnonzero(self.live[i])
         return at, self.white.values[:, i] if len(at) == self.count else self.white.values[:, i, at]
 
     def unobserved(self, train: Mask) -> int:
-        """How many parameters belong to moments of which no row is learnt from: they gain nothing there, and cost nothing.
+        """Return how many of its parameters have no training rows: those of moments in held-out blocks, without gain or penalty.
 
-        Told once, for it is asked at every turn of a search: the rows `train` (M,) of a bench stay as they are.
+        The value is cached: the rows `train` (M,) of a bench do not change.
         """
         if self._unobserved is None:
             episodic = self.effect is not None and self.effect.EPISODIC
@@ -85,7 +85,7 @@ class Hypothesis:
         return self._unobserved
 
     def _seen(self, column: int, train: Mask) -> bool:
-        """Whether a column is other than zero in any row that is learnt from; only channels in which it lives are looked at."""
+        """Return whether a column is nonzero in any training row; only its nonzero channels are examined."""
         return any(bool(self.raw.values[train, i, column].any()) for i in np.flatnonzero(self.live[:, column]))
 
     @cached_property
@@ -99,7 +99,7 @@ class Hypothesis:
         return None if self.effect is None else self.effect.family
 
     def line(self, scene: Scene) -> Line | None:
-        """The line of the spectrum that it is, if any."""
+        """Return its spectral line, or None."""
         return None if self.effect is None else self.effect.line(scene)
 
     @property
@@ -109,9 +109,10 @@ class Hypothesis:
         return np.full(self.count, np.nan) if held is None else held
 
     def effective_parameters(self, count: int | None = None, *, whole: bool = False) -> int:
-        """Numbers that it pays for: those that its physics has, searched values included, of `count` columns that show (all).
+        """Return the effective number of parameters that are penalised, searched values included.
 
-        `whole`: with all parameters of a loose hypothesis, which stands for physics with fewer and may not be it.
+        Of `count` columns that are identifiable (all). `whole`: with all parameters of a relaxed hypothesis, which stands for
+        physics with fewer parameters and may not be that physics.
         """
         shown = self.count if count is None else count
         if self.effect is None:
@@ -120,9 +121,9 @@ class Hypothesis:
         return (min(shown, self.effect.freedom or 0) if relaxed else shown) + len(self.effect.searched())
 
     def informative_share(self, train: Mask) -> float:
-        """Share of the rows that are learnt from which tell of its parameters: of touches those while they last, else all.
+        """Return the share of training rows that inform its parameters: of contacts those while they last, else all.
 
-        Told once, as `aside` is.
+        The value is cached, as that of `unobserved`.
         """
         if self._informative_share is None:
             touching = self.effect is not None and bool(self.effect.touches)
@@ -130,28 +131,28 @@ class Hypothesis:
         return self._informative_share
 
     def penalty(self, bench: "Bench") -> float:
-        """Of one of its numbers: the log of how many independent values tell of it (Schwarz 1978).
+        """Return the BIC penalty of one parameter: the log of the effective sample size, at least the AIC penalty 2.
 
-        Of few no less than two: what it takes of noise alone on average, and as much again (Akaike 1974).
+        Schwarz 1978; Akaike 1974.
         """
         return max(float(np.log(max(bench.noise.effective * self.informative_share(bench.train), 1.0))), 2.0)
 
     def log_trials(self, train: Mask) -> float:
-        """Log of how many ways it could have been found in: each of several touches, of which rows are learnt from, anywhere."""
+        """Return the log of the number of trials (look-elsewhere effect); each of several contacts counts by itself."""
         times = 1.0
         if self.effect is not None and self.effect.touches and self.count:
             times = len(self.effect.touches) * (1.0 - self.unobserved(train) / self.count)
         return times * math.log(self.trials)
 
     def contribution(self, theta: Array) -> Array:
-        """(M, len(channels)) its change with parameters theta (k,), what it is bent by included."""
+        """Return the predicted contribution (M, len(channels)) at theta (k,), including its nonlinear remainder."""
         more = [x[:, list(self.raw.channels)] for x in (self.nonlinear, self.interaction) if x is not None]
         return np.asarray(sum(more, self.raw.values @ theta))
 
     def pinned_gain(self, scene: Scene, A: Array, r: Array) -> float | None:
-        """Fall of the whitened sum of squares at the one value its parameters can have, by inner products; None: free.
+        """Return the gain at the one value its parameters can have, from inner products; None where they are free.
 
-        What is fitted instead could be something else: a lag of share two is a delay.
+        A fitted value could be something else: a lag with a share of two is a delay.
         """
         at = None if self.effect is None else self.effect.pinned(scene)
         if at is None:
@@ -171,7 +172,7 @@ def _whitened(noise: Noise, raw: Columns, live: Mask) -> Columns:
 
 
 def with_parameters(parts: Iterable[Hypothesis], theta: Array) -> Iterator[tuple[Hypothesis, Array]]:
-    """Give each part of a model with its share of the parameters theta (k,) of all, in their order."""
+    """Yield each part of a model with its slice of the parameters theta (k,)."""
     done = 0
     for h in parts:
         yield h, theta[done : done + h.count]
@@ -179,10 +180,10 @@ def with_parameters(parts: Iterable[Hypothesis], theta: Array) -> Iterator[tuple
 
 
 def place_of(effect: Effect | None) -> tuple[str, ...]:
-    """Where an effect sits: one hypothesis of a kind a place; those of moments may stand side by side."""
+    """Return the location of an effect: of one kind a location holds one hypothesis, except of momentary effects."""
     return () if effect is None else effect.location
 
 
 def identity_of(effect: Effect | None) -> tuple[object, ...]:
-    """What an effect is, and which of its numbers are searched: a bearing with friction is not one without."""
+    """Return the effect's family and which of its values are searched: a bearing with friction is not one without."""
     return () if effect is None else (effect.family, *effect.searched())

@@ -1,4 +1,4 @@
-"""Errors on blocks left out."""
+"""Cross-validated errors of a model, with blocks of rows left out in turn."""
 
 import numpy as np
 
@@ -48,10 +48,10 @@ def cross_validated(
 def _of_moments(
     model: list[Hypothesis], white: Array, rows: Chosen, fold: Index, width: int, *, fine: bool, lives: float = 0.9
 ) -> Array | None:
-    """(k,) parameters of what lies in one fold alone, as learnt on all rows, else nan; None where nothing does.
+    """Return parameters (k,) that only one fold informs, as fitted on all rows, else NaN; None where there are none.
 
-    A touch that lies in the blocks left out cannot be foretold from the others: what then stands there would decide between
-    models that have the same one. Nor can what fades from a beginning; it may be quicker than a short piece, which no touch is.
+    A contact inside the left-out block cannot be predicted from the others: its residual would decide between models that all
+    contain it. Nor can an initial transient; it may be shorter than a piece, which no contact is.
 
     Args:
         lives: share of the square of what belongs to a moment that must lie in blocks left out for these to be

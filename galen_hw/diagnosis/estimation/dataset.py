@@ -1,6 +1,6 @@
-"""The bench: one recording (or several at once) averaged, its noise known, every hypothesis' columns whitened once.
+"""One averaged recording with its noise model, on which all hypotheses are scored.
 
-All decisions are then small solves: inner products of columns with each other and with the residual.
+All decisions are then small solves: inner products of whitened columns with each other and with the residual.
 """
 
 from collections.abc import Iterable, Iterator
@@ -29,7 +29,7 @@ from galen_hw.spatial import Array
 
 @dataclass(frozen=True, eq=False)
 class ModelState:
-    """What a model makes of the data: replaced as a whole when another model is tried, and never changed.
+    """State that a model gives the data: replaced as a whole when another model is tried, and never changed.
 
     Args:
         y: (M, C) residual less what the model predicts beyond its slopes, and less `interaction`.
@@ -48,7 +48,7 @@ class ModelState:
 
 @dataclass
 class Bench:
-    """See the module.
+    """Hold one averaged recording with its noise model and the state of the present model.
 
     Args:
         scene: what was measured and simulated.
@@ -81,7 +81,7 @@ class Bench:
     """See `know`."""
 
     def __post_init__(self) -> None:
-        """Averages the residual and marks the rows set aside."""
+        """Average the residual and choose the held-out blocks."""
         n = len(self.scene)
         # A scene that low-passes what it compares says how many neighbouring rows hold nothing new.
         stride = max(1, self.scene.grain, -(-n // self.most))
@@ -101,7 +101,7 @@ class Bench:
         self.leave_out(np.zeros(n, dtype=bool))
 
     def leave_out(self, outlier_rows: Mask) -> None:
-        """Rows (N,) of the recording that no fit may see, its ends among them; the averaged rows that hold one are bridged."""
+        """Exclude rows (N,) and the recording's ends from all fits; interpolate the averaged rows that contain one."""
         self.outlier_rows = outlier_rows
         scene = self.scene
         self.invalid_rows = self.rows.spread(outlier_rows | scene.ends)
@@ -130,12 +130,12 @@ class Bench:
         return self.state.timing
 
     def update_state(self, **changes: Any) -> None:
-        """Let another state, with these fields changed, stand in the place of the present one."""
+        """Replace fields of the model state."""
         self.state = replace(self.state, **changes)
 
     @contextmanager
     def delivering(self, timing: OutputStage) -> Iterator[None]:
-        """Deliver all columns through other ends of the stream for a while."""
+        """Deliver all columns through another output stage while the context lasts."""
         before = self.timing
         self.update_state(timing=timing)
         try:
@@ -144,12 +144,12 @@ class Bench:
             self.update_state(timing=before)
 
     def restart_with(self, scene: Scene) -> None:
-        """The same scene with another beginning."""
+        """Use the same scene with another initial state."""
         self.scene = scene
         self.leave_out(self.outlier_rows)
 
     def reset(self) -> None:
-        """As before anything was chosen, but for what the stream is known to carry."""
+        """Reset the model state, keeping the stream."""
         self.state = ModelState(self.whole, self.stream)
 
     @property
@@ -163,25 +163,25 @@ class Bench:
         return self.held_out & ~self.excluded_rows
 
     def average(self, x: Array) -> Array:
-        """Signals (N, ...) on the bench's rows, (M, ...)."""
+        """Return signals (N, ...) averaged on the bench's rows, (M, ...)."""
         return self.rows.average(x)
 
     def averaged(self, columns: Columns) -> Columns:
-        """Columns (N, c, k) on the bench's rows, (M, c, k)."""
+        """Return columns (N, c, k) averaged on the bench's rows, (M, c, k)."""
         return Columns(columns.channels, self.rows.average(columns.values))
 
     def hypothesis(self, effect: Effect, trials: int = 1) -> Hypothesis:
-        """A hypothesis with its columns, averaged and whitened."""
+        """Return the hypothesis of an effect, with averaged columns; from the cache where it has them."""
         known = self.known_columns.get(effect) if trials == 1 and not through(effect, self.timing) else None
         return self.hypothesis_of(effect, self.raw(effect), trials) if known is None else known
 
     def cache_columns(self, hypotheses: Iterable[Hypothesis]) -> None:
-        """Keeps what effects do by themselves, whatever the stream carries, until the noise is another: it is asked again."""
+        """Cache the columns of effects that do not depend on the stream, until the noise is learnt again."""
         each = ((h.effect, h) for h in hypotheses)
         self.known_columns = {e: h for e, h in each if e is not None and (not e.DOWNSTREAM or e.CLOCK)}
 
     def raw(self, effect: Effect) -> Columns:
-        """An effect's averaged columns, as the late, lagging or clipping stream delivers them."""
+        """Return an effect's averaged columns, passed through the output stage: delays, filters and limits."""
         ends = through(effect, self.timing)
         if not ends:
             known = self.known_columns.get(effect)
@@ -198,7 +198,7 @@ class Bench:
         return spacing(self.scene) * self.rows.stride
 
     def late(self, x: Array, seconds: float, *, bowed: bool = False) -> Array:
-        """(M, ...) averages of signals (N, ...) that come later by seconds, see `operators.delay`."""
+        """Return averages (M, ...) of signals (N, ...) delayed by seconds, see `operators.delay`."""
         if self.scene.even:
             return self.rows.late(x, [seconds / step for step in self.scene.steps], bowed=bowed)
         flat = self.stream.delay("delay", x.reshape(len(x), -1), seconds, bowed=bowed)
@@ -220,15 +220,15 @@ class Bench:
         return self.rows.average(self.scene.simulated)
 
     def scene_of(self, effect: Effect) -> Scene:
-        """The scene as an effect meets it: at the end of the stream with all that the model adds."""
+        """Return the scene on which an effect acts: of output stages the one with the model's contribution."""
         return self.stream if effect.DOWNSTREAM else self.scene
 
     def hypothesis_of(self, effect: Effect | None, raw: Columns, trials: int = 1, name: str = "") -> Hypothesis:
-        """A hypothesis of given averaged columns."""
+        """Return a hypothesis with given averaged columns."""
         return Hypothesis(effect, raw, None, trials, name, noise=self.noise)
 
     def constants(self) -> list[Columns]:
-        """What is always fitted: offsets of all channels, the baseline's own nuisances, and what fades from the beginning."""
+        """Return the columns of always fitted nuisances: channel offsets, baseline nuisances, initial transients."""
         ones = np.ones((len(self.rows), 1, 1))
         out = [Columns((c,), ones) for c in range(self.width)]
         everywhere = tuple(range(self.width))
@@ -236,9 +236,9 @@ class Bench:
         return out + [Columns(channels, self.rows.average(x)[:, :, None]) for channels, x in fading(self.scene)]
 
     def learn_noise(self, hypotheses: Iterable[Columns], extra: Iterable[Columns] = (), *, above: float = 0.0) -> None:
-        """Noise from the rest of a fit: principal directions of all columns, channel by channel, and `extra` whole.
+        """Estimate the noise from the residual of a rich fit: leading directions of all columns per channel, and `extra` whole.
 
-        Below `above` (cycles a row) it is not measured but taken as at that frequency.
+        Below `above` (cycles a row) the spectrum is not measured but continued from that frequency.
         """
         self.known_columns = {}
         constants, library = self.constants(), list(hypotheses)
@@ -289,7 +289,7 @@ class Bench:
         return not self.scene.clock or self.spacing >= self.pose
 
     def motion_band(self, *, most: float = 0.995) -> float:
-        """Cycles a row below which nearly all of the motion and of its products lies; 0 where nothing moves.
+        """Return the frequency, cycles a row, below which nearly all of the motion and its products lies; 0 without motion.
 
         Args:
             most: share of the power that counts as nearly all.
@@ -307,11 +307,11 @@ class Bench:
         return float(min(2.0 * reach / n, 0.2))
 
     def whitened(self, y: Array) -> Array:
-        """(M, C) residual whitened; rows that hold nothing are bridged first."""
+        """Return the whitened residual (M, C); invalid rows are interpolated first."""
         return self.noise.bridged(y, ~self.invalid_rows)
 
     def surrogates(self, count: int = BUDGET.surrogates) -> Array:
-        """(M, C, count) whitened noise like this recording's, quantised where its channels are."""
+        """Return surrogates (M, C, count): whitened noise like this recording's, quantised where its channels are."""
         rng = np.random.default_rng(self.seed + 1)
         mix = np.linalg.cholesky(self.noise.correlation + 1e-6 * np.eye(self.width))
         z = rng.normal(size=(len(self.rows), count, self.width)) @ mix.T
@@ -329,16 +329,16 @@ class Bench:
 
 
 def _of(columns: Columns, channel: int) -> Array:
-    """(M, k) columns in a channel, without those that are none there but for the rounding of what they are in others.
+    """Return columns (M, k) in a channel, without those that are rounding errors of other channels' columns.
 
-    Scaled to unit length these would be directions like any, and other ones on another processor.
+    Scaled to unit length these would be arbitrary directions, and other ones on another processor.
     """
     size, own = np.linalg.norm(columns.values, axis=0), columns.channels.index(channel)
     return np.asarray(columns.values[:, own, size[own] > np.sqrt(np.finfo(float).eps) * size.max(axis=0)])
 
 
 def rich_basis(whole: Array, rich: list[Array], rows: int) -> Array:
-    """Orthonormal (M, r): `whole` and the leading directions of the `rich` columns in order, r at most a twelfth of the rows."""
+    """Return an orthonormal basis (M, r) of `whole` and the leading directions of `rich`, r at most a twelfth of the rows."""
     most = int(min(70, max(rows // 12, 4)))
     Q = orthonormal(scaled(whole))
     if not rich:

@@ -1,4 +1,4 @@
-"""Inner products of the columns of many hypotheses: those of one with all others when they are first asked for."""
+"""Inner products of the columns of many hypotheses, computed when they are first asked for."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,7 +22,7 @@ class Group(NamedTuple):
 
 
 class _Beside(NamedTuple):
-    """Columns side by side.
+    """Columns stacked next to each other.
 
     Args:
         at: their numbers; room: (n, m) whose first columns they are: who goes back to fewer leaves the rest to be overwritten.
@@ -33,7 +33,7 @@ class _Beside(NamedTuple):
 
     @classmethod
     def of(cls, at: Index, X: Array, *, least: int = 32) -> "_Beside":
-        """With room for more, if they are few.
+        """Return a stack of columns X, with spare room where they are few.
 
         Args:
             least: columns for which there is room where few come: inner products with many narrow arrays cost
@@ -53,7 +53,7 @@ class _Beside(NamedTuple):
         return bool(len(self.at) + count <= self.room.shape[1])
 
     def joined(self, at: Index, X: Array) -> "_Beside":
-        """With more columns X (n, k)."""
+        """Return the stack with more columns X (n, k)."""
         self.room[:, len(self.at) : len(self.at) + len(at)] = X
         return _Beside(np.concatenate([self.at, at]), self.room)
 
@@ -137,7 +137,7 @@ class InnerProducts:
             self.__dict__.update(kept)
 
     def with_targets(self, targets: list[Array], first: int) -> Array:
-        """(len - first, k) inner products of the columns from a number on with targets, (n, k) of each channel."""
+        """Return inner products (len - first, k) of the columns from a number on with targets, (n, k) of each channel."""
         out = np.zeros((len(self) - first, targets[0].shape[1]))
         for c, target in enumerate(targets):
             for at, X in self._stacks.parts(c, first):
@@ -145,7 +145,7 @@ class InnerProducts:
         return out
 
     def within(self, at: Index) -> Array:
-        """(m, k, k) inner products within groups of k columns each.
+        """Return inner products (m, k, k) within groups of k columns each.
 
         Args:
             at: (m,) a column of each.
@@ -153,7 +153,7 @@ class InnerProducts:
         return np.array([self._blocks[group] for group in self._owner[at].tolist()])
 
     def between(self, a: Index, b: Index) -> Array:
-        """(len(a), len(b)) inner products of columns with columns."""
+        """Return inner products (len(a), len(b)) of columns with columns."""
         self._learn(self._missing(a, b))
         rows, columns = self._row[a], self._row[b]
         out, known = np.zeros((len(a), len(b))), rows >= 0
@@ -170,7 +170,7 @@ class InnerProducts:
         return out
 
     def _missing(self, a: Index, b: Index) -> list[int]:
-        """Groups to be learnt so that of each pair of columns one is known: of a model all but its last."""
+        """Return groups to be computed so that of each pair of columns one is known: of a model all but its last."""
         left, right = (list(dict.fromkeys(self._owner[x[self._row[x] < 0]].tolist())) for x in (a, b))
         return left[:-1] if set(left) == set(right) else min(left, right, key=len)
 

@@ -1,4 +1,4 @@
-"""What a late, lagging or clipping stream delivers of the other effects is late, smoothed or clipped too."""
+"""Interactions of the effects of a model: what one effect changes about the contribution of another."""
 
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 
 def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
-    """What a late or lagging stream delivers of the other effects is late too: a delayed play is not a delay plus a play."""
+    """Pass the columns of all effects through the fitted delays and filters, and fit again; at most twice.
+
+    A delayed play is not a delay plus a play.
+    """
     for _ in range(2):
         theta, now = scorer.solve(chosen)[0], list[tuple[Effect, Array]]()
         for h, t in with_parameters(scorer.parts(chosen), theta):
@@ -38,9 +41,9 @@ def retime(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
 
 
 def cost_without(bench: Bench, scorer: Scorer, chosen: list[int], end: Effect) -> float:
-    """Whitened sum of squares of a model as a stream delivers it that has an end (a lag) no more.
+    """Return the whitened sum of squares of a model without one part of its output stage, all columns made again.
 
-    Columns that came through a lag do what the lag did: beside them it seems to be worth little.
+    Columns that came through a lag contain the lag: given these the lag itself seems to explain little.
     """
     with bench.delivering([(other, theta) for other, theta in bench.timing if other != end]):
         fresh = [scorer.retimed(scorer.library[i]) for i in chosen]
@@ -52,7 +55,7 @@ def cost_without(bench: Bench, scorer: Scorer, chosen: list[int], end: Effect) -
 
 
 def update_stream(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
-    """The bench's stream is given what the model adds to the simulation: a reading that clips, clips all of it."""
+    """Update the simulated stream with the model's contribution: a reading that clips, clips all of it."""
     scene, theta = bench.scene, scorer.solve(chosen)[0]
     standing = np.zeros(bench.width)
     for h, t in with_parameters(scorer.base, theta):
@@ -63,10 +66,10 @@ def update_stream(bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
 
 
 def settle_together(bench: Bench, scorer: Scorer, chosen: list[int], *, met: float = 0.02) -> None:
-    """Nonlinear effects where they stand, and what all do to each other taken off the residual: nothing is to be found in it.
+    """Iterate nonlinear effects and their interactions to a fixed point, which the residual then excludes.
 
-    A model of which one part undoes another (two slow shares of several hundred per cent) does not come to rest: its effects
-    are left each as if alone.
+    A model of which one part cancels another (two slow shares of several hundred per cent) diverges: its interactions are then
+    left out.
 
     Args:
         met: of the noise of one row: what the effects do to each other is told anew when it has moved by more.
@@ -91,7 +94,7 @@ def settle_together(bench: Bench, scorer: Scorer, chosen: list[int], *, met: flo
 
 
 def _placed(scorer: Scorer, chosen: list[int], theta: Array) -> list[tuple[Effect, Array]]:
-    """The chosen effects with their share of the parameters of all."""
+    """Return the chosen effects with their slices of the parameters."""
     parts = with_parameters(scorer.parts(chosen), theta)
     return [(h.effect, t) for h, t in parts if h.effect is not None]
 

@@ -1,4 +1,4 @@
-"""Models of hypotheses fitted by generalised least squares, on all rows or with blocks left out in turn."""
+"""Generalised least squares fits of a model and their residuals."""
 
 import numpy as np
 
@@ -11,7 +11,10 @@ from galen_hw.spatial import Array
 
 
 def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int, stays: Array | None = None) -> Array:
-    """Generalised least squares of a model on some rows; `stays`: (k,) values that parameters keep besides, else nan."""
+    """Fit a model by generalised least squares on some rows, and return its parameters (k,).
+
+    `stays`: (k,) fixed values of parameters besides those of the hypotheses themselves, NaN for free ones.
+    """
     size = sum(h.count for h in model)
     G, b = np.zeros((size, size)), np.zeros(size)
     starts = np.cumsum([0, *(h.count for h in model)])
@@ -28,7 +31,7 @@ def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int, stays: 
 
 
 def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int, *, whitened: bool = False) -> Array:
-    """(len(rows), C) of a model in raw units, or whitened."""
+    """Return the prediction (len(rows), C) of a model, raw or whitened."""
     out = np.zeros((len(rows), width))
     for h, t in with_parameters(model, theta):
         columns = h.white if whitened else h.raw
@@ -37,7 +40,7 @@ def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int, *
 
 
 def residuals(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, Array]:
-    """(M, C) rest of a model, raw and whitened."""
+    """Return the residual (M, C) of a model, raw and whitened."""
     theta = scorer.solve(chosen)[0]
     residual, white = bench.y.copy(), scorer.white.copy()
     for h, t in with_parameters(scorer.parts(chosen), theta):
@@ -47,9 +50,9 @@ def residuals(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, A
 
 
 def reduced_chi2(bench: Bench, scorer: Scorer, chosen: list[int]) -> float:
-    """Mean square of what a model leaves over the noise's, 1 where noise alone is left: whitened, or raw where that is more.
+    """Return the reduced chi square of a model's residual on the training rows: the larger of whitened and raw.
 
-    Physics that is missing passes for slow noise in the weights of a short recording; a single sample knows better.
+    It is 1 for noise alone. Missing physics passes for slow noise in the weights of a short recording; single samples show it.
     """
     residual = residuals(bench, scorer, chosen)[0][np.ix_(bench.train, ~bench.without_data)]
     noise = (bench.noise.sigma**2 * bench.noise.slow_power_ratio)[~bench.without_data]

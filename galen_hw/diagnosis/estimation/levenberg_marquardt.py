@@ -1,4 +1,4 @@
-"""What one more effect adds to a model, and the damped steps that lead one that is not linear to its optimum beside it."""
+"""The gain of one more hypothesis given a model, and Levenberg-Marquardt steps to its nonlinear optimum."""
 
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class ConditionalGain:
-    """What one more hypothesis would add to a model, from inner products with that model's columns alone."""
+    """Compute the gain of one more hypothesis given a model, by the Schur complement of the normal equations."""
 
     def __init__(self, bench: Bench, scorer: Scorer, chosen: list[int]) -> None:
         model = [h for h in scorer.parts(chosen) if np.isnan(h.fixed).all()]
@@ -41,18 +41,18 @@ class ConditionalGain:
         self.root = inverse_root(G)
 
     def gain(self, h: Hypothesis) -> float:
-        """Fall of the whitened sum of squares when it joins."""
+        """Return the fall of the whitened sum of squares when the hypothesis joins."""
         own, r = self.products(h)
         pinned = h.pinned_gain(self.scene, own, r)
         return pinned if pinned is not None else float(r @ solve_sym(own, r[:, None])[:, 0])
 
     def fixed_gain(self, h: Hypothesis) -> float:
-        """The same of what is known by size: its columns as they are."""
+        """Return the gain of the columns with all coefficients fixed at 1."""
         own, r = self.products(h)
         return float(2.0 * r.sum() - own.sum())
 
     def products(self, h: Hypothesis) -> tuple[Array, Array]:
-        """(k, k) of its columns beside the model, and (k,) with what that leaves."""
+        """Return the Schur complement (k, k) of its columns and the projected right-hand side (k,)."""
         own, r, cross = np.zeros((h.count, h.count)), np.zeros(h.count), np.zeros((len(self.root), h.count))
         for i, c in enumerate(h.white.channels):
             X = h.white.values[:, i][self.train]
@@ -74,7 +74,7 @@ def descended(
     first: float = 0.001,
     stuck: float = 1e6,
 ) -> tuple[float, Hypothesis]:
-    """The least cost beside a model that damped steps from theta (k,) lead to within the effect's bounds, and the tangent there.
+    """Return the least cost given a model that damped steps from theta (k,) reach within bounds, and the tangent there.
 
     Source: Levenberg 1944, Marquardt 1963; the model's own parameters are solved for at each step (variable projection).
 
@@ -106,7 +106,7 @@ def descended(
 
 
 def _cost(bench: Bench, given: ConditionalGain, h: Hypothesis, theta: Array) -> float:
-    """Whitened sum of squares beside a model with the effect at theta, less that without it."""
+    """Return the whitened sum of squares given a model with the effect at theta, less that without it."""
     assert h.effect is not None, "nuisances are linear"
     there = contribution(bench, h.effect, theta)
     return -given.fixed_gain(bench.hypothesis_of(None, Columns(tuple(range(bench.width)), there[:, :, None])))
@@ -115,7 +115,7 @@ def _cost(bench: Bench, given: ConditionalGain, h: Hypothesis, theta: Array) -> 
 def _step_from(
     bench: Bench, given: ConditionalGain, h: Hypothesis, theta: Array
 ) -> tuple[Hypothesis, float, Array, Array]:
-    """The tangent at theta, its cost beside the model, and normal equations A (k, k), r (k,) of a step from there."""
+    """Return the tangent at theta, its cost given the model, and normal equations A (k, k), r (k,) of the next step."""
     here = tangent(bench, h, theta)
     assert here.nonlinear is not None, "a tangent has one"
     own = here.nonlinear + here.raw.values @ theta

@@ -1,4 +1,4 @@
-"""How far the phase of an oscillation wanders: a hum is no clock, and its frequency is not known as if it were."""
+"""The frequency of a spectral line and its uncertainty by phase noise."""
 
 import numpy as np
 from scipy.stats import norm as normal
@@ -12,15 +12,16 @@ from galen_hw.spatial import Array
 
 
 def mean_frequency(model: Model, h: Hypothesis, line: Line, *, count: int = 16) -> tuple[float, float]:
-    """Frequency over the whole recording, and its standard deviation by the wander of the phase alone (0: none seen), Hz.
+    """Return the mean frequency of a line and its standard deviation by phase noise alone (0: none seen), Hz.
 
-    A line whose phase may wander is as well fitted a little beside its frequency: the mean one is where the phase has no slope.
+    A line with a wandering phase is as well fitted a little off its frequency: the mean frequency is where the phase has no
+    trend.
 
-    The phase of what is measured, piece by piece, against the fitted line: what its steps from piece to piece show beyond
-    noise is taken for a random walk of s^2 rad^2 a second. Means over pieces of length d differ by 2/3 s^2 d in the mean
-    square, and the slope of a walk over a time T has the variance 6/5 s^2 / T (least squares; Durlauf and Phillips 1988). That
-    s^2 rests on few steps widens the deviation as Student's t is wider than a normal law. Of a weak line noise may hide the
-    walk: s^2 is what it is on average where it cannot be negative and every value was as likely before.
+    The phase of the measured line, piece by piece, is compared with that of the fitted one; the variance of its increments beyond
+    the noise is taken for a random walk of s^2 rad^2 a second. Means over pieces of length d differ by 2/3 s^2 d in the mean
+    square, and the slope of a random walk over a time T has the variance 6/5 s^2 / T (least squares; Durlauf and Phillips 1988).
+    As s^2 rests on few increments, the deviation is wider by Student's t. For a weak line s^2 is its mean under a flat prior on
+    non-negative values.
 
     Args:
         count: pieces.
@@ -53,14 +54,14 @@ def mean_frequency(model: Model, h: Hypothesis, line: Line, *, count: int = 16) 
 
 
 def _positive(value: float, error: float) -> float:
-    """Mean of what is not negative, of which a measurement with a normal error says `value`."""
+    """Return the posterior mean of a non-negative quantity, measured as `value` with a normal error."""
     if error <= 0.0:
         return max(value, 0.0)
     return float(truncnorm.mean(-value / error, np.inf, loc=value, scale=error))
 
 
 def _alone(model: Model, line: Line) -> Array:
-    """(M, C) what is left with the effect put back, and whatever else hums within its breadth."""
+    """Return the residual (M, C) with the line, and others within its breadth, added back."""
     out = model.residual().copy()
     for h, s in zip(model.parts, model.slices(), strict=True):
         other = h.line(model.bench.scene)

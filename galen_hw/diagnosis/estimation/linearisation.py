@@ -1,4 +1,4 @@
-"""What an effect that is not linear does beyond its slope: taken off the residual while it is part of a model."""
+"""Linearisation of nonlinear effects; the nonlinear remainder is taken off the residual while they are in a model."""
 
 from contextlib import AbstractContextManager, nullcontext
 
@@ -14,7 +14,7 @@ from galen_hw.spatial import Array
 
 
 def tangent(bench: Bench, h: Hypothesis, theta: Array) -> Hypothesis:
-    """The hypothesis linearised at theta, with what it predicts there beyond slope times theta."""
+    """Return the hypothesis linearised at theta, with its nonlinear remainder there."""
     effect = h.effect
     assert effect is not None, "nuisances are linear"
     slopes = []
@@ -31,7 +31,7 @@ def tangent(bench: Bench, h: Hypothesis, theta: Array) -> Hypothesis:
 
 
 def contribution(bench: Bench, effect: Effect, theta: Array) -> Array:
-    """(M, C) averaged change of an effect with parameters theta (k,), as it arrives through a late or lagging stream."""
+    """Return the averaged contribution (M, C) of an effect at theta (k,), as it leaves the output stage."""
     shifted = effect.shifted(bench, bench.scene, theta)
     if shifted is not None:
         return shifted
@@ -39,7 +39,7 @@ def contribution(bench: Bench, effect: Effect, theta: Array) -> Array:
 
 
 def linear_residual(scorer: Scorer, chosen: list[int]) -> Array:
-    """(M, C) residual less what a model predicts beyond its slopes, and what the effects of the present one do to each other."""
+    """Return the residual (M, C) less the nonlinear remainders of a model and the interactions of the present one."""
     nonlinear = [b for i in chosen if (b := scorer.library[i].nonlinear) is not None]
     return np.asarray(
         scorer.bench.whole - scorer.bench.state.interaction - sum(nonlinear, np.zeros_like(scorer.bench.whole))
@@ -47,7 +47,7 @@ def linear_residual(scorer: Scorer, chosen: list[int]) -> Array:
 
 
 def rebase(scorer: Scorer, chosen: list[int]) -> None:
-    """The scorer is given the residual that belongs to a model, if it has another's."""
+    """Set the scorer's residual to that of a model, if it has another's."""
     y = linear_residual(scorer, chosen)
     if not _same(scorer, y):
         scorer.bench.update_state(y=y)
@@ -55,13 +55,13 @@ def rebase(scorer: Scorer, chosen: list[int]) -> None:
 
 
 def as_if(scorer: Scorer, chosen: list[int]) -> AbstractContextManager[None]:
-    """The scorer for a while on the residual that belongs to a model."""
+    """Use the residual that belongs to a model while the context lasts."""
     y = linear_residual(scorer, chosen)
     return nullcontext() if _same(scorer, y) else scorer.against(y)
 
 
 def nonlinear_restored(scorer: Scorer, i: int) -> AbstractContextManager[None]:
-    """The scorer for a while on the residual as if the chosen hypothesis i had never been there."""
+    """Restore the nonlinear remainder of the chosen hypothesis i to the residual while the context lasts."""
     nonlinear = scorer.library[i].nonlinear
     return nullcontext() if nonlinear is None else scorer.against(scorer.bench.y + nonlinear)
 

@@ -1,4 +1,4 @@
-"""The chosen model, settled: what is held constant, its parameters with honest errors, and how it does on held-out rows."""
+"""A fitted model: nuisances and effects with parameters, their errors, and the residual."""
 
 import itertools
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from galen_hw.spatial import Array
 
 @dataclass(frozen=True)
 class ParameterErrors:
-    """Errors of a model's parameters, all of them unknown at once.
+    """Joint covariance of linear parameters and searched values.
 
     Args:
         covariance: (k, k) of the linear parameters, whatever the searched ones are.
@@ -37,7 +37,7 @@ class ParameterErrors:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Nuisances and effects with parameters: a value, of which others are made and which none changes.
+    """Hold nuisances and effects with fitted parameters: a value, of which others are made and which none changes.
 
     Args:
         bench: on which it was found.
@@ -57,7 +57,7 @@ class Model:
     final: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        """Fits."""
+        """Fit the parameters on the training rows and on all rows."""
         # Derived once, as `field(init=False)`; nothing sets them later.
         object.__setattr__(self, "y", self.bench.whole - _nonlinear_contribution(self.effects, self.bench.whole))
         train, everything = np.flatnonzero(self.bench.train), np.flatnonzero(~self.bench.excluded_rows)
@@ -101,7 +101,7 @@ class Model:
         return ParameterErrors(whole[:size, :size], lost | dict(zip(slopes, spread, strict=True)))
 
     def _searched_slope(self, k: int, name: str, *, share: float = 0.02, never: float = 1e-9) -> Hypothesis | None:
-        """Return how the k-th effect changes with a searched value, as a column; None where the model's own columns do the same.
+        """Return the derivative with respect to a searched value as a column, or None where it is collinear with the model.
 
         Args:
             share: of the logarithm of the factor within which a searched value is sought: by as much its
@@ -141,7 +141,7 @@ class Model:
         return out
 
     def with_updated_laws(self) -> "Model":
-        """The same with every law that binds parameters placed anew by what they are here: a small body where it now sits."""
+        """Return the model with bound parameters re-evaluated at the estimates: a small body at its present place."""
         effects = list(self.effects)
         for k, (h, s) in enumerate(zip(self.effects, self.slices()[len(self.nuisances) :], strict=True)):
             told = h.effect.told_by(self.final[s]) if h.effect is not None and h.effect.bound else None
@@ -154,7 +154,7 @@ class Model:
         return replace(self, effects=[new if h is old else h for h in self.effects])
 
     def _fitted(self, parts: list[Hypothesis], y: Array, rows: Chosen, known: Array | None = None) -> Array:
-        """Parameters learnt on some rows; what is curved stays where it was settled if its tangent does not reach so far.
+        """Return parameters fitted on some rows; a nonlinear effect keeps its values where its tangent does not reach so far.
 
         Args:
             parts, y: a model and what it is to give; rows: to learn on; known: (k,) parameters that are given, else nan.
@@ -184,7 +184,7 @@ class Model:
         return [*self.nuisances, *self.effects]
 
     def slices(self) -> list[slice]:
-        """Where each part's parameters stand."""
+        """Return the slice of each part's parameters."""
         ends = np.cumsum([0, *(h.count for h in self.parts)])
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
@@ -198,7 +198,7 @@ class Model:
         return [(h.effect, self.final[s]) for h, s in parts if h.effect is not None]
 
     def without(self, out: list[Hypothesis]) -> "Model":
-        """The same with some effects left out, fitted again; without a limit the others show where the readings clipped."""
+        """Return the model without some effects, fitted again; without a limit the others' columns are no longer clipped."""
         kept, limits = (
             [h for h in self.effects if h not in out],
             [h.effect for h in out if h.effect is not None and h.effect.clips],
@@ -218,7 +218,7 @@ class Model:
         return replace(self, bench=bench, effects=whole)
 
     def unweighted_parts(self) -> tuple[list[Hypothesis], Array]:
-        """Parts and residual with all frequencies weighed alike."""
+        """Return parts and residual with all frequencies weighted alike."""
         return [self._plain(h) for h in self.parts], self.y / self.bench.noise.sigma
 
     def _plain(self, h: Hypothesis) -> Hypothesis:
@@ -226,7 +226,7 @@ class Model:
         return replace(h, whitened=Columns(h.raw.channels, values))
 
     def residual(self, *, white: bool = False) -> Array:
-        """(M, C) what the model learnt on the training rows leaves."""
+        """Return the residual (M, C) of the model fitted on the training rows."""
         if not white:
             rows = np.arange(len(self.y))
             return self.y - predicted(self.parts, self.theta, rows, self.bench.width)
@@ -252,10 +252,10 @@ class Model:
     def _covariance(
         self, parts: list[Hypothesis], white: Array, rows: Chosen, more: Sequence[Hypothesis] = ()
     ) -> Array:
-        """Sandwich over contiguous blocks: valid when the whitening is not perfect; never below the classical one.
+        """Return the sandwich covariance over contiguous blocks: valid for imperfect whitening, never below the classical one.
 
-        Nor below what it would be if the noise had no more scatter from band to band than its spectrum shows for certain.
-        `more`: single columns whose factors are unknown too, and stand behind the parameters.
+        Nor below what it would be if the noise had no more scatter from band to band than its spectrum shows with certainty.
+        `more`: single columns with unknown factors, behind the parameters.
         """
         size = len(self.final) + len(more)
         G, even = np.zeros((size, size)), np.zeros((size, size))
@@ -294,14 +294,14 @@ class Model:
 
 
 def _nonlinear_contribution(effects: list[Hypothesis], like: Array) -> Array:
-    """(M, C) what effects add beyond slope times parameters."""
+    """Return the contribution (M, C) of effects beyond slope times parameters."""
     return sum((x for h in effects for x in (h.nonlinear, h.interaction) if x is not None), np.zeros_like(like))
 
 
 def with_interactions(model: Model, *, stays: float = 1e-2) -> Model:
-    """The model with what its effects do to each other, fitted again until that stays: a gain scales a new load too.
+    """Return the model with the interactions of its effects, fitted again until these converge: a gain scales a new load too.
 
-    Where it does not come to rest, the effects are left each as if alone.
+    Where they diverge, the effects are left without interactions.
 
     Args:
         stays: of the noise of one row: what moves by less stays.

@@ -1,4 +1,4 @@
-"""What is not linear in its parameters: linearised anew where it stands, compared at its optimum, searched values polished."""
+"""Iterated linearisation of the nonlinear effects of a model (Gauss-Newton)."""
 
 import numpy as np
 
@@ -11,9 +11,9 @@ from galen_hw.diagnosis.settings import BUDGET
 
 
 def settle(bench: Bench, scorer: Scorer, chosen: list[int], *, anew: bool = False) -> None:
-    """Nonlinear effects are linearised anew where they stand; what they do beyond their slope is taken off the residual.
+    """Linearise nonlinear effects again at their estimates until these converge; their remainders leave the residual.
 
-    `anew`: even where they stand as before, since all that they do arrives otherwise.
+    `anew`: even where the estimates have not moved, since the output stage has changed.
     """
     rebase(scorer, chosen)
     for _ in range(3):
@@ -41,7 +41,7 @@ def settle(bench: Bench, scorer: Scorer, chosen: list[int], *, anew: bool = Fals
 
 
 def _settled(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Hypothesis:
-    """The chosen hypothesis i, which is curved, at its optimum beside the others."""
+    """Return the chosen nonlinear hypothesis i at its optimum given the others."""
     h = scorer.library[i]
     assert h.theta is not None, "it is chosen as a tangent"
     with nonlinear_restored(scorer, i):

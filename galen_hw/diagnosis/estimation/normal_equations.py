@@ -1,4 +1,4 @@
-"""Likelihood ratios of all hypotheses against what is already in the model, from inner products alone."""
+"""Likelihood ratios of all hypotheses given a model, from inner products alone."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -19,7 +19,7 @@ from galen_hw.spatial import Array
 
 @dataclass(frozen=True)
 class Score:
-    """How much one hypothesis adds.
+    """How much one hypothesis adds to a model.
 
     Args:
         gain: fall of the whitened sum of squares.
@@ -37,7 +37,7 @@ class Score:
 
 
 class Projected(NamedTuple):
-    """What a model's parameters that are held leave for those that are fitted.
+    """Normal equations with a model's fixed parameters projected out.
 
     Args:
         at: column numbers of what is fitted; b: (K,) inner products of all columns with what is left; total: its sum of squares.
@@ -86,12 +86,12 @@ class Scorer:
         self.fakes = np.concatenate([self.fakes, self.products.with_targets(self._fake_rows, old)])
 
     def _group(self, h: Hypothesis) -> Group:
-        """Its whitened columns on the training rows."""
+        """Return its whitened columns on the training rows."""
         own = {c: h.own(c) for c in h.raw.channels} if h.count else {}
         return Group(h.count, {c: (at, X[self._train]) for c, (at, X) in own.items() if len(at)})
 
     def retime(self) -> None:
-        """All columns anew as the bench's late or lagging stream delivers them; whitened a part of the library at a time."""
+        """Pass all columns through the present output stage; whiten a part of the library at a time."""
         library, self.library, self.places = self.library, [], []
         self.families.clear()
         self.products = InnerProducts(self.bench.width)
@@ -104,7 +104,7 @@ class Scorer:
                 h.release()
 
     def retimed(self, h: Hypothesis) -> Hypothesis:
-        """Its columns anew, unless it belongs to a moment, is the end of the stream itself, or is bent at its optimum."""
+        """Return a hypothesis with columns made again, unless it is momentary, part of the output stage, or at its optimum."""
         if (
             h.effect is None
             or h.theta is not None
@@ -115,7 +115,7 @@ class Scorer:
         return self.bench.hypothesis_of(h.effect, self.bench.raw(h.effect), h.trials, h.name)
 
     def retarget(self, y: Array) -> None:
-        """Another residual (M, C) for the same columns: what nonlinear effects predict beyond their slope is taken off."""
+        """Use another residual (M, C) for the same columns, less the nonlinear remainders."""
         self.white = self.bench.whitened(y)
         self.b = self.products.with_targets(self._white_rows, 0)[:, 0]
 
@@ -126,7 +126,7 @@ class Scorer:
 
     @contextmanager
     def against(self, y: Array) -> Iterator[None]:
-        """Another residual (M, C) for a while."""
+        """Use another residual (M, C) while the context lasts."""
         bench, y_before, before = self.bench, self.bench.y, (self.white, self.b)
         bench.update_state(y=y)
         self.retarget(y)
@@ -141,7 +141,7 @@ class Scorer:
 
     @contextmanager
     def trying(self, new: list[Hypothesis]) -> Iterator[None]:
-        """More hypotheses for a while; whatever joins meanwhile leaves with them."""
+        """Add hypotheses while the context lasts; whatever joins meanwhile leaves with them."""
         kept = self.library, self.places, self.b, self.fakes
         self.library, self.places = list(kept[0]), list(kept[1])
         with self.products.fewer_again():
@@ -162,7 +162,7 @@ class Scorer:
         return [*self.library[: len(self.base)], *(self.library[i] for i in chosen)]
 
     def base_with(self, chosen: list[int]) -> Index:
-        """Column numbers of the constants and the chosen hypotheses."""
+        """Return the column numbers of the constants and the chosen hypotheses."""
         return self._numbers([*range(len(self.base)), *chosen])
 
     def own(self, at: Index, i: int) -> Mask:
@@ -174,7 +174,7 @@ class Scorer:
         return np.concatenate([np.empty(0, dtype=np.intp), *parts])
 
     def solve(self, chosen: list[int], *, asked: int | None = None) -> tuple[Array, Index, float]:
-        """Parameters, column numbers and whitened sum of squares of a model; what is `asked` may have any parameters."""
+        """Return parameters, column numbers and whitened sum of squares; parameters of hypothesis `asked` are freed."""
         at = self.base_with(chosen)
         held = self._held(chosen)
         if asked is not None:
@@ -184,7 +184,7 @@ class Scorer:
         return theta, at, self.total - float(2.0 * theta @ b - theta @ G @ theta)
 
     def projected(self, chosen: list[int]) -> Projected:
-        """A model's free columns, and what its held ones leave."""
+        """Project out the model's fixed parameters."""
         at, held = self.base_with(chosen), self._held(chosen)
         fixed = ~np.isnan(held)
         value, own = held[fixed], at[fixed]
@@ -197,7 +197,7 @@ class Scorer:
     def scores(
         self, chosen: list[int], which: list[int] | None = None, *, surrogates: bool = False
     ) -> tuple[dict[int, Score], Array]:
-        """Scores of hypotheses beside the chosen ones, and the largest surprise of each surrogate, if these are asked too."""
+        """Return scores of hypotheses given the chosen ones, and the largest surprise of each surrogate, if wanted."""
         every = self.fakes if surrogates else self.fakes[:, :0]
         asked = list(range(len(self.base), len(self.library))) if which is None else which
         at, b, _ = self.projected(chosen)
@@ -246,21 +246,21 @@ class Scorer:
         return Score(gain, count, surprise, float(gain - penalty - places))
 
     def in_full(self, i: int, score: Score) -> Score:
-        """A score with the price of all numbers that a loose hypothesis has; of another the same."""
+        """Return a score with the penalty of all parameters of a relaxed hypothesis; of another the same."""
         h = self.library[i]
         owed = h.effective_parameters(score.count, whole=True) - h.effective_parameters(score.count)
         return replace(score, rank=score.rank - owed * h.penalty(self.bench))
 
     def covariance(self, at: Index) -> Array:
-        """Of the parameters of the columns `at`, for noise of unit variance."""
+        """Return the covariance of the parameters of the columns `at` for unit noise."""
         return solve_sym(self.products.between(at, at), np.eye(len(at)))
 
     def spread(self, at: Index) -> Array:
-        """Standard deviations of the parameters of the columns `at`."""
+        """Return the standard deviations of the parameters of the columns `at` for unit noise."""
         return np.sqrt(np.maximum(np.diag(self.covariance(at)), 0.0))
 
     def misfit(self, chosen: list[int]) -> float:
-        """Whitened mean square of a model's rest: 1 when only noise is left, more when physics is missing."""
+        """Return the reduced chi square of a model's whitened residual, at least 1: above where physics is missing."""
         _, at, residual = self.solve(chosen)
         return max(1.0, residual / max(int(self._train.sum()) * self.bench.live_channels - len(at), 1))
 
@@ -274,22 +274,22 @@ class Scorer:
         return 1 if family is None else min(self.families[family], 8)
 
     def _surprise(self, gain: Array, count: Index) -> Array:
-        """Minus log p; by F where the noise rests on few degrees of freedom."""
+        """Return minus log p; by F where the noise estimate has few degrees of freedom."""
         return -log_tail(gain, np.maximum(count, 1), self.bench.noise.degrees)
 
 
 def _occam(library: list[Hypothesis]) -> dict[str, float]:
-    """Per kind, twice the log of how many hypotheses of it there are, searched values apart.
+    """Return per kind twice the log of the number of its hypotheses, searched values apart.
 
-    Kinds are equally likely beforehand, and so are the places and forms of one: the best of thirty must be better than the one
-    and only by as much as luck makes it (MacKay 1992, the factor named after Occam).
+    Kinds have equal prior odds, and so have the places and forms of one: the best of thirty must be better than the only one by
+    as much as the number of trials makes it (MacKay 1992, Occam's factor).
     """
     families = {h.effect.family for h in library if h.effect is not None}
     return {key: 2.0 * float(np.log(n)) for key, n in Counter(family[0] for family in families).items()}
 
 
 def threshold(highest: Array, chance: float) -> float:
-    """Surprise that noise reaches with `chance`: a Gumbel law of unit scale or wider through the surrogates' maxima."""
+    """Return the Gumbel quantile of the surrogates' maxima at false-alarm probability `chance`, unit scale or wider."""
     if not len(highest):
         return float(-np.log(chance))
     scale = max(1.0, float(np.std(highest)) * np.sqrt(6.0) / np.pi)

@@ -1,4 +1,4 @@
-"""What a model adds to a simulation, in the order in which the wire meets it: physics, late clocks and filters, limits."""
+"""The signal chain of a model: physics, then the output stage of delays, filters and limits."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ OutputStage = Sequence[tuple[Effect, Array]]
 
 
 def through(effect: Effect, timing: OutputStage) -> OutputStage:
-    """What an effect's change goes through before it is read; nothing for what belongs to moments."""
+    """Return the parts of the output stage that an effect passes through; none for momentary effects."""
     if effect.EPISODIC:
         return ()
     if effect.DOWNSTREAM:
@@ -24,7 +24,7 @@ def through(effect: Effect, timing: OutputStage) -> OutputStage:
 
 
 def total_output(scene: Scene, effects: Sequence[Placed], timing: OutputStage) -> Array:
-    """(N, C) what effects add together, each as it arrives."""
+    """Return the total output (N, C) of effects, each through the output stage."""
     out = np.zeros((len(scene), len(scene.channels)))
     for (effect, _), change in zip(effects, compound(scene, effects), strict=True):
         out += output_of(scene, effect, change, timing)
@@ -32,7 +32,7 @@ def total_output(scene: Scene, effects: Sequence[Placed], timing: OutputStage) -
 
 
 def output_of(scene: Scene, effect: Effect, change: Array, timing: OutputStage) -> Array:
-    """(N, C) what one effect adds, as it arrives."""
+    """Return the output (N, C) of one effect through the output stage."""
     columns = Columns(tuple(range(len(scene.channels))), change[:, :, None])
     for other, its in through(effect, timing):
         columns = other.delivered(scene, columns, its)
@@ -40,13 +40,13 @@ def output_of(scene: Scene, effect: Effect, change: Array, timing: OutputStage) 
 
 
 def carried(scene: Scene, effects: Sequence[Placed], timing: OutputStage) -> Array:
-    """(N, C) what all but limits add, as if nothing clipped."""
+    """Return the output (N, C) of all effects but limits, as if nothing clipped."""
     open_end = [(other, its) for other, its in timing if not other.clips]
     return total_output(scene, [(e, theta) for e, theta in effects if not e.clips], open_end)
 
 
 def interaction_terms(scene: Scene, effects: Sequence[Placed], timing: OutputStage) -> list[Array]:
-    """(N, C) what each effect adds, as it arrives, because the others are there too; nothing at all where none meets another."""
+    """Return the interaction term (N, C) of each effect, through the output stage; none where no effects interact."""
     out: list[Array] = []
     if not meet(scene, effects):
         return out
@@ -57,12 +57,12 @@ def interaction_terms(scene: Scene, effects: Sequence[Placed], timing: OutputSta
 
 
 def limited(timing: OutputStage) -> list[str]:
-    """Channels whose readings clip."""
+    """Return the channels whose readings clip."""
     return [other.clips[0] for other, _ in timing if other.clips]
 
 
 def added(scene: Scene, effects: Sequence[Placed], timing: OutputStage) -> Array:
-    """(N, C) what a model adds to a recording that it has not seen, whose constants are not known before."""
+    """Return the output (N, C) of a model in another recording, whose constants are not known beforehand."""
     whole = carried(scene, effects, timing)
     if not any(effect.clips for effect, _ in effects):
         return whole

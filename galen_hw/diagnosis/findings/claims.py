@@ -81,14 +81,14 @@ def add_claims(
 
 
 def _solved(claim: Claim) -> str:
-    """How a claim was solved, in words."""
+    """Return how a claim was solved, in words."""
     if any(name.startswith(("turn_", "tilt_")) for name in claim.parameters):
         return "solved exactly as one rotation, before anything else was fitted"
     return "two fits on either side of that moment against one, before anything else was fitted"
 
 
 def _of_the_whole(findings: list[Finding], judged: Judged, after: Array) -> None:
-    """Tell the shares of what was found beside the claims of the whole excess: they were of what the claims leave."""
+    """Scale the shares of the findings beside the claims to the whole excess: they were of what the claims leave."""
     left, whole = (float(np.sum(np.maximum(x - judged.floor, 0.0) / judged.floor)) for x in (after, judged.before))
     for finding in findings:
         told = finding.takes

@@ -1,4 +1,4 @@
-"""From hypotheses to findings: one for each key, with all its channels, joints and parameters."""
+"""Findings from a fitted model: one per kind of effect, with all its channels, joints and parameters."""
 
 import re
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ from galen_hw.spatial import Array
 
 
 def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list[Glitches]) -> list[Finding]:
-    """All findings, the most certain and largest first: by the product of score and share of the held-out error."""
+    """Return all findings, sorted by the product of score and share of the held-out error."""
     by_key: dict[str, list[Hypothesis]] = {}
     for h in model.effects:
         assert h.effect is not None, "effects, not nuisances"
@@ -73,7 +73,7 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
 
 
 def says(finding: Finding) -> str:
-    """What physics and how much of it; why it is believed."""
+    """Return a finding in words: what physics, how much of it, and why it is believed."""
     key = finding.effect
     names = finding.joints or finding.channels
     place = ", ".join(names) if len(names) < 4 else f"{', '.join(names[:3])} and {len(names) - 3} more"
@@ -83,7 +83,7 @@ def says(finding: Finding) -> str:
 
 
 def _free(model: Model) -> Array:
-    """(C,) 1 where the baseline fits a constant offset, which is then no part of an effect's size."""
+    """Return 1 for channels (C,) with a constant offset in the baseline, which is no part of an effect's size, else 0."""
     out = np.zeros(model.bench.width)
     for h in model.nuisances:
         if len(h.raw.channels) == 1:
@@ -92,7 +92,7 @@ def _free(model: Model) -> Array:
 
 
 def _rms_variance(h: Hypothesis, theta: Array, covariance: Array, free: Array) -> Array:
-    """Variance of the rms of a signal in each of its channels, to first order in its parameters."""
+    """Return the variance of the rms of a contribution in each of its channels, to first order in the parameters."""
     free, contribution = free[list(h.raw.channels)], h.contribution(theta)
     centred = h.raw.values - free[:, None] * h.raw.values.mean(axis=0)
     signal = contribution - free * contribution.mean(axis=0)
@@ -133,7 +133,7 @@ def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int)
 
 
 def _unit(scene: Scene, joints: tuple[str, ...], unit: str) -> str:
-    """Of "rad or m" and its like, inside a unit too, the one that the joint has."""
+    """Return the joint's own unit of "rad or m" and its like, inside a compound unit too."""
     if " or " not in unit or not joints or joints[0] not in scene.joint_names:
         return unit
     slides = joint_units(scene, joints[0])[0] == "m"
@@ -143,7 +143,7 @@ def _unit(scene: Scene, joints: tuple[str, ...], unit: str) -> str:
 
 
 def _evidence(model: Model, selection: Selection, parts: list[Hypothesis]) -> tuple[float, float]:
-    """Score and surprise of a finding: of its parts together, or the z of a constant."""
+    """Return score and surprise of a finding: of its parts together, or the z of a constant."""
     score, surprise = 0.0, 0.0
     for i, h in zip(selection.chosen, selection.hypotheses, strict=True):
         if any(h.effect is p.effect for p in parts) and i in selection.evidence:
@@ -159,7 +159,7 @@ def _evidence(model: Model, selection: Selection, parts: list[Hypothesis]) -> tu
 
 
 def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
-    """Rows that stand off what the model says; their share is of the whole excess of the recording, theirs included."""
+    """Return the finding of isolated samples; its share is of the whole excess of the recording, theirs included."""
     bench, rows = model.bench, np.asarray(glitch.rows)
     places = [bench.scene.channels.index(name) for name in glitch.channels]
     residual = outliers.sample_residual(model)
@@ -240,7 +240,7 @@ def unknown_finding(
 
 
 def dependence(kind: str, names: Sequence[str]) -> str:
-    """What generic functions found, in words; inputs by their names, see `generic.Inputs`."""
+    """Return what generic functions depend on, in words; inputs by their names, see `basis_functions.Inputs`."""
     number = re.fullmatch(r"periodic in input (\d+)", kind)
     if number:
         return f"it repeats along {names[int(number[1]) - 1]}"

@@ -1,6 +1,6 @@
-"""Where the mismatch sits: channels, times, and regions of joint space, speed, direction, load and temperature.
+"""Localisation of the mismatch: channels, times, and regions of joint space, speed, load and temperature.
 
-Regions are found on the rows that the diagnosis learns from and kept only if rows that were set aside agree.
+Regions are found on training rows and kept only if held-out rows agree.
 """
 
 import itertools
@@ -19,7 +19,7 @@ from galen_hw.spatial import Array
 
 
 def channels_of(bench: Bench, judged: Judged) -> list[dict[str, Any]]:
-    """Every channel with its share of the excess, in units of its noise; most first, and last those that read nothing."""
+    """Return every channel with its share of the excess in units of its noise, most first; last those without data."""
     floor = judged.floor
     excess = np.maximum(judged.before / floor - 1.0 - 3.0 * np.sqrt(2.0 / max(len(bench.rows), 1)), 0.0)
     share = excess / max(float(excess.sum()), 1e-300)
@@ -56,7 +56,7 @@ class Region:
 
 
 def where_of(model: Model, *, least: float = 0.5) -> list[dict[str, Any]]:
-    """Regions that hold much more of the excess than of the rows, then variables of which the excess is a function.
+    """Return regions that hold much more of the excess than of the rows, then variables that explain the excess.
 
     Args:
         least: share of the held-out excess from which a variable is said to organise it.
@@ -77,7 +77,7 @@ def where_of(model: Model, *, least: float = 0.5) -> list[dict[str, Any]]:
 
 
 def baseline_residual(model: Model) -> Array:
-    """(M, C) what was recorded less the baseline, whose own nuisances are fitted by least squares on the training rows."""
+    """Return the residual (M, C) of the baseline, its nuisances fitted by least squares on the training rows."""
     bench, parts = model.bench, model.nuisances
     if not parts:
         return bench.whole
@@ -87,7 +87,7 @@ def baseline_residual(model: Model) -> Array:
 
 
 def regions(bench: Bench, known: list[Variable], energy: Array, *, most: int = 3) -> list[Region]:
-    """The best region of every variable, those that say the same as a better one left out.
+    """Return the best region of every variable, without those that overlap with a better one.
 
     Args:
         most: regions that are told.
@@ -107,7 +107,7 @@ def regions(bench: Bench, known: list[Variable], energy: Array, *, most: int = 3
 
 
 def halves(bench: Bench) -> tuple[Mask, Mask]:
-    """Rows to find on and rows to check on: set aside, or every other block where none were."""
+    """Return rows to find regions on and rows to check them on: held out, or every other block without held-out rows."""
     if bench.judged.any():
         return bench.train, bench.judged
     odd = bench.block % 2 == 1
@@ -125,7 +125,7 @@ def _region(
     *,
     widest: float = 0.7,
 ) -> Region | None:
-    """The range of a variable, within `inside`, that holds most excess beyond its rows; None if other rows disagree.
+    """Return the range of a variable, within `inside`, with most excess beyond its rows; None if other rows disagree.
 
     Args:
         widest: share of the rows; what holds more of them is no region.
@@ -163,7 +163,7 @@ def _sure(bench: Bench, surplus: Array, rows: Mask, *, needed: float = 2.5) -> b
 
 
 def _scan(values: Array, energy: Array, *, count: int = 16) -> tuple[float, float] | None:
-    """The range of bins of equal count whose share of the energy exceeds its share of the rows most.
+    """Return the range of bins of equal count whose share of the energy exceeds its share of the rows most.
 
     Args:
         count: bins.
@@ -185,7 +185,7 @@ def _scan(values: Array, energy: Array, *, count: int = 16) -> tuple[float, floa
 
 
 def _narrowed(one: Region, known: list[Variable], energy: Array, bench: Bench, learn: Mask, check: Mask) -> Region:
-    """The region cut by a second variable, where that holds clearly more of the excess a row."""
+    """Return the region restricted by a second variable, where that holds clearly more of the excess per row."""
     parts, inside = one.parts, one.mask
     own = one.parts[0][0]
     found = [
@@ -211,7 +211,7 @@ def _region_entry(one: Region) -> dict[str, Any]:
 def organised(
     bench: Bench, known: list[Variable], residual: Array, bins: int = 20
 ) -> list[tuple[Variable, float, str]]:
-    """For every variable the share of the excess of its best channel that is a function of it, on rows set aside.
+    """Return for every variable the share of its best channel's excess that is a function of it, on held-out rows.
 
     The function is the mean in bins of equal count, learnt on the other rows; most first.
     """
@@ -235,7 +235,7 @@ def organised(
 
 
 def episodes_of(model: Model, glitch: list[Glitches]) -> list[list[float]]:
-    """Times at which something happens: of contacts, after steps, around glitches; else where the excess is loud."""
+    """Return times of events: contacts, after steps, around glitches; without events, times of large excess."""
     scene, end = model.bench.scene, float(model.bench.scene.time[-1])
     out: list[list[float]] = []
     steps: list[float] = []
@@ -253,7 +253,7 @@ def episodes_of(model: Model, glitch: list[Glitches]) -> list[list[float]]:
 
 
 def _loud(model: Model) -> list[list[float]]:
-    """Stretches whose energy is more than twice the mean."""
+    """Return stretches of the recording whose energy is more than twice the mean."""
     bench = model.bench
     energy = np.sum(baseline_residual(model) ** 2 / bench.noise.sigma**2, axis=1)
     count = min(60, len(energy) // 8)

@@ -1,7 +1,7 @@
-"""The recording that would settle what is open: every recipe is simulated with both rivals, the quickest one is named.
+"""The next experiment: every recipe is simulated with both rivals, and the quickest one is recommended.
 
 T-optimality (Atkinson and Fedorov 1975): a recipe is worth D = min over the rival's parameters of the whitened squared distance
-between the found effect's signal and the rival's, beside nuisances and the other effects; D is the expected fall of twice the log
+between the found effect's signal and the rival's, given nuisances and the other effects; D is the expected fall of twice the log
 likelihood when the wrong one is believed. Both are taken for the truth in turn and the smaller D counts. The best recipe is the
 one that reaches odds of a thousand to one soonest.
 """
@@ -63,7 +63,7 @@ class Pair:
 
 
 def next_experiment(model: Model, selection: Selection, findings: list[Finding], structures: list[Structure]) -> str:
-    """One or two sentences: what to record next, and what that would show."""
+    """Return one or two sentences: what to record next, and what that would show."""
     if any(not f.named and not f.parameters["share_left"].value for f in findings):
         return "First put right what is said of the recording itself; nothing else is worth an experiment before."
     said = [_settled(model, selection, f) for f in findings if f.rivals][:1]
@@ -84,7 +84,7 @@ def _settled(model: Model, selection: Selection, finding: Finding) -> str:
 
 
 def pair_of(selection: Selection, finding: Finding, rival: str, model: Model) -> Pair | None:
-    """The finding and its rival with parameters; None where the rival has no hypothesis to stage."""
+    """Return the finding and its rival with parameters; None where the rival has no hypothesis to simulate."""
     scorer = selection.scorer
     near: list[Rival] = [r for r in rivals(selection, finding, everyone=True) if rival == r.key]
     part = next((h for h in model.effects if h.effect is not None and finding.effect == h.effect.KEY), None)
@@ -109,7 +109,7 @@ def pair_of(selection: Selection, finding: Finding, rival: str, model: Model) ->
 
 
 def _linearised(model: Model, h: Hypothesis) -> tuple[Effect, Array]:
-    """An effect of the model with its parameters (k,) as columns can be staged of it: what is curved, by its relaxation."""
+    """Return an effect that has columns, with its parameters (k,): of a nonlinear one its linear relaxation."""
     theta = model.final[model.slice_of(h)]
     assert h.effect is not None, "effects, not nuisances"
     if not h.effect.curved:
@@ -121,7 +121,7 @@ def _linearised(model: Model, h: Hypothesis) -> tuple[Effect, Array]:
 
 
 def best_of(model: Model, pair: Pair) -> Advice | None:
-    """The recipe that settles the pair soonest; None where none of them can."""
+    """Return the recipe that settles the pair soonest; None where no recipe can."""
     able = [a for a in _advised(model, pair) if a.distance > 0.05 * SETTLED]
     # Where the two stay close, what the model leaves out elsewhere decides: a wide angle comes first.
     wide = [a for a in able if a.angle >= WIDE]
@@ -129,7 +129,7 @@ def best_of(model: Model, pair: Pair) -> Advice | None:
 
 
 def options_of(model: Model, selection: Selection, findings: list[Finding]) -> list[Advice]:
-    """All recipes for the first open question, quickest first; none where nothing is open."""
+    """Return all recipes for the first open question, quickest first; none where nothing is open."""
     for finding in findings:
         if finding.rivals:
             pair = pair_of(selection, finding, finding.rivals[0].effect, model)
@@ -181,7 +181,7 @@ def _distance(model: Model, staged: Stage, pair: Pair, others: list[Hypothesis])
 
 
 def _nuisances(staged: Stage, others: list[Hypothesis], width: int, *, constants: bool = True, most: int = 6) -> Array:
-    """Constants of all channels and the other effects, over all parts; of these at most so many."""
+    """Return columns of all channels' constants and of the other effects (at most so many), over all parts."""
     rows = sum(len(scene) for scene in staged.scenes)
     known = [np.tile(np.eye(width), (rows, 1, 1))] if constants else []
     more = [staged.columns(h.effect, width) for h in others[:most] if h.effect is not None]
@@ -193,7 +193,7 @@ def _residual(y: Array, X: Array) -> Array:
 
 
 def _settling(pair: Pair, advice: Advice, *, most_odds: float = 1e6) -> str:
-    """The recipe for two rivals and what it would show.
+    """Return the recipe for two rivals and what it would show, in words.
 
     Args:
         most_odds: that are told as a number: what is said of noise holds no further.
@@ -224,13 +224,13 @@ def _plain(key: str) -> str:
 
 
 def _unexplained(model: Model, structures: list[Structure]) -> str:
-    """Where no name fits: whether it is of place, of time or of speed."""
+    """Return what to record where structure has no name: whether it depends on place, time or speed."""
     place, kind = f" in {model.bench.scene.channels[structures[0].channel]}", structures[0].kind
     if kind.startswith("covariate."):
         return (
-            f"Something is left{place} that no name fits and that {kind} goes with: run once with that held constant, and once with "
-            "it alone moved, up and down again, with pauses. What stays after a pause is friction or play, what goes back with it "
-            "is give."
+            f"Something is left{place} that no name fits and that {kind} goes with: run once with that held constant, "
+            "and once with it alone moved, up and down again, with pauses. What stays after a pause is friction or play, what "
+            "goes back with it is give."
         )
     if not model.bench.scene.clock:
         return (
@@ -244,7 +244,7 @@ def _unexplained(model: Model, structures: list[Structure]) -> str:
 
 
 def _sharper(model: Model, findings: list[Finding], *, loose_error: float = 0.05) -> str:
-    """With every name settled: the effect whose size is least certain and the recipe that halves its error soonest.
+    """Return the recipe that halves the relative error of the least certain effect soonest, in words.
 
     Args:
         loose_error: relative standard error from which a parameter is worth another recording.
@@ -267,13 +267,13 @@ def _sharper(model: Model, findings: list[Finding], *, loose_error: float = 0.05
 
 
 def _error(finding: Finding) -> float:
-    """Relative standard error of a finding's size."""
+    """Return the relative standard error of a finding's size."""
     size = finding.parameters.get(SIGNAL)
     return size.std / size.value if size is not None and size.value > 0.0 else 0.0
 
 
 def _halving(model: Model, h: Hypothesis, error: float) -> Advice | None:
-    """The recipe whose information on an effect's size reaches three times the present one soonest."""
+    """Return the recipe whose information on an effect's size reaches three times the present one soonest."""
     assert h.effect is not None, "effects, not nuisances"
     effect, theta = _linearised(model, h)
     others = [o for o in model.effects if o is not h]
@@ -296,7 +296,7 @@ def _halving(model: Model, h: Hypothesis, error: float) -> Advice | None:
 
 
 def _smaller(model: Model) -> str:
-    """With nothing found: the smallest effect that would have been seen, and how to see smaller ones."""
+    """Return the smallest effect that would have been detected, and how to detect smaller ones, in words."""
     bench = model.bench
     least = bench.detectable
     # Of channels in different units, the one in which most of what is simulated could hide.

@@ -1,10 +1,9 @@
-"""What this recording cannot tell apart: by likelihood, by the angle between the effects' signals, and by structure.
+"""Effects that this recording cannot tell apart: by likelihood, by angles between their signals, and by structure.
 
-Everything is read off the inner products of whitened columns. Beside the rest of the model (nuisances and the other
-effects, projected out) a found effect leaves the columns A with parameters t and a rival the columns B. The rival can make
-the share R^2 = |P_B A t|^2 / |A t|^2 of the found signal; its angle is arccos R. The smallest principal angle between the
-spans of A and B (Bjoerck and Golub 1973) says whether any signal of one could be any of the other. The likelihood decides,
-angles say why.
+Everything is read off the inner products of whitened columns. With the rest of the model (nuisances and the other effects)
+projected out, a found effect has the columns A with parameters t and a rival the columns B. The rival can make the share R^2 =
+|P_B A t|^2 / |A t|^2 of the found signal; its angle is arccos R. The smallest principal angle between the spans of A and B
+(Bjoerck and Golub 1973) says whether any signal of one could be any of the other. The likelihood decides, angles say why.
 """
 
 import math
@@ -86,7 +85,7 @@ class Own:
 
 
 def confusions(model: Model, selection: Selection, finding: Finding, *, most: int = 5) -> list[Confusion]:
-    """Other effects that, put in the finding's place, would do as well; and those that are the same by structure.
+    """Return other effects that would explain as much in the finding's place, and those that are structurally the same.
 
     Args:
         most: effects, and joints of the same effect.
@@ -98,7 +97,7 @@ def confusions(model: Model, selection: Selection, finding: Finding, *, most: in
 
 
 def _in_other_joints(selection: Selection, finding: Finding, most: int) -> list[Confusion]:
-    """The same effect where it would do as well: joints about parallel axes turn gravity alike."""
+    """Return the same effect in other joints that explains as much: joints about parallel axes turn gravity alike."""
     scorer, out = selection.scorer, []
     for i in _places(selection, finding):
         effect = scorer.library[i].effect
@@ -121,7 +120,7 @@ def _in_other_joints(selection: Selection, finding: Finding, most: int) -> list[
 def rivals(
     selection: Selection, finding: Finding, *, everyone: bool = False, asked: float = 60.0, sharpened: int = 2
 ) -> list[Rival]:
-    """The best rival of every other key that ties with the finding (or `everyone` at all near), nearest first.
+    """Return the best rival of every other kind that ties with the finding (or `everyone` at all near), nearest first.
 
     Args:
         asked: twice the log likelihood, above what ties, from which the blocks need not be asked: they would have
@@ -159,7 +158,7 @@ def rivals(
 
 
 def _at_its_best(scorer: Scorer, own: Own, rival: Rival) -> Rival:
-    """A rival that is not linear, by its own optimum instead of by its slope at zero."""
+    """Return a rival scored at its nonlinear optimum instead of by its slope at zero."""
     bench, h = scorer.bench, scorer.library[rival.place]
     if h.effect is None or not h.effect.bends(bench.scene, np.zeros(h.count)):
         return rival
@@ -173,7 +172,7 @@ def _at_its_best(scorer: Scorer, own: Own, rival: Rival) -> Rival:
 
 
 def _is_what_it_is_called(scorer: Scorer, rival: Rival, *, unsure: float = 0.2) -> bool:
-    """A play wider than the motion with a share of a thousandth is a scale, and no rival under the name of play.
+    """Return whether a rival's parameters fit its name: a play with a share of a thousandth is a scale.
 
     Args:
         unsure: standard deviation that a rival's share is allowed: its searched value stands where it is most
@@ -185,7 +184,7 @@ def _is_what_it_is_called(scorer: Scorer, rival: Rival, *, unsure: float = 0.2) 
 
 
 def _agreed(scorer: Scorer, own: Own, rival: Rival) -> float:
-    """The lead over a rival by what the blocks make of it: noise that the whitening has missed makes likelihoods too sure."""
+    """Return the lead over a rival in standard errors over blocks: imperfect whitening makes likelihoods too sure."""
     others = [j for j in own.chosen if j != own.i]
     with scorer.trying([scorer.bench.hypothesis(rival.effect, scorer.library[rival.place].trials)]):
         return vuong_statistic(scorer.bench, scorer, others, own.i, len(scorer.library) - 1)
@@ -224,7 +223,7 @@ class Sharpener:
         self.white = self._projected(scorer.white[scorer.bench.train].reshape(-1, 1))[:, 0]
 
     def _rows(self, h: Hypothesis) -> Array:
-        """(n C, k) whitened columns on the training rows."""
+        """Return whitened columns (n C, k) on the training rows."""
         bench = self.scorer.bench
         full = h.white.full(bench.width)[bench.train]
         return full.reshape(full.shape[0] * full.shape[1], h.count)
@@ -233,7 +232,7 @@ class Sharpener:
         return np.asarray(X - self.base @ (self.base.T @ X))
 
     def sharpened(self, rival: Rival, *, reach: float = 8.0) -> Rival:
-        """The rival with its searched values, one after the other, where it makes most of the found signal.
+        """Return the rival with its searched values, one after the other, where it makes most of the found signal.
 
         Args:
             reach: factor up and down within which a searched value is sought.
@@ -271,7 +270,7 @@ class Sharpener:
         return effect.with_searched({name: float(np.exp(best.x))})
 
     def _residual_of(self, effect: Effect) -> tuple[float, Array]:
-        """Squares of the found signal that an effect does not make, and its columns beside the model."""
+        """Return the squares of the found signal that an effect does not make, and its projected columns."""
         X = self._projected(self._rows(self.scorer.bench.hypothesis(effect)))
         pinned = effect.pinned(self.scorer.bench.scene)
         A, r = X.T @ X, X.T @ self.signal
@@ -281,7 +280,7 @@ class Sharpener:
 
 
 def _places(selection: Selection, finding: Finding) -> list[int]:
-    """Where the finding stands in the scorer's library: among the chosen, or as a constant that is always fitted."""
+    """Return the numbers of the finding's hypotheses: among the chosen, or as a constant that is always fitted."""
     scorer = selection.scorer
     chosen = [(i, scorer.library[i].effect) for i in selection.chosen]
     mine = [i for i, effect in chosen if effect is not None and finding.effect == effect.KEY]
@@ -293,13 +292,13 @@ def _places(selection: Selection, finding: Finding) -> list[int]:
 
 
 def _others(scorer: Scorer, chosen: list[int], i: int) -> Projected:
-    """What the model without hypothesis i leaves, which may be one of the constants."""
+    """Return the projected normal equations of the model without hypothesis i, which may be one of the constants."""
     at, b, total = scorer.projected([j for j in chosen if j != i])
     return Projected(at[~scorer.own(at, i)], b, total)
 
 
 def _own(scorer: Scorer, chosen: list[int], i: int) -> Own:
-    """Hypothesis i as it stands in the model."""
+    """Return the gain and parameters of hypothesis i in the model."""
     theta, every, residual = scorer.solve(chosen)
     mine = scorer.own(every, i)
     with nonlinear_restored(scorer, i):
@@ -311,7 +310,7 @@ def _own(scorer: Scorer, chosen: list[int], i: int) -> Own:
 
 
 def _in_place(scorer: Scorer, found: Own, *, own_key: bool = False) -> list[Rival]:
-    """Every hypothesis of another key (or of its `own_key`) that can make at least half of the found signal."""
+    """Return every hypothesis of another kind (or of its `own_key`) that can make at least half of the found signal."""
     i, gain, theta = found.i, found.gain, found.linear
     at, b, _ = _others(scorer, list(found.chosen), i)
     own = scorer.places[i]
@@ -347,7 +346,7 @@ def _in_place(scorer: Scorer, found: Own, *, own_key: bool = False) -> list[Riva
 
 
 def _whitening(A: Array, before: Array) -> Array:
-    """(k, r) with W W' = A^-1 on the directions of which enough is left beside the model."""
+    """Return W (k, r) with W W' = A^-1 on the directions of which enough is left given the model."""
     size = np.sqrt(np.maximum(before, 1e-300))
     value, vector = np.linalg.eigh(A / np.outer(size, size))
     good = value > WEAK
@@ -355,9 +354,9 @@ def _whitening(A: Array, before: Array) -> Array:
 
 
 def akaike_penalty(h: Hypothesis) -> float:
-    """What freedom takes of noise alone (Akaike 1974), and twice the log of the places looked at.
+    """Return the AIC penalty of the parameters (Akaike 1974) and twice the log of the number of trials.
 
-    What is likely beforehand has no say here: an effect with one parameter more is not ruled out by having it.
+    Prior odds do not enter: an effect with one parameter more is not ruled out by having it.
     """
     if h.effect is None:
         return 1.0
@@ -369,7 +368,7 @@ def _angle(cosine: float) -> float:
 
 
 def _why(found: str, rival: Rival) -> str:
-    """The reason with its numbers."""
+    """Return the reason with its numbers, in words."""
     odds = float(np.exp(np.clip(0.5 * rival.lead, -50.0, 50.0)))
     likely = f"it is {odds:.2g} times less likely" if odds >= 1.5 else "it is as likely"
     if odds < 0.67:

@@ -1,4 +1,4 @@
-"""A recipe staged: the scene that it would record, and what effects would do there, in units of this recording's noise."""
+"""Simulation of a recipe: its scenes, and the effects there in units of this recording's noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ class Stage:
     end: float
 
     def columns(self, effect: Effect, width: int) -> Array | None:
-        """(N, width, k) of an effect over all parts; None where it cannot act there."""
+        """Return columns (N, width, k) of an effect over all parts; None where it cannot act there."""
         out = []
         for scene, part in zip(self.scenes, self.recipe.parts, strict=True):
             try:
@@ -47,12 +47,12 @@ class Stage:
         return max(self.end - self.start, 1e-9)
 
     def scale(self, effect: Effect) -> float:
-        """How much larger the parameters are here than in the recording."""
+        """Return the factor by which the parameters are larger here than in the recording."""
         return effect.growth(self.end - self.start)
 
 
 def stage(scene: Scene, recipe: Recipe) -> Stage:
-    """The scenes of a recipe.
+    """Return the scenes of a recipe.
 
     Raises:
         ValueError: a new motion cannot be simulated from what the recording says.
@@ -89,7 +89,7 @@ def _rates(part: Part, *, clock: bool) -> tuple[Array, Array]:
 
 
 def _simulation(scene: Scene, part: Part, rates: tuple[Array, Array]) -> dict[str, Array] | None:
-    """Of positions: the command itself; of someone else's simulation: what it says as a function of the motion.
+    """Return the simulated channels: of positions the command, else the given simulation as a function of the motion.
 
     Raises:
         ValueError: that function is not known.
@@ -114,7 +114,7 @@ def _simulation(scene: Scene, part: Part, rates: tuple[Array, Array]) -> dict[st
 
 
 class Eye:
-    """The recording's own noise as the measure of what a stage would show.
+    """Whiten signals of a simulated recipe by the noise of the recording.
 
     Args:
         bench: of the recording; staged: where its noise is asked.
@@ -129,7 +129,7 @@ class Eye:
         self.level = bench.noise.spectrum(np.minimum(frequency / self.ratio, 0.5))
 
     def whiten(self, X: Array) -> Array:
-        """(N, C, k) columns in units of the noise, stacked to (N C, k); their squares count as log likelihood."""
+        """Return columns (N, C, k) in units of the noise, stacked to (N C, k); their squares count as log likelihood."""
         n = len(X)
         spectrum = np.fft.rfft(X, axis=0) / np.sqrt(self.level)[:, :, None]
         out = np.fft.irfft(spectrum, n, axis=0) * np.sqrt(self.ratio)
@@ -137,12 +137,12 @@ class Eye:
 
 
 def projected_out(X: Array, others: Array) -> Array:
-    """Columns less what others (N, m) make of them."""
+    """Return columns less their projection onto others (N, m)."""
     if not others.shape[1]:
         return X
     return np.asarray(X - others @ solve_sym(others.T @ others, others.T @ X))
 
 
 def stacked(parts: Sequence[Any], rows: int, width: int) -> Array:
-    """(rows, width, k) columns beside each other."""
+    """Return columns (rows, width, k) next to each other."""
     return np.concatenate([np.zeros((rows, width, 0)), *parts], axis=2)

@@ -1,4 +1,4 @@
-"""Generic functions of the known inputs and their past: what explains without a name is sought, and predicted, with these."""
+"""Generic functions of the known inputs and their past, for structure without a name."""
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
@@ -49,13 +49,13 @@ class Scale:
 
     @classmethod
     def of(cls, x: Array) -> Self:
-        """That of columns (M, k)."""
+        """Return the scale of columns (M, k)."""
         spread = x.std(axis=0)
         kept = np.asarray(spread > 1e-9 * np.maximum(np.abs(x).max(axis=0, initial=0.0), 1e-12))
         return cls(kept, x[:, kept].mean(axis=0), spread[kept])
 
     def __call__(self, x: Array) -> Array:
-        """(M, kept) of columns (M, k)."""
+        """Return columns (M, k) scaled, (M, kept)."""
         return np.asarray((x[:, self.kept] - self.centre) / self.spread)
 
 
@@ -96,7 +96,7 @@ class Inputs:
 
     @classmethod
     def of(cls, scene: Scene, rows: Rows, like: "Inputs | None" = None) -> Self:
-        """Of a scene; `like`: in the units of those of another recording.
+        """Return the inputs of a scene; `like`: in the units of those of another recording.
 
         Raises:
             KeyError: it does not have the other's inputs.
@@ -138,7 +138,7 @@ class Inputs:
         *,
         lags: tuple[int, ...] = (2, 5, 12, 30, 80, 200),
     ) -> Self:
-        """Of raw inputs, see `of`; `lags`: rows by which inputs are taken from the past."""
+        """Return inputs from raw ones, see `of`; `lags`: rows by which inputs are taken from the past."""
         scale = Scale.of(raw) if like is None else like.scales[0]
         position = scale(raw)
         weight = Scale.of(load) if like is None else like.scales[1]
@@ -200,13 +200,13 @@ class Inputs:
 
 
 def dictionaries(inputs: Inputs) -> Iterator[tuple[str, Array]]:
-    """Generic functions (M, k) of the known inputs, a family at a time, with what they are functions of, plain ones first."""
+    """Yield generic functions (M, k) of the known inputs, family by family, with what they depend on; simple ones first."""
     yield from broad(inputs)
     yield from local(inputs)
 
 
 def broad(inputs: Inputs) -> Iterator[tuple[str, Array]]:
-    """Functions that are large over most of the motion."""
+    """Yield functions that are large over most of the motion."""
     z, load, rate, second = inputs.position, inputs.load, inputs.rate, inputs.second
     yield from _recorded(inputs)
     if not z.size:
@@ -238,9 +238,9 @@ def broad(inputs: Inputs) -> Iterator[tuple[str, Array]]:
 
 
 def factors(inputs: Inputs) -> dict[str, Array]:
-    """(M, k) what the products of some families are made of, by family.
+    """Return the factors (M, k) of the products of some families, by family.
 
-    What a model's own effects have taken of a product is a straight line in them. None is sought by itself: it has a name.
+    What a model's own effects have explained of a product is linear in them. None is sought by itself: it has a name.
     """
     z, load, rate = inputs.position, inputs.load, inputs.rate
     return {
@@ -255,7 +255,7 @@ def factors(inputs: Inputs) -> dict[str, Array]:
 
 
 def _warm(inputs: Inputs) -> Iterator[tuple[str, Array]]:
-    """What a temperature changes in what motion and load do: it by itself is too slow to be told from noise."""
+    """Yield products of motion and load with temperatures; a temperature alone is too slow to be told from noise."""
     z, load, rate, warmth = inputs.position, inputs.load, inputs.rate, inputs.warmth
     if not warmth.shape[1]:
         return
@@ -269,7 +269,7 @@ def _warm(inputs: Inputs) -> Iterator[tuple[str, Array]]:
 
 
 def _recorded(inputs: Inputs) -> Iterator[tuple[str, Array]]:
-    """Each covariate by itself."""
+    """Yield functions of each covariate by itself."""
     for name, z in zip(itertools.compress(inputs.covariates, inputs.scales[5].kept), inputs.beside.T, strict=True):
         yield name, np.stack([z, np.abs(z), z**2, np.tanh(4.0 * z)], axis=-1)
 
@@ -286,7 +286,7 @@ def _counts(steps: Array) -> bool:
 
 
 def _products(a: Array, b: Array, *, most: int = 40) -> Array:
-    """(M, k) products of columns, each pair once.
+    """Return products (M, k) of columns, each pair once.
 
     Args:
         most: products.
@@ -296,7 +296,7 @@ def _products(a: Array, b: Array, *, most: int = 40) -> Array:
 
 
 def local(inputs: Inputs) -> Iterator[tuple[str, Array]]:
-    """Functions of two inputs each, large in one corner of their plane alone."""
+    """Yield functions of two inputs each, large in one corner of their plane alone."""
     z, rate = inputs.position, inputs.rate
     yield from _planes("input {} and input {} together", z, z)
     yield from _planes("input {} and the speed of input {}", z, rate)
@@ -312,7 +312,7 @@ def _planes(
     places: tuple[float, ...] = (-1.5, -0.5, 0.5, 1.5),
     width: float = 0.8,
 ) -> Iterator[tuple[str, Array]]:
-    """Bumps (M, 16) over the plane of each pair of columns.
+    """Yield bumps (M, 16) over the plane of each pair of columns.
 
     Args:
         most: pairs.
@@ -325,7 +325,7 @@ def _planes(
 
 
 def _waves(z: Array, scale: float) -> Array:
-    """Random Fourier features (Rahimi and Recht 2007): smooth functions of all inputs together."""
+    """Return random Fourier features (Rahimi and Recht 2007): smooth functions of all inputs together."""
     rng = np.random.default_rng(7)
     w, phase = rng.normal(size=(z.shape[1], 24)) * scale, rng.uniform(0, 2 * np.pi, 24)
     return np.asarray(np.cos(z @ w + phase))

@@ -1,4 +1,4 @@
-"""Few of many generic functions: where a rest follows one product of two inputs, a family that holds it says too much."""
+"""Sparse regression on generic functions: where a residual follows one product of two inputs, a family says too much."""
 
 from dataclasses import dataclass, field
 
@@ -30,7 +30,7 @@ class Pursuit(Regression):
     _parts: dict[str, Array] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Chooses how many functions, then which."""
+        """Choose the number of functions, then the functions."""
         self._places = [(name, k) for name, X in self.plain.columns.items() for k in range(X.shape[1])]
         self._products: dict[int, Array] = {}
         self._learnt = self.white if self.weighed else self.plain
@@ -59,32 +59,32 @@ class Pursuit(Regression):
         self.chosen = list(self._parts)
 
     def coefficients(self) -> dict[str, Array]:
-        """Of every function of the families that one was chosen from, in the channel's unit."""
+        """Return the coefficients of all functions of the families with a chosen one, in the channel's unit."""
         return self._parts
 
     def cross_validated(self, *, white: bool = False) -> Array:
-        """(n,) what the functions predict of each row from other folds, over the noise's deviation."""
+        """Return predictions (n,) of each row from other folds, over the noise's standard deviation."""
         out = np.zeros(len(self.residual))
         for rows, taken, theta in zip(self.plain.folds, self._taken, self._theta, strict=True):
             out[rows] = self._columns(self.white if white else self.plain, taken)[rows] @ theta
         return out
 
     def _columns(self, sums: Sums, which: list[int]) -> Array:
-        """(n, len(which)) functions by their numbers."""
+        """Return functions (n, len(which)) by their numbers."""
         each = [sums.columns[name][:, k] for name, k in (self._places[j] for j in which)]
         return np.stack(each, axis=-1) * sums.scale if each else np.zeros((len(self.residual), 0))
 
     def _with(self, j: int) -> Array:
-        """(folds, k) inner products of all functions with one of them."""
+        """Return inner products (folds, k) of all functions with one of them."""
         if j not in self._products:
             own = self._learnt.against(self._columns(self._learnt, [j])[:, 0])
             self._products[j] = np.concatenate(list(own.values()), axis=1)
         return self._products[j]
 
     def _path(self, fold: int | None) -> tuple[list[int], Array]:
-        """Functions in the order in which they are taken without a fold (None: of all rows), coefficients (taken, most).
+        """Return functions in their order of selection without a fold (None: on all rows), coefficients (taken, most).
 
-        One column for each number of functions; the last again where no more are taken.
+        One column for each number of functions; the last is repeated where no more are selected.
         """
 
         def without_fold(each: Array) -> Array:
@@ -115,7 +115,7 @@ class Pursuit(Regression):
         return taken, out
 
     def _gains(self, paths: list[tuple[list[int], Array]], sums: Sums, y: Array) -> Array:
-        """(most,) falls of a sum of squares on folds left out in turn."""
+        """Return the falls (most,) of a sum of squares on held-out folds."""
         total = np.zeros(self.most)
         for rows, (taken, theta) in zip(self.plain.folds, paths, strict=True):
             predicted = self._columns(sums, taken)[rows] @ theta

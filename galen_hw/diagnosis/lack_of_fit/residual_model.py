@@ -1,4 +1,4 @@
-"""What physics left over, predicted without a name by generic functions of the inputs: the part of `unknown` that can be said.
+"""A model of the residual without a name: regressions on generic functions of the inputs.
 
 It shows how far any function of the known inputs and their past would go (the ceiling), and on what. It is never saved for the
 live services: a function that nobody can explain does not act on a robot.
@@ -28,7 +28,7 @@ RIDGES: Final = np.logspace(-2.0, 4.0, 13)
 
 @dataclass(frozen=True)
 class Remainder:
-    """Regressions of what a model left on generic functions, channel by channel.
+    """Regressions of a model's residual on generic functions, channel by channel.
 
     Args:
         inputs: of the recording that it was learnt on.
@@ -47,7 +47,7 @@ class Remainder:
     trees: dict[int, "HistGradientBoostingRegressor"] = field(default_factory=dict)
 
     def joined(self, other: "Remainder") -> "Remainder":
-        """With the other's channels, none of which are its own, as yet without trees."""
+        """Return both remainders as one, as yet without trees; they have no channel in common."""
         return replace(
             self,
             parts=self.parts | other.parts,
@@ -57,7 +57,7 @@ class Remainder:
         )
 
     def predict(self, scene: Scene, rows: Rows, width: int) -> Array | None:
-        """(M, C) for another recording; None where it cannot speak of it."""
+        """Return predictions (M, C) for another recording; None where its inputs are not comparable."""
         try:
             inputs = Inputs.of(scene, rows, like=self.inputs)
         except (KeyError, ValueError):
@@ -65,7 +65,7 @@ class Remainder:
         return self._sum(inputs, width) if self.inputs.comparable(inputs) else None
 
     def own(self, width: int) -> Array:
-        """(M, C) on the recording that it was learnt on."""
+        """Return predictions (M, C) on the recording that it was learnt on."""
         return self._sum(self.inputs, width)
 
     def _sum(self, inputs: Inputs, width: int) -> Array:
@@ -82,7 +82,7 @@ class Remainder:
 
 
 def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None = None) -> Remainder | None:
-    """The remainder of a model, from its training rows.
+    """Fit the remainder of a model on its training rows.
 
     Args:
         kinds: per channel the families of functions that are tried.
@@ -111,7 +111,7 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
 def _best(
     functions: Functions, names: list[str], channel: int, residual: Array, white_residual: Array, *, short: float = 0.03
 ) -> Regression:
-    """The regression of a channel's rest (n,) that explains most of blocks left out; one on low powers if it does nearly as well.
+    """Return the regression of a channel's residual (n,) with the largest cross-validated gain, or a simpler one nearly as good.
 
     A resonance may be in step with a speed in one motion, and is not in the next.
 
@@ -150,10 +150,10 @@ class Ridge(Regression):
     _ridge: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
-        """Chooses families, one after the other as long as each explains more of blocks left out.
+        """Choose families by forward selection as long as each raises the cross-validated gain.
 
-        Another motion is where many functions that say the same of this one differ: the plainest that does nearly as well
-        as the best is taken, and another beside it must be worth it.
+        Where many functions agree on this motion they differ on another one: the simplest family that does nearly as well as the
+        best is taken, and a further family must be worth it.
         """
         self._learnt = self.white if self.weighed else self.plain
         self._plain_b, self._white_b = self.plain.against(self.residual), self.white.against(self.white_residual)
@@ -186,13 +186,13 @@ class Ridge(Regression):
         return out
 
     def coefficients(self) -> dict[str, Array]:
-        """Of every function of the chosen families, in the channel's unit."""
+        """Return the coefficients of every function of the chosen families, in the channel's unit."""
         theta = self._whole(self.chosen)[:, self._ridge] / self._size(self.chosen)
         ends = np.cumsum([len(self._sizes[n]) for n in self.chosen])[:-1]
         return dict(zip(self.chosen, np.split(theta, ends), strict=True))
 
     def cross_validated(self, *, white: bool = False) -> Array:
-        """(n,) what the chosen families predict of each row from other folds, over the noise's deviation."""
+        """Return predictions (n,) of the chosen families for each row from other folds, over the noise's deviation."""
         columns = (self.white if white else self.plain).joined(self.chosen)
         out, X = np.zeros(len(self.residual)), columns / self._size(self.chosen)
         for rows, theta in zip(self.plain.folds, self._thetas(self.chosen), strict=True):
@@ -203,7 +203,7 @@ class Ridge(Regression):
         return np.concatenate([self._sizes[n] for n in names])
 
     def _gains(self, names: list[str]) -> tuple[Array, Array]:
-        """Falls (len(RIDGES),) of the sum of squares on folds left out in turn, plain and whitened."""
+        """Return the falls (len(RIDGES),) of the sum of squares on held-out folds, plain and whitened."""
         thetas, size = self._thetas(names), self._size(names)
         return tuple(  # type: ignore[return-value]
             sum(
@@ -214,7 +214,7 @@ class Ridge(Regression):
         )
 
     def _promises(self, names: list[str]) -> dict[str, float]:
-        """What each family takes of what the chosen ones leave, on folds left out: less than beside them, but soon told."""
+        """Return the cross-validated gain of each family alone on the residual of the chosen ones: a quick lower bound."""
         chosen, size, out = self.chosen, self._size(self.chosen), {}
         thetas = [theta[:, self._ridge] / size for theta in self._thetas(chosen)]
         for name in names:
@@ -231,19 +231,19 @@ class Ridge(Regression):
         return out
 
     def _residual_products(self, sums: Sums, inner: dict[str, Array], name: str, thetas: list[Array]) -> list[Array]:
-        """For each fold's parameters of the chosen families, (folds, k) of a family with what they leave."""
+        """Return, for each fold's parameters of the chosen families, products (folds, k) with their residual."""
         cross = np.concatenate([sums.pair(name, other) for other in self.chosen], axis=2)
         return [inner[name] - cross @ theta for theta in thetas]
 
     def _eigen(self, name: str) -> list[tuple[Array, Array]]:
-        """Of a family by itself without each fold, kept."""
+        """Return the eigendecomposition of a family by itself without each fold, cached."""
         if name not in self._alone:
             G = self._learnt.pair(name, name) / np.outer(self._sizes[name], self._sizes[name])
             self._alone[name] = [tuple(np.linalg.eigh(G.sum(axis=0) - one)) for one in G]  # type: ignore[misc]
         return self._alone[name]
 
     def _thetas(self, names: list[str]) -> list[Array]:
-        """For each fold (k, len(RIDGES)) coefficients learnt on the others, one column a ridge."""
+        """Return for each fold the coefficients (k, len(RIDGES)) learnt on the others, one column a ridge."""
         b = _joined(self._b, names)
         residuals = (b.sum(axis=0) - b) / self._size(names)
         if len(names) == 1:
@@ -255,19 +255,19 @@ class Ridge(Regression):
         ]
 
     def _whole(self, names: list[str]) -> Array:
-        """(k, len(RIDGES)) coefficients learnt on all rows."""
+        """Return coefficients (k, len(RIDGES)) learnt on all rows."""
         size = self._size(names)
         G = self._learnt.gram(names).sum(axis=0) / np.outer(size, size)
         return _ridged(*np.linalg.eigh(G), _joined(self._b, names).sum(axis=0) / size)
 
 
 def _ridged(value: Array, vector: Array, b: Array) -> Array:
-    """(k, len(RIDGES)) solutions of normal equations by their eigenvalues and -vectors."""
+    """Return solutions (k, len(RIDGES)) of normal equations by their eigenvalues and eigenvectors."""
     return np.asarray(vector @ ((vector.T @ b)[:, None] / (np.maximum(value, 0.0)[:, None] + RIDGES)))
 
 
 def _falls(theta: Array, G: Array, b: Array) -> Array:
-    """(m,) falls of a sum of squares by parameters (k, m), from inner products with each other (k, k) and the target (k,)."""
+    """Return falls (m,) of a sum of squares by parameters (k, m), from inner products (k, k) and (k,) with the target."""
     return np.asarray(2.0 * b @ theta - np.einsum("km,km->m", theta, G @ theta))
 
 

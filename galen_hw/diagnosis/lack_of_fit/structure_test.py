@@ -1,4 +1,4 @@
-"""What physics left over, and where: whether any function of the known inputs and their past explains it."""
+"""Test for structure in a model's residual: whether any function of the known inputs and their past explains it."""
 
 import itertools
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ T_NEEDED: Final = 3.0
 
 @dataclass(frozen=True)
 class Structure:
-    """One kind of structure that is left in one channel.
+    """Structure of one kind in the residual of one channel.
 
     Args:
         channel: place.
@@ -47,7 +47,7 @@ class Structure:
 
 
 class Family(NamedTuple):
-    """Generic functions of one kind: what they are of, an orthonormal basis (M, k) of them, whether they are local."""
+    """Generic functions of one kind: what they depend on, an orthonormal basis (M, k) of them, whether they are local."""
 
     kind: str
     basis: Array
@@ -55,7 +55,7 @@ class Family(NamedTuple):
 
 
 def families(bench: Bench) -> list[Family]:
-    """The generic functions of a bench, in each family a constant first, the strongest directions next."""
+    """Return the generic functions of a bench; in each family a constant first, the strongest directions next."""
     ones, most = np.ones((len(bench.rows), 1)), max(int((~bench.excluded_rows).sum()) // 6, 3)
     inputs = Inputs.of(bench.scene, bench.rows)
 
@@ -69,7 +69,7 @@ def families(bench: Bench) -> list[Family]:
 
 
 def leading_directions(bench: Bench, generic: list[Family]) -> list[Columns]:
-    """The leading directions of every broad family, in all channels: what they explain must not pass for noise."""
+    """Return the leading directions of every broad family in all channels, which are not to be taken for noise."""
     if len(bench.rows) < 2000:
         return []
     return [Columns((c,), one.basis[:, None, 1:9]) for one in generic if not one.local for c in range(bench.width)]
@@ -77,7 +77,7 @@ def leading_directions(bench: Bench, generic: list[Family]) -> list[Columns]:
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model as far as what it leaves is concerned.
+    """Residual of a model with the columns that are projected out of it.
 
     Args:
         columns: whitened, of nuisances and effects, so that generic functions get no credit for what these could do.
@@ -90,9 +90,9 @@ class Fitted:
 
 
 def leftovers(bench: Bench, generic: list[Family], models: Sequence[Fitted]) -> list[list[Structure]]:
-    """Structure in the rest of each of some models, strongest first; only what also predicts blocks it was not fitted on.
+    """Return the structure in each model's residual, strongest first; only what also predicts held-out blocks.
 
-    All models of one bench are asked together: most of the work is to whiten the generic functions.
+    All models of one bench are tested together: most of the work is to whiten the generic functions.
 
     Args:
         generic: `families` of the bench.
@@ -136,7 +136,9 @@ def _found(
     own_part: float = 1e-6,
     least_t: float = 1.2,
 ) -> tuple[float, float, Array] | None:
-    """Whether columns (n, k) explain a rest (n,) more than chance does: z, gain on blocks left out, weights (k,) of the columns.
+    """Test whether columns (n, k) explain the residual (n,) beyond chance, by chi square and by cross-validation.
+
+    Return z, the cross-validated gain, and the weights (k,) of the columns; None where they do not.
 
     Args:
         squared: (k, k) inner products of the columns; base: (n, r) orthonormal, what the model can do; the rest has no part
@@ -173,10 +175,10 @@ def _found(
 
 
 def _cross_validated_gains(U: Array, Y: Array, block: Index, *, ridge: float) -> Array:
-    """(blocks, m) falls of the sums of squares of m residuals Y (n, m) by orthonormal functions U (n, k) learnt on other blocks.
+    """Return falls (blocks, m) of the sums of squares of residuals Y (n, m) by functions U (n, k) learnt on other blocks.
 
-    Ridge regression, so that many functions of which few matter may win and none is trusted that mostly lives in the blocks
-    left out. Blocks are the unit: slow noise inside a block is one piece of luck.
+    U is orthonormal. Ridge regression lets many functions win of which few matter, and trusts none that mostly lives in the
+    held-out blocks. Blocks are the unit: slow noise is correlated inside a block.
     """
     number = np.unique(block, return_inverse=True)[1]
     fold, gain = folds(block), np.zeros(Y.shape)
@@ -189,7 +191,7 @@ def _cross_validated_gains(U: Array, Y: Array, block: Index, *, ridge: float) ->
 
 
 def t_statistic(each: Array) -> float:
-    """Mean gain of the blocks over its standard error."""
+    """Return the mean gain of the blocks over its standard error."""
     spread = float(np.std(each, ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else np.inf
     return float(np.mean(each)) / max(spread, 1e-300)
 
@@ -197,10 +199,10 @@ def t_statistic(each: Array) -> float:
 def _beyond_shuffled(
     U: Array, y: Array, block: Index, *, ridge: float, beyond: float = 8.0, orders_asked: int = 60, first: int = 10
 ) -> bool:
-    """Return whether functions predict blocks left out far better than they predict the same blocks in another order.
+    """Return whether functions predict held-out blocks far better than the same blocks in another order.
 
     What acts in a few corners of the motion lies in a few blocks: their gains differ so much that a mean over its error says
-    little. That the rest is large at just the moments that the motion foretells is no luck.
+    little. That the residual is large at just the moments that the motion predicts is no chance.
 
     Args:
         beyond: standard deviations between orders.

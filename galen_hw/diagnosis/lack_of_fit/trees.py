@@ -1,7 +1,4 @@
-"""Trees on the inputs: they bend where no family of functions does, and know nothing beyond the motion.
-
-Beside linear regressions of what has no name, and in search of what all families together have taken for slow noise.
-"""
+"""Regression trees on the inputs, for structure that no family of functions describes."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
@@ -26,7 +23,7 @@ TOGETHER: Final = "all inputs together, as no function that was tried does"
 
 
 def boosted_trees() -> "HistGradientBoostingRegressor":
-    """Gradient-boosted trees (Friedman 2001) as the library sets them, the same ones every time."""
+    """Return gradient-boosted trees (Friedman 2001) with the library's settings and a fixed seed."""
     # Half a second to import, which most recordings never ask for.
     from sklearn.ensemble import HistGradientBoostingRegressor
 
@@ -36,10 +33,10 @@ def boosted_trees() -> "HistGradientBoostingRegressor":
 # Threads of several diagnoses at once would spin and wait for one another: seven times as long on two cores.
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
 def blended(remainder: Remainder, model: Model, functions: Functions) -> Remainder:
-    """A remainder's mean with trees on the inputs and their past, in the channels where it predicts blocks left out better.
+    """Return a remainder averaged with trees on the inputs, in channels where that predicts held-out blocks better.
 
-    Never trees alone: where another motion goes further they stay as they are. Errors of so different a kind partly cancel
-    in the mean (Bates and Granger 1969).
+    Never trees alone: beyond the range of the motion they are constant. Errors of so different a kind partly cancel in the mean
+    (Bates and Granger 1969).
     """
     rows, X = functions.rows, remainder.inputs.seen
     residual, cross_validated, trees = model.residual(), remainder.cross_validated.copy(), {}
@@ -58,10 +55,10 @@ def blended(remainder: Remainder, model: Model, functions: Functions) -> Remaind
 
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
 def hidden(model: Model, *, slower: float = 2.0, most_by_time: float = 0.5) -> list[Structure]:
-    """Structure of a model's rest that passes for slow noise, a channel at a time: what trees predict of blocks left out.
+    """Return structure of a model's residual that passes for slow noise: what trees predict of held-out blocks.
 
-    A law of several inputs at once that is in no family is followed by none, and by its own slowness it is noise then. What
-    trees on the time alone foretell is slow noise, or drift: where a motion does not come back its place is a clock.
+    A law of several inputs at once that is in no family passes for noise by its own slowness. What trees on the time alone
+    predict is slow noise, or drift: where a motion does not repeat, its position is a clock.
 
     Args:
         slower: times the noise's lowest level that some of it must be for trees to look into it: else there is
@@ -104,7 +101,7 @@ def hidden(model: Model, *, slower: float = 2.0, most_by_time: float = 0.5) -> l
 
 
 def _predicted(X: Array, y: Array, fold: Index, good: Index) -> Array:
-    """(M, m) rests (M, m) as trees on inputs (M, k) predict them that were learnt on some of the good rows of other folds."""
+    """Return residuals (M, m) predicted from inputs (M, k) by trees learnt on some good rows of other folds."""
     out, seen = np.zeros(y.shape), good[:: max(len(good) // BUDGET.coarse, 1)]
     for f in range(int(fold.max()) + 1):
         learn, aside = seen[fold[seen] != f], fold == f
@@ -115,7 +112,7 @@ def _predicted(X: Array, y: Array, fold: Index, good: Index) -> Array:
 
 
 def _many(*, number: int = 30, leaf: int = 10) -> "ExtraTreesRegressor":
-    """Extremely randomised trees (Geurts, Ernst and Wehenkel 2006): all channels at once, and quick.
+    """Return extremely randomised trees (Geurts, Ernst and Wehenkel 2006): all channels at once, and quick.
 
     Args:
         number: trees.

@@ -1,4 +1,4 @@
-"""Estimate the noise of every channel from the residual of a rich fit, corrected for what that fit itself took of each band."""
+"""Estimation of every channel's noise spectrum from the residual of a rich fit (residual likelihood)."""
 
 import numpy as np
 
@@ -19,7 +19,7 @@ def estimate(
     above: float = 0.0,
     static_poses: bool = False,
 ) -> Noise:
-    """Noise from what is left (M, C) after a fit with an orthonormal basis (M, r) in each channel.
+    """Return the noise estimated from the residual (M, C) of a fit with an orthonormal basis (M, r) in each channel.
 
     Args:
         rest, basis: of the fit; rows: of the bench; ordered: if not, noise is white; steps: of rounded readings.
@@ -49,7 +49,7 @@ def estimate(
 
 
 def _by_neighbours(residual: Array, sigma: Array, freedom: Array, rows: Rows, *, surely: float = 2.5) -> Array:
-    """(C,) standard deviation by the differences of neighbours, where these are surely smaller than noise of sigma (C,) has.
+    """Return the standard deviation (C,) from differences of neighbours, where these are surely smaller than sigma's (C,).
 
     In white noise half the mean squared difference over the variance is 1, with a deviation of 1 / sqrt(n) (von Neumann 1941).
 
@@ -62,7 +62,7 @@ def _by_neighbours(residual: Array, sigma: Array, freedom: Array, rows: Rows, *,
 
 
 def _bands(n: int, *, lines: int = 18, per_decade: int = 6, slowest: float = 7.0) -> Array:
-    """Limits in cycles a row: at least so many lines of the spectrum in a band, equal ratios where there are more.
+    """Return band limits in cycles a row: at least so many lines in a band, equal ratios where there are more.
 
     Args:
         n: rows of a segment.
@@ -80,9 +80,9 @@ def _bands(n: int, *, lines: int = 18, per_decade: int = 6, slowest: float = 7.0
 def _levels(
     residual: Array, basis: Array, runs: list[slice], edges: Array, above: float, *, least: float = 5.0
 ) -> Array:
-    """(B,) level a band: what the rich fit has left there over the share of the band that it could not reach.
+    """Return the level (B,) of each band: the residual's power over the share of the band outside the rich basis.
 
-    The rest of a fit with an orthonormal basis Q has at frequency f the expected power (1 - t) S, t the basis' own power
+    The residual of a fit with an orthonormal basis Q has at frequency f the expected power (1 - t) S, t the basis' own power
     there (residual likelihood; Patterson and Thompson 1971, in the frequency domain).
 
     Args:
@@ -117,10 +117,10 @@ def _levels(
 
 
 def _filled(level: Array, edges: Array) -> Array:
-    """Bands that could not be measured: between their neighbours in logarithms, as the nearest one at the ends.
+    """Return levels with unmeasured bands interpolated in logarithms, as the nearest band at the ends.
 
-    At the slow end this may be too little noise: what is then chosen too boldly goes when the noise is learnt again from
-    what the first model leaves.
+    At the slow end this may be too little noise: what is then chosen too boldly goes when the noise is learnt again from the
+    first model's residual.
     """
     centres, known = np.log(np.sqrt(edges[1:] * edges[:-1])), np.isfinite(level) & (level > 0.0)
     if not known.any():
@@ -130,7 +130,7 @@ def _filled(level: Array, edges: Array) -> Array:
 
 
 def quantisation(y: Array) -> Array:
-    """(C,) step of readings (N, C) that stand on a grid, else 0."""
+    """Return the quantisation step (C,) of readings (N, C), 0 where they are not on a grid."""
     out = np.zeros(y.shape[1])
     for c in range(y.shape[1]):
         values = np.unique(y[np.isfinite(y[:, c]), c])

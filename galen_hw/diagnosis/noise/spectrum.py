@@ -1,7 +1,7 @@
-"""The noise of every channel: its spectrum, whitening by it, and surrogates that look like it.
+"""The noise of every channel: its spectrum, whitening, and surrogates.
 
-The spectrum is a level per logarithmic band. Below the slowest band
-that a recording of this length can tell from drift it is continued: flat where it has a corner for certain, else as a power law.
+The spectrum is a level per logarithmic band. Below the slowest band that a recording of this length can tell from drift it is
+continued: flat where a plateau is identified, else as a power law.
 """
 
 import itertools
@@ -44,7 +44,7 @@ class Noise:
     cache: dict[tuple[int, float], Array] = field(default_factory=dict, compare=False)
 
     def spectrum(self, frequency: Array) -> Array:
-        """(F, C) level at frequencies in cycles a row."""
+        """Return the level (F, C) at frequencies in cycles a row."""
         if not len(self.edges):
             return np.tile(self.sigma**2, (len(frequency), 1))
         centres = np.log(self.centres)
@@ -78,18 +78,18 @@ class Noise:
         return plateaus(self.centres, self.levels, self.lines, self.slowest)
 
     def random_walks(self, residual: Array, waves: int) -> Mask:
-        """(C,) whether what is left (M, C) of a channel is no noise but a walk; `waves` half cosines lie below the bands."""
+        """Return which channels (C,) of a residual (M, C) contain a random walk; `waves` half cosines lie below the bands."""
         if len(self.centres) < RESOLUTION.fewest or len(self.rows.runs) > 1:
             return np.zeros(len(self.sigma), dtype=bool)
         modes = dct(residual, axis=0, norm="ortho")[1 : 1 + waves] ** 2
         return walking(self.centres, self.levels, self.lines, modes, len(residual), self.slowest)
 
     def whiten(self, x: Array, channel: int) -> Array:
-        """(M, k) columns of one channel, scaled and filtered so that its noise becomes white with unit variance."""
+        """Return columns (M, k) of one channel, filtered so that its noise becomes white with unit variance."""
         return self.whitened(self.transformed(x), channel)
 
     def bridged(self, y: Array, good: Mask) -> Array:
-        """(M, C) all channels whitened, rows (M,) that are not good bridged before."""
+        """Return all channels (M, C) whitened, with rows (M,) that are not good interpolated first."""
         out, at = np.empty_like(y), np.flatnonzero(good)
         for c in range(y.shape[1]):
             filled = y[:, c] if good.all() else np.interp(np.arange(len(y)), at, y[at, c])
@@ -97,13 +97,13 @@ class Noise:
         return out
 
     def colour(self, z: Array, channel: int) -> Array:
-        """White noise (M, k) turned into noise like the channel's."""
+        """Colour white noise (M, k) by the channel's spectrum."""
         return self._filtered(self.transformed(z)[:, None], (channel,), 0.5)[:, 0]
 
     def as_smooth(self, white: Array, channel: int) -> Array:
-        """(M, k) whitened columns of one channel, weighed by how much more noise a smooth spectrum has there (root of it).
+        """Weight whitened columns (M, k) by the root of a smooth spectrum over the measured one.
 
-        The scatter of the measured bands whitens too much here and too little there; what it makes of a fit is told by this.
+        The scatter of the measured bands whitens too much here and too little there; this shows its effect on a fit.
         """
         if not len(self.edges):
             return white
@@ -126,7 +126,7 @@ class Noise:
         return np.asarray(np.log(smooth / self.levels))
 
     def padded(self, without_data: Mask, *, above_noise: float = 1e9) -> "Noise":
-        """Return this noise of the other channels with those (C,) without data among them, which then count for nothing.
+        """Return this noise with channels without data (C,) inserted, which then have no weight.
 
         Args:
             beyond: standard deviation of their noise, larger than all that could be in them, in any unit.
@@ -152,15 +152,15 @@ class Noise:
         )
 
     def flat(self) -> "Noise":
-        """White noise at the lowest level of the spectrum: the least that the noise can be."""
+        """Return white noise at the lowest level of the spectrum: the least that the noise can be."""
         sigma = np.sqrt(np.min(self.levels, axis=0))
         return replace(self, edges=np.empty(0), levels=np.empty((0, len(sigma))), sigma=sigma, cache={})
 
     def transformed(self, x: Array) -> Array:
-        """(P, ...) of rows (M, ...) as `whitened` takes them, P >= M: the part of the work that is the same for all channels.
+        """Return the cosine transform (P, ...) of each run of rows (M, ...), P >= M, for `whitened`; the same for all channels.
 
-        The cosine transform of a run is that of the signal with its mirror image behind it: the two ends stay apart. A run of
-        an awkward length (a prime) goes on into its mirror image up to one that is transformed quickly.
+        The cosine transform of a run is that of the signal with its mirror image behind it: the two ends stay apart. A run of an
+        awkward length (a prime) is extended into its mirror image to a length that is transformed quickly.
         """
         out = np.empty((self._places[-1].stop, *x.shape[1:]))
         for run, place in zip(self.rows.runs, self._places, strict=True):
@@ -170,11 +170,11 @@ class Noise:
         return out
 
     def whitened(self, transformed: Array, channel: int) -> Array:
-        """(M, k) white columns from transformed ones (P, k)."""
+        """Return whitened columns (M, k) from transformed ones (P, k)."""
         return self._filtered(transformed[:, None], (channel,), -0.5)[:, 0]
 
     def whitened_each(self, transformed: Array, channels: tuple[int, ...]) -> Array:
-        """(M, c, k) white columns of several channels from transformed ones (P, c, k)."""
+        """Return whitened columns (M, c, k) of several channels from transformed ones (P, c, k)."""
         return self._filtered(transformed, channels, -0.5)
 
     def _filtered(self, transformed: Array, channels: tuple[int, ...], power: float) -> Array:
@@ -199,13 +199,13 @@ class Noise:
         return tuple(slice(a, b) for a, b in itertools.pairwise(edges))
 
     def _levels(self, n: int, power: float) -> Array:
-        """A power of the spectrum at the frequencies of a cosine transform of length n, kept."""
+        """Return a power of the spectrum at the frequencies of a cosine transform of length n, cached."""
         if (n, power) not in self.cache:
             self.cache[n, power] = self.spectrum(np.arange(n) / (2.0 * n)) ** power
         return self.cache[n, power]
 
     def independent(self, rows: int) -> Array:
-        """(C,) independent values among so many rows, for the error of a mean square."""
+        """Return the number (C,) of independent values among so many rows, for the error of a mean square."""
         level = self.spectrum((np.arange(2048) + 0.5) / 4096)
         return np.asarray(rows * np.mean(level, axis=0) ** 2 / np.mean(level**2, axis=0))
 
@@ -265,7 +265,7 @@ class Noise:
 
 
 def _line(at: Array, centres: Array, level: Array, plateau: float, *, steepest: float = -1.0) -> Array:
-    """Linear interpolation; below the first centre the shelf, else along the slope of the slowest decade (at most `steepest`).
+    """Return a linear interpolation; below the first centre the plateau, else a line with the slope of the slowest decade.
 
     Args:
         steepest: power of the frequency of flicker noise: slower wander than a recording can tell from drift is
@@ -283,7 +283,7 @@ def _line(at: Array, centres: Array, level: Array, plateau: float, *, steepest: 
 
 
 def _slope(x: Array, y: Array) -> float:
-    """Least squares, less its own standard error: in doubt slow noise is stronger."""
+    """Return the least-squares slope less its own standard error: in doubt slow noise is stronger."""
     A = np.stack([np.ones_like(x), x - x[0]], axis=-1)
     inverse = np.linalg.inv(A.T @ A)
     value = inverse @ A.T @ y

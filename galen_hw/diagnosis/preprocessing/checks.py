@@ -1,4 +1,4 @@
-"""Before any fitting: rows that can be compared, and what is odd about the rest. Each thing becomes one line."""
+"""Screening before any fit: rows that can be compared, and notes on the others."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ class Screening:
     channels: list[str] = field(default_factory=list)
 
     def take(self, examination: Examination) -> None:
-        """Take up what the premises say of the recording; what they claim as physics becomes a finding as well."""
+        """Add what the premises say of the recording; what they claim as physics becomes a finding as well."""
         first = [r for r in examination.remarks if r.action is not Action.REFUSED]
         self.notes[:0] = [r.line for r in first] + [r.line for r in examination.refused]
         if examination.refused:
@@ -47,7 +47,7 @@ class Screening:
 
 
 def screened(scene: Scene, *, short: int = 100) -> Screening:
-    """Leave out rows that cannot be compared; axes, signs, units and clocks were looked at before (`galen_hw.premises`).
+    """Leave out rows that cannot be compared; axes, signs, units and clocks are checked before (`galen_hw.premises`).
 
     Args:
         short: rows of a motion below which only gross effects can show.
@@ -71,7 +71,7 @@ def screened(scene: Scene, *, short: int = 100) -> Screening:
 
 
 def held_out(scene: Scene, notes: list[str]) -> Scene:
-    """A second recording, to be judged on, without the rows that cannot be compared; what is left out is noted.
+    """Return a held-out recording without the rows that cannot be compared, and note what is left out.
 
     Raises:
         UsageError: as `screened`.
@@ -84,7 +84,7 @@ def held_out(scene: Scene, notes: list[str]) -> Scene:
 
 
 def _drivable(scene: Scene) -> None:
-    """There is something to simulate from."""
+    """Raise if there is nothing to simulate from."""
     seen, robot, columns = scene.observations, scene.belief.robot, scene.observations.columns
     if seen.simulation is not None or seen.predict == "position":
         return
@@ -103,7 +103,7 @@ def _drivable(scene: Scene) -> None:
 
 
 def _measured(scene: Scene, notes: list[str]) -> Scene:
-    """Without the joints and orientations of which nothing was measured: the others can be compared."""
+    """Leave out joints and orientations of which nothing was measured: the others can be compared."""
     columns = scene.observations.columns
     may_lack = {name for name in scene.channels if name.startswith("joint.")}
     may_lack |= set(QUATERNION) if scene.observations.predict == "pose" else set()
@@ -115,7 +115,7 @@ def _measured(scene: Scene, notes: list[str]) -> Scene:
 
 
 def _with_tool(scene: Scene, notes: list[str]) -> Scene:
-    """Without the poses of a calibration sweep in which nothing hung on the sensor: the tool that is named was not there."""
+    """Leave out poses of a calibration sweep in which nothing hung on the sensor: the named tool was not there."""
     tool = scene.observations.columns.get("covariate.tool")
     bare = np.zeros(len(scene), dtype=bool) if tool is None else np.asarray(tool < 0.5)
     if scene.observations.predict != "wrench" or not bare.any() or bare.all():
@@ -125,7 +125,7 @@ def _with_tool(scene: Scene, notes: list[str]) -> Scene:
 
 
 def _ordered(scene: Scene, notes: list[str], *, most: float = 0.05) -> Scene:
-    """Rows whose clock stands or runs backwards inside a segment go.
+    """Leave out rows whose clock stands or runs backwards inside a segment.
 
     Args:
         most: share of rows out of order beyond which the clock is not one clock.
@@ -155,7 +155,7 @@ def _ordered(scene: Scene, notes: list[str], *, most: float = 0.05) -> Scene:
 
 
 def longest_rising(t: Array) -> Index:
-    """Places of a longest subsequence of (N,) that never falls (patience sorting, N log N)."""
+    """Return the indices of a longest subsequence of (N,) that never falls (patience sorting, N log N)."""
     tails: list[float] = []
     ends: list[int] = []
     before = np.full(len(t), -1, dtype=np.intp)
@@ -172,7 +172,7 @@ def longest_rising(t: Array) -> Index:
 
 
 def _parted(scene: Scene, notes: list[str], *, times: float = 5.0, least: float = 0.5) -> Scene:
-    """Rows on either side of a gap are no longer continuous with each other.
+    """Begin a new segment after each gap of the clock.
 
     Args:
         times: the median step; what is longer is a gap: what happened in it nobody knows.
@@ -201,7 +201,7 @@ def _parted(scene: Scene, notes: list[str], *, times: float = 5.0, least: float 
 
 
 def _driven(scene: Scene, notes: list[str]) -> Scene:
-    """Rows without what the simulation is driven by go; a thermometer's missing cells are bridged."""
+    """Leave out rows without the inputs of the simulation; interpolate empty cells of thermometers."""
     columns, robot = scene.observations.columns, scene.belief.robot
     bridged = {}
     for name, values in columns.items():
@@ -224,12 +224,12 @@ def _driven(scene: Scene, notes: list[str]) -> Scene:
 
 
 def quiet(scene: Scene) -> Scene:
-    """The scene with joints at rest where they stand and moving ones without noise, if that goes straight into what is compared.
+    """Return the scene with denoised joint positions, at rest where they stand, where their noise enters the simulation.
 
-    In a tracked pose it is in all channels at once: an arm that is wrong by a foot would explain what shakes it at rest, and
-    a dead band or a filter that does no more than quieten the encoders would be believed. A wrench that is simulated from noisy
-    joints is noisy itself, and a lag quietens that where a delay does not. What looks like noise may be poses one
-    after the other: a joint that the tracker or the sensor saw go there stays as it was read.
+    In a tracked pose it is in all channels at once: an arm that is wrong by a foot would explain what shakes it at rest, and a
+    dead band or a filter that does no more than quieten the encoders would be believed. A wrench that is simulated from noisy
+    joints is noisy itself, and a lag quietens that where a delay does not. What looks like noise may be poses one after the
+    other: a joint that the tracker or the sensor saw go there stays as it was read.
     """
     seen = scene.observations
     if seen.predict not in ("pose", "targets", "wrench") or not scene.clock or not np.isfinite(scene.q).all():
@@ -276,7 +276,7 @@ def enough(good: Mask, *, fewest: int = 8) -> None:
 
 
 def _complete(scene: Scene, notes: list[str], wrong: Sequence[str] = ()) -> Scene:
-    """Rows without a measured or simulated value go; a dead channel is named."""
+    """Leave out rows without a measured or simulated value; raise for a channel without any."""
     y, s = scene.measured, scene.simulated
     for c, name in enumerate(scene.channels):
         if not np.isfinite(y[:, c]).any():

@@ -1,4 +1,4 @@
-"""From the work of a diagnosis to what its page shows: traces, curves, maps, evidence, look-alikes, possible recordings."""
+"""What the page of a diagnosis shows: traces, curves, maps, evidence, look-alikes, possible recordings."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ from galen_hw.spatial import Array
 
 
 def traces_of(work: Work) -> Traces:
-    """Everything that the page draws."""
+    """Return everything that the page draws."""
     bench, scene, before = work.bench, work.bench.scene, baseline_residual(work.model)
     advice = options_of(work.model, work.selection, work.diagnosis.findings)[: CAPS.alike]
     return Traces(
@@ -38,7 +38,7 @@ def traces_of(work: Work) -> Traces:
 
 
 def _along(work: Work, before: Array, *, least: float = 0.1) -> list[Along]:
-    """The variables that organise the excess best, one picture a variable, with the region where one was found.
+    """Return the variables that explain the excess best, one picture a variable, with the region where one was found.
 
     Args:
         least: share of the excess from which a variable is worth a picture.
@@ -57,7 +57,7 @@ def _along(work: Work, before: Array, *, least: float = 0.1) -> list[Along]:
 
 
 def _plane(work: Work, before: Array) -> tuple[tuple[str, str, Array], tuple[str, str, Array]] | None:
-    """The two variables of motion, of two joints where it can be, that organise the excess best."""
+    """Return the two variables of motion, of two joints where possible, that explain the excess best."""
     motion = (".position", ".velocity")
     known = [v for v in variables(work.bench) if v.name.endswith(motion) and v.about in work.bench.scene.moved]
     order = [v for v, _, _ in organised(work.bench, known, before)]
@@ -69,7 +69,7 @@ def _plane(work: Work, before: Array) -> tuple[tuple[str, str, Array], tuple[str
 
 
 def _alike(work: Work) -> list[Alike]:
-    """The nearest look-alikes of every finding, told apart or not."""
+    """Return the nearest look-alikes of every finding, told apart or not."""
     out = []
     for finding in work.diagnosis.findings:
         tied = {c.effect for c in finding.rivals}
@@ -83,7 +83,7 @@ def _alike(work: Work) -> list[Alike]:
 
 
 def _evidence(work: Work) -> list[Evidence]:
-    """The best of every family before anything was chosen, strongest first."""
+    """Return the best hypothesis of every family before anything was chosen, strongest first."""
     selection, model = work.selection, work.model
     rows: list[Evidence] = []
     seen: set[tuple[Any, ...]] = set()

@@ -1,4 +1,4 @@
-"""Whether a hypothesis is worth its place: what it takes on blocks left out, and whether its parameters can be real."""
+"""Acceptance of a hypothesis: cross-validated gain, and parameters that can be real."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ CANCELLED = 0.1
 def improvement(
     out: Selection, trial: list[int], i: int | None = None, *, whitened: bool = False
 ) -> tuple[Gain, float]:
-    """Compare a trial with the chosen model on training blocks, each predicted from the others.
+    """Compare a trial with the chosen model on cross-validated training blocks.
 
     Args:
         i: the effect that is asked for, None: several.
@@ -54,7 +54,7 @@ def improvement(
 
 
 def _moments(h: Hypothesis | None, bench: Bench, without: Array) -> Mask:
-    """(n,) training rows of a touch if errors (n, c) without it are far larger then than at all other times; else all."""
+    """Return the training rows (n,) of a contact, if errors (n, c) without it are far larger in these; else all."""
     every = np.ones(len(without), dtype=bool)
     if h is None or h.effect is None or not h.effect.touches:
         return every
@@ -66,10 +66,10 @@ def _moments(h: Hypothesis | None, bench: Bench, without: Array) -> Mask:
 
 
 def pays(out: Selection, trial: list[int], i: int | None = None) -> tuple[bool, float]:
-    """Return whether a trial lowers the error on blocks left out as a finding has to, and by which share of the excess.
+    """Return whether a trial significantly lowers the cross-validated error, and its share of the excess.
 
-    Raw errors are asked first. Where the trial leaves noise alone these are mostly slow noise, in which a small effect is lost
-    that whitened ones show; what belongs to moments fits nearly any noise, and of it raw errors must speak.
+    Raw errors are tested first. Where the trial leaves noise alone these are mostly slow noise, in which a small effect is lost
+    that whitened errors show. A momentary effect fits nearly any noise: for it raw errors have to decide.
 
     Args:
         i: the effect that is asked for, None: several.
@@ -88,7 +88,7 @@ def pays(out: Selection, trial: list[int], i: int | None = None) -> tuple[bool, 
 
 
 def improves(out: Selection, before: Array, after: Array) -> bool:
-    """Return whether errors (n, C) on blocks left out, in units of the noise, fall with a trial as a finding's have to."""
+    """Return whether normalised errors (n, C) on held-out blocks fall with a trial as a finding requires."""
     gain = paired(before, after, out.initial_mean_square / out.bench.noise.sigma**2 - 1.0)
     square = np.mean(after**2, axis=0)
     unexplained = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0)) / max(gain.excess, 1e-300)
@@ -96,17 +96,17 @@ def improves(out: Selection, before: Array, after: Array) -> bool:
 
 
 def held_out_errors(out: Selection, model: list[int]) -> Array:
-    """(n, C) errors of a model on training blocks, each predicted from the others, in units of the noise."""
+    """Return cross-validated errors (n, C) of a model on training blocks, over the noise's standard deviation."""
     return cross_validated(out.bench, out.scorer.parts(model), out.scorer.white) / out.bench.noise.sigma
 
 
 def no_worse(before: Array, after: Array) -> bool:
-    """Return whether errors (n, C) on blocks left out stay within one standard error of those before."""
+    """Return whether errors (n, C) on held-out blocks rise by no more than one standard error."""
     return paired(before, after, np.zeros(1)).tolerable
 
 
 def as_good(before: Array, after: Array) -> bool:
-    """Return whether errors (n, C) on blocks left out rise by less than what is missing may do along any regressor."""
+    """Return whether errors (n, C) on held-out blocks rise by less than model discrepancy allows."""
     square = np.mean(before**2, axis=0)
     missing = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0))
     gain = paired(before, after, np.zeros(1))
@@ -114,7 +114,7 @@ def as_good(before: Array, after: Array) -> bool:
 
 
 def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
-    """Return whether the parameters can be what the effect is called."""
+    """Return whether the parameters fit the effect's name."""
     h = scorer.library[i]
     assert h.effect is not None, "nuisances are never candidates"
     theta, at, _ = scorer.solve([*chosen, i], asked=i)
@@ -128,11 +128,11 @@ def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
 
 
 def _cancelled(bench: Bench, scorer: Scorer, chosen: list[int], theta: Array) -> bool:
-    """Whether the last of the chosen and another do the same with opposite signs, but for a small part which alone is needed.
+    """Return whether the last effect is nearly cancelled by another one, but for a small part that alone is needed.
 
-    `theta` (k,): parameters of what is always fitted, and of the chosen in their order.
+    `theta` (k,): parameters of the constants and of the chosen effects in their order.
 
-    Two large errors that happen to cancel are less likely than that neither is there: their difference bends as it must.
+    Two large errors that happen to cancel are less likely than none: only the difference of their nonlinear parts fits the data.
     """
     changes = []
     for h, t in list(with_parameters(scorer.parts(chosen), theta))[len(scorer.base) :]:

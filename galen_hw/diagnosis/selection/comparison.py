@@ -1,4 +1,4 @@
-"""Candidates compared in each other's place, each at its optimum."""
+"""Comparison of candidates in each other's place, each at its optimum."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -20,9 +20,9 @@ from galen_hw.spatial import Array
 
 
 def in_place(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> dict[int, Score]:
-    """Scores of every hypothesis in the place of the chosen one i, which is among them; near rivals at their optimum.
+    """Return the scores of every hypothesis in the place of the chosen one i, itself included; near rivals at their optimum.
 
-    Where i is bent, the others are scored on the residual with its bend put back, as if i had never been there.
+    Where i is nonlinear, the others are scored on the residual with its nonlinear remainder restored.
     """
     others, residual = [j for j in chosen if j != i], scorer.solve(chosen)[2]
     firm, found = len(scorer.library), dict[object, tuple[Hypothesis, Score]]()
@@ -52,9 +52,9 @@ def in_place(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> dict[in
 
 @contextmanager
 def without_timing(scorer: Scorer, i: int) -> Iterator[bool]:
-    """The scorer for a while with other ends of the stream (a filter behind a delay) as if the chosen i had never been there.
+    """Remove the timing effect i from the output stage while the context lasts.
 
-    Whether there are any: then what joins the library meanwhile leaves it again.
+    Yield whether any columns pass through it: then hypotheses that join the library meanwhile leave it again.
     """
     bench, own, before = scorer.bench, scorer.library[i].effect, scorer.bench.timing
     others = [(end, theta) for end, theta in before if end != own]
@@ -74,7 +74,7 @@ def _is_nonlinear(bench: Bench, h: Hypothesis) -> bool:
 
 
 def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:
-    """The chosen hypothesis and the best of the kinds that nearly reach it."""
+    """Return the chosen hypothesis and the best of the kinds that nearly reach its score."""
     leaders: dict[object, int] = {}
     for j in sorted(scores, key=lambda j: -scores[j].rank - scores[j].beyond):
         effect = scorer.library[j].effect
@@ -89,10 +89,10 @@ def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:
 
 
 def loosens(other: Effect | None, effect: Effect | None) -> bool:
-    """Return whether the other is of the kind that the effect was found from, linear in more parameters than its physics has.
+    """Return whether the other is the linear relaxation of the effect, or a needlessly general response.
 
-    Or a response of second order for a delay or a lag: quicker than the rows it follows noise between them, and the clocks
-    are asked all at once whether there is one.
+    A relaxation has more parameters than the physics. A response of second order in the place of a delay or a lag that is quicker
+    than the rows follows noise between them; all timing effects are tested together elsewhere.
     """
     if other is None or effect is None:
         return False
@@ -102,12 +102,12 @@ def loosens(other: Effect | None, effect: Effect | None) -> bool:
 
 
 def _on_a_grid(h: Hypothesis) -> bool:
-    """Return whether it has searched values, and these from a grid; what was sought in the residual has found its own."""
+    """Return whether its searched values are from a grid; what was proposed from the residual has found its own."""
     return h.effect is not None and bool(h.effect.searched()) and h.trials == 1
 
 
 def at_nonlinear_optimum(bench: Bench, scorer: Scorer, chosen: list[int], i: int, score: Score) -> Score:
-    """The score of a nonlinear effect at its own optimum (Gauss and Newton) instead of by its slope at zero."""
+    """Return the score of a nonlinear effect at its own optimum (Gauss-Newton) instead of by its slope at zero."""
     rows = np.flatnonzero(bench.train)
     before = float(np.sum(residuals(bench, scorer, chosen)[1][rows] ** 2))
     best = max(score.gain, *(before - float(np.sum(residual**2)) for residual in _approached(bench, scorer, chosen, i)))
@@ -115,7 +115,7 @@ def at_nonlinear_optimum(bench: Bench, scorer: Scorer, chosen: list[int], i: int
 
 
 def _approached(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Iterator[Array]:
-    """(n, C) whitened rests of the training rows by the model with a nonlinear effect, after each step of the search."""
+    """Yield whitened residuals (n, C) of the training rows with a nonlinear effect, after each Gauss-Newton step."""
     h, y, theta = scorer.library[i], bench.y, scorer.solve([*chosen, i])[0][-scorer.library[i].count :]
     base = scorer.parts(chosen)
     rows = np.flatnonzero(bench.train)
@@ -133,7 +133,10 @@ def _approached(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Iter
 
 
 def vuong_statistic(bench: Bench, scorer: Scorer, others: list[int], i: int, j: int) -> float:
-    """By how many standard errors hypothesis i explains the training blocks better than j, both beside the others.
+    """Return by how many standard errors hypothesis i explains the training blocks better than j, given the others.
+
+    Source: Vuong 1989, the likelihood ratio of models that are not nested, over blocks since rows depend on each other. A
+    likelihood ratio below its own spread is no evidence.
 
     Source: Vuong 1989, the likelihood ratio of models that are not nested, over blocks since rows depend on each other.
     Beside its own spread a likelihood ratio shows whether it is evidence, or what both miss.
@@ -144,7 +147,7 @@ def vuong_statistic(bench: Bench, scorer: Scorer, others: list[int], i: int, j: 
 
 
 def _best_residual(bench: Bench, scorer: Scorer, others: list[int], i: int) -> Array:
-    """(n, C) whitened rest of the training rows with hypothesis i at its optimum."""
+    """Return the whitened residual (n, C) of the training rows with hypothesis i at its optimum."""
     h = scorer.library[i]
     if h.theta is None and _is_nonlinear(bench, h):
         return min(_approached(bench, scorer, others, i), key=lambda residual: float(np.sum(residual**2)))
@@ -160,10 +163,7 @@ def _best_residual(bench: Bench, scorer: Scorer, others: list[int], i: int) -> A
 
 
 def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int, passes: int = 1) -> int:
-    """The same effect with its searched values at the optimum: a new place in the library, or the old one.
-
-    Of several values one after the other, so many times at most.
-    """
+    """Optimise the searched values of a hypothesis, one after the other; return its number in the library, new or old."""
     hypothesis = scorer.library[i]
     effect = hypothesis.effect
     if effect is None or not effect.searched():

@@ -1,4 +1,4 @@
-"""The chosen model, settled: which constants stand in it, and which weights."""
+"""The final model: which constants it keeps, and whether it is fitted by weighted least squares."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from galen_hw.physics.effects.registry import constant_of
 
 
 def settle_model(bench: Bench, scorer: Scorer, selection: Selection) -> Model:
-    """Constants that the baseline may not fit become findings where they are significant, and go where they are not."""
+    """Return the chosen model; constants that the baseline may not fit become effects where they are significant."""
     chosen = selection.hypotheses
     if not scorer.free:
         return with_interactions(Model(bench, list(scorer.base), chosen, scorer.white))
@@ -38,10 +38,10 @@ def settle_model(bench: Bench, scorer: Scorer, selection: Selection) -> Model:
 
 
 def weighed(model: Model) -> Model:
-    """The model by plain least squares where physics is missing and that predicts blocks left out better.
+    """Return the model fitted by plain least squares where physics is missing and that predicts held-out blocks better.
 
-    Generalised least squares is best when only noise is left. When the rest is physics, the weights of the noise favour
-    frequencies at which the model is wrong.
+    Generalised least squares is best for noise alone. For a residual with physics the weights of the noise favour frequencies at
+    which the model is wrong.
     """
     bench = model.bench
     ours = cross_validated(bench, model.parts, model.white) / bench.noise.sigma
@@ -53,7 +53,7 @@ def weighed(model: Model) -> Model:
 
 
 def offsets(bench: Bench) -> list[Hypothesis]:
-    """The constants that the baseline may not fit, as the effects that they would be."""
+    """Return the constants that the baseline may not fit, as effects."""
     if bench.scene.belief.bias_free:
         return []
     constants = bench.constants()[: bench.width]
@@ -61,6 +61,6 @@ def offsets(bench: Bench) -> list[Hypothesis]:
 
 
 def _named(bench: Bench, constant: Hypothesis) -> Hypothesis:
-    """The constant of a channel as the effect that it would be."""
+    """Return the constant of a channel as an effect."""
     name = bench.scene.channels[constant.raw.channels[0]]
     return replace(constant, effect=constant_of(name, bench.scene.observations.predict))

@@ -1,4 +1,4 @@
-"""What a search begins with, and what the rest of a model proposes by itself."""
+"""The library of hypotheses that a search begins with, and proposals from the residual of a model."""
 
 import numpy as np
 
@@ -13,14 +13,14 @@ from galen_hw.physics.effects.registry import kinds
 
 
 def library(bench: Bench) -> list[Effect]:
-    """Every hypothesis that the scene allows; offsets are always in the model and judged at the end."""
+    """Return every hypothesis that the scene allows; offsets are always in the model and judged at the end."""
     predict = bench.scene.observations.predict
     asked = [kind for kind in kinds() if not kind.always_fitted(predict)]
     return [effect for kind in asked for effect in kind.propose(bench.scene)]
 
 
 def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sought]:
-    """What the rest of the present model shows by itself."""
+    """Return the proposals of all detectors for the residual of the present model."""
     update_stream(bench, scorer, chosen)
     residual, _ = residuals(bench, scorer, chosen)
     found = steps.steps(bench.scene, residual, bench.rows, bench.noise) + steps.staircases(
@@ -45,13 +45,13 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sou
 
 
 def known(bench: Bench, scorer: Scorer, effect: Effect) -> bool:
-    """Return whether a hypothesis is in the library: turn after turn the rest shows the same, as long as nothing takes it."""
+    """Return whether a hypothesis is in the library: detectors propose the same turn after turn while nothing explains it."""
     family, span = effect.family, float(np.ptp(bench.scene.time))
     return any(h.effect is not None and effect.indistinct(h.effect, span) for h in scorer.library if h.family == family)
 
 
 def at_first_sight(bench: Bench) -> list[proposal.Sought]:
-    """What belongs to moments and shows in the residual itself: it must not pass for noise, whatever it is to be called."""
+    """Return momentary effects that show in the residual itself: they must not pass for noise."""
     residual = bench.whole - np.median(bench.whole, axis=0)
     found = contacts(bench.scene, residual, bench.rows)
     found += spectral_lines.lines(bench.scene, residual, bench.rows, narrow=np.inf)

@@ -1,4 +1,4 @@
-"""Which effects: a loop over a table of moves, until none is better."""
+"""The search for the effects of a model: a loop over a table of moves, until none improves it."""
 
 from collections.abc import Sequence
 
@@ -57,7 +57,7 @@ def select(bench: Bench, scorer: Scorer, *, start: Start = ()) -> Selection:
 
 
 def settled(scorer: Scorer, start: Start, needed: float, *, rivals: bool = False) -> Selection:
-    """Return a start as a model, settled and with nothing else searched.
+    """Return a start as a converged model, without further search.
 
     Args:
         scorer: with all hypotheses, which the start joins.
@@ -68,7 +68,7 @@ def settled(scorer: Scorer, start: Start, needed: float, *, rivals: bool = False
     _stand(out, start)
     if rivals and swapped(out):
         settle_together(out.bench, scorer, out.chosen)
-    _residual(out)
+    _restore_residual(out)
     return out
 
 
@@ -80,7 +80,7 @@ def _begin(out: Selection, start: Start) -> None:
 
 
 def _stand(out: Selection, start: Start) -> None:
-    """Put the effects of a start into a model that has none, and let them settle."""
+    """Put the effects of a start into a model that has none, and iterate to convergence."""
     bench, scorer = out.bench, out.scorer
     trials = {h.effect.family: h.trials for h in scorer.library if h.effect is not None}
     first = len(scorer.library)
@@ -92,13 +92,13 @@ def _stand(out: Selection, start: Start) -> None:
 
 
 def _placed(bench: Bench, effect: Effect, theta: Array, trials: int) -> Hypothesis:
-    """An effect as a hypothesis that stands where its parameters (k,) are."""
+    """Return an effect as a hypothesis linearised at its parameters (k,)."""
     h = bench.hypothesis(effect, trials)
     return tangent(bench, h, theta) if effect.bends(bench.scene, np.zeros(h.count)) else h
 
 
 def _look(out: Selection) -> None:
-    """Begin a turn: propose what the rest shows by itself, place limits and jumps anew, score all."""
+    """Begin a turn: add proposals from the residual, re-estimate limits and jumps, score all."""
     bench, scorer = out.bench, out.scorer
     fresh = [s for s in sought(bench, scorer, out.chosen) if not known(bench, scorer, s.effect)]
     scorer.append([bench.hypothesis(s.effect, s.trials) for s in fresh])
@@ -111,7 +111,7 @@ def _look(out: Selection) -> None:
 
 
 def _conclude(out: Selection) -> None:
-    """Drop what the last turn has made needless, score each effect beside the others, and leave the residual to the model."""
+    """Drop effects that the last turn made needless, score each given the others, and restore the model's residual."""
     bench, scorer = out.bench, out.scorer
     # The last turn moved what is searched: what stood before need not stand now.
     if dropped(out):
@@ -122,10 +122,10 @@ def _conclude(out: Selection) -> None:
         if score is not None:
             out.evidence[i] = score
     out.turn = Turn()
-    _residual(out)
+    _restore_residual(out)
 
 
-def _residual(out: Selection) -> None:
-    """Leave the residual to the model, which tells by itself what its effects do to each other."""
+def _restore_residual(out: Selection) -> None:
+    """Set the residual to that of the model without interactions, which the model adds itself."""
     out.bench.update_state(interaction=0.0)
     rebase(out.scorer, out.chosen)

@@ -1,4 +1,4 @@
-"""The chosen model and how it came about."""
+"""The state of a search: the chosen model and how it was found."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -16,7 +16,7 @@ from galen_hw.spatial import Array
 
 @dataclass
 class Turn:
-    """What one turn of a search has learnt.
+    """What one turn of a search has found.
 
     Args:
         scores: of all hypotheses beside the model as the turn began.
@@ -33,7 +33,7 @@ class Turn:
 
 @dataclass
 class Attempt:
-    """Another model while it is tried; `kept`: it is to stay."""
+    """A trial model; `kept`: it replaces the present one."""
 
     kept: bool = False
 
@@ -73,7 +73,7 @@ class Selection:
 
     @contextmanager
     def attempt(self) -> Iterator["Attempt"]:
-        """Try another model: terms and what was settled beside them stand again as before, unless the attempt is kept."""
+        """Try another model while the context lasts, and restore the present one unless the attempt is kept."""
         bench, chosen, before, one = self.scorer.bench, list(self.chosen), self.scorer.bench.state, Attempt()
         try:
             yield one
@@ -100,6 +100,6 @@ class Selection:
 
 
 def elsewhere(scorer: Scorer, model: Iterable[int], candidates: Iterable[int]) -> list[int]:
-    """The candidates, in their order, whose place nothing in the model has."""
+    """Return the candidates, in their order, whose place is free in the model."""
     taken = {place_of(scorer.library[i].effect) for i in model}
     return [j for j in candidates if place_of(scorer.library[j].effect) not in taken]

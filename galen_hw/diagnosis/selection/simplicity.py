@@ -1,4 +1,4 @@
-"""Which of two look-alikes goes first: the plainer one, where the recording does not say otherwise."""
+"""Choice of the simplest of candidates that the recording cannot tell apart."""
 
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import reduced_chi2
@@ -12,10 +12,10 @@ from galen_hw.physics.effects.base import Effect
 def plainest(
     bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], able: list[int], *, unsure: float
 ) -> int:
-    """Return the plainest hypothesis that the first of the able does not lead by more than a standard error.
+    """Return the simplest hypothesis that the first of the significant ones leads by no more than a standard error.
 
-    A likelihood ratio is compared with its own spread from block to block (Vuong 1989), and with what laws may miss of what they
-    explain: where noise alone is left with either, less than that is no evidence (a steady pull is a weight but for inertia).
+    A likelihood ratio is compared with its own spread from block to block (Vuong 1989), and with the discrepancy of the laws:
+    where noise alone is left with either, less than that is no evidence (a steady pull is a weight but for inertia).
 
     Args:
         able: best first.
@@ -42,7 +42,7 @@ def plainest(
 
 
 def undecided(bench: Bench, scorer: Scorer, model: list[int]) -> float:
-    """Difference of rank that says nothing between models: a part of what the better one leaves above the noise."""
+    """Return the rank difference that model discrepancy explains: a part of what the better model leaves above the noise."""
     over = reduced_chi2(bench, scorer, model)
     return (
         CRITERIA.beside_unexplained * (over - 1.0) * bench.train.sum() * bench.live_channels
@@ -52,6 +52,6 @@ def undecided(bench: Bench, scorer: Scorer, model: list[int]) -> float:
 
 
 def _cost(scorer: Scorer, scores: dict[int, Score], i: int) -> tuple[int, int]:
-    """The lower, the plainer: of kinds those that are commoner, then those with fewer parameters."""
+    """Return the complexity of a hypothesis: rarer kinds are more complex, then those with more parameters."""
     effect = scorer.library[i].effect
     return (Effect.COMPLEXITY if effect is None else effect.COMPLEXITY, scores[i].count)

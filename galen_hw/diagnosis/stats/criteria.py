@@ -1,4 +1,4 @@
-"""The levels that decide what is believed: all of them, and nowhere else."""
+"""The significance levels of all decisions."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -39,7 +39,7 @@ class Criteria:
         return 1.0 + 2.0 * (self.noise_alone - 1.0)
 
     def standard_errors(self, questions: int = 1) -> float:
-        """Return by how many standard errors an answer must stand out where so many are asked for (Bonferroni, one side)."""
+        """Return the required number of standard errors of one of so many tests (Bonferroni, one side)."""
         return float(-ndtri(self.chance / max(questions, 1)))
 
 

@@ -1,4 +1,4 @@
-"""The paired test on held-out errors, block by block: what an effect takes of the excess, and how surely."""
+"""The paired test on held-out errors, block by block: an effect's share of the excess and its significance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -98,7 +98,7 @@ def paired(
 
 
 def _sum(x: Array, lucky: Array, count: int) -> tuple[float, float]:
-    """Sum of x (n,) and its standard error by sums over so many pieces: of its luck, or their spread if less."""
+    """Return the sum of x (n,) and its standard error over so many pieces: from its random part, or the spread if less."""
     each, luck = (np.array([piece.sum() for piece in np.array_split(one, count)]) for one in (x, lucky))
     spread = float(np.std(each, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
     return float(each.sum()), min(float(np.sqrt(np.sum(luck**2))), spread)

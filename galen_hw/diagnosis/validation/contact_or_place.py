@@ -1,4 +1,4 @@
-"""Whether what passes for touches is an event or a place: nobody pushes by the arm's position."""
+"""Test whether contacts are events or a function of the arm's position: nobody pushes by the arm's position."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -21,15 +21,15 @@ AROUND: Final = 0.5
 
 
 def touches_of(model: Model) -> list[Hypothesis]:
-    """Contacts that a model believes in."""
+    """Return the contacts of a model."""
     return [h for h in model.effects if h.effect is not None and h.effect.touches]
 
 
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
 def predicted_by_place(whole: Model, less: Model) -> list[Structure]:
-    """What a model without its contacts leaves during each, if that follows from where the arm was during the others.
+    """Return structure of the residual during contacts that follows from the arm's position during the others.
 
-    Of trees on the joint positions, which know corners of a workspace that polynomials do not. One touch alone has no others.
+    By trees on the joint positions, which describe corners of a workspace that polynomials do not. It needs two contacts.
 
     Args:
         whole: with contacts; less: the same without them.
@@ -67,7 +67,7 @@ def predicted_by_place(whole: Model, less: Model) -> list[Structure]:
 
 
 def _each(bench: Bench, touches: Sequence[Hypothesis]) -> list[Mask]:
-    """Rows (M,) of each touch with its surroundings; what overlaps is one."""
+    """Return the rows (M,) of each contact with its surroundings; overlapping ones are one."""
     time = bench.time
     near = np.zeros(len(bench.rows), dtype=bool)
     for h in touches:

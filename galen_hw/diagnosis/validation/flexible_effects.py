@@ -1,4 +1,4 @@
-"""What is left once everything with a name is named: found, predicted, weighed against names that bend far enough to hide it."""
+"""Structure without a name: found, predicted, and compared with flexible effects that could hide it."""
 
 from collections.abc import Sequence
 
@@ -20,7 +20,7 @@ from galen_hw.physics.scenes.base import Scene
 def remaining_structures(
     models: Sequence[Model], generic: list[structure_test.Family]
 ) -> list[list[structure_test.Structure]]:
-    """What each of some models of one recording leaves above the noise."""
+    """Return the structure above the noise in the residual of each of some models of one recording."""
     benches = {id(model.bench): model.bench for model in models}
     known: dict[int, list[structure_test.Structure]] = {}
     for bench in benches.values():
@@ -31,12 +31,12 @@ def remaining_structures(
 
 
 def has_flexible_effects(model: Model) -> bool:
-    """Return whether a model believes in something that bends far enough to be part of what has no name."""
+    """Return whether the model contains flexible effects."""
     return bool(_removal_sets(model))
 
 
 def structures_of_holdout(model: Model, holdout: Scene, judged: Judged) -> list[structure_test.Structure]:
-    """What a model leaves of another recording, worth saying: asked where names bend, and wherever it does not hold there."""
+    """Return structure in the held-out recording that matters, where effects are flexible or the model does not hold."""
     missed, bends = (
         {one.channel for one in above_noise(judged, model, outside_contacts=True)},
         has_flexible_effects(model),
@@ -54,10 +54,10 @@ def predict_unnamed(
     judged: Judged,
     structures: list[structure_test.Structure],
 ) -> tuple[Model, Judged, list[structure_test.Structure]]:
-    """What is left predicted without a name, where held-out data support that.
+    """Predict the remaining structure without a name, where held-out data support that.
 
-    A flexible effect has a name only if it says more than generic functions do in its place: what these explain better alone
-    has none. They are asked even if nothing else is left: with enough parameters they follow nearly anything in one recording.
+    A flexible effect keeps its name only if it explains more than generic functions do in its place. They are tested even if no
+    structure is left: with enough parameters effects follow nearly anything in one recording.
     """
     functions = Functions(model.bench)
     now, remainder = _explained(model, structures, functions)
@@ -90,7 +90,7 @@ def _finished(
     structures: list[structure_test.Structure],
     functions: Functions,
 ) -> Judged:
-    """With what no name is weighed against: the other channels, in which slow noise hides the same physics, and trees."""
+    """Judge a remainder extended to the other channels, in which slow noise hides the same physics, and by trees."""
     if remainder is None:
         return judged
     found = {one.kind for one in structures}
@@ -102,9 +102,9 @@ def _finished(
 def _explained(
     model: Model, structures: list[structure_test.Structure], functions: Functions
 ) -> tuple[float, Remainder | None]:
-    """Merit of a model together with what generic functions predict of its rest on blocks left out; and these.
+    """Return the penalised gain of a model with the cross-validated gain of generic functions, and these.
 
-    Each family pays for having been chosen among all: that choice no block was left out of.
+    Each family pays for having been chosen among all: that choice was not cross-validated.
     """
     # A family that shows in one channel may be little in another until what is larger there is told.
     every = {one.kind for one in structures}
@@ -117,7 +117,7 @@ def _explained(
 
 
 def _removal_sets(model: Model) -> list[set[int]]:
-    """Sets of effects that may be no more than part of what has no name: all flexible ones, each kind, polynomials."""
+    """Return the sets of flexible effects to test for removal: all of them, each kind, polynomials."""
     kinds: dict[str, set[int]] = {}
     for h in model.effects:
         if h.effect is not None and (h.effect.FLEXIBLE or h.effect.touches):
@@ -128,7 +128,7 @@ def _removal_sets(model: Model) -> list[set[int]]:
 
 
 def _polynomials(model: Model) -> list[set[int]]:
-    """Effects that are together a polynomial of one joint's load, joint by joint: each is a law, their sum bends as one likes.
+    """Return effects that together are a polynomial of one joint's load, joint by joint: their sum fits any curve.
 
     None of them is refused alone, for the others then miss what it took off them.
     """

@@ -1,4 +1,4 @@
-"""The model on data that it did not learn from."""
+"""Judgement of a model on held-out data, and backward elimination of unsupported effects."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 
 def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> Judged:
-    """Errors before and after on the rows set aside, or on another recording.
+    """Return errors before and after on held-out rows, or on another recording.
 
-    `first` is what was judged before: smaller models are judged on the same rows as the largest, or a poor one would call
-    what it misses a contact and be judged on the rest.
+    `first`: an earlier judgement; smaller models are judged on the same rows as the largest, or a poor one would call its
+    residual a contact and be judged on the other rows.
     """
     bench = model.bench
     keys = list(dict.fromkeys(h.effect.KEY for h in model.effects if h.effect is not None))
@@ -77,9 +77,9 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
 def _ask(
     judged: Judged, key: str, test: HoldoutTest, models: tuple[Model, Model, Model], questions: int, *, elsewhere: bool
 ) -> None:
-    """Ask of one kind of effect what falls with it.
+    """Test one kind of effect on held-out rows.
 
-    What belongs to moments shows nowhere else: its own rows alone say that it is there, and those set aside only that it is not.
+    A momentary effect shows nowhere else: its own rows alone support it, and held-out rows can only contradict it.
 
     Args:
         models: with all effects, without the one asked for, and without any; elsewhere: another recording judges.
@@ -101,7 +101,7 @@ def _ask(
 
 
 def _at_moments(model: Model, part: Model, baseline: Model) -> Gain:
-    """What falls with what a smaller model has left out on the rows that it was learnt on, which alone hold its moments."""
+    """Return the gain of what a smaller model lacks, on its training rows, which alone hold its moments."""
     good, sigma = ~model.bench.excluded_rows, model.bench.noise.sigma
     residual, without, before = (one.residual()[good] / sigma for one in (model, part, baseline))
     learnt = sum(h.effective_parameters(whole=True) for h in model.effects) - sum(
@@ -111,9 +111,9 @@ def _at_moments(model: Model, part: Model, baseline: Model) -> Gain:
 
 
 def _cross_validated_gain(model: Model, part: Model) -> Gain:
-    """What falls with what a smaller model has left out, on blocks left out of its own data.
+    """Return the gain of what a smaller model lacks, on held-out blocks of its own recording.
 
-    A temperature that stays where it is, or a joint that rests, says nothing for an effect and nothing against it.
+    A temperature or a joint that does not move in another recording neither supports an effect nor contradicts it.
     """
     each = (model, part, model.without(model.effects))
     residual, without, before = (cross_validated(model.bench, one.parts, one.white, whitened=True) for one in each)
@@ -121,7 +121,7 @@ def _cross_validated_gain(model: Model, part: Model) -> Gain:
 
 
 def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remainder: Remainder | None) -> Judged:
-    """The same with what a remainder predicts on the same rows, in the channels where it earns its place as an effect does."""
+    """Return the judgement with a remainder's predictions, in the channels where held-out data support them."""
     bench = model.bench
     if remainder is None:
         return judged
@@ -146,7 +146,7 @@ def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remaind
 
 
 def _beside(model: Model, key: str) -> list[int]:
-    """Channels in which it counts what the model leaves: of touches none, which are compared with it moment by moment."""
+    """Return the channels whose residual counts as unexplained; none for contacts, which are compared moment by moment."""
     touching = any(h.effect is not None and key == h.effect.KEY and h.effect.touches for h in model.effects)
     return [] if touching else _channels(model, key)
 
@@ -156,7 +156,7 @@ def _channels(model: Model, key: str) -> list[int]:
 
 
 def _places(model: Model, test: HoldoutTest, questions: int) -> dict[int, list[Gain]]:
-    """Gains of each lasting effect whose kind stands in several places, in its own channels, where these rows could tell."""
+    """Return the gains of each lasting effect whose kind is in several places, where these rows are informative."""
     keys = [h.effect.KEY for h in model.effects if h.effect is not None]
     out: dict[int, list[Gain]] = {}
     for k, h in enumerate(model.effects):
@@ -169,12 +169,12 @@ def _places(model: Model, test: HoldoutTest, questions: int) -> dict[int, list[G
 
 
 def backward_eliminated(model: Model, holdout: Scene | None, judged: Judged | None = None) -> tuple[Model, Judged]:
-    """The model without what held-out data do not support, the least supported first.
+    """Remove effects that held-out data do not support, one at a time (backward elimination).
 
-    What belongs to moments shows nowhere else, and need not be wanted there; it only must not make worse what it touches. Where a
-    kind stands in several places (friction in five joints), each place has to earn its own. What fits with parameters that
-    are not known at all has the shape of its name and no more; what others need to be what they are called stays. One at
-    a time, and what is left fitted again: of two that do the same one stays, and of two that need each other both do.
+    A momentary effect shows nowhere else, and need not be supported there; it only must not make its channels worse. Where a kind
+    is in several places (friction in five joints), each place needs its own support. Effects whose parameters are not significant
+    go; effects stay without which another one is implausible. The model is fitted again after each removal: of two that explain
+    the same one stays, and of two that need each other both do.
 
     Args:
         judged: of a larger model, whose rows are judged on again.
@@ -212,20 +212,20 @@ def _supported(judged: Judged, tests: Sequence[Gain], channels: Sequence[int], q
 
 
 def _is_needed(model: Model, key: str) -> bool:
-    """Return whether another effect cannot be what it is called without this kind: a loop whose linear part has a gear's sign."""
+    """Return whether another effect is implausible without this kind: a loop whose linear part has a gear's sign."""
     smaller = model.without([h for h in model.effects if h.effect is not None and key == h.effect.KEY])
     return len(_impossible(smaller)) > len(_impossible(model))
 
 
 def _impossible(model: Model) -> list[Effect]:
-    """Effects whose parameters cannot be those of what they are called."""
+    """Return effects whose parameters do not fit their names."""
     spread, scene = np.sqrt(model.variance), model.bench.scene
     each = [(h.effect, s) for h, s in zip(model.parts, model.slices(), strict=True) if h.effect is not None]
     return [effect for effect, s in each if not effect.possible(scene, model.final[s], spread[s])]
 
 
 def _vague(model: Model) -> list[Hypothesis]:
-    """Effects whose parameters do not say that they are what they are called, and those that patch what another one misses."""
+    """Return effects whose parameters do not prove their names, and those that patch what another one misses."""
     effects = [
         (h, h.effect, s)
         for h, s in zip(model.parts, model.slices(), strict=True)

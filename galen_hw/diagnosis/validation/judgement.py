@@ -1,4 +1,4 @@
-"""What data not learnt from say of a model."""
+"""The judgement of a model on held-out data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -58,16 +58,16 @@ class Judged:
         return self.after if self.with_generic is None else self.with_generic
 
     def gain(self, key: str) -> float:
-        """Share of the excess, channels weighed by their noise, that an effect removes."""
+        """Return the share of the excess, channels weighted by their noise, that an effect removes."""
         return self.gains[key].share
 
     def unexplained(self, channels: Sequence[int]) -> float:
-        """Share of the excess that is left with all effects, in those of some channels that hold more than noise."""
+        """Return the share of the excess that is left with all effects, in those of some channels that hold more than noise."""
         more = np.isin(np.arange(len(self.after)), channels) & (self.after > CRITERIA.noise_alone * self.floor)
         return max(self.share(np.where(more, self.after - self.floor, 0.0)), 0.0)
 
     def unnamed_gain(self) -> float:
-        """The same of what is predicted without a name."""
+        """Return the share of the excess that is predicted without a name."""
         return 0.0 if self.with_generic is None else self.share(self.after - self.with_generic)
 
     def share(self, lost: Array) -> float:
@@ -76,7 +76,7 @@ class Judged:
         return float(np.clip(np.sum(lost / self.floor) / excess, -1.0, 1.0)) if excess > 0 else 0.0
 
     def fit(self, bench: Bench, structures: list[Structure]) -> dict[str, dict[str, float]]:
-        """The `fit` part of the answer."""
+        """Return the `fit` part of the answer."""
         names = bench.scene.channels
         better = np.zeros(bench.width)
         for one in structures:
@@ -93,7 +93,7 @@ class Judged:
 
 
 def touched(model: Model) -> Mask:
-    """(M,) rows of its own bench during the contacts that a model believes in."""
+    """Return the rows (M,) of the model's bench during its contacts."""
     out = np.zeros(len(model.bench.rows), dtype=bool)
     for h in model.effects:
         if h.effect is not None and h.effect.touches:

@@ -1,4 +1,4 @@
-"""Structure in what a model leaves of another recording: physics that names stood in for on one motion shows on the next."""
+"""Application of a model to another recording, and structure in its residual there."""
 
 from dataclasses import replace
 
@@ -23,14 +23,12 @@ from galen_hw.spatial import Array
 
 
 def structures_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure_test.Structure]:
-    """What a model leaves above the noise of another recording, strongest first, by the noise of the first.
+    """Return the structure in a model's residual of another recording, strongest first, by the noise of the first.
 
-    To be asked of models with flexible names: these may follow one motion by what the next one does not have, and there generic
-    functions find what they left out. Of other models it would mostly be told that an effect was too weak to be seen at first,
-    which is worth saying only where they are far off there.
-    What the model's own parameters, learnt anew, would take is no structure but their error. Nothing is asked where something
-    belongs to moments and is fitted to each recording anew: what such a fit leaves proves nothing. The rows of contacts are left
-    out there, and the others speak.
+    For models with flexible effects: these may fit one motion by what the next one does not have, and there generic functions
+    find the rest. Of other models it would mostly show effects too weak to be seen at first, which matters only where the model
+    is far off. What the model's own parameters, fitted again, would explain is no structure but their error. Nothing is tested
+    where momentary effects are fitted to each recording anew: their residual proves nothing. The rows of contacts are left out.
     """
     effects = [(h, h.effect) for h in model.effects if h.effect is not None]
     ratio, excess = judged.after / judged.floor, judged.before - judged.floor
@@ -64,7 +62,7 @@ def _anew(effect: Effect) -> bool:
 
 
 def _bench(model: Model, scene: Scene, judged: Judged) -> Bench | None:
-    """One for the other recording with rows as long, the first one's noise and clocks; None where its rows cannot be as long."""
+    """Return a bench for the other recording with rows as long, the first one's noise and timing; None where impossible."""
     first = model.bench
     here = Bench(scene, held_share=0.0, most=max(-(-len(scene) // first.rows.stride), 1))
     if here.rows.stride != first.rows.stride:
@@ -77,10 +75,10 @@ def _bench(model: Model, scene: Scene, judged: Judged) -> Bench | None:
 
 
 def noise_ratio(model: Model, residual: Array) -> Array:
-    """(C,) noise of another recording over that of the first, from second differences: they hold hardly any motion.
+    """Return the noise (C,) of another recording over that of the first, from second differences, without most motion.
 
-    Of rounded readings no less: where what is read stands between two steps, rounding hides the noise, and not its own error.
-    Outside touches, whose edges no smooth shape follows.
+    Of rounded readings at least 1: where the value is between two steps, rounding hides the noise, and not its own error. Rows of
+    contacts, whose edges are not smooth, are left out.
     """
     good = ~model.bench.excluded_rows
     free = good & ~touched(model)
@@ -92,10 +90,10 @@ def noise_ratio(model: Model, residual: Array) -> Array:
 
 
 def undisturbed(model: Model, scene: Scene) -> tuple[Mask, tuple[tuple[float, float], ...]]:
-    """Rows (M,) of another recording that nothing of a moment spoils, and the times (s) of its contacts.
+    """Return the rows (M,) of another recording without momentary effects, and the times (s) of its contacts.
 
-    Only what was found in the recording itself is looked for: isolated samples, and outside forces. These are sought again
-    once the constants no longer give way to them.
+    Only what was found in the recording itself is looked for: isolated samples, and outside forces. These are sought again once
+    the constants no longer give way to them.
     """
     rows = model.bench.rows.of(scene.segments)
     whole = ~rows.spread(scene.ends | scene.unanswered)
@@ -115,10 +113,9 @@ def undisturbed(model: Model, scene: Scene) -> tuple[Mask, tuple[tuple[float, fl
 
 
 def apply(model: Model, scene: Scene, good: Mask | None = None, besides: Array | None = None) -> Array:
-    """(M, C) rest of another recording after the effects as learnt; nuisances, and what belongs to moments, are fitted anew.
+    """Return the residual (M, C) of another recording with the lasting effects as learnt, all else fitted anew.
 
-    What drifts, hums or jumped once does so in another recording too, from another start, with another phase or at another
-    moment.
+    Nuisances, drifts, lines and jumps recur with another start, another phase or at another moment, and are fitted anew.
 
     Args:
         good: (M,) rows to fit these on, None: all; besides: (M, C) something else that is taken off.
@@ -147,7 +144,7 @@ def apply(model: Model, scene: Scene, good: Mask | None = None, besides: Array |
 
 
 def _moments(scene: Scene, residual: Array, rows: Rows) -> list[float]:
-    """Times at which something may have jumped in a recording; its start where nothing did."""
+    """Return times of possible jumps in a recording; its start where there are none."""
     jumps = steps.steps(scene, residual, rows) + steps.slips(scene, residual, rows)
     jumps += steps.loads(scene, residual, rows)
     found = [s.effect.jump for s in jumps if s.effect.jump is not None]
@@ -155,12 +152,12 @@ def _moments(scene: Scene, residual: Array, rows: Rows) -> list[float]:
 
 
 def _full(effect: Effect, scene: Scene, rows: Rows, width: int) -> Array:
-    """(M, C, k) columns of an effect in all channels, on averaged rows."""
+    """Return columns (M, C, k) of an effect in all channels, on averaged rows."""
     return rows.average(effect.columns(scene).full(width))
 
 
 def _residual_after(residual: Array, columns: list[Array], seen: Mask) -> Array:
-    """(M, C) of a rest without what columns (M, C, k) do in it, by plain least squares on the rows seen (M,)."""
+    """Return the residual (M, C) of a least-squares fit of columns (M, C, k) on the rows seen (M,)."""
     if not columns:
         return residual
     stacked = np.concatenate(columns, axis=2)

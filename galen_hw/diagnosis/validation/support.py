@@ -1,4 +1,4 @@
-"""Whether held-out data support what was found: the paired test, in the units in which it is sharpest."""
+"""The paired test of smaller models against a model on held-out rows."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -48,7 +48,7 @@ class HoldoutTest:
             self._white_excess = np.mean(white(model.without(model.effects)) ** 2, axis=0) - 1.0
 
     def raw(self, part: Model) -> Array:
-        """What a model leaves on the judged rows; of the one asked last it is kept."""
+        """Return a model's residual on the judged rows; that of the last model is cached."""
         if part is not self._asked[0]:
             self._asked = part, self._raw(part)
         return self._asked[1]
@@ -68,16 +68,16 @@ class HoldoutTest:
         return out
 
     def belied(self, part: Model, own: Sequence[int], questions: int) -> bool:
-        """Return whether an effect makes the error of some channel larger: what is right in one and wrong in the next is none."""
+        """Return whether an effect makes the error of some channel larger, beyond chance."""
         without, whole = self.raw(part) / self._size, float(np.sum(np.maximum(self._excess, 0.0)))
         each = (paired(without[:, [c]], self._residual[:, [c]], np.array([whole])) for c in own)
         return any(one.contrary(questions=questions * len(own)) for one in each)
 
     def could_tell(self, part: Model, questions: int) -> bool:
-        """Return whether the judged rows would show what a smaller model has left out, if it is there as it was learnt.
+        """Return whether the judged rows would show what a smaller model lacks, if it is there as it was learnt.
 
-        Luck has the square of the effect itself for its variance, in units of the noise: a motion that hardly rouses an effect
-        neither supports nor refuses it.
+        The random part of the gain has the effect's own square for its variance, in units of the noise: a motion that hardly
+        excites an effect neither supports nor contradicts it.
         """
         residual, of = (
             (self._residual, self._raw_of) if self._white_residual is None else (self._white_residual, self._white)

@@ -1,4 +1,4 @@
-"""What is left worth saying, and the verdict that follows."""
+"""Remaining structure that matters, and the verdict that follows."""
 
 import math
 from dataclasses import replace
@@ -22,14 +22,14 @@ COMES_AND_GOES = "comes and goes"
 
 
 def tolerated(judged: Judged) -> Array:
-    """Return (C,) mean squares that the laws of a model may miss of what they are the laws of: as much as needs no name."""
+    """Return the model discrepancy that is tolerated, mean square (C,)."""
     return np.asarray(CRITERIA.least_share * np.maximum(judged.before - judged.floor, 0.0))
 
 
 def above_noise(judged: Judged, model: Model, *, outside_contacts: bool = False) -> list[Structure]:
-    """Channels in which the model does not hold on data that it did not learn from; z is the ratio of mean squares here.
+    """Return channels whose held-out error exceeds noise and tolerated discrepancy; z is the ratio of mean squares.
 
-    `untouched`: contacts are believed in, and what they leave during themselves is nobody's law.
+    `outside_contacts`: contacts are taken as real, and their own residual follows no law.
     """
     bench = model.bench
     after = judged.outside_contacts if outside_contacts and judged.outside_contacts is not None else judged.after
@@ -57,7 +57,7 @@ def above_noise(judged: Judged, model: Model, *, outside_contacts: bool = False)
 
 
 def contradicted(judged: Judged, model: Model) -> list[Structure]:
-    """The same of the recording itself where another one has judged: what explained it may not have held there."""
+    """Return the same of the recording itself where another one was judged: what explained it may not hold there."""
     if judged.name != ELSEWHERE:
         return []
     bench = model.bench
@@ -74,7 +74,7 @@ FEW = 0.05
 
 
 def outlying(model: Model) -> list[Structure]:
-    """Channels in which few samples hold most of what is left where nothing was found: knocks pass for loud noise.
+    """Return channels in which few samples hold most of the residual where nothing was found: knocks pass for loud noise.
 
     z is the mean square over that of a usual sample. Of noise with heavy tails (Student's t of three degrees of freedom) samples
     so far off hold a quarter.
@@ -97,12 +97,12 @@ SPELLS, OUTER = 20, 4
 
 
 def unsteady(model: Model, at_once: int = 100) -> list[Structure]:
-    """Find channels of a machine that is told to stand whose error comes and goes as no steady noise does.
+    """Return channels of a machine at rest whose error comes and goes as no steady noise does.
 
-    Nothing that is simulated moves, so no function of it can tell; but noise of one kind has one size. z is the ratio of mean
-    squares, about each piece's mean, of the loudest fifth of the pieces over the quietest; in none of so many recordings
-    drawn from the noise's own spectrum that all channels together call noise unsteady by `Criteria.chance` is it as
-    large (Besag and Clifford 1991: drawing ends with the first that is). Share: of the mean square, what is above the quietest.
+    Nothing that is simulated moves, so no function of it can show that; but stationary noise has one size. z is the ratio of mean
+    squares, about each piece's mean, of the loudest fifth of the pieces over the quietest; in none of so many recordings drawn
+    from the noise's own spectrum that all channels together call noise unsteady by `Criteria.chance` is it as large (Besag and
+    Clifford 1991: drawing ends with the first that is). Share: of the mean square, what is above the quietest.
 
     Args:
         at_once: recordings that are drawn at a time; one of the first settles it where there is nothing.
@@ -126,13 +126,13 @@ def unsteady(model: Model, at_once: int = 100) -> list[Structure]:
 
 
 def _loudest(x: Array, least: float) -> Array:
-    """(k,) ratio of the mean squares of the loudest of `PIECES` pieces of x (n, k) over the quietest, each of `least` more."""
+    """Return the ratio (k,) of the mean squares of the loudest pieces of x (n, k) over the quietest, each of `least` more."""
     square = np.sort([np.var(piece, axis=0) + least for piece in np.array_split(x, SPELLS)], axis=0)
     return np.asarray(square[-OUTER:].mean(axis=0) / square[:OUTER].mean(axis=0))
 
 
 def strong(structures: list[Structure], judged: Judged, bench: Bench) -> list[Structure]:
-    """Return the leftovers that matter: no trifle beside what there was at first, nor beside the noise or the rounding."""
+    """Return the structures that are large beside the first error, the noise and the rounding."""
     out = []
     for one in structures:
         noise = float(bench.noise.sigma[one.channel] ** 2)
@@ -148,7 +148,7 @@ FOLLOWED = 0.2
 
 
 def _followed(step: float, sigma: float) -> float:
-    """Variance of the part of a rounded reading's error that follows its signal, which is no physics.
+    """Return the variance of the part of a rounding error that follows its signal, which is no physics.
 
     Noise of s before the rounding blurs it to step^2 / (2 pi^2) sum_k exp(-(2 pi k s / step)^2) / k^2 (Widrow and Kollar,
     Quantization Noise, 2008, ch. 6: the characteristic function at multiples of 2 pi / step).
@@ -162,7 +162,7 @@ def _followed(step: float, sigma: float) -> float:
 
 
 def verdict_of(findings: list[Finding], residual: list[Structure], screening: Screening) -> Verdict:
-    """The word for what was found and what is left."""
+    """Return the verdict from findings and remaining structure."""
     named = [f for f in findings if f.named]
     if screening.wrong:
         return "unexplained"

@@ -1,4 +1,4 @@
-"""What a search may do to a model: one table, in the order in which it is tried."""
+"""The table of moves of the search, in the order in which they are tried."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""One more effect: the best that chance does not explain and that pays on blocks left out."""
+"""Moves that add an effect: the best significant one, or two that are supported only together."""
 
 from collections.abc import Iterator
 
@@ -21,7 +21,7 @@ from galen_hw.diagnosis.stats.criteria import CRITERIA
 
 
 def added(out: Selection) -> bool:
-    """Return whether the best effect that is there joined the model; of a clock that is far off no slope promises anything."""
+    """Return whether the best significant effect joined the model; a clock that is far off is tested first."""
     best = clock_offset(out.bench, out.scorer, out.chosen, out.turn.scores)
     joining = _best(out) if best is None else [best]
     for i in joining:
@@ -30,7 +30,7 @@ def added(out: Selection) -> bool:
 
 
 def _admit(out: Selection, i: int) -> None:
-    """A hypothesis joins the model: a first clock as those of each joint if it is these, a spring as a tendon if it is one."""
+    """Add a hypothesis to the model: a first clock per joint where that is better, a spring as a tendon where it is one."""
     out.chosen.append(i)
     steps_split(out)
     if not clocks_per_joint(out):
@@ -38,9 +38,9 @@ def _admit(out: Selection, i: int) -> None:
 
 
 def _best(out: Selection) -> list[int]:
-    """The best hypothesis that chance does not explain and that pays on blocks left out, with what it needs beside it.
+    """Return the best significant hypothesis that is supported on held-out blocks, with a partner where it needs one.
 
-    The turn's `able` is filled with those that chance does not explain, best first.
+    The turn's `significant` is filled with the significant hypotheses, best first.
     """
     bench, scorer, scores, able, failed = out.bench, out.scorer, out.turn.scores, out.turn.significant, out.turn.failed
     fit = [i for i, s in scores.items() if s.surprise > out.needed and s.rank > 0.0 and i not in failed]
@@ -93,9 +93,9 @@ def _kinds_first(scorer: Scorer, able: list[int]) -> list[int]:
 
 
 def _variants(out: Selection, i: int) -> Iterator[tuple[int, bool, float]]:
-    """Yield the hypothesis, what it searches at the optimum, then in a finer form, each with what `pays` says of it.
+    """Yield the hypothesis at its optimum, then in a finer form, each with what `pays` says of it.
 
-    As it was proposed it says whether the optimum is worth the time.
+    As it was proposed it shows whether the optimum is worth the time.
     """
     effect, proposed = out.scorer.library[i].effect, None
     if effect is not None and effect.searched():
@@ -109,10 +109,7 @@ def _variants(out: Selection, i: int) -> Iterator[tuple[int, bool, float]]:
 
 
 def with_partner(out: Selection, i: int) -> list[int] | None:
-    """Return a hypothesis and the likeliest one beside it, if both can be what they are called and pay together; else None.
-
-    A loop that lags behind a gear is none while the gear's scale is missing: its linear part has the scale's sign.
-    """
+    """Return a hypothesis and the likeliest one given it, if both are plausible and supported together; else None."""
     bench, scorer = out.bench, out.scorer
     model = [*out.chosen, i]
     scores, _ = scorer.scores(model)
@@ -145,7 +142,7 @@ def hidden(out: Selection) -> bool:
 
 
 def _plausible_kin(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], i: int) -> int | None:
-    """The best of the same hypothesis at other searched values whose parameters can be what it is called."""
+    """Return the best plausible hypothesis of the same family at other searched values."""
     ranked = sorted((j for j in kin(scorer, i) if j in scores), key=lambda j: -scores[j].rank)
     return next((j for j in ranked if scores[j].rank > 0.0 and plausible(bench, scorer, chosen, j)), None)
 
@@ -158,7 +155,7 @@ def kin(scorer: Scorer, i: int) -> list[int]:
 
 
 def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], able: list[int]) -> list[int]:
-    """The able ones ranked again after the leaders of up to four kinds were polished: a coarse grid must not decide."""
+    """Return the significant ones ranked again, the leaders of up to four kinds at their optimum: a grid must not decide."""
     leaders: dict[str, int] = {}
     for i in able:
         effect = scorer.library[i].effect

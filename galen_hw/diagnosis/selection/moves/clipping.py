@@ -1,4 +1,4 @@
-"""Limits: where they stand beside a model."""
+"""Re-estimation of saturation limits given the present model."""
 
 import numpy as np
 
@@ -9,10 +9,11 @@ from galen_hw.diagnosis.stats.criteria import CRITERIA
 
 
 def limits_updated(out: Selection) -> None:
-    """Limits that were sought beside another model stand where the readings that clip beside the present one have their mean.
+    """Re-estimate each saturation limit from the mean of the clipped readings.
 
-    With all columns told anew: what the other effects do is cut where the readings clip, and beside columns that one limit has
-    cut no other is right; a limit too low stays, and leaves a share of what the others do, or a touch, to make up for it.
+    All columns are made again: what the other effects contribute is cut where the readings clip, and none of them fits with the
+    columns of another limit. A limit too low would stay, and leave a share of the others' contribution, or a contact, to make up
+    for it.
     """
     bench, scorer = out.bench, out.scorer
     measured = bench.whole + bench.simulated

@@ -1,6 +1,6 @@
-"""A clock that is off by more than the motion's own time: the slope of a delay at zero says nothing of what that does.
+"""Search for a clock offset larger than the time scale of the motion, which the slope of a delay at zero cannot show.
 
-The search goes by slopes. It would explain such a recording by whatever bends, and find nothing of it later.
+The search goes by slopes: it would explain such a recording by nonlinear effects, and not find the offset later.
 """
 
 from typing import TypeGuard
@@ -35,7 +35,7 @@ FINE = 1e-3
 
 
 def clock_offset(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score]) -> int | None:
-    """The place of a delay of the whole stream that explains more than anything else does now, though its slope does not.
+    """Return the number of a large delay of the whole stream that explains more than anything else does; None without one.
 
     Args:
         scores: of all hypotheses beside the chosen ones; the delay joins the library, settled where it is.
@@ -65,7 +65,7 @@ def clock_offset(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[i
 
 
 def far_off(model: Model) -> list[Columns]:
-    """(M, C, 1) what delays of the whole stream do that their slope at zero says little of."""
+    """Return contributions (M, C, 1) of delays of the whole stream that their slope at zero does not describe."""
     out, bench, everywhere = [], model.bench, tuple(range(model.bench.width))
     for h, s in zip(model.parts, model.slices(), strict=True):
         if _whole(h.effect):
@@ -82,9 +82,9 @@ def _whole(effect: Effect | None) -> TypeGuard[Effect]:
 
 
 def _shift(bench: Bench) -> tuple[float, float] | None:
-    """By how much (s) the recording is late at which it is most like what the model says, and the way to the next one tried.
+    """Return the delay, s, with the best correlation between model and recording, and the step of the search.
 
-    None where none leaves little enough.
+    None where no delay leaves little enough.
     """
     run = max(bench.rows.runs, key=lambda part: part.stop - part.start)
     n = run.stop - run.start
@@ -107,7 +107,7 @@ def _shift(bench: Bench) -> tuple[float, float] | None:
 
 
 def _mean_square(measured: Array, said: Array, shift: int, sigma: Array) -> float:
-    """Mean square of what is said (n, C), late by so many rows, leaves of the measured, beside constants."""
+    """Return the mean square of the measured less the predicted (n, C), late by so many rows, apart from constants."""
     late, n = max(shift, 0), len(measured)
     residual = measured[late : n + min(shift, 0)] - said[late - shift : n - late]
     return float(np.mean(np.var(residual, axis=0) / sigma**2))

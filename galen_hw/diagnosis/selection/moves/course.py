@@ -1,4 +1,4 @@
-"""The course of a touch: followed more finely where a level and a few half waves leave much of it."""
+"""Refinement of a contact's time course where a level and a few half waves leave much of it."""
 
 import numpy as np
 
@@ -11,9 +11,9 @@ from galen_hw.physics.effects.traits import Span
 
 
 def followed(out: Selection) -> bool:
-    """Whether a chosen touch was exchanged for the same with more half waves, twice as many while likelihood pays for them.
+    """Return whether a chosen contact got more half waves, doubled as long as the likelihood pays for them.
 
-    A hand that pushes a thousand times harder than the noise leaves of any plain shape more than noise, which is its own.
+    A hand that pushes a thousand times harder than the noise leaves more than noise of any simple shape.
     """
     bench, scorer = out.bench, out.scorer
     changed = False
@@ -24,9 +24,9 @@ def followed(out: Selection) -> bool:
 
 
 def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
-    """The same touch, in the library, with as many half waves as pay beside the others; what is none stays as it is.
+    """Return the number of the same contact with as many half waves as pay given the others; of any other effect its own.
 
-    So it does where more than noise is left at all other times: what other physics does in an episode would pass for its course.
+    The contact keeps its form where more than noise is left at all other times: other physics would pass for its time course.
     """
     effect = scorer.library[i].effect
     if effect is None or not effect.touches or not _quiet_else(bench, scorer, [*others, i], effect.touches):

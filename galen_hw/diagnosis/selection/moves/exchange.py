@@ -1,4 +1,4 @@
-"""Two errors of geometry or load exchanged at once for one or two others: single exchanges pass through nothing in between."""
+"""Exchange of two errors of geometry or load for one or two others, where no single exchange is an improvement."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -16,11 +16,11 @@ from galen_hw.diagnosis.stats.criteria import CRITERIA
 
 
 def regrouped(out: Selection) -> bool:
-    """Return whether two rigid errors gave way to others that do as much with fewer numbers, or more.
+    """Return whether two rigid errors were exchanged for others that explain as much with fewer parameters, or more.
 
     Forward search takes what is best alone. Of an axis turned about one direction beside a joint's zero that is a turned sensor
-    with three numbers, and then the zero of the wrong joint: no single exchange is better, and each is the other's reason.
-    A model that does not come to rest has no optimum with which others could be compared, and takes long not to.
+    with three parameters, and then the zero of the wrong joint: no single exchange is better, and each is the other's reason. A
+    diverging model has no optimum with which others could be compared.
     """
     bench, scorer = out.bench, out.scorer
     if bench.state.diverging:
@@ -55,9 +55,9 @@ def regrouped(out: Selection) -> bool:
 
 
 def _counted_otherwise(out: Selection) -> bool:
-    """Return whether an effect counted from another zero did without one that only made up for the difference.
+    """Return whether an effect in its equivalent form made another one needless that only covered the difference.
 
-    What settles after a load is less at first than in the end: told as what is missing at first, it wants a heavier load.
+    What settles after a load is less at first than in the end: described by what is missing at first, it needs a heavier load.
     """
     bench, scorer = out.bench, out.scorer
     for i in list(out.chosen):
@@ -90,7 +90,7 @@ def _best(
     whole: float,
     unsure: float,
 ) -> list[list[int]]:
-    """The best chains of other kinds than the pair: better than that by more than `unsure`, or cheaper and nearly as good."""
+    """Return the best chains of other kinds than the pair: better by more than `unsure`, or cheaper and nearly as good."""
     own = sum(penalty[i] for i in pair)
     ranked = sorted(((gain - sum(penalty[i] for i in chain), chain) for gain, chain in chains), reverse=True)
     found: dict[frozenset[object], list[int]] = {_kinds(scorer, pair): []}
@@ -102,7 +102,7 @@ def _best(
 
 
 def _needed(pair: Sequence[int], chain: Sequence[int], penalty: dict[int, float]) -> float:
-    """By how much a chain must be better than the pair, prices paid: one body need not be, beside its half and a shift."""
+    """Return by how much a chain must be better than the pair, penalties paid; negative for one body instead of two."""
     saved = sum(penalty[i] for i in pair) - sum(penalty[i] for i in chain)
     if len(chain) < len(pair) and saved > -LIMITS.tie:
         return -CRITERIA.log_odds
@@ -110,14 +110,14 @@ def _needed(pair: Sequence[int], chain: Sequence[int], penalty: dict[int, float]
 
 
 def _kinds(scorer: Scorer, which: Sequence[int]) -> frozenset[object]:
-    """What they are, and where; a small body at another point is the same."""
+    """Return the locations of hypotheses; a small body at another point counts as the same."""
     return frozenset(place_of(scorer.library[i].effect) for i in which)
 
 
 def _firsts(
     scorer: Scorer, others: list[int], pair: tuple[int, ...], scores: dict[int, Score], whole: float
 ) -> list[int]:
-    """The best of each kind of rigid error and place that could be the first of the others."""
+    """Return the best of each kind of rigid error and place that could be the first of the others."""
     best: dict[object, int] = {}
     for i in elsewhere(scorer, others, sorted(scores, key=lambda i: -scores[i].rank)):
         effect = scorer.library[i].effect
@@ -131,7 +131,7 @@ def _firsts(
 def _chain(
     scorer: Scorer, others: list[int], first: int, able: dict[int, Score], needed: float
 ) -> tuple[float, list[int]]:
-    """The first and, where it adds anything, the best rigid error beside it; what both take."""
+    """Return the gain of the first rigid error with the best second one, where it adds anything, and the chain."""
     model, none = [*others, first], scorer.solve(others)[2]
     scores = scorer.scores(model, [i for i in able if _rigid(scorer, i) and scorer.library[i].theta is None])[0]
     second = max(elsewhere(scorer, model, scores), key=lambda i: scores[i].rank, default=None)
@@ -149,7 +149,7 @@ def _rigid(scorer: Scorer, i: int) -> bool:
 
 
 def _taken(out: Selection, pair: tuple[int, ...], chain: list[int], penalty: dict[int, float]) -> bool:
-    """Return whether the others, at their optimum, were better and were taken."""
+    """Return whether the chain, at its optimum, was better than the pair and replaced it."""
     bench, scorer = out.bench, out.scorer
     before, errors = scorer.solve(out.chosen)[2], held_out_errors(out, out.chosen)
     saved = sum(penalty[i] for i in pair) - sum(penalty[i] for i in chain)

@@ -1,4 +1,4 @@
-"""A chosen effect in a richer form of its kind, where that pays."""
+"""Richer forms of a chosen effect, where these are supported."""
 
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
@@ -12,15 +12,15 @@ from galen_hw.physics.effects.base import Effect
 
 
 def refined(out: Selection) -> bool:
-    """Return whether a chosen effect was told in a richer form, bound to what it is here, or followed more finely."""
+    """Return whether a chosen effect got a richer form, a law between its parameters, or a finer time course."""
     return enriched(out) or _bound(out) or followed(out)
 
 
 def enriched(out: Selection) -> bool:
-    """A richer form of a chosen effect (friction with a viscous part, by direction) takes its place where it pays.
+    """Return whether a richer form of a chosen effect (friction with a viscous part, by direction) replaced it.
 
-    Nested forms of one kind in one joint are judged by increment alone: likelihood beyond the price of the added
-    parameters, and what a finding has to show on blocks left out.
+    Nested forms of one kind in one joint are judged by increment alone: likelihood beyond the penalty of the added parameters,
+    and what a finding has to show on held-out blocks.
     """
     bench, scorer = out.bench, out.scorer
     changed = False
@@ -46,7 +46,7 @@ def enriched(out: Selection) -> bool:
 
 
 def _grown(bench: Bench, scorer: Scorer, others: list[int], forms: list[Effect]) -> None:
-    """The library is given richer forms of one effect, the best of them at its optimum, unless it has any."""
+    """Add richer forms of one effect to the library, the best of them at its optimum, unless it has any."""
     known = {(h.effect.family, *h.effect.searched()) for h in scorer.library if h.effect is not None}
     if not forms or (forms[0].family, *forms[0].searched()) in known:
         return
@@ -70,7 +70,7 @@ def _same_kind(other: Effect | None, effect: Effect) -> bool:
 
 
 def _bound(out: Selection) -> bool:
-    """An effect whose parameters obey a law that they place themselves stands for a freer one where it ranks above it."""
+    """Return whether an effect bound by a law between its parameters replaced a freer one that it ranks above."""
     bench, scorer = out.bench, out.scorer
     changed = False
     for place, i in enumerate(list(out.chosen)):

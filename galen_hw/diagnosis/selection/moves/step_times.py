@@ -1,4 +1,4 @@
-"""Jumps, each by itself and at the moment that the present model gives them: what was found beside a poorer one may be off."""
+"""Re-estimation of the moments of jumps given the present model."""
 
 from galen_hw.diagnosis.detection import steps
 from galen_hw.diagnosis.estimation.interactions import update_stream
@@ -8,7 +8,7 @@ from galen_hw.diagnosis.settings import LIMITS
 
 
 def steps_relocated(out: Selection) -> bool:
-    """Return whether a jump was moved, before a touch that lasts from one moment to the other makes up for it."""
+    """Return whether a jump was moved to a better moment, before a contact between both moments makes up for it."""
     bench, scorer = out.bench, out.scorer
     moved = False
     for place, i in enumerate(out.chosen):
@@ -32,7 +32,7 @@ def steps_relocated(out: Selection) -> bool:
 
 
 def steps_split(out: Selection) -> None:
-    """Jumps that came in together stand in the model each by itself, to be moved, dropped and told alone."""
+    """Split jumps that were proposed together, so that each can be moved and dropped alone."""
     bench, scorer = out.bench, out.scorer
     chosen: list[int] = []
     for i in out.chosen:

@@ -1,4 +1,4 @@
-"""Each chosen effect against every rival in its place."""
+"""Exchange of each chosen effect for a better one in its place."""
 
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import cost_without, settle_together
@@ -22,15 +22,15 @@ def swapped(out: Selection) -> bool:
 
 
 def simplified(out: Selection) -> bool:
-    """Return whether a plainer effect took the place of one that is no better than what physics that is missing may do.
+    """Return whether a simpler effect replaced one that is better by no more than model discrepancy explains.
 
-    Asked when nothing else is found: what is missing before that is mostly what will be found.
+    Tested when nothing else is found: what is missing before that is mostly what will be found.
     """
     return _swap(out, simpler=True)
 
 
 def _swap(out: Selection, *, simpler: bool = False) -> bool:
-    """Each chosen effect against every rival in its place; whether any was exchanged."""
+    """Compare each chosen effect with every rival in its place; return whether any was exchanged."""
     bench, scorer = out.bench, out.scorer
     start = list(out.chosen)
     for i in list(out.chosen):
@@ -65,9 +65,9 @@ def _swap(out: Selection, *, simpler: bool = False) -> bool:
 
 
 def _best(out: Selection, others: list[int], i: int, rivals: dict[int, Score], *, simpler: bool) -> int:
-    """The rival that is better in the place of the chosen i, beyond luck, and of what does as well the plainest; else i.
+    """Return the rival that is significantly better in the place of the chosen i, and the simplest of equals; else i.
 
-    A plainer one need not be better, only as good: what came first in an earlier turn must not decide.
+    A simpler one need not be better, only as good: what came first in an earlier turn must not decide.
     """
     bench, scorer = out.bench, out.scorer
     own, ranked = set(kin(scorer, i)), sorted(rivals, key=lambda j: -rivals[j].rank)
@@ -92,7 +92,7 @@ def _best(out: Selection, others: list[int], i: int, rivals: dict[int, Score], *
 
 
 def _flattered(bench: Bench, scorer: Scorer, trial: list[int], i: int, best: int) -> float:
-    """How much less the trial leaves than it will without the delay or lag i, through which its columns came."""
+    """Return how much the trial's fit worsens without the delay or lag i, through which its columns came."""
     gone, come = scorer.library[i].effect, scorer.library[best].effect
     if gone is None or not gone.CLOCK or (come is not None and come.CLOCK):
         return 0.0
@@ -102,7 +102,7 @@ def _flattered(bench: Bench, scorer: Scorer, trial: list[int], i: int, best: int
 
 
 def swapped_again(out: Selection) -> bool:
-    """Return whether one more round of swaps brings other hypotheses in, not only better values of the same.
+    """Return whether one more round of swaps brings other hypotheses in, not only other values of the same.
 
     What was exchanged last may have made room for better: a wander beside a tool stood for a warm-up beside a cable.
     """
@@ -115,6 +115,6 @@ def swapped_again(out: Selection) -> bool:
 
 
 def _left_behind(scorer: Scorer, i: int, j: int) -> bool:
-    """Whether j is the chosen i where it stood before it was settled: a tangent says of itself that it reaches anywhere."""
+    """Return whether j is the chosen i as it was before it converged: a tangent seems to reach anywhere."""
     own, other = scorer.library[i], scorer.library[j]
     return other.theta is not None and own.effect == other.effect and own.effect is not None and own.effect.curved

@@ -1,4 +1,4 @@
-"""Physics in the place of what stands for it, a tendon of a spring: what many parameters took from others these must say."""
+"""Replacement of a linear spring by the nonlinear tendon that explains it."""
 
 import numpy as np
 
@@ -24,12 +24,11 @@ MOST_BESIDE = 3
 
 
 def tightened(out: Selection, just: int | None = None) -> bool:
-    """Return whether a tendon took the place of a spring, with what then comes to light beside it.
+    """Return whether a tendon replaced a spring, with the effects that then become significant.
 
-    A spring that is linear in all that is unknown has fifteen parameters for a tendon's eight: the others take a tilt, a
-    payload or a joint's zero with them. These are asked for again beside the tendon, and both models pay for every
-    parameter. Of a spring that was `just` chosen the tendon alone is asked: what is still to be found, a drift, is not
-    behind the spring.
+    A spring that is linear in all unknowns has fifteen parameters for a tendon's eight: it absorbs a tilt, a payload or a joint's
+    zero. These are tested again given the tendon, and both models pay for every parameter. Of a spring that was `just` chosen the
+    tendon alone is tested: what is still to be found, a drift, is not hidden by the spring.
     """
     scorer = out.scorer
     model = frozenset((just is None, *out.families))
@@ -44,7 +43,7 @@ def tightened(out: Selection, just: int | None = None) -> bool:
 
 
 def _instead(out: Selection, i: int, most: int) -> bool:
-    """Return whether a better tendon, with so many others at most, took the place of the chosen cable i."""
+    """Return whether a better tendon, with so many further effects at most, replaced the chosen cable i."""
     bench, scorer = out.bench, out.scorer
     before, errors = scorer.solve(out.chosen)[2], held_out_errors(out, out.chosen)
     others = [j for j in out.chosen if j != i]
@@ -62,7 +61,7 @@ def _instead(out: Selection, i: int, most: int) -> bool:
 
 
 def _starts(bench: Bench, scorer: Scorer, others: list[int], i: int) -> list[Start]:
-    """Tendons that pull as a spring does in the place of the cable i, wherever it is tied; and as that one does if it is one."""
+    """Return tendons that pull as springs do in the place of the cable i, wherever tied; and that cable if it is a tendon."""
     h, out = scorer.library[i], list[Start]()
     kind = None if h.effect is None else h.effect.KEY
     with as_if(scorer, others):
@@ -74,7 +73,7 @@ def _starts(bench: Bench, scorer: Scorer, others: list[int], i: int) -> list[Sta
 
 
 def _start(bench: Bench, h: Hypothesis) -> Start:
-    """To begin with what is a tendon already."""
+    """Return a tendon with its parameters, to start from."""
     assert h.effect is not None, "a tendon is asked for"
     assert h.theta is not None, "a tangent has one"
     (start,) = h.effect.starts(bench.scene, h.theta)
@@ -84,7 +83,7 @@ def _start(bench: Bench, h: Hypothesis) -> Start:
 def _with_tendon(
     bench: Bench, scorer: Scorer, out: Selection, others: list[int], starts: list[Start], most: int
 ) -> list[int]:
-    """The others with the tendon that suits them, and with what comes to light beside it, best first."""
+    """Return the others with the best tendon, and with further effects that become significant, best first."""
     rebase(scorer, others)
     while True:
         found = _best(bench, ConditionalGain(bench, scorer, others), starts)
@@ -100,26 +99,26 @@ def _with_tendon(
 
 
 def _beside(scorer: Scorer, out: Selection, trial: list[int]) -> int | None:
-    """The best hypothesis beside a model that chance does not explain, of those that a spring can have taken with it."""
+    """Return the best significant hypothesis given a model, of those that a spring can have absorbed."""
     scores = scorer.scores(trial)[0]
     able = [j for j, s in scores.items() if s.surprise > out.needed and s.rank > 0.0 and _is_plain(scorer, j)]
     return max(elsewhere(scorer, trial, able), key=lambda j: scores[j].rank, default=None)
 
 
 def _is_plain(scorer: Scorer, j: int) -> bool:
-    """Return whether it lasts and nothing of it is searched: a spring that is linear knows neither the clock nor the past."""
+    """Return whether it lasts and has no searched value: a linear spring absorbs neither timing nor memory."""
     h = scorer.library[j]
     return h.effect is not None and not h.effect.EPISODIC and not h.effect.searched() and h.trials == 1
 
 
 def _numbers(scorer: Scorer, i: int) -> int:
-    """Parameters that a hypothesis has, whatever its physics would need."""
+    """Return the number of parameters of a hypothesis, whatever its physics would need."""
     h = scorer.library[i]
     return h.count - int(np.sum(~np.isnan(h.fixed))) + (0 if h.effect is None else len(h.effect.searched()))
 
 
 def _best(bench: Bench, given: ConditionalGain, starts: list[Start]) -> Hypothesis:
-    """The tendon that explains most beside a model, from tendons to begin with; one that rubs where that pays."""
+    """Return the tendon with the largest gain given a model, from several starts; one with friction where that pays."""
     cost, found = _least(bench, given, starts)
     effect, theta = _start(bench, found)
     best = found
@@ -132,7 +131,7 @@ def _best(bench: Bench, given: ConditionalGain, starts: list[Start]) -> Hypothes
 
 
 def _least(bench: Bench, given: ConditionalGain, starts: list[Start]) -> tuple[float, Hypothesis]:
-    """From the start that promises most after a few steps."""
+    """Descend from the start that is best after a few steps; return cost and tendon."""
     tendons = {effect: bench.hypothesis(effect) for effect, _ in starts}
     effect, begun = starts[0]
     if len(starts) > 1:

@@ -1,8 +1,8 @@
-"""Clocks all at once: a delay and a lag together, of the whole stream or of each joint by itself.
+"""Exchange of all timing effects at once: a delay and a lag together, of the whole stream or of each joint.
 
-The search takes one hypothesis after the other. Of a dead time with a first-order lag behind it, the ordinary response of a
-servo on a bus, it takes one that is as late as both; beside that the other is worth nothing by its slope, and what is wrong
-about the shape goes to whatever bends. Where joints answer one by one, each with clocks of its own, no single exchange helps.
+The search takes one hypothesis after the other. Of a dead time with a first-order lag behind it, the ordinary response of a servo
+on a bus, it takes one that is as late as both; given that, the other has no gain by its slope, and what is wrong about the shape
+goes to nonlinear effects. Where each joint has its own timing, no single exchange helps.
 """
 
 from collections.abc import Iterator, Sequence
@@ -39,7 +39,7 @@ MOST_PER_MODEL = 2
 
 
 def reclocked(out: Selection) -> bool:
-    """Return whether the delays and lags of a model were exchanged for better ones: of the whole stream, or of each joint."""
+    """Return whether the delays and lags of a model were exchanged for better ones, of the whole stream or of each joint."""
     bench, scorer = out.bench, out.scorer
     # Not for ever: what the search takes back of an exchange, it would take back again.
     model = out.families
@@ -56,9 +56,9 @@ def reclocked(out: Selection) -> bool:
 
 
 def clocks_per_joint(out: Selection) -> bool:
-    """Whether the first clock gave way to those of each joint, which take nearly all that the best of one clock for all leaves.
+    """Return whether one timing effect per joint replaced the global one, taking 90 % of what its optimum leaves.
 
-    Before anything else is chosen: of servos that answer each in its own time it would take the rest of their lateness.
+    Tested before anything else is chosen: it would take the remaining lateness of servos with different responses.
     """
     bench, scorer = out.bench, out.scorer
     proposed = shifts(bench.scene)
@@ -79,16 +79,16 @@ def clocks_per_joint(out: Selection) -> bool:
 
 
 def _ends(scorer: Scorer, chosen: list[int]) -> list[int]:
-    """The delays and lags among the chosen."""
+    """Return the delays and lags among the chosen."""
     return [i for i in chosen if (effect := scorer.library[i].effect) is not None and effect.CLOCK]
 
 
 def _sought(
     bench: Bench, scorer: Scorer, chosen: list[int], groups: Sequence[list[Shift]]
 ) -> Iterator[tuple[Clocks, dict[Effect, Effect]]]:
-    """For each group of ends the best clocks where these act, instead of the chosen ones, once it is asked for.
+    """Yield for each group of places the best timing effects there, instead of the chosen ones.
 
-    And what stands instead of friction within them.
+    And the friction that replaces friction within these lags.
     """
     old = _ends(scorer, chosen)
     # Friction of a servo has the servo's lag in it: it goes where that goes.
@@ -119,9 +119,9 @@ def _exchanged(
     *,
     nearly: int = 0,
 ) -> bool:
-    """Return whether a model with other clocks, and all else as it arrives through them, was better and was taken.
+    """Return whether a model with other timing effects, all else passed through them, was better and was taken.
 
-    `nearly`: only if these take nearly all that is above the noise wherever they are better, in so many channels at least.
+    `nearly`: only if these take nearly all excess wherever they are better, in so many channels at least.
     """
     before, errors, old = scorer.solve(out.chosen)[2], held_out_errors(out, out.chosen), _ends(scorer, out.chosen)
     gone = [one for i in old if (one := scorer.library[i].effect) is not None]
@@ -141,7 +141,7 @@ def _exchanged(
 def _through(
     bench: Bench, scorer: Scorer, others: list[int], clocks: Clocks, instead: dict[Effect, Effect]
 ) -> list[int]:
-    """A model of other effects as they arrive through these clocks, settled, and the clocks."""
+    """Return a model of the other effects passed through these timing effects, converged, and the timing effects."""
     kept = [(end, theta) for end, theta in bench.timing if not end.CLOCK]
     ends = [(effect, np.array([size]) if effect.held is None else effect.held) for effect, size in clocks]
     # For a while: the search brings all columns to the clocks that it finds chosen.
@@ -160,7 +160,7 @@ def _through(
 
 
 def _same_interpolation(scorer: Scorer, clocks: Clocks) -> None:
-    """What lies between two rows is one thing to all clocks of a stream: those that were not chosen are made anew by it."""
+    """Give the timing effects in the library the interpolation between rows that the chosen ones of their joints have."""
     told = {end.joints: end.interpolation for end, _ in clocks}
     for i, h in enumerate(scorer.library):
         end = h.effect
@@ -169,12 +169,12 @@ def _same_interpolation(scorer: Scorer, clocks: Clocks) -> None:
 
 
 def _in_place_of(bench: Bench, h: Hypothesis, instead: dict[Effect, Effect]) -> Hypothesis:
-    """The one that stands instead of the hypothesis, or this one."""
+    """Return the replacement of the hypothesis, or itself."""
     return h if h.effect is None or h.effect not in instead else bench.hypothesis(instead[h.effect], h.trials)
 
 
 def _pays(out: Selection, before: Array, after: Array, *, nearly: int, plainer: bool) -> bool:
-    """Return whether errors (n, C) on blocks left out fall as a finding's have to; of fewer clocks, do not rise.
+    """Return whether errors (n, C) on held-out blocks fall as a finding requires; with fewer parameters, do not rise.
 
     `nearly`: by nearly all of the excess wherever they fall, in so many channels at least.
     """

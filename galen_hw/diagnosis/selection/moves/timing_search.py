@@ -1,4 +1,4 @@
-"""The best of nothing, a delay, a lag of the first or second order, and a delay of what lags, beside other effects."""
+"""Search for the best timing: none, a delay, a lag of first or second order, or a delay of what lags."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -61,10 +61,10 @@ class ClockSearch:
         self.shortest = 0.5 * spacing(self.bench.scene)
 
     def best_interpolation(self) -> Clocks:
-        """The clocks that are there, by what lies `BETWEEN` two rows as the recording is nearest to it.
+        """Return the best timing effects over the possible interpolations `BETWEEN` two rows.
 
-        Machines are smooth; a logger that fills in rows draws straight lines; a filter of samples takes each for the time
-        before it.
+        Machines are smooth; a logger that fills in rows draws straight lines; a filter of samples takes each for the time before
+        it.
         """
         clocks, search = self.best(), self
         if not clocks or self.friction or self.bench.stream.commanded:
@@ -77,7 +77,7 @@ class ClockSearch:
         return clocks
 
     def _differs(self, clocks: Clocks, between: str) -> float:
-        """Whitened sum of squares of what it changes about clocks that are as late as before: without any, nothing could tell."""
+        """Return the whitened sum of squares by which another interpolation changes equally late timing effects."""
         late, constant, damping = _read(clocks)
         sooner = self.shortest if between == "steps" and constant > 0.0 else 0.0
         other = replace(self, delay=self.delay.interpolated(between))
@@ -88,7 +88,7 @@ class ClockSearch:
         return float(np.sum(white[self.bench.train] ** 2))
 
     def best(self) -> Clocks:
-        """The clocks that are there, by what lies between two rows for its `delay`."""
+        """Return the best timing effects for the interpolation of its `delay`."""
         step = spacing(self.bench.scene)
         reach = max(4.0 * step, 4.0 * abs(self._by_slope()))
         most, all_late = self._latest(0.0, (-reach, reach))
@@ -111,7 +111,7 @@ class ClockSearch:
         return swinging if self.penalised_gain(swinging) > required else clocks
 
     def _plainer(self, clocks: Clocks, all_late: float) -> Clocks:
-        """A lag alone for a delay of what lags, where it does as well: on a grid it stands beside its optimum, and is late."""
+        """Return a lag alone for a delay of what lags, where it explains as much: on a grid it is not at its optimum."""
         if len(clocks) < 2 or self.friction:
             return clocks
         (_, late), (_, constant) = clocks
@@ -120,12 +120,12 @@ class ClockSearch:
         return alone if self.penalised_gain(alone) + CRITERIA.log_odds >= self.penalised_gain(clocks) else clocks
 
     def penalised_gain(self, clocks: Clocks) -> float:
-        """Gain less the price of delay, lag or swing alone."""
+        """Return the gain less the penalty of delay, lag or second-order response."""
         late, constant, damping = _read(clocks)
         return self._gain(late, constant, damping=damping) - self.penalty * numbers([end for end, _ in clocks])
 
     def _refined(self, clocks: Clocks, all_late: float) -> Clocks:
-        """The same with a lag, the delay with it, and the bands of friction within it at their common optimum."""
+        """Return the same timing effects with lag, delay and bands of friction at their common optimum."""
         if not clocks or clocks[-1][0].SHIFT:
             return clocks
         delays, constant = clocks[:-1], clocks[-1][1]
@@ -157,9 +157,9 @@ class ClockSearch:
         return [*((end, late) for end, _ in delays), (self.delay.lagging(constant, self.shortest), constant)]
 
     def _swinging(self, all_late: float, required: float) -> Clocks:
-        """The best lag of second order: damping and constant make up for each other, and are sought together.
+        """Return the best lag of second order; damping and constant are correlated, and optimised together.
 
-        Roughly, where it stays far from being worth what is wanted.
+        Only roughly where it stays far from the required gain.
         """
         bound = self.delay.lagging(all_late, self.shortest).SEARCHED["damping"]
         starts = [np.log([0.5 * all_late / damping, damping]) for damping in DAMPINGS]
@@ -180,7 +180,7 @@ class ClockSearch:
         return [(self.delay.lagging(constant, self.shortest, damping), constant)]
 
     def _latest(self, constant: float, bounds: tuple[float, float]) -> tuple[float, float]:
-        """The most that a delay of what lags with this constant (s) takes, and the delay, s."""
+        """Return the largest gain of a delay of what lags with this constant (s), and that delay, s."""
         options = {"xatol": FINE * (bounds[1] - bounds[0])}
         found = minimize_scalar(
             lambda late: -self._gain(late, constant), bounds=bounds, method="bounded", options=options
@@ -195,7 +195,7 @@ class ClockSearch:
         friction: tuple[Effect, ...] | None = None,
         damping: float | None = None,
     ) -> float:
-        """Fall of the whitened sum of squares with a delay and a lag, s, and bands of friction so many times as wide."""
+        """Return the gain with a delay and a lag, s, and bands of friction scaled by a factor."""
         y = (
             self.arriving(late, constant, band_factor, self.friction if friction is None else friction, damping)
             - self.averaged
@@ -205,13 +205,13 @@ class ClockSearch:
     def arriving(
         self, late: float, constant: float, band_factor: float, friction: tuple[Effect, ...], damping: float | None
     ) -> Array:
-        """(M, m) averages of what the same make of the simulated."""
+        """Return averages (M, m) of the simulated channels through a delay, a lag and friction."""
         return self.bench.late(self._lagged(constant, band_factor, friction, damping), late, bowed=self.delay.bowed)
 
     def _lagged(
         self, constant: float, band_factor: float, friction: tuple[Effect, ...], damping: float | None
     ) -> Array:
-        """(N, m) what servos with this constant (s) make of the simulated; kept, for it comes again with other delays."""
+        """Return the simulated channels (N, m) through servos with this constant (s), cached for other delays."""
         x, stream = self.simulated, self.bench.stream
         if damping is not None:
             return self.delay.lagging(constant, self.shortest, damping).filtered(stream, x)
@@ -225,14 +225,14 @@ class ClockSearch:
         return self.lagged[key]
 
     def _by_slope(self) -> float:
-        """How late the recording is for small delays, s."""
+        """Return the small delay, s, with the largest gain by its slope at zero."""
         made = self.bench.hypothesis_of(None, self.bench.averaged(self.delay.columns(self.bench.stream)))
         A, r = self.given.products(made)
         return float(r[0] / A[0, 0]) if A[0, 0] > 0.0 else 0.0
 
 
 def _read(clocks: Clocks) -> tuple[float, float, float | None]:
-    """Delay and constant, s, and damping of a delay, a lag or both; 0 and None for what is not there."""
+    """Return delay and constant, s, and damping of a delay, a lag or both; 0 and None for what is not there."""
     late = sum(size for end, size in clocks if end.SHIFT)
     slow = next((end.searched() for end, _ in clocks if not end.SHIFT), None)
     return (late, 0.0, None) if slow is None else (late, slow["constant"], slow.get("damping"))
@@ -245,7 +245,7 @@ def _lowest(
     fine: float = FINE,
     stride: float = STRIDE,
 ) -> tuple[Array, float]:
-    """Where a cost of a few values is lowest, and how low; by simplices, for a servo that sticks has corners."""
+    """Minimise a cost of a few values by Nelder-Mead, for a servo that sticks has corners; return values and cost."""
     simplex = begun + np.vstack([np.zeros_like(begun), stride * np.eye(len(begun))])
     options = {"xatol": fine, "fatol": 1.0, "initial_simplex": simplex}
     found = minimize(cost, begun, method="Nelder-Mead", bounds=limits, options=options)
@@ -253,11 +253,11 @@ def _lowest(
 
 
 def _with_lag(effect: Effect, constant: float, band_factor: float) -> Effect:
-    """Friction of a servo whose lag has this constant (s; 0: its own), in a band so many times as wide."""
+    """Return friction of a servo with this constant (s; 0: its own), in a band scaled by a factor."""
     response = {"response": constant} if constant > 0.0 else {}
     return effect.with_searched({"coulomb": band_factor * effect.searched()["coulomb"]} | response)
 
 
 def numbers(effects: Sequence[Effect]) -> int:
-    """Delays, constants and dampings."""
+    """Return the number of delays, constants and dampings."""
     return sum(max(len(effect.searched()), 1) for effect in effects)
