@@ -55,7 +55,7 @@ class Known:
         generic: list[structure_test.Family],
         also: Iterable[Columns] = (),
     ) -> None:
-        """Learn the noise of a bench beside all that was found, what acts where it was found, and more.
+        """Learn the noise of a bench from the residual of what was found, of what acts in the same joints, and more.
 
         Args:
             effects: of the library, with their columns.
@@ -70,7 +70,7 @@ class Known:
         """
         with bench.delivering(self.output_stage):
             out = [bench.raw(effect.relaxed) for effect, _ in self.effects]
-            # Moments are known to a row of the first look.
+            # Moments are known to within a row of the first look.
             step = self.step if self.step > bench.spacing else 0.0
             out += [bench.raw(more) for effect, _ in self.effects for more in effect.unshaped(step)]
             everywhere = tuple(range(bench.width))
@@ -81,7 +81,7 @@ class Known:
                     out.append(Columns(everywhere, bench.rows.average(seen)[:, :, None]))
         for channel, kind in self.structures.items():
             alike = [one.basis for one in generic if one.kind == kind]
-            # In few rows all directions of what looked best would leave too little of the noise, and find themselves again.
+            # In few rows all directions of a family would absorb too much of the noise, and be found again.
             most = max(len(bench.rows) // least // len(alike), 2)
             out += [Columns((channel,), basis[:, None, :most]) for basis in alike]
         return out
@@ -127,14 +127,14 @@ def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list
     ((_, model), *_), structures = searched(coarse, effects, columns, generic, blind=blind)
     coarse = model.bench
     if shifts := far_off(model):
-        # On the clock that was off no effect is like what was measured: slow ones had passed for noise.
+        # With a wrong clock no effect matched the measured signals: slow ones had passed for noise.
         late = [coarse.raw(effect) for effect in effects]
         coarse.reset()
         coarse.learn_noise(late, [*extra, *shifts], above=above)
         ((_, model), *_), structures = searched(coarse, effects, columns, generic, blind=blind)
         coarse = model.bench
     if not structures and len(coarse.noise.edges):
-        # What is finely structured passes for quick noise. Only blocks that it was not fitted on can tell, whatever the noise.
+        # Fine structure passes for quick noise: only held-out blocks can show it, whatever the noise.
         coarse.noise = coarse.noise.flat()
         residual = model.residual()
         plain = structure_test.Fitted([h.raw for h in model.parts], residual, residual / coarse.noise.sigma)

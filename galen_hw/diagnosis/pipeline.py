@@ -49,7 +49,7 @@ def diagnose(
     Args:
         scene: the recording.
         name: how it is called in the answer.
-        holdout: a second recording to be judged on; else `share` of contiguous blocks is set aside.
+        holdout: a second recording to be judged on; else `share` of contiguous blocks is held out.
         seed: of the choice of blocks.
         progress: told how far the work is.
         repair: put right what is certain (`premises`); else the same is refused.
@@ -72,7 +72,7 @@ def diagnose(
     known = first_look(bench, coarse, effects, coarser, blind=bool(screening.wrong))
     holdout = restarted(bench, known, holdout)
     # What moves with the robot cannot be told from noise before it is known what is there: the first noise was too small
-    # rather than too large. Now it is learnt from what the first model leaves, and everything is asked again.
+    # rather than too large. Now it is learnt from the first model's residual, and everything is tested again.
     tell("learning the noise", 0.4)
     generic = structure_test.families(bench)
     learn = partial(known.learn_noise, effects, columns)
@@ -80,7 +80,7 @@ def diagnose(
     tell("choosing effects", 0.5)
     searches, structures = searched(bench, effects, columns, generic, blind=bool(screening.wrong), start=known.effects)
     if not structures and not screening.wrong and (passed := trees.hidden(searches[0][1])):
-        # What passed for slow noise hides others too: all is asked again beside it.
+        # Structure that passed for slow noise hides other effects too: all is tested again with it excluded from the noise.
         generic += [structure_test.Family(one.kind, one.basis, local=False) for one in passed]
         also = [Columns((one.channel,), one.basis[:, None, 1:]) for one in passed]
         before = searches[0][1]

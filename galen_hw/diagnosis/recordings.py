@@ -30,7 +30,7 @@ def diagnose_recordings(
 
     Args:
         recordings: at least one, all of one machine and model.
-        holdout: of the same machine, to be judged on; without any `share` of contiguous blocks is set aside.
+        holdout: of the same machine, to be judged on; without any `share` of contiguous blocks is held out.
         share: of the blocks, from 0 to 0.9.
         seed: of the choice of blocks.
         repair: put right in memory what is certain; else the same is refused.

@@ -67,7 +67,7 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
         return selection, settle_model(on, selection.scorer, selection)
 
     def better_from(found: Search, own: list[Hypothesis]) -> Search:
-        """Return what a search finds from the start, if that is better as it stands than what was found; else that."""
+        """Return what a search finds from the start, if the start is better than what was found; else that."""
         constants = set() if own else _families(h.effect for h in offsets(bench))
         begun = [(effect, theta) for effect, theta in start if effect.family not in constants]
         if not begun or _families(effect for effect, _ in begun) == _families(h.effect for h in found[1].effects):
@@ -93,12 +93,12 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
     own, fresh = offsets(bench), copy(bench)
     if not own:
         return [better_from(one(bench, own), own)]
-    # Each has what the search changes (the residual without bends, the late stream) to itself, and a core if there are two.
+    # Each has its own model state, and a core if there are two.
     better, other = Parallel(n_jobs=2, require="sharedmem")(
         delayed(one)(*each) for each in ((copy(bench), []), (copy(bench), own))
     )
     lead = other[1].penalised_gain() - better[1].penalised_gain()
-    # A constant that something else accounts for as well is an effect too many.
+    # Of equally good models the one with fewer effects is taken.
     if lead > CRITERIA.log_odds or (lead > 0.0 and len(other[1].effects) < len(better[1].effects)):
         better, other = other, better
     return [exchanged(better_from(better, [] if better[0].scorer.free else own)), other]

@@ -10,11 +10,11 @@ class Budget:
 
     Args:
         rows: that a search works on, more are averaged: half a minute at 200 Hz unaveraged, columns of 50 kB a channel.
-        coarse: rows of a first look, and those that trees learn from: motion is slow beside a force sensor's samples.
-        surrogates: recordings of noise alone; the scale of their maxima is then known to a seventh.
-        rounds: in which what effects do to each other is told anew.
-        steps: damped steps to an optimum; settled: the same of what stood at one before something else changed.
-        at_once: hypotheses whose whitened columns stand in memory together while all are made anew.
+        coarse: rows of a first look, and those that trees learn from: motion is slow compared with a force sensor's samples.
+        surrogates: number of noise recordings; the scale of their maxima is then known to a seventh.
+        rounds: of the iteration of interactions.
+        steps: damped steps to an optimum; settled: steps of an effect that was at its optimum before.
+        at_once: hypotheses whose whitened columns are in memory together while all are made again.
     """
 
     rows: int = 6250
@@ -35,14 +35,14 @@ class Limits:
 
     Args:
         turns: of the loop over the moves.
-        tries: hypotheses that may be refused before a turn gives up, the best first.
+        tries: refused hypotheses after which a turn gives up, best first.
         rivals: kinds that are compared at their optimum in the place of a chosen effect.
         leaders: kinds that are tried as the first of several effects.
         chain: effects that may follow one another in the place of one.
-        forms: richer forms of one effect that are asked, and passes over the values that such a form searches.
-        near: share of the gain of what they replace within which others are worth the time to settle them: by their slopes
-            alone, or on a grid, they do not yet do what they do.
-        part: share of the gain of what they replace that the first of several must have by itself.
+        forms: richer forms of one effect that are tested, and passes over their searched values.
+        near: share of the replaced gain within which rivals are optimised: by their slopes alone, or on a grid, their gains are
+            too small.
+        part: share of the replaced gain that the first of several must have by itself.
         tie: difference of rank or of the whitened sum of squares within which two models count as equal.
     """
 
@@ -66,11 +66,11 @@ class Resolution:
 
     Args:
         shortest: rows of a run from which a spectrum is measured: two bands and more.
-        fewest: bands from which their shape is asked: a floor, a shelf, flicker noise and the corner are four parameters.
-        forgets: times that noise forgets within a recording, at least; what has a longer memory drifts.
-        slow: cycles a row of a slow regressor: a motion of some seconds at 100 Hz.
-        wanders: cycles in a recording up to which noise is said to wander.
-        corners: of noise with a memory that are tried, in equal ratios.
+        fewest: bands from which their shape is fitted: a floor, a plateau, flicker noise and the corner are four parameters.
+        forgets: minimum number of correlation times of noise in a recording; what has a longer memory is a drift.
+        slow: frequency of a slow regressor, cycles a row: a motion of some seconds at 100 Hz.
+        wanders: cycles in a recording up to which noise counts as low-frequency noise.
+        corners: number of corner frequencies that are tried, in equal ratios.
     """
 
     shortest: int = 96

@@ -33,14 +33,14 @@ def contacts(
 
     Args:
         shares: of the rows that running means are wide, the narrowest first.
-        most: episodes; more are no touches.
+        most: episodes; more are no contacts.
         covered: share of the rows that the episodes may cover.
-        poses: rows below which a running mean of five is wider than many a touch.
+        poses: rows below which a running mean of five is wider than many a contact.
         knock: times the width of a mean that an episode may be for a knock: a mean opens what it is as wide as to
             three times that.
     """
     N, C = residual.shape
-    # What is tracked pose by pose shows a push by the arm's give alone, and nobody leans on one pose after another.
+    # A pose tracked statically shows a push by the arm's compliance alone, and nobody leans on one pose after another.
     if N < FEW_ROWS or (not scene.clock and scene.observations.predict in ("pose", "targets")):
         return []
     away = residual - np.median(residual, axis=0)
@@ -50,7 +50,7 @@ def contacts(
         length = max(int(share * N), 5)
         z = uniform_filter1d(away, length, axis=0)
         spread = 1.4826 * np.median(np.abs(z), axis=0)
-        # A channel that hardly ever differs shows no touch by that.
+        # A channel without spread shows no contact.
         z = np.where(spread > 0.0, z / np.where(spread > 0.0, spread, 1.0), 0.0)
         loud = np.sum(z**2, axis=1) > chi2.isf(1e-3 * length / N, C)
         wide = [(a, b) for a, b in _loud(loud, length) if a > 0 and b < N]
@@ -59,7 +59,7 @@ def contacts(
         narrow = []
         if poses > N or (share == shares[0] and max(b - a for a, b in wide) <= knock * length):
             own = [_level(away, *one) for one in wide]
-            # What a mean is as wide as, it shows by itself.
+            # A mean as wide as the episode needs no narrower one.
             narrow = [own] if poses > N or max(b - a for a, b in own) <= length else []
         for own in (wide, *narrow):
             for names in _felt(scene, own, away, z):

@@ -23,7 +23,7 @@ def drifts(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
     """Return slow movement that several channels share: the best drift of each form, in the channels that show it.
 
     Args:
-        rest: (M, C).
+        residual: (M, C).
     """
     if len(scene.channels) < 2 or len(residual) < FEW_ROWS:
         return []
@@ -42,7 +42,7 @@ def temperatures(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
     As one effect of these channels: a drift in all of them at once would otherwise be found before it is in one.
 
     Args:
-        rest: (M, C).
+        residual: (M, C).
     """
     if len(scene.channels) < 2 or len(residual) < FEW_ROWS:
         return []

@@ -16,7 +16,7 @@ from galen_hw.spatial import Array
 FEWEST: Final = 2
 """Isolated samples that are a finding."""
 FAR: Final = 6.0
-"""Standard deviations by which a glitch must stand off what the model says, not only off its neighbours."""
+"""Standard deviations by which a glitch must differ from the model, not only from its neighbours."""
 NEAR: Final = 3.5
 MOST_SPOILT = 0.03
 """Share of a channel's samples: more isolated ones are another kind of noise."""
@@ -88,7 +88,7 @@ def spikes(residual: Array, segments: tuple[slice, ...], *, handful: int = 4) ->
     More than 3 % of a channel's samples are another kind of noise; of a sweep of few poses a handful is more than that.
 
     Args:
-        handful: isolated samples of one channel that may always be told.
+        handful: isolated samples of one channel that are always reported.
     """
     out = np.zeros(residual.shape, dtype=bool)
     for part in segments:

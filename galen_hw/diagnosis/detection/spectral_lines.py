@@ -33,8 +33,8 @@ def lines(
         known: lines with the places of their channels.
         narrow: share of its frequency that a line may reach to either side: what is broader is no narrow band (a quality
             of five).
-        wanders: half cosines over the recording that the phase of a hum may follow; the last where the line stands out
-            beyond the reach of the others.
+        wanders: half cosines over the recording that the phase of a line may follow; the last where the line is broader
+            than the reach of the others.
         stands_out: times the power further away that the one within reach of the widest form must have for this
             form to be proposed.
     """
@@ -94,7 +94,7 @@ def _above_motion(scene: Scene, rows: Rows, pad: int, n: int) -> int:
     """Return the first index of the padded spectrum above the band of the motion: a line below is motion."""
     least = (pad // n) * 8
     moving = [scene.joint_index(joint) for joint in scene.moved]
-    # Where no joints are known, what is simulated of a recorded orientation shows the motion.
+    # Where no joints are known, the simulation from a recorded orientation shows the motion.
     x = scene.q[rows.starts][:, moving] if moving else scene.simulated[rows.starts]
     x = x[:, np.ptp(x, axis=0) > 0.0]
     if not x.shape[1]:

@@ -72,11 +72,9 @@ def _stairs(
     """Return first rows of up to `most` treads of a staircase in the residual (M, c) of channels `own`, by gain.
 
     Args:
-        worth: fall of the whitened sum of squares, a channel, for which another jump is sought beside those that
-            are there.
-        hardly: share of the excess that two jumps must take for others to be sought beside them: what never rests
-            is no staircase.
-        most: stairs; of more it is a slope, or a walk.
+        worth: gain, a channel, that a further jump must have given those that are there.
+        hardly: share of the excess that two jumps must explain for others to be sought: what never rests is no staircase.
+        most: stairs; more are a slope, or a random walk.
     """
     rows: list[int] = []
     whole = residual.var(axis=0)
@@ -103,7 +101,7 @@ def _treads(residual: Array, rows: list[int]) -> Array:
 
 
 def _returns(residual: Array, rows: list[int], *, same: float = 0.01, sure: float = 4.0) -> bool:
-    """Return whether a staircase in a rest (M, c) ever goes back from a tread to the one before, by its jumps and by the noise.
+    """Return whether a staircase in a residual (M, c) ever returns from a tread to the one before, by jumps and noise.
 
     Args:
         same: share of the larger jump's square by which two levels may differ and be one.
@@ -193,7 +191,7 @@ def loads(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
 
     The free offsets of the channels take their part of it.
     """
-    # Efforts of an arm that somebody pushes are those of a load too.
+    # The efforts of a pushed arm look like those of a load.
     port = scene.body_port() if scene.clock and scene.observations.predict == "wrench" else None
     if port is None or len(residual) < FEW_ROWS:
         return []
@@ -218,7 +216,7 @@ def _behind(X: Array, residual: Array, *, count: int = 400) -> tuple[Array, Arra
     """Return squares (m, k, k) of columns (M, c, k) after moments, products (m, k) with a residual (M, c), first rows (m,).
 
     Args:
-        count: moments that are looked at.
+        count: moments that are tested.
     """
     margin = max(len(residual) // 60, 3)
     moments = np.unique(np.linspace(margin, len(residual) - margin - 1, count).astype(int))

@@ -25,11 +25,10 @@ def repeated(
     Of two and more samples the first is marked with them, for nobody knows when the sensor stopped.
 
     Args:
-        most: share of samples that are the one before again; where there are more, the sensor is slower than its
-            record.
+        most: share of repeated samples; where there are more, the sensor is slower than its record.
         least: times its usual change by which a simulated channel must move from row to row to move at all.
         once: share of readings that are different from one another where they are on no grid.
-        often: stretches of readings on a grid that may stand by chance, in a recording.
+        often: stretches of readings on a grid that may repeat by chance, in a recording.
         grids: times its usual change, a step or two of a grid, that the simulation must move over a stretch on a
             grid.
         jump: the same, by which one channel must jump into such a stretch or out of it: readings at a limit come
@@ -41,7 +40,7 @@ def repeated(
     for part in scene.segments:
         again[part][1:] = y[part][1:] == y[part][:-1]
         moved[part][1:] = np.max(np.abs(np.diff(scene.simulated[part], axis=0)) / usual, axis=1)
-    # Values that were there before, but not just before, are those of a grid.
+    # Values that occurred before, but not just before, are on a grid.
     grid = np.array([len(np.unique(x[~a])) < once * np.sum(~a) for x, a in zip(y.T, again.T, strict=True)])
     chance = np.where(grid, np.log(np.maximum(np.mean(again, axis=0), 1.0 / N)), -np.inf)
     still, out = moved < least, np.zeros(y.shape, dtype=bool)

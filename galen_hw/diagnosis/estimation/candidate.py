@@ -26,15 +26,14 @@ class Hypothesis:
     """Hold one effect with its columns on the bench.
 
     Args:
-        effect: the piece of physics; None: a nuisance or a generic term.
-        raw: averaged columns, unfiltered.
+        effect: physical effect; None: a nuisance or a generic term.
+        raw: averaged columns.
         whitened: the same, whitened channel by channel; None: not yet, or released (see `white`).
-        looked: at how many places it was looked for; each of several touches at as many.
+        trials: number of places that were searched for it; each of several contacts counts as many.
         theta: parameters at which `raw` is the slope (nonlinear effects); None: at zero.
-        bend: (M, C) what it predicts at theta beyond slope times theta; None where it is linear.
-        beside: (M, C) what it adds in a settled model because the others are there too; None: nothing.
+        nonlinear: (M, C) nonlinear remainder: its contribution at theta beyond slope times theta; None where it is linear.
+        interaction: (M, C) its additional contribution in a converged model given the other effects; None: nothing.
         noise: by which it is whitened; None: `whitened` is given.
-        unseen: see `aside`; telling: see `lasts`; None: not asked yet.
     """
 
     effect: Effect | None
@@ -56,7 +55,7 @@ class Hypothesis:
 
     @property
     def white(self) -> Columns:
-        """Its columns, whitened channel by channel."""
+        """Whitened columns (M, len(channels), k)."""
         out = self.whitened
         if out is None:
             assert self.noise is not None, "it is given where there is no noise to whiten by"
@@ -64,7 +63,7 @@ class Hypothesis:
         return out
 
     def release(self) -> None:
-        """Forget the whitened columns, which are computed again where they are asked for: most are never."""
+        """Release the whitened columns, which are computed again on access: most are never needed again."""
         if self.noise is not None:
             self.whitened = None
 
@@ -90,12 +89,12 @@ class Hypothesis:
 
     @cached_property
     def live(self) -> Mask:
-        """(len(channels), k) where a column is not zero throughout."""
+        """Mask (len(channels), k) of columns that are not zero throughout."""
         return self.raw.live()
 
     @cached_property
     def family(self) -> Any:
-        """Of its effect; None: a nuisance."""
+        """Family of its effect; None: a nuisance."""
         return None if self.effect is None else self.effect.family
 
     def line(self, scene: Scene) -> Line | None:
@@ -104,7 +103,7 @@ class Hypothesis:
 
     @property
     def fixed(self) -> Array:
-        """(k,) values of its parameters that are not fitted in a model, nan for those that are."""
+        """Values (k,) of its fixed parameters, NaN for fitted ones."""
         held = None if self.effect is None else self.effect.held
         return np.full(self.count, np.nan) if held is None else held
 

@@ -25,12 +25,12 @@ def cross_validated(
         white: (M, C) whitened residual that the model is fitted to.
         fine: short pieces are left out instead of blocks.
         whitened: whitened errors, else raw ones.
-        pieces: of a recording, of which every fifth is left out to judge what belongs to moments.
-        least: rows of a piece where noise has a memory.
+        pieces: of a recording, every fifth of which is left out to judge momentary effects.
+        least: rows of a piece of coloured noise.
     """
     train = np.flatnonzero(bench.train)
     if fine:
-        # Noise with a memory would tell one row from the next; poses of a sweep know nothing of each other.
+        # Coloured noise predicts one row from the next; static poses are independent.
         piece = max(len(bench.rows) // pieces, least if len(bench.noise.edges) else 1)
         fold = folds(np.asarray(train // piece))
     else:
@@ -54,7 +54,7 @@ def _of_moments(
     contain it. Nor can an initial transient; it may be shorter than a piece, which no contact is.
 
     Args:
-        lives: share of the square of what belongs to a moment that must lie in blocks left out for these to be
+        lives: share of the square of what belongs to a moment that must lie in held-out blocks for these to be
             all that tells of it.
     """
     held = np.zeros(sum(h.count for h in model), dtype=bool)

@@ -32,11 +32,11 @@ class ModelState:
     """State that a model gives the data: replaced as a whole when another model is tried, and never changed.
 
     Args:
-        y: (M, C) residual less what the model predicts beyond its slopes, and less `interaction`.
+        y: (M, C) residual less the model's nonlinear remainders and `interaction`.
         stream: the scene with all that the model adds to its simulation.
-        timing: late clocks, filters and limits that all else goes through, with their parameters.
-        interaction: (M, C) what its effects add because of each other: a gain scales a new load too.
-        restless: whether that grows round after round: one part of the model undoes another.
+        timing: output stage: delays, filters and limits with their parameters.
+        interaction: (M, C) sum of the interaction terms of its effects: a gain scales a new load too.
+        diverging: whether the interactions grow round after round: one part of the model cancels another.
     """
 
     y: Array
@@ -51,13 +51,12 @@ class Bench:
     """Hold one averaged recording with its noise model and the state of the present model.
 
     Args:
-        scene: what was measured and simulated.
-        held: share of blocks set aside.
+        scene: measured and simulated signals.
+        held_share: share of held-out blocks.
         seed: of the choice of blocks and of surrogates.
-        most: rows that it may have; neighbours are averaged until there are no more.
-        pose: seconds from row to row from which rows are poses of a sweep.
-        in_order: rows without a clock from which their order shows what the noise is like; poses that were averaged are fewer,
-            and apart.
+        most: maximum number of rows; neighbours are averaged until there are no more.
+        pose: period, s, from which rows are static poses of a sweep.
+        in_order: number of rows without a clock from which their order shows the noise spectrum; averaged poses are fewer.
     """
 
     scene: Scene
@@ -71,19 +70,19 @@ class Bench:
     held_out: Mask = field(init=False)
     invalid_rows: Mask = field(init=False)
     without_data: Mask = field(init=False)
-    """(C,) channels that read one value in every row, as simulated, while others do not (a sensor without them)."""
+    """Channels (C,) that read one value in every row, as simulated, while others do not (a sensor without them)."""
     live_channels: int = field(init=False)
-    """Channels that hold data: the others add no degree of freedom."""
+    """Number of channels with data: the others add no degree of freedom."""
     excluded_rows: Mask = field(init=False)
     noise: Noise = field(init=False)
     state: ModelState = field(init=False)
     known_columns: dict[Effect, Hypothesis] = field(default_factory=dict)
-    """See `know`."""
+    """See `cache_columns`."""
 
     def __post_init__(self) -> None:
         """Average the residual and choose the held-out blocks."""
         n = len(self.scene)
-        # A scene that low-passes what it compares says how many neighbouring rows hold nothing new.
+        # A scene that low-passes the compared signals says how many neighbouring rows are redundant.
         stride = max(1, self.scene.grain, -(-n // self.most))
         self.rows = Rows(tuple(self.scene.segments), stride, self.scene.cut)
         count = 40 if len(self.rows) >= 400 else max(min(len(self.rows) // 4, 14), 4)
@@ -116,17 +115,17 @@ class Bench:
 
     @property
     def y(self) -> Array:
-        """(M, C) residual that the present model's columns are fitted to."""
+        """Residual (M, C) that the present model's columns are fitted to."""
         return self.state.y
 
     @property
     def stream(self) -> Scene:
-        """The scene with what the present model adds."""
+        """Scene with the present model's contribution."""
         return self.state.stream
 
     @property
     def timing(self) -> OutputStage:
-        """Ends of the stream in the present model."""
+        """Output stage of the present model: delays, filters and limits with their parameters."""
         return self.state.timing
 
     def update_state(self, **changes: Any) -> None:
@@ -154,12 +153,12 @@ class Bench:
 
     @property
     def train(self) -> Mask:
-        """Rows to learn from."""
+        """Training rows (M,)."""
         return ~self.held_out & ~self.excluded_rows
 
     @property
     def judged(self) -> Mask:
-        """Rows to judge on."""
+        """Held-out rows (M,) that can be judged on."""
         return self.held_out & ~self.excluded_rows
 
     def average(self, x: Array) -> Array:
@@ -194,7 +193,7 @@ class Bench:
 
     @property
     def spacing(self) -> float:
-        """Between its rows, s."""
+        """Nominal period of the averaged rows, s."""
         return spacing(self.scene) * self.rows.stride
 
     def late(self, x: Array, seconds: float, *, bowed: bool = False) -> Array:
@@ -216,7 +215,7 @@ class Bench:
 
     @cached_property
     def simulated(self) -> Array:
-        """(M, C) averages of what was simulated."""
+        """Averaged simulated channels (M, C)."""
         return self.rows.average(self.scene.simulated)
 
     def scene_of(self, effect: Effect) -> Scene:
@@ -271,21 +270,21 @@ class Bench:
 
     @property
     def detectable(self) -> Array:
-        """(C,) rms of the smallest effect in one channel alone that the training rows would show; of a slow one in slow noise.
+        """Smallest detectable rms (C,) of an effect in one channel alone; of a slow effect where the noise is slow.
 
-        Half the log-likelihood ratio that is asked of the best of a library is about 14.
+        Half the log-likelihood ratio required of the best of a library is about 14.
         """
         variance = np.maximum(self.noise.slow, self.noise.sigma**2)
         return np.asarray(np.sqrt(2.0 * 14.0 / max(int(self.train.sum()), 1) * variance))
 
     @property
     def ordered(self) -> bool:
-        """Whether the noise of successive rows may be of one piece: on a clock, or where so many rows have only their order."""
+        """Whether the noise of successive rows may be correlated: on a clock, or in sufficiently many ordered rows."""
         return self.scene.clock or len(self.rows) >= self.in_order
 
     @property
     def static_poses(self) -> bool:
-        """Return whether each row is a pose by itself, held for a second or for nobody knows how long."""
+        """Whether each row is a separate static pose, held for a second or for an unknown time."""
         return not self.scene.clock or self.spacing >= self.pose
 
     def motion_band(self, *, most: float = 0.995) -> float:
@@ -348,5 +347,5 @@ def rich_basis(whole: Array, rich: list[Array], rows: int) -> Array:
     if not X.size:
         return Q
     P = orthonormal(X, most=most)
-    # Once more against what rounding left of `whole`; QR keeps the order, the strongest first.
+    # Orthogonalise again against rounding errors; QR keeps the order, the strongest first.
     return np.concatenate([Q, np.linalg.qr(P - Q @ (Q.T @ P))[0]], axis=1)

@@ -25,7 +25,7 @@ class _Beside(NamedTuple):
     """Columns stacked next to each other.
 
     Args:
-        at: their numbers; room: (n, m) whose first columns they are: who goes back to fewer leaves the rest to be overwritten.
+        at: their numbers; room: (n, m) array whose first columns they are; later ones may be overwritten.
     """
 
     at: Index
@@ -45,7 +45,7 @@ class _Beside(NamedTuple):
 
     @property
     def columns(self) -> Array:
-        """(n, len(at))."""
+        """Columns (n, len(at))."""
         return self.room[:, : len(self.at)]
 
     def takes(self, count: int) -> bool:
@@ -88,7 +88,7 @@ class InnerProducts:
     """Columns channel by channel, and their inner products over all channels.
 
     A search looks at thousands of columns and puts dozens into its models. What it asks for is each group of columns within
-    itself, and those of the models with all others: the whole matrix would cost the square of what is looked at.
+    itself, and those of the models with all others: the whole matrix would cost the square of the library's size.
 
     Args:
         width: number of channels.
@@ -163,7 +163,7 @@ class InnerProducts:
         rest, other = ~known, columns >= 0
         out[np.ix_(rest, other)] = self._table[np.ix_(columns[other], a[rest])].T
         if not other.all():
-            # Of one and the same group: of two, one would be known.
+            # Both are of the same group: of two groups, one would be known.
             group = self._owner[a[rest][0]]
             first = np.searchsorted(self._owner, group)
             out[np.ix_(rest, ~other)] = self._blocks[group][np.ix_(a[rest] - first, b[~other] - first)]
@@ -182,7 +182,7 @@ class InnerProducts:
         old, reach, size = self._rows, self._reach, len(self)
         self._rows, self._reach = old + len(new), size
         if self._rows > self._table.shape[0] or size > self._table.shape[1]:
-            # With room to spare: a search appends thousands of times.
+            # With spare room: a search appends thousands of times.
             table = np.empty((self._rows + self._rows // 2 + 32, size + size // 2))
             table[:old, :reach] = self._table[:old, :reach]
             self._table = table

@@ -72,7 +72,7 @@ def settle_together(bench: Bench, scorer: Scorer, chosen: list[int], *, met: flo
     left out.
 
     Args:
-        met: of the noise of one row: what the effects do to each other is told anew when it has moved by more.
+        met: change of the interactions, over the noise of one row, below which they have converged.
     """
     last = np.inf
     bench.update_state(diverging=False)
@@ -109,7 +109,7 @@ def _same_timing(old: signal_chain.OutputStage, new: list[tuple[Effect, Array]],
     """Return whether a stream is as late as it was, by the same effects.
 
     Args:
-        share: by which a delay or lag may move before all other effects' columns are made anew.
+        share: by which a delay or lag may move before all other effects' columns are made again.
     """
     return len(old) == len(new) and all(
         a == b and bool(np.max(np.abs(s - t)) <= share * np.max(np.abs(t)))

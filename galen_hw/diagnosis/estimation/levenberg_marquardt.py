@@ -37,7 +37,7 @@ class ConditionalGain:
             self.at.append(np.concatenate([np.empty(0, dtype=np.intp), *at]))
             self.columns.append(np.concatenate([np.empty((int(rows.sum()), 0)), *parts], axis=1))
             G[np.ix_(self.at[c], self.at[c])] += self.columns[c].T @ self.columns[c]
-        # Once: a search asks for hundreds of trial points beside one model.
+        # Once: a search evaluates hundreds of trial points given one model.
         self.root = inverse_root(G)
 
     def gain(self, h: Hypothesis) -> float:

@@ -33,7 +33,7 @@ def mean_frequency(model: Model, h: Hypothesis, line: Line, *, count: int = 16) 
     if len(rows) < 8 * count:
         return line.frequency, 0.0
     turning = np.exp(-2j * np.pi * line.frequency * time[rows])
-    # Without the effect, as it was fitted, the rest holds the oscillation itself.
+    # The residual without the fitted line contains the oscillation itself.
     residual = _alone(model, line)[rows][:, places] / bench.noise.sigma[places]
     cycles = np.clip([line.frequency * bench.period], 1e-6, 0.5)
     level = np.array([bench.noise.spectrum(cycles)[0, c] for c in places])
@@ -43,7 +43,7 @@ def mean_frequency(model: Model, h: Hypothesis, line: Line, *, count: int = 16) 
     noise = np.array([len(p) * np.sum(np.abs(weight) ** 2 * level / bench.noise.sigma[places] ** 2) for p in pieces])
     steps = np.angle(z[1:] * np.conj(z[:-1]))
     by_noise = float(np.mean(noise / np.maximum(np.abs(z) ** 2, 1e-300)))
-    # Neighbouring steps share the noise of the piece between them: a correlation of minus a half.
+    # Neighbouring increments share the noise of the piece between them: a correlation of minus a half.
     seen = _positive(float(np.mean(steps**2)) - by_noise, by_noise * np.sqrt(3.0 / len(steps)))
     span = float(time[rows[-1]] - time[rows[0]])
     walk = seen * 1.5 * count / span

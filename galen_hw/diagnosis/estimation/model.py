@@ -40,11 +40,11 @@ class Model:
     """Hold nuisances and effects with fitted parameters: a value, of which others are made and which none changes.
 
     Args:
-        bench: on which it was found.
-        nuisances: what the baseline itself fits; effects: what was found.
-        white: whitened residual, less what the effects predict beyond their slopes (y: the same unfiltered).
-        plain: all frequencies weighed alike, for a model that leaves physics over.
-        theta: parameters learnt on the training rows (those of moments on all), nuisances first; final: on all rows,
+        bench: on which it was fitted.
+        nuisances: terms of the baseline; effects: what was found.
+        white: whitened residual less the nonlinear remainders and interactions (y: the same, not whitened).
+        unweighted: plain least squares, for a model whose residual contains physics.
+        theta: parameters fitted on the training rows (momentary effects: on all), nuisances first; final: on all rows.
     """
 
     bench: Bench
@@ -63,7 +63,7 @@ class Model:
         train, everything = np.flatnonzero(self.bench.train), np.flatnonzero(~self.bench.excluded_rows)
         parts, y = self.unweighted_parts() if self.unweighted else (self.parts, self.white)
         object.__setattr__(self, "final", self._fitted(parts, y, everything))
-        # What belongs to moments has no rows to be learnt on but its own; the others are learnt beside it as it is.
+        # Momentary effects can be fitted on their own rows alone; the others are fitted given these.
         moments = np.full(len(self.final), np.nan)
         for h, s in zip(self.parts, self.slices(), strict=True):
             if h.effect is not None and h.effect.EPISODIC:
@@ -72,16 +72,16 @@ class Model:
 
     @cached_property
     def covariance(self) -> Array:
-        """(k, k) of the parameters learnt on all rows."""
+        """Covariance (k, k) of the parameters fitted on all rows."""
         parts, y = self.unweighted_parts() if self.unweighted else (self.parts, self.white)
         return self._covariance(parts, y, np.flatnonzero(~self.bench.excluded_rows))
 
     @cached_property
     def parameter_errors(self) -> ParameterErrors:
-        """Errors with the searched values as unknowns too: what is not sure of one is not sure of what it can be made up by.
+        """Errors of all parameters with the searched values as unknowns too.
 
-        The model is linear in a searched value where it stands (Gauss and Newton). One that the others can make up for
-        altogether is not known at all.
+        The model is linearised in the searched values (Gauss-Newton). A searched value that is collinear with the other
+        parameters is not known at all.
         """
         slopes: dict[tuple[int, str], Hypothesis] = {}
         lost: dict[tuple[int, str], float] = {}
@@ -104,9 +104,8 @@ class Model:
         """Return the derivative with respect to a searched value as a column, or None where it is collinear with the model.
 
         Args:
-            share: of the logarithm of the factor within which a searched value is sought: by as much its
-                slope is told.
-            never: share of the square of a slope that must be left beside the effect's own columns.
+            share: step of the numerical derivative, of the logarithm of the factor within which the value is sought.
+            never: share of the squared derivative below which it is collinear with the effect's own columns.
         """
         h, s = self.effects[k], self.slices()[len(self.nuisances) + k]
         assert h.effect is not None, "effects, not nuisances"
@@ -123,9 +122,9 @@ class Model:
 
     @cached_property
     def variance(self) -> Array:
-        """(k,) of the parameters, with what they would be by another convention that fits as well: nobody can tell which holds.
+        """Variance (k,) of the parameters, with the spread between equivalent conventions that fit as well.
 
-        What settles after a load is more in the end, or was less at first, and a load that was read wrong is the difference.
+        What settles after a load is more in the end, or was less at first; a wrong scale of the load is the difference.
         """
         out = np.maximum(np.diag(self.parameter_errors.covariance), 0.0)
         for h in self.effects:
@@ -157,7 +156,7 @@ class Model:
         """Return parameters fitted on some rows; a nonlinear effect keeps its values where its tangent does not reach so far.
 
         Args:
-            parts, y: a model and what it is to give; rows: to learn on; known: (k,) parameters that are given, else nan.
+            parts, y: model and target; rows: to fit on; known: (k,) fixed parameters, NaN for free ones.
         """
         held = np.full(sum(h.count for h in parts), np.nan) if known is None else known.copy()
         theta = fit(parts, y, rows, self.bench.width, held)
@@ -168,10 +167,10 @@ class Model:
         return fit(parts, y, rows, self.bench.width, held) if far else theta
 
     def _reaches(self, h: Hypothesis, theta: Array, *, nothing: float = 1e-3) -> bool:
-        """Return whether an effect does at theta (k,) what its tangent says, by the noise.
+        """Return whether the linearisation of an effect holds at theta (k,), by the noise.
 
         Args:
-            nothing: mean square, of the noise's, that is no matter.
+            nothing: mean square, over the noise's, that is negligible.
         """
         assert h.effect is not None, "nuisances are linear"
         assert h.nonlinear is not None, "a tangent has one"
@@ -189,7 +188,7 @@ class Model:
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
     def slice_of(self, part: Hypothesis) -> slice:
-        """Return where the parameters of one part stand."""
+        """Return the slice of the parameters of one part."""
         return next(s for h, s in zip(self.parts, self.slices(), strict=True) if h is part)
 
     def placed(self) -> list[tuple[Effect, Array]]:
@@ -304,7 +303,7 @@ def with_interactions(model: Model, *, stays: float = 1e-2) -> Model:
     Where they diverge, the effects are left without interactions.
 
     Args:
-        stays: of the noise of one row: what moves by less stays.
+        stays: change, over the noise of one row, below which the interactions have converged.
     """
     bench, alone, last = model.bench, model, np.inf
     kinds = [(k, h.effect) for k, h in enumerate(model.effects) if h.effect is not None]

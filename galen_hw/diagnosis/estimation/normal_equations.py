@@ -23,10 +23,10 @@ class Score:
 
     Args:
         gain: fall of the whitened sum of squares.
-        count: parameters that it really adds.
-        surprise: minus log of the chance of such a gain under noise, places looked at included.
-        rank: gain less the price of its parameters (k log n) and of the places of its kind, in units of the log likelihood ratio.
-        beyond: what more it may gain between the points of its grid, where its searched value is its size.
+        count: number of identifiable parameters.
+        surprise: minus log of the probability of such a gain under noise, trials included.
+        rank: gain less the penalty of its parameters (k log n) and trials, in units of twice the log likelihood.
+        beyond: possible further gain between the points of its grid, where its searched value is its size.
     """
 
     gain: float
@@ -40,7 +40,7 @@ class Projected(NamedTuple):
     """Normal equations with a model's fixed parameters projected out.
 
     Args:
-        at: column numbers of what is fitted; b: (K,) inner products of all columns with what is left; total: its sum of squares.
+        at: column numbers of the free parameters; b: (K,) products of all columns with the residual; total: its sum of squares.
     """
 
     at: Index
@@ -121,7 +121,7 @@ class Scorer:
 
     @property
     def _white_rows(self) -> list[Array]:
-        """The whitened residual on the training rows, (n, 1) of each channel."""
+        """Whitened residual on the training rows, (n, 1) of each channel."""
         return [self.white[self._train, c, None] for c in range(self.bench.width)]
 
     @contextmanager
@@ -154,7 +154,7 @@ class Scorer:
 
     @property
     def total(self) -> float:
-        """Whitened sum of squares of the residual itself."""
+        """Whitened sum of squares of the residual."""
         return float(np.sum(self.white[self._train] ** 2))
 
     def parts(self, chosen: Iterable[int]) -> list[Hypothesis]:
@@ -201,7 +201,7 @@ class Scorer:
         every = self.fakes if surrogates else self.fakes[:, :0]
         asked = list(range(len(self.base), len(self.library))) if which is None else which
         at, b, _ = self.projected(chosen)
-        # Columns of what is asked alone: most calls compare two hypotheses, not all.
+        # Only columns of the hypotheses in question: most calls compare two, not all.
         own = self._numbers(asked)
         starts = dict(zip(asked, np.cumsum([0, *(self.library[i].count for i in asked)]).tolist(), strict=False))
         GS, cross, K = self.products.between(at, at), self.products.between(at, own), len(own)
@@ -226,7 +226,7 @@ class Scorer:
                 gains[m] = gains[m] if pinned is None else pinned
             trials = np.array([self.library[i].log_trials(self._train) + np.log(self._forms(i)) for i in group])
             surprise = self._surprise(gains, counts) - trials
-            # What was sought in the residual has no counterpart in the surrogates: `looked` pays for it instead.
+            # Proposals from the residual have no counterpart in the surrogates: their trials are penalised instead.
             mirrored = (counts > 0) & (np.array([self.library[i].trials for i in group]) == 1)
             if surrogates and mirrored.any():
                 reached = self._surprise(fakes[mirrored], counts[mirrored, None]) - trials[mirrored, None]
@@ -235,13 +235,13 @@ class Scorer:
                 if counts[m]:
                     score = self._score(i, float(gains[m]), int(counts[m]), float(surprise[m]))
                     out[i] = replace(score, beyond=float(free[m] - gains[m]))
-        # In the order of the library: between equals the first is taken.
+        # In the order of the library: of equals the first is taken.
         return {i: out[i] for i in asked if i in out}, highest
 
     def _score(self, i: int, gain: float, count: int, surprise: float) -> Score:
         h = self.library[i]
         penalty = h.effective_parameters(max(count - h.unobserved(self._train), 0)) * h.penalty(self.bench)
-        # What was sought in the residual pays for the places it was sought at.
+        # Proposals from the residual pay for their trials.
         places = 2.0 * h.log_trials(self._train) if h.trials > 1 else self._occam.get(self._key(i), 0.0)
         return Score(gain, count, surprise, float(gain - penalty - places))
 

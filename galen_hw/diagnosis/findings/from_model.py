@@ -164,13 +164,13 @@ def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
     places = [bench.scene.channels.index(name) for name in glitch.channels]
     residual = outliers.sample_residual(model)
     away, z = (x[rows][:, places] for x in (np.abs(residual), outliers.deviations(bench, residual)))
-    # In the channel that stands out most often: newtons and newton metres have no common size.
+    # In the channel with most of the largest deviations: newtons and newton metres have no common size.
     strongest = np.argmax(z, axis=1)
     first = int(np.bincount(strongest).argmax())
     size = float(np.median(away[strongest == first, first]))
     own = float(np.sum(z**2))
     others = float(np.sum(np.maximum(judged.before / judged.floor - 1.0, 0.0))) * len(bench.scene)
-    # Of samples that came again some stand nowhere off.
+    # Some repeated samples deviate nowhere.
     least = np.min(z, where=z > outliers.FAR, initial=np.max(z))
     chance = float(np.clip(len(bench.scene) * bench.width * erfc(least / np.sqrt(2.0)), 1e-300, 1.0))
     return Finding(
@@ -196,7 +196,7 @@ def unknown_finding(
     if screening.wrong:
         says, share, z = screening.wrong[0], 0.0, 10.0
     else:
-        # What says the same in plainer words is what people want to read.
+        # A simpler family that explains as much is reported instead.
         alike = [one for one in structures if one.channel == structures[0].channel and one.z >= near * structures[0].z]
         best = min(alike, key=lambda one: one.place)
         share, z = best.share, best.z
@@ -233,7 +233,7 @@ def unknown_finding(
         says += "; they are not saved."
     parameters = {"share_left": Value(float(share), 0.0, "1")}
     for c in np.flatnonzero(judged.reached != judged.after):
-        # What the findings with a name leave on held-out data: a saved model reaches this, not `rmse_after`.
+        # Held-out error of the named findings: a saved model reaches this, not `rmse_after`.
         parameters[f"rmse_named_{names[c]}"] = Value(float(np.sqrt(judged.after[c])), 0.0, bench.scene.units[c])
     evidence = {"heldout_gain": gain, "score": float(z), "false_alarm_probability": FALSE_ALARM}
     return Finding(UNKNOWN, channels, [], says, parameters, evidence)

@@ -51,7 +51,7 @@ class Region:
 
     @property
     def concentration(self) -> float:
-        """How much more of the excess than of the rows."""
+        """Share of the excess beyond the share of the rows."""
         return self.share - self.rows
 
 
@@ -90,7 +90,7 @@ def regions(bench: Bench, known: list[Variable], energy: Array, *, most: int = 3
     """Return the best region of every variable, without those that overlap with a better one.
 
     Args:
-        most: regions that are told.
+        most: number of reported regions.
     """
     learn, check = halves(bench)
     if len(energy) < 60 or not (_sure(bench, energy, learn) and _sure(bench, energy, check)):
@@ -138,7 +138,7 @@ def _region(
     total = float(energy[check & inside].sum())
     if not 0.0 < rows < widest or total <= 0.0:
         return None
-    # Blocks are what is independent: a region that one loud block makes is none.
+    # Blocks are independent: a region needs more than one block with a large excess.
     surplus = np.where(check & inside, energy * (mask - rows), 0.0)
     if not _sure(bench, surplus, check & inside):
         return None

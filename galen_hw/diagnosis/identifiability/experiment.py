@@ -101,7 +101,7 @@ def pair_of(selection: Selection, finding: Finding, rival: str, model: Model) ->
     supposed = effect_class(rival).supposed(model.bench.scene.channels[part.raw.channels[0]])
     if supposed is None:
         return None
-    # Of what drives the rival nothing was recorded: it is taken to have done as much within the range supposed.
+    # The rival's input was not recorded: it is assumed to explain as much within the supposed range.
     other, span = supposed
     theta = _linearised(model, part)[1]
     size = float(np.ptp(part.contribution(theta)[:, 0])) / span
@@ -123,7 +123,7 @@ def _linearised(model: Model, h: Hypothesis) -> tuple[Effect, Array]:
 def best_of(model: Model, pair: Pair) -> Advice | None:
     """Return the recipe that settles the pair soonest; None where no recipe can."""
     able = [a for a in _advised(model, pair) if a.distance > 0.05 * SETTLED]
-    # Where the two stay close, what the model leaves out elsewhere decides: a wide angle comes first.
+    # Where the two stay close, small model errors decide: a wide angle comes first.
     wide = [a for a in able if a.angle >= WIDE]
     return min(wide or able, key=lambda a: a.minutes, default=None)
 
@@ -196,7 +196,7 @@ def _settling(pair: Pair, advice: Advice, *, most_odds: float = 1e6) -> str:
     """Return the recipe for two rivals and what it would show, in words.
 
     Args:
-        most_odds: that are told as a number: what is said of noise holds no further.
+        most_odds: that are reported as a number: the noise model holds no further.
     """
     names = f"{_plain(pair.found.KEY)} from {_plain(pair.rival.KEY)}"
     runs = round(advice.minutes / advice.recipe.minutes)
@@ -299,7 +299,7 @@ def _smaller(model: Model) -> str:
     """Return the smallest effect that would have been detected, and how to detect smaller ones, in words."""
     bench = model.bench
     least = bench.detectable
-    # Of channels in different units, the one in which most of what is simulated could hide.
+    # Of channels in different units, the one with the largest limit relative to its simulated range.
     reach = np.ptp(bench.simulated, axis=0)
     c = int(np.argmax(np.where(bench.without_data, -np.inf, least / np.maximum(reach, least))))
     unit, name = bench.scene.units[c], bench.scene.channels[c]

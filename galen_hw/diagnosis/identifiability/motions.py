@@ -20,7 +20,7 @@ from galen_hw.spatial import Array
 
 @dataclass(frozen=True)
 class Means:
-    """What a workshop beside the robot has at hand.
+    """Equipment that is available beside the robot.
 
     Args:
         mass: kg of a known weight that is hung on the tool beside its own; force: N of a known weight on the tip.

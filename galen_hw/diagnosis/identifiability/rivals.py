@@ -39,7 +39,7 @@ class Rival:
     Args:
         place: of the rival in the scorer's library; instead: of the found one.
         key: of the rival.
-        lead: twice the log likelihood by which the found one is better, prices paid.
+        lead: twice the log likelihood by which the found one is better, penalties paid.
         angle: deg between the found signal and what the rival can make of it.
         nearest: deg, smallest principal angle between the two spans.
         theta: (k,) the rival's parameters in the found one's place; own: the found one's.
@@ -74,7 +74,7 @@ class Own:
     Args:
         i: place in the scorer's library; chosen: the model it belongs to.
         gain: fall of the whitened sum of squares by it; theta: (k,) its parameters.
-        straight: (k,) where its slopes alone come nearest to what it does; theta, where it is linear.
+        linear: (k,) parameters of its best linear approximation; theta, where it is linear.
     """
 
     i: int
@@ -125,14 +125,14 @@ def rivals(
     Args:
         asked: twice the log likelihood, above what ties, from which the blocks need not be asked: they would have
             to disagree four times over.
-        sharpened: so many rivals of each effect are looked at between the points of their grids.
+        sharpened: number of rivals of each effect that are optimised between the points of their grids.
     """
     scorer = selection.scorer
     found: dict[str, Rival] = {}
     misfit = scorer.misfit(selection.chosen)
     for i in _places(selection, finding):
         own = _own(scorer, selection.chosen, i)
-        # Where physics is missing, differences of a few hundredths are that physics.
+        # Where physics is missing, differences of a few hundredths are model discrepancy.
         margin = CLOSE + 0.05 * min(1.0, misfit - 1.0) * own.gain
         best: dict[str, Rival] = {}
         with nonlinear_restored(scorer, i), without_timing(scorer, i):
@@ -203,7 +203,7 @@ class Sharpener:
     """Rivals of one chosen effect between the points of their grids: the library's grid must not decide what is alike.
 
     Args:
-        scorer: with the residual `unbent`; own: the effect in whose place the rivals stand.
+        scorer: with `nonlinear_restored`; own: the effect in whose place the rivals are.
     """
 
     def __init__(self, scorer: Scorer, own: Own) -> None:

@@ -43,7 +43,7 @@ class Stage:
 
     @property
     def length(self) -> float:
-        """Of the clock, s."""
+        """Length of the clock, s."""
         return max(self.end - self.start, 1e-9)
 
     def scale(self, effect: Effect) -> float:
@@ -123,7 +123,7 @@ class Eye:
     def __init__(self, bench: Bench, staged: Stage) -> None:
         self.bench = bench
         time = np.concatenate([part.time for part in staged.recipe.parts])
-        # Rows of the stage stand for as many rows of a recording as fit between them.
+        # One row of the stage counts as the number of recorded rows between two of its rows.
         self.ratio = max(float(np.median(np.diff(time))) / max(bench.period, 1e-12), 1e-12)
         frequency = np.fft.rfftfreq(len(time))
         self.level = bench.noise.spectrum(np.minimum(frequency / self.ratio, 0.5))

@@ -61,7 +61,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a recording knows of its causes, on averaged rows, in the units of the recording that is learnt from.
+    """Known inputs of a recording, on averaged rows, in the units of the recording that is learnt from.
 
     Args:
         position: (M, p) joint positions that move, the axes of a sensor of which no joints are known, or the simulated channels;
@@ -108,14 +108,14 @@ class Inputs:
         if joints:
             raw = [rows.average(scene.q[:, [scene.joint_index(j) for j in joints]])]
         elif isinstance(scene, WrenchScene):
-            # A wrench may follow the heading too (a cable, a magnet), which the weight in the sensor does not show.
+            # A wrench may depend on the heading too (a cable, a magnet), which gravity in the sensor does not show.
             raw = [rows.average(scene.R.reshape(len(scene), 9))]
         else:
             raw = [load]
         raw += [rows.average(np.nan_to_num(given[name]))[:, None] for name in forces]
         places = tuple(n for n in given if n.startswith("temperature.")) if like is None else like.places
         warm = [rows.average(np.nan_to_num(given[name]))[:, None] for name in places]
-        # Beside a motion a covariate may be a consequence, as a clamp's force is.
+        # In a motion a covariate may be a consequence, as a clamp's force is.
         moves = bool(Scale.of(np.concatenate(raw, axis=1)).kept.any())
         others = (() if moves else covariates(given)) if like is None else like.covariates
         beside = [rows.average(np.asarray(given[name], dtype=float))[:, None] for name in others]
@@ -172,7 +172,7 @@ class Inputs:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(p,) what each column of the positions is, in words."""
+        """Names (p,) of the columns of the positions, in words."""
         count = len(self.scales[0].kept) - len(self.forces)
         axes = tuple(f"the sensor's {a} axis along base {b}" for b in "xyz" for a in "xyz")
         simulated = tuple(f"simulated channel {k + 1}" for k in range(count))
@@ -181,7 +181,7 @@ class Inputs:
 
     @cached_property
     def past(self) -> Array:
-        """(M, lags p) changes of the positions since some rows ago; since the run's first row where there is no such row."""
+        """Changes (M, lags p) of the positions since some rows ago, or since the run's first row."""
         z, row = self.position, np.arange(len(self.position))
         first = np.concatenate([np.full(run.stop - run.start, run.start) for run in self.runs])
         each = [z[np.maximum(row - k, first)] - z for k in self.lags]
@@ -189,12 +189,12 @@ class Inputs:
 
     @property
     def seen(self) -> Array:
-        """(M, k) all of it in one row, as what learns functions by itself wants it."""
+        """All inputs (M, k) as columns, for trees."""
         every = [self.position, self.rate, self.second, self.load, self.warmth, self.beside, self.past]
         return np.concatenate(every, axis=1)
 
     def comparable(self, other: "Inputs") -> bool:
-        """Return whether what is by the row here holds there too: a row lasts as long, and there are enough of them."""
+        """Return whether both have the same period and enough rows for the lags."""
         same = abs(self.period - other.period) <= 0.01 * self.period
         return same and len(other.position) > max(self.lags, default=1)
 

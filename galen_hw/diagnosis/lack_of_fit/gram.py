@@ -73,7 +73,7 @@ class Sums:
     Args:
         columns: (n, k) by name, the folds' rows one after the other.
         folds: where each fold's rows are.
-        known: (folds, k, k) of pairs of families, kept from rest to rest.
+        known: (folds, k, k) products of pairs of families, cached for all residuals.
         scale: factor of all columns.
     """
 

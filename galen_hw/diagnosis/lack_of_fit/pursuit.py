@@ -13,7 +13,7 @@ from galen_hw.spatial import Array
 class Pursuit(Regression):
     """Orthogonal matching pursuit by single functions (Pati, Rezaiifar and Krishnaprasad 1993), from inner products.
 
-    How many functions it takes is what predicts blocks left out best. Inner products of all functions with each other are as
+    How many functions it takes is what predicts held-out blocks best. Inner products of all functions with each other are as
     many as their number squared, and with the few that are taken a handful: these alone are computed.
 
     Args:
@@ -43,7 +43,7 @@ class Pursuit(Regression):
         best = float(raw.max())
         if best <= self.least * float(self.residual @ self.residual):
             return
-        # Another motion is where more functions than are needed differ.
+        # More functions than needed would differ on another motion.
         count = int(np.flatnonzero(raw >= self.enough * best)[0])
         self.reached, self.white_gain = (
             float(raw[count]),
@@ -92,7 +92,7 @@ class Pursuit(Regression):
 
         b, squares = without_fold(self._b), np.maximum(without_fold(self._squares), 0.0)
         norm = np.sqrt(squares)
-        # Of a function that hardly lives in these rows nothing can be learnt from them.
+        # A function that is nearly zero in these rows cannot be learnt from them.
         able = norm > self.alive * self._size
         taken: list[int] = []
         found: list[Array] = []
@@ -101,7 +101,7 @@ class Pursuit(Regression):
             j = int(np.argmax(np.where(able, np.abs(correlation) / np.where(able, norm, 1.0), -1.0)))
             trial = [*taken, j]
             G = np.stack([without_fold(self._with(i))[trial] for i in trial])
-            # What depends on those taken before it is worth nothing beside them.
+            # A function that is collinear with those before it has no gain.
             if np.linalg.matrix_rank(G / np.outer(norm[trial], norm[trial]), hermitian=True) < len(trial):
                 break
             taken, theta = trial, np.linalg.solve(G, b[trial])

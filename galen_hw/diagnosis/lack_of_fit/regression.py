@@ -16,11 +16,11 @@ class Regression(ABC):
 
     Args:
         plain, white: inner products of the families, the plain ones first, as they are and whitened.
-        rest, white_rest: (n,) over the noise's standard deviation, and whitened.
-        weighed: fitted as whitened (generalised) or as it is: the first is best where noise is the rest's larger part, the
-            second where physics is.
-        least: share of the whole rest that must be explained.
-        chosen: families of which it takes something; reached, white_gain: falls of the sum of squares on folds left out.
+        residual, white_residual: (n,) over the noise's standard deviation, and whitened.
+        weighed: by generalised or plain least squares: the first is best where noise is the residual's larger part, the second
+            where physics is.
+        least: share of the residual that must be explained.
+        chosen: families of which it takes something; reached, white_gain: falls of the sum of squares on held-out folds.
     """
 
     plain: Sums

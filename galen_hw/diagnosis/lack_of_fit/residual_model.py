@@ -33,10 +33,10 @@ class Remainder:
     Args:
         inputs: of the recording that it was learnt on.
         parts: per channel, names of the families and the coefficient of each of their functions.
-        offsets: per channel, the mean of their sum over the rows that it was learnt on, less the constant beside them.
-        gain: fall of the whitened sum of squares on blocks left out, all channels together.
+        offsets: per channel, the mean of their sum over the training rows, less the fitted constant.
+        gain: fall of the whitened sum of squares on held-out blocks, all channels together.
         crossed: (M, C) prediction of each row that it was learnt on from other blocks, 0 elsewhere.
-        trees: per channel, what is the other half of a mean with the sum of the parts.
+        trees: per channel, trees that are averaged with the sum of the parts.
     """
 
     inputs: Inputs
@@ -102,7 +102,7 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
             parts[c] = best.coefficients()
             level = functions.level(parts[c], c, white[functions.rows, c])
             cross_validated[functions.rows, c] = best.cross_validated() * bench.noise.sigma[c] + level
-            # The functions of another recording are not less their mean on this one.
+            # In another recording the functions are not centred by their mean on this one.
             offsets[c] = float(sum(functions.means[n] @ t for n, t in parts[c].items())) - level
             gain += best.white_gain
     return Remainder(functions.inputs, parts, offsets, gain, cross_validated) if parts else None
@@ -140,8 +140,8 @@ class Ridge(Regression):
 
     Args:
         most: families.
-        worth: share of what is explained by which a family must be better than a plainer one, or another family add.
-        tried: families that are tried beside those chosen: the ones that explain most of what these leave.
+        worth: share of the gain by which a family must be better than a simpler one, or another family add.
+        tried: families that are tried given the chosen ones: those that explain most of their residual.
     """
 
     most: int = field(default=3, kw_only=True)

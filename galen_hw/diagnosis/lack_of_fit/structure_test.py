@@ -20,7 +20,7 @@ from galen_hw.spatial import Array
 FALSE_ALARM: Final = CRITERIA.chance / 10.0
 """Probability that noise is called structure, over all families and channels: of the budget a tenth."""
 T_NEEDED: Final = 3.0
-"""Standard errors by which generic functions, or trees, must win on blocks that they were not fitted on."""
+"""Standard errors by which generic functions, or trees, must win on held-out blocks."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class Structure:
 
     Args:
         channel: place.
-        kind: what the generic functions were of; place: of that family, the plain ones first.
+        kind: what the generic functions depend on; place: number of that family, simple ones first.
         z: (T - k) / sqrt(2 k); for a model that does not hold on held-out data, its mean square over the noise's.
-        share: of the whitened rest's mean square, on blocks left out.
+        share: of the whitened residual's mean square, on held-out blocks.
         size: rms in raw units; basis: (M, k) the functions.
-        elsewhere: it is left of another recording, by what was learnt on the first.
+        elsewhere: it is in the residual of another recording than the model was fitted on.
     """
 
     channel: int
@@ -81,7 +81,7 @@ class Fitted:
 
     Args:
         columns: whitened, of nuisances and effects, so that generic functions get no credit for what these could do.
-        rest, white: (M, C) of its rest, raw and whitened.
+        residual, white: (M, C) raw and whitened.
     """
 
     columns: list[Columns]
@@ -141,12 +141,12 @@ def _found(
     Return z, the cross-validated gain, and the weights (k,) of the columns; None where they do not.
 
     Args:
-        squared: (k, k) inner products of the columns; base: (n, r) orthonormal, what the model can do; the rest has no part
-            in it.
+        squared: (k, k) inner products of the columns; base: (n, r) orthonormal basis of the model, projected out of the
+            residual.
         part: of a function, that must lie in the blocks that it is learnt on before it is half believed in the
             others.
         least_z: standard deviations above what chance explains, below which nothing else is asked.
-        own_part: of a function's square, that the model must not be able to do.
+        own_part: share of a function's square that must be outside the model's span.
         least_t: standard errors that are enough where shuffled blocks show that no order of the same blocks is
             predicted nearly so well.
     """
@@ -154,7 +154,7 @@ def _found(
     squares, V = np.diag(squared), np.zeros((Xw.shape[1], 0))
     own = squares - np.einsum("rk,rk->k", B, B) > own_part * squares
     if own.any():
-        # Inner products of the columns less what the model can do.
+        # Inner products of the columns with the model projected out.
         G = squared[np.ix_(own, own)] - B[:, own].T @ B[:, own]
         size = np.sqrt(np.diag(G))
         value, vector = np.linalg.eigh(G / np.outer(size, size))
@@ -212,7 +212,7 @@ def _beyond_shuffled(
     rng = np.random.default_rng(len(y))
     pieces = [np.flatnonzero(block == b) for b in np.unique(block)]
     shuffled = [np.concatenate([pieces[i] for i in rng.permutation(len(pieces))]) for _ in range(orders_asked)]
-    # Most are far from it, and a few orders show that.
+    # A few orders reject most of the candidates.
     for count, needed in ((first, 0.5 * beyond), (orders_asked, beyond)):
         orders = np.stack([y, *(y[order] for order in shuffled[:count])], axis=-1)
         gains = _cross_validated_gains(U, orders, block, ridge=ridge).sum(axis=0)

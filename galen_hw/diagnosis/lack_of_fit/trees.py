@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sklearn.ensemble import ExtraTreesRegressor, HistGradientBoostingRegressor
 
 TOGETHER: Final = "all inputs together, as no function that was tried does"
-"""What trees follow, in words."""
+"""What trees depend on, in words."""
 
 
 def boosted_trees() -> "HistGradientBoostingRegressor":
@@ -61,9 +61,8 @@ def hidden(model: Model, *, slower: float = 2.0, most_by_time: float = 0.5) -> l
     predict is slow noise, or drift: where a motion does not repeat, its position is a clock.
 
     Args:
-        slower: times the noise's lowest level that some of it must be for trees to look into it: else there is
-            nothing to be found.
-        most_by_time: share of what they win that trees on the time alone may.
+        slower: ratio of the highest to the lowest noise level from which a channel is tested.
+        most_by_time: share of the gain that trees on the time alone may have.
     """
     bench, good = model.bench, np.flatnonzero(~model.bench.excluded_rows)
     levels = bench.noise.levels

@@ -22,9 +22,9 @@ def estimate(
     """Return the noise estimated from the residual (M, C) of a fit with an orthonormal basis (M, r) in each channel.
 
     Args:
-        rest, basis: of the fit; rows: of the bench; ordered: if not, noise is white; steps: of rounded readings.
-        above: cycles a row below which physics may still be in the rest: there the noise is taken as at that frequency.
-        apart: whether each row is a pose by itself, so that what rows next to each other share is no noise.
+        residual, basis: of the fit; rows: of the bench; ordered: if not, noise is white; steps: of rounded readings.
+        above: cycles a row below which the residual may contain physics: there the level at that frequency is taken.
+        static_poses: whether each row is a separate pose, so that what neighbouring rows share is no noise.
     """
     M, C = residual.shape
     freedom = np.array([max(M - b.shape[1], 2) for b in basis], dtype=float)
@@ -42,7 +42,7 @@ def estimate(
     if len(levels) < RESOLUTION.fewest:
         levels = whitest(levels, sum(run.stop - run.start for run in long) * np.diff(edges))
     noise = Noise(rows, edges, levels, sigma, float(freedom.sum()), correlation, steps)
-    # What the bands say the variance is, so that one sample's sigma holds the slow part too, as far as it was measured.
+    # The variance is the integral of the bands, so that sigma contains the slow part too, as far as it was measured.
     f = np.maximum((np.arange(4096) + 0.5) / 8192, np.sqrt(edges[0] * edges[1]))
     total = np.sqrt(np.mean(noise.spectrum(f), axis=0))
     return Noise(rows, edges, levels, total, float(freedom.sum()), correlation, steps)
@@ -86,7 +86,7 @@ def _levels(
     there (residual likelihood; Patterson and Thompson 1971, in the frequency domain).
 
     Args:
-        least: lines of a band that the rich fit must leave; else it is not measured, but read off its neighbours.
+        least: lines of a band outside the rich basis; with fewer it is not measured, but interpolated.
     """
     lines, free, place = [], [], []
     for run in runs:
@@ -107,7 +107,7 @@ def _levels(
         inside = (band == b) & (reachable > 0.02)
         if np.sum(reachable[inside]) < least or edges[b] < above:
             continue
-        # A single line (mains, a periodic motion) must not pass for noise; of few lines one may well be the largest.
+        # A single line (mains, a periodic motion) must not pass for noise; of few lines one may well be large by chance.
         single, told = line[inside] / reachable[inside], reachable[inside] > 0.3
         many = told.sum() >= 12 and len(level) >= RESOLUTION.fewest
         usual = np.median(single[told]) / 0.69 if many else np.inf

@@ -40,7 +40,7 @@ def plateaus(
         certain: twice the log likelihood ratio, over all channels, from which a corner is believed; one of
             flicker noise reaches 6.
         contrary: the same ratio below which a channel speaks against what the others say.
-        hidden: the same ratio from which flicker noise is there beside the corner: in doubt nothing is flat.
+        hidden: the same ratio from which there is flicker noise besides the corner: in doubt there is no plateau.
         steps: slopes that are tried, a quarter to two.
         gentle_steps: of these, none steeper than flicker noise.
     """
@@ -54,12 +54,12 @@ def plateaus(
     corner, fitted, which = _likeliest(levels, weights, [np.stack([white, bend], axis=-1) for bend in bends])
     costs, models = _fitted(levels, weights, [np.stack([white, slope], axis=-1) for slope in slopes])
     both, _, _ = _likeliest(levels, weights, [np.stack([white, bend, flicker], axis=-1) for bend in bends])
-    # The steepest of the slopes is a walk's.
+    # The steepest of the slopes is that of a random walk.
     rising, gentle, walk, walked = costs.min(axis=0), costs[:gentle_steps].min(axis=0), costs[-1], models[-1]
     sure, noise = rising - corner, _like_noise(corner, centres)
     steep = (_like_noise(walk, centres)) & (gentle - walk >= certain)
     flat = noise & (np.sum(sure[noise]) >= certain) & (sure > contrary) & (corner - both < hidden)
-    # The shelf is known from the bands below the corner alone; in doubt slow noise is stronger.
+    # The plateau is known from the bands below the corner alone; in doubt slow noise is stronger.
     known = np.array([np.sum(weights[centres <= corners[k]]) for k in which])
     plateau = np.where(flat, fitted[0] * (1.0 + 1.0 / np.sqrt(known)), np.nan)
     return np.where(steep & ~flat, walked[0] * (centres[0] / slowest) ** 2, plateau)
@@ -72,10 +72,9 @@ def walking(
 
     Args:
         modes: (K, C) squares of the half cosines 1 to K over so many rows, below the bands.
-        needed: twice the log likelihood ratio from which a channel is said to walk: what a search asks of any
-            effect.
+        needed: twice the log likelihood ratio from which a channel contains a random walk, as of any effect.
 
-    Other arguments as of `shelves`. A walk is asked against noise with a corner above `slowest`, and against flicker noise.
+    Other arguments as of `plateaus`. A random walk is compared with noise with a corner above `slowest`, and flicker noise.
     """
     f = np.concatenate([0.5 * np.arange(1, len(modes) + 1) / rows, centres])
     level = np.concatenate([np.maximum(modes, 1e-12 * np.max(levels, axis=0)), levels])

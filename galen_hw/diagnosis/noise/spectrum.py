@@ -27,10 +27,10 @@ class Noise:
         edges: (B + 1,) band limits in cycles a row, empty: white.
         levels: (B, C) spectral level, the variance of one row where white.
         sigma: (C,) standard deviation of one averaged row.
-        degrees: degrees of freedom that the estimate rests on.
+        degrees: degrees of freedom of the estimate.
         correlation: (C, C) between channels.
         steps: (C,) quantisation step of the raw readings, 0 where there is none.
-        unread: (C,) channels without data; none: all have data.
+        without_data: (C,) channels without data; None: all have data.
     """
 
     rows: Rows
@@ -54,27 +54,27 @@ class Noise:
 
     @cached_property
     def centres(self) -> Array:
-        """(B,) of the bands, cycles a row."""
+        """Centres (B,) of the bands, cycles a row."""
         return np.asarray(np.sqrt(self.edges[1:] * self.edges[:-1]))
 
     @cached_property
     def lines(self) -> Array:
-        """(B,) of the spectrum in each band."""
+        """Number of spectral lines (B,) in each band."""
         return np.asarray(sum(self._lengths) * np.diff(self.edges))
 
     @property
     def _lengths(self) -> list[int]:
-        """Of the runs that are long enough for a spectrum, rows."""
+        """Lengths, rows, of the runs that are long enough for a spectrum."""
         return [run.stop - run.start for run in self.rows.runs if run.stop - run.start >= RESOLUTION.shortest]
 
     @property
     def slowest(self) -> float:
-        """Corner of the longest memory that noise may have, cycles a row."""
+        """Corner frequency of the longest correlation time that noise may have, cycles a row."""
         return RESOLUTION.forgets / (2.0 * np.pi * max(self._lengths))
 
     @cached_property
     def _plateaus(self) -> Array:
-        """(C,) level below the slowest band where the noise is known there for certain, else nan."""
+        """Low-frequency plateau (C,), NaN where it is not identified."""
         return plateaus(self.centres, self.levels, self.lines, self.slowest)
 
     def random_walks(self, residual: Array, waves: int) -> Mask:
@@ -121,7 +121,7 @@ class Noise:
 
     @cached_property
     def _roughness(self) -> Array:
-        """(B, C) logarithm of a smooth spectrum over the measured one."""
+        """Logarithm (B, C) of a smooth spectrum over the measured one."""
         smooth = smoothed(self.centres, self.levels, self.lines)
         return np.asarray(np.log(smooth / self.levels))
 
@@ -192,7 +192,7 @@ class Noise:
 
     @cached_property
     def _places(self) -> tuple[slice, ...]:
-        """Where each run stands among the transformed rows."""
+        """Slice of each run among the transformed rows."""
         lengths = [run.stop - run.start for run in self.rows.runs]
         quick = [int(next_fast_len(n, real=True)) if self._coloured(slice(0, n)) else n for n in lengths]
         edges = np.cumsum([0, *quick]).tolist()
@@ -211,12 +211,12 @@ class Noise:
 
     @cached_property
     def slow_power_ratio(self) -> Array:
-        """(C,) mean square over all rows, with what is too slow to be measured, over `sigma` squared."""
+        """Mean square (C,) over all rows, with unmeasured low-frequency noise, over `sigma` squared."""
         return np.asarray(np.maximum(np.mean(self._all, axis=0) / self.sigma**2, 1.0))
 
     @property
     def slow_and_quick_rms(self) -> tuple[Array, Array]:
-        """(C,) rms of what is slower than a fiftieth of the recording, (C,) of what is quicker."""
+        """Rms (C,) below and rms (C,) above 50 cycles in the recording."""
         if not len(self.edges):
             return np.zeros_like(self.sigma), self.sigma
         slow, quick = np.split(self._all / len(self.rows), [2 * RESOLUTION.wanders])
@@ -224,9 +224,9 @@ class Noise:
 
     @property
     def ringing(self) -> tuple[Array, Array]:
-        """(C,) frequency, cycles a row, and rms of the band that rings: it holds more than all others and stands out of them.
+        """Frequency (C,), cycles a row, and rms (C,) of a band that rings: it holds more power than all others.
 
-        nan and 0 where none does. A band that rings is no slow memory: the spectrum falls from it to both sides.
+        NaN and 0 where none does. The spectrum falls from it to both sides, unlike that of noise with a memory.
         """
         frequency, size = np.full(len(self.sigma), np.nan), np.zeros(len(self.sigma))
         M = len(self.rows)
@@ -248,18 +248,18 @@ class Noise:
 
     @cached_property
     def _all(self) -> Array:
-        """(M, C) level at as many frequencies as there are rows."""
+        """Level (M, C) at as many frequencies as there are rows."""
         M = len(self.rows)
         return self.spectrum(np.linspace(0.25 / M, 0.5 - 0.25 / M, M))
 
     @cached_property
     def slow(self) -> Array:
-        """(C,) level that a slow regressor meets."""
+        """Level (C,) at the frequency of a slow regressor."""
         return np.asarray(self.spectrum(np.array([RESOLUTION.slow]))[0])
 
     @cached_property
     def effective(self) -> float:
-        """Number of independent values that a slow regressor meets, over all channels with data."""
+        """Effective sample size for a slow regressor, over all channels with data."""
         independent = len(self.rows) * np.minimum(1.0, self.sigma**2 / self.slow)
         return float(max(np.sum(independent, where=True if self.without_data is None else ~self.without_data), 20.0))
 
@@ -268,8 +268,7 @@ def _line(at: Array, centres: Array, level: Array, plateau: float, *, steepest: 
     """Return a linear interpolation; below the first centre the plateau, else a line with the slope of the slowest decade.
 
     Args:
-        steepest: power of the frequency of flicker noise: slower wander than a recording can tell from drift is
-            called drift.
+        steepest: power of the frequency of flicker noise: what rises more steeply counts as drift.
     """
     out = np.interp(at, centres, level)
     below = at < centres[0]

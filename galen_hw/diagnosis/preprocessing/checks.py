@@ -40,7 +40,7 @@ class Screening:
         first = [r for r in examination.remarks if r.action is not Action.REFUSED]
         self.notes[:0] = [r.line for r in first] + [r.line for r in examination.refused]
         if examination.refused:
-            # What is refused is the cause; what later checks see are its consequences.
+            # What is refused is the cause of what later checks found.
             self.notes = [line for line in self.notes if line not in self.wrong]
             self.wrong = [r.line for r in examination.refused]
             self.channels = [c for r in examination.refused for c in r.columns]

@@ -24,11 +24,11 @@ def improvement(
     """Compare a trial with the chosen model on cross-validated training blocks.
 
     Args:
-        i: the effect that is asked for, None: several.
+        i: the effect in question, None: several.
 
     Returns:
-        What falls of the excess that there was before anything was chosen, and the share of it that the trial leaves where the
-        effect acts: in its channels, and of a touch that stands out from all other times while it lasts.
+        The gain, as a share of the excess before anything was chosen, and the share of that excess that the trial leaves
+        where the effect acts: in its channels, and for an outstanding contact while it lasts.
     """
     bench, scorer = out.bench, out.scorer
     sigma = np.ones(bench.width) if whitened else bench.noise.sigma
@@ -83,7 +83,7 @@ def pays(out: Selection, trial: list[int], i: int | None = None) -> tuple[bool, 
     if not (lasting and gain.tolerable and out.bench.scene.clock) or out.scorer.misfit(trial) >= CRITERIA.noise_alone:
         return False, gain.share
     white, unexplained = improvement(out, trial, i, whitened=True)
-    # Raw errors alone tell what completes: in whitened units physics that is missing may pass for slow noise.
+    # Raw errors alone show completeness: in whitened units missing physics may pass for slow noise.
     return replace(white, completes=gain.completes).credible(unexplained=unexplained), gain.share
 
 
@@ -121,7 +121,7 @@ def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
     misfit = scorer.misfit([*chosen, i])
     spread = scorer.spread(at)[-h.count :] * np.sqrt(misfit)
     named = list(zip(h.effect.parameters(bench.scene), theta[-h.count :], spread, strict=True))
-    # A lag of a twentieth is no lag. Bounds matter where physics is missing: else the shape has proved it, whatever its size.
+    # A lag with a share of a twentieth is no lag. Bounds matter where physics is missing: else the shape has proved it.
     named_so = all(p.near(t, s) and (misfit < CRITERIA.noise_alone or p.plausible(t, s)) for p, t, s in named)
     real = named_so and h.effect.at_work(bench.scene) and h.effect.possible(bench.scene, theta[-h.count :], spread)
     return real and not _cancelled(bench, scorer, [*chosen, i], theta)

@@ -151,7 +151,7 @@ def _best_residual(bench: Bench, scorer: Scorer, others: list[int], i: int) -> A
     h = scorer.library[i]
     if h.theta is None and _is_nonlinear(bench, h):
         return min(_approached(bench, scorer, others, i), key=lambda residual: float(np.sum(residual**2)))
-    # What a tangent predicts beyond its slope is not in its columns.
+    # The nonlinear remainder of a tangent is not in its columns.
     with nullcontext() if h.nonlinear is None else scorer.against(bench.y - h.nonlinear):
         pinned = None if h.effect is None else h.effect.pinned(bench.scene)
         if pinned is None or np.isnan(pinned).any():
@@ -193,7 +193,7 @@ def _along(bench: Bench, given: ConditionalGain, effect: Effect, name: str, valu
     low, high = max(np.log(value / wide), np.log(bound.low)), min(np.log(value * wide), np.log(bound.high))
     if not high > low:
         return effect
-    # Where the size is not free, the searched value is the size; a narrow peak is a number by itself.
+    # Where the size is fixed, the searched value is the size; a narrow peak needs a finer tolerance.
     coarse = wide >= DOUBT and effect.pinned(bench.scene) is None
     tolerance, most = (3e-3, 12) if coarse else (min(1e-3, 1e-2 * np.log(wide)), 20)
     found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": tolerance, "maxiter": most})

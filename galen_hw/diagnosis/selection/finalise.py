@@ -45,7 +45,7 @@ def weighed(model: Model) -> Model:
     """
     bench = model.bench
     ours = cross_validated(bench, model.parts, model.white) / bench.noise.sigma
-    # In whitened units physics that is missing may pass for slow noise.
+    # In whitened units missing physics may pass for slow noise.
     if not model.effects or np.all(np.mean(ours**2, axis=0) <= CRITERIA.noise_alone):
         return model
     gain = paired(ours, cross_validated(bench, *model.unweighted_parts()) / bench.noise.sigma, np.zeros(1))

@@ -32,7 +32,7 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sou
     found += drift.random_walks(bench.scene, residual, bench.noise)
     found += drift.drifts(bench.scene, residual, bench.rows)
     found += drift.temperatures(bench.scene, residual, bench.rows)
-    # A limit that was found before something else was is sought again as if it had not been.
+    # Limits are sought in the unclipped stream, as if none had been found.
     added = bench.rows.average(np.asarray(bench.stream.standing + bench.stream.carried))
     stream, seen = bench.simulated + added, ~bench.excluded_rows
     found += clipping.saturations(bench.scene, np.asarray(bench.whole - added)[seen], stream[seen])

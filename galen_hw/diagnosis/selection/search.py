@@ -30,7 +30,7 @@ def select(bench: Bench, scorer: Scorer, *, start: Start = ()) -> Selection:
     """Search for the effects: in each turn the first move that finds a better model, then those that tidy it.
 
     Args:
-        bench: the data; is left in the state of the model found.
+        bench: the data; has the state of the model found afterwards.
         scorer: with all hypotheses.
         start: the model to begin with.
     """
@@ -48,7 +48,7 @@ def select(bench: Bench, scorer: Scorer, *, start: Start = ()) -> Selection:
                 settle_together(bench, scorer, out.chosen)
         retime(bench, scorer, out.chosen)
         out.turn.failed.clear()
-        # What was added only to be exchanged again would be added again.
+        # The search is in a cycle: what was added only to be exchanged again would be added again.
         if out.families in seen:
             break
         seen.add(out.families)
@@ -113,11 +113,11 @@ def _look(out: Selection) -> None:
 def _conclude(out: Selection) -> None:
     """Drop effects that the last turn made needless, score each given the others, and restore the model's residual."""
     bench, scorer = out.bench, out.scorer
-    # The last turn moved what is searched: what stood before need not stand now.
+    # The last turn changed searched values: effects may have become needless.
     if dropped(out):
         settle_together(bench, scorer, out.chosen)
     for i in out.chosen:
-        # What the others can do as well has no score of its own.
+        # An effect that is collinear with the others has no score.
         score = alone(scorer, out.chosen, i)
         if score is not None:
             out.evidence[i] = score

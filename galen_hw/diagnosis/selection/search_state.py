@@ -19,8 +19,8 @@ class Turn:
     """What one turn of a search has found.
 
     Args:
-        scores: of all hypotheses beside the model as the turn began.
-        able: those that chance does not explain, best first.
+        scores: of all hypotheses given the model as the turn began.
+        significant: hypotheses that chance does not explain, best first.
         failed: hypotheses that were refused in this turn.
         swapped: whether the last swaps changed anything.
     """
@@ -43,15 +43,15 @@ class Selection:
     """The chosen model and how it came about.
 
     Args:
-        chosen: places in the scorer's library.
-        evidence: score of each when all others are in.
+        chosen: numbers in the scorer's library.
+        evidence: score of each given all others.
         first: score of every hypothesis before any was chosen, best of its family.
         needed: surprise that chance reaches.
-        refused: effects that looked significant but did not pass the guard.
-        clocked: how often a model, by the families of its effects, was asked for all of its clocks at once.
-        tightened: models whose spring was already asked for the tendon that it may be.
-        regrouped: models in which two of the effects were already asked whether others stand for both.
-        begun: (n, C) squared errors of the training rows, each left out, before anything was chosen.
+        refused: significant effects that were not accepted, with their share of the excess.
+        clocked: how often all timing effects of a model, by the families of its effects, were tested at once.
+        tightened: models whose spring was already compared with a tendon.
+        regrouped: models of which two effects were already compared with others in their place.
+        initial_errors: (n, C) squared cross-validated errors of the training rows before anything was chosen.
     """
 
     scorer: Scorer
@@ -68,7 +68,7 @@ class Selection:
 
     @property
     def bench(self) -> Bench:
-        """The data."""
+        """Bench of the scorer."""
         return self.scorer.bench
 
     @contextmanager
@@ -85,7 +85,7 @@ class Selection:
 
     @property
     def initial_mean_square(self) -> Array:
-        """(C,) mean squared error on blocks left out before anything was chosen."""
+        """Cross-validated mean squared error (C,) before anything was chosen."""
         return np.asarray(self.initial_errors.mean(axis=0))
 
     @property
@@ -95,7 +95,7 @@ class Selection:
 
     @property
     def hypotheses(self) -> list[Hypothesis]:
-        """The chosen ones."""
+        """Chosen hypotheses."""
         return [self.scorer.library[i] for i in self.chosen]
 
 

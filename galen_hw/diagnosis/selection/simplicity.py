@@ -19,7 +19,7 @@ def plainest(
 
     Args:
         able: best first.
-        unsure: difference of rank that says nothing, see `undecided`; 0: of what stands each is evidence while more may be found.
+        unsure: difference of rank that is no evidence, see `undecided`; 0 while more may be found.
     """
     best = able[0]
     nothing = max(LIMITS.tie, unsure)

@@ -12,16 +12,16 @@ class Criteria:
 
     Args:
         chance: probability that noise passes for an effect: one budget a recording, shared among all that is asked of it.
-        log_odds: twice the log of the odds, beyond the prices of the parameters, from which the other of two models is taken
+        log_odds: twice the log of the odds, beyond the penalty of the parameters, from which the other of two models is taken
             (Kass and Raftery, JASA 90, 1995: 6 to 10 is strong evidence).
         least_share: of the held-out excess over the noise that a finding takes at least, as mean square, unless noise alone is
             left with it and more without it: at 0.02 it is a seventh of what is missed, and the laws beside it may miss as much
             of what they speak of (Kennedy and O'Hagan 2001: a law's own error is part of the noise) as long as nothing shows
             that they do not.
-        beside_unexplained: of what the whole model leaves of the excess: physics that is missing has a part along any regressor,
+        beside_unexplained: of what the whole model leaves of the excess: missing physics has a part along any regressor,
             and what takes less than a quarter of it may be that part, as may a difference between two models (the discrepancy's
             variance of Kennedy and O'Hagan). What belongs to moments fits nearly anything, and has to take all of it.
-        outstanding: mean square during a touch over that at all other times, from which it is judged by its own moments, and is
+        outstanding: mean square during a contact over that at all other times, from which it is judged by its own rows, and is
             an event: three times as large.
         noise_alone: mean square over that of the noise up to which noise alone is left: its level is learnt, and no better known.
     """

@@ -7,7 +7,7 @@ from galen_hw.diagnosis.stats.sampling import Index
 from galen_hw.spatial import Array
 
 WEAK = 1e-5
-"""A direction of which less than this share is left beside the model is taken as already in it."""
+"""Share of a direction, projected orthogonally to the model, below which it is not identifiable."""
 MANY = 4000.0
 """Degrees of freedom of the noise from which F is as good as chi square."""
 
@@ -36,7 +36,7 @@ def quadratic(A: Array, before: Array, r: Array, fakes: Array) -> tuple[Array, A
     """Return r' A^-1 r of m hypotheses with k columns each, over the directions that are identifiable given the model.
 
     Args:
-        A: (m, k, k) inner products beside the model; before: (m, k) squares of the columns themselves.
+        A: (m, k, k) inner products given the model; before: (m, k) squares of the columns themselves.
         r: (m, k) inner products with the residual; fakes: (m, k, B) with surrogates.
 
     Returns:

@@ -21,7 +21,7 @@ class Gain:
         fall: mean over the rows of the squared error without it less that with it; error: its standard error.
         sure: by how many standard errors what is there without it matches what it says.
         excess: the same of the baseline's squared error above the noise, not below 0 or what falls.
-        completes: noise alone is left with it, and more without it: laws that leave nothing are not rough.
+        completes: noise alone is left with it, and more without it: then the laws have no discrepancy.
     """
 
     fall: float
@@ -54,7 +54,7 @@ class Gain:
             criteria: the levels.
             unexplained: share of the excess, 0 to 1, that the whole model leaves.
             questions: how many effects are asked about at once.
-            moments: how many it belongs to, each of which has to take as much as all leave; 0: it lasts.
+            moments: number of its episodes, each of which has to explain as much as remains unexplained; 0: it lasts.
         """
         least = max(
             0.0 if self.completes else criteria.least_share, (moments or criteria.beside_unexplained) * unexplained

@@ -43,7 +43,7 @@ class Rows:
 
     @cached_property
     def runs(self) -> tuple[slice, ...]:
-        """The segments in groups."""
+        """Slices of the groups of each segment."""
         edges = np.cumsum([0] + [-(-(s.stop - s.start) // self.stride) for s in self.segments])
         return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
 
@@ -109,7 +109,7 @@ def _late(x: Array, steps: float, stride: int, *, bowed: bool) -> Array:
     whole = int(np.floor(min(max(steps, -float(count)), float(count))))
     share = steps - whole
     bow = 0.5 * share * (1.0 - share) if bowed else 0.0
-    # Groups of which every row lies between two that were recorded, and has two before it.
+    # Groups of which every row lies between two recorded ones, and has two before it.
     begin = min(max(-(-(whole + 2) // stride), 0), groups)
     end = max(min(count, count + whole) // stride, begin)
     out = np.empty((groups, x.shape[1]))

@@ -17,7 +17,7 @@ from galen_hw.diagnosis.stats.sampling import Mask, true_runs
 from galen_hw.diagnosis.validation.judgement import touched
 
 AROUND: Final = 0.5
-"""Of a touch's length: how long before and after it nothing is learnt about it either."""
+"""Share of a contact's length before and after it that is left out of the training rows too."""
 
 
 def touches_of(model: Model) -> list[Hypothesis]:
@@ -36,7 +36,7 @@ def predicted_by_place(whole: Model, less: Model) -> list[Structure]:
     """
     bench, touches = whole.bench, touches_of(whole)
     channels = sorted({c for h in touches for c in h.raw.channels})
-    # What belongs to moments is fitted on all rows, those set aside too.
+    # Momentary effects are fitted on all rows, held-out ones too.
     good = ~bench.excluded_rows
     during = good & touched(whole)
     each = [rows for rows in _each(bench, touches) if np.any(during & rows)]

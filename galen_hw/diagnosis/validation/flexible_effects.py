@@ -70,13 +70,13 @@ def predict_unnamed(
     theirs = remaining_structures([less for less, _ in smaller], generic)
     for out, (less, plainly), found in zip(removal_sets, smaller, theirs, strict=True):
         its_structures = strong(found, judged, model.bench)
-        # Asked of contacts alone: what else leaves with them may have been there.
+        # Tested where contacts alone are removed: other effects removed with them may be real.
         place = predicted_by_place(model, less) if {id(h) for h in touches_of(model)} == out else []
         its_structures = sorted([*its_structures, *place], key=lambda one: -one.z)
         reached, its_own = _explained(less, its_structures, functions)
         if reached > now + CRITERIA.log_odds or place:
             other = judge_remainder(less, holdout, plainly, its_own)
-            # A contact is fitted to the moments that it is judged on: nothing else can do as well there.
+            # A contact is fitted to the rows that it is judged on: nothing else can do as well there.
             if place or float(np.sum(other.reached / judged.floor)) < float(np.sum(judged.reached / judged.floor)):
                 return less, _finished(less, holdout, other, its_own, its_structures, functions), its_structures
     return model, _finished(model, holdout, judged, remainder, structures, functions), structures
@@ -106,7 +106,7 @@ def _explained(
 
     Each family pays for having been chosen among all: that choice was not cross-validated.
     """
-    # A family that shows in one channel may be little in another until what is larger there is told.
+    # A family found in one channel may be hidden in another by larger structure.
     every = {one.kind for one in structures}
     kinds = {one.channel: every for one in structures}
     remainder, own = learn(model, kinds, functions), model.penalised_gain(predictive=True)

@@ -30,7 +30,7 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
     """
     bench = model.bench
     keys = list(dict.fromkeys(h.effect.KEY for h in model.effects if h.effect is not None))
-    # The baseline fits its constants as anybody would, by plain least squares.
+    # The baseline's constants are fitted by plain least squares.
     baseline = Model(bench, [Hypothesis(None, h.raw, h.raw) for h in model.nuisances], [], bench.whole)
     smaller = {
         key: model.without([h for h in model.effects if h.effect is not None and key == h.effect.KEY]) for key in keys
@@ -87,7 +87,7 @@ def _ask(
     model, part, baseline = models
     told, tests = test.could_tell(part, questions), test.gains(part)
     if not effect_class(key).lasting():
-        # In another recording these rows speak of the others' sizes alone.
+        # In another recording these rows only show the sizes of other episodes.
         if not elsewhere and told and all(one.fall < 0.0 for one in tests):
             judged.refused.add(key)
         tests = [_at_moments(model, part, baseline)]
@@ -96,7 +96,7 @@ def _ask(
         tests = [_cross_validated_gain(model, part)]
     elif test.belied(part, _channels(model, key), questions):
         judged.refused.add(key)
-    # Raw errors are the first that were asked.
+    # The first gain is that of raw errors.
     judged.gains[key], judged.tests[key] = tests[0], tests
 
 
@@ -197,7 +197,7 @@ def backward_eliminated(model: Model, holdout: Scene | None, judged: Judged | No
         if vague:
             out = vague
         elif places:
-            # One place first: the kind may earn its name without it.
+            # One place first: the kind may be supported without it.
             out = [model.effects[min(places)[1]]]
         elif weak:
             out = [h for h in model.effects if h.effect is not None and min(weak)[-1] == h.effect.KEY]
@@ -207,7 +207,7 @@ def backward_eliminated(model: Model, holdout: Scene | None, judged: Judged | No
 
 
 def _supported(judged: Judged, tests: Sequence[Gain], channels: Sequence[int], questions: int) -> bool:
-    """Return whether one of the tests is credible beside all else that the model has and leaves."""
+    """Return whether one of the tests is credible given what the model leaves unexplained."""
     return any(one.credible(unexplained=judged.unexplained(channels), questions=questions) for one in tests)
 
 

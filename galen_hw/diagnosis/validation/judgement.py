@@ -24,17 +24,17 @@ class Judged:
         name: of what was held out.
         before: of the baseline; after: with all effects; without: per effect's key, with that one left out.
         floor: of the noise.
-        untouched: `after` on the rows of no contact that the model believes in, None: there is none or no such row; how a touch
-            swells and lets go is no law of the arm, and fitted no better than its few shapes allow.
-        gains: per effect's key, what falls of the held-out excess with it. Of what belongs to moments, which are no other data's,
-            on all rows of its own recording, less what its parameters take of noise.
+        outside_contacts: `after` on rows outside the model's contacts, None: there are none or no such rows; the course of a
+            contact is no law of the arm, and fitted only as well as its few shapes allow.
+        gains: per effect's key, its gain in the held-out excess; of momentary effects on all rows of their own recording, less
+            the penalty of their parameters.
         tests: per effect's key, the gains of which one has to be credible; raw, and whitened where noise alone is left.
-        refused: keys of which held-out rows, that they would show in, hold the contrary.
-        places: where a key stands more than once, per number in the model's effects: the same of that one alone.
-        at_home: keys of effects that another recording hardly rouses: their gains are told by blocks left out of their own.
-        unnamed: with what generic functions predict besides, without a name, where that earns its place; None: it does not.
-        episodes: times (s) of contacts in another recording; good: (M,) its rows that are judged on, all others left out of
-            these errors; None: not another recording.
+        refused: keys of effects that informative held-out rows contradict.
+        by_place: for keys with several effects, per number in the model's effects: the tests of that one alone.
+        cross_validated: keys of effects that another recording hardly excites: their gains are from held-out blocks of their own.
+        with_generic: `after` with the predictions of generic functions, where these are supported; None: they are not.
+        episodes: times (s) of contacts in another recording; good: (M,) its judged rows, all others are left out of these errors;
+            None: not another recording.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Judged:
 
     @property
     def reached(self) -> Array:
-        """(C,) mean squared errors with all that can be predicted, named or not."""
+        """Mean squared errors (C,) with all predictions, named or not."""
         return self.after if self.with_generic is None else self.with_generic
 
     def gain(self, key: str) -> float:

@@ -12,7 +12,7 @@ from galen_hw.spatial import Array
 
 
 class HoldoutTest:
-    """Compare smaller models with a model on rows that neither was learnt from.
+    """Compare smaller models with a model on rows that neither was fitted on.
 
     In raw units, weighed by the noise of each channel, where physics is left over: then the weights of the noise would favour
     frequencies at which the model is wrong. Where the model leaves noise alone, in whitened units too: a small quick effect is
@@ -36,7 +36,7 @@ class HoldoutTest:
         self._residual = self._asked[1] / self._size
         self._excess = np.mean((raw(baseline) / self._size) ** 2, axis=0) - 1.0
         self._white_residual: Array | None = None
-        # In whitened units physics that is missing may pass for slow noise: raw errors have to say that none is.
+        # In whitened units missing physics may pass for slow noise: raw errors have to exclude it.
         bench = model.bench
         if (
             bench.scene.clock
@@ -44,7 +44,7 @@ class HoldoutTest:
             and np.mean((whitened := white(model))[:, ~bench.without_data] ** 2) < CRITERIA.noise_alone
         ):
             self._white_residual = whitened
-            # Plain least squares, as anybody would fit the baseline, have no errors in whitened units.
+            # The baseline's plain least squares have no errors in whitened units.
             self._white_excess = np.mean(white(model.without(model.effects)) ** 2, axis=0) - 1.0
 
     def raw(self, part: Model) -> Array:

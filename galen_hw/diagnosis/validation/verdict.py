@@ -33,13 +33,13 @@ def above_noise(judged: Judged, model: Model, *, outside_contacts: bool = False)
     """
     bench = model.bench
     after = judged.outside_contacts if outside_contacts and judged.outside_contacts is not None else judged.after
-    # Of noise that grows ever slower a recording holds more than a single sample's variance shows.
+    # A recording contains more low-frequency noise than a single sample's variance shows.
     ratio = after / judged.floor / bench.noise.slow_power_ratio
     believed = np.maximum(after - tolerated(judged), judged.floor) / judged.floor / bench.noise.slow_power_ratio
     rows = int(bench.judged.sum() or bench.train.sum())
     # Slow noise has few independent values.
     luck = CRITERIA.standard_errors(bench.width) * np.sqrt(2.0 / bench.noise.independent(rows))
-    # The level of the noise was learnt, and may be as far off as what it is compared with.
+    # The noise level is an estimate too, with an error as large as that of the mean square.
     enough = np.maximum(CRITERIA.beyond_noise, 1.0 + 2.0 * luck)
     none = np.zeros((len(bench.rows), 0))
     return [
@@ -68,7 +68,7 @@ def contradicted(judged: Judged, model: Model) -> list[Structure]:
 
 
 FAR_OFF = 8.0
-"""Robust standard deviations by which a sample stands far off."""
+"""Robust standard deviations from which a sample is far."""
 FEW = 0.05
 """Share of the samples that few are at most."""
 

@@ -16,7 +16,7 @@ from galen_hw.diagnosis.selection.search_state import Selection
 
 @dataclass(frozen=True)
 class Move:
-    """One way to another model.
+    """One kind of change to a model.
 
     Args:
         kind: word for it.

@@ -64,7 +64,7 @@ def _best(out: Selection) -> list[int]:
             if paid and plausible(bench, scorer, out.chosen, better):
                 return [better]
             if paid:
-                # At the optimum it is not what it is called; beside it, where other physics is still missing, it may be.
+                # Implausible at the optimum, it may be plausible with a partner, or beside its optimum.
                 if (both := with_partner(out, better)) is not None:
                     return both
                 near = _plausible_kin(bench, scorer, out.chosen, scores, i)

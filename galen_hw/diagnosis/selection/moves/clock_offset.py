@@ -25,20 +25,20 @@ LEAST_ROWS = 200
 REACH = 0.25
 """Share of the longest run by which a clock may be off."""
 SHIFTS = 300
-"""That are tried each way, evenly."""
+"""Number of shifts that are tried each way, evenly spaced."""
 LEFT = 0.5
 """Share of the mean square without a shift that one may leave at most."""
 BY_SLOPE = 0.5
 """Share of what it takes that its slope at zero promises at most; else the search finds it by that."""
 FINE = 1e-3
-"""Share of the way to the next shift to which the best is sought."""
+"""Tolerance of the best shift, of the distance to the next one."""
 
 
 def clock_offset(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score]) -> int | None:
     """Return the number of a large delay of the whole stream that explains more than anything else does; None without one.
 
     Args:
-        scores: of all hypotheses beside the chosen ones; the delay joins the library, settled where it is.
+        scores: of all hypotheses given the chosen ones; the delay joins the library, linearised at its optimum.
     """
     own = next((i for i in scores if _whole(scorer.library[i].effect)), None)
     if own is None or any((e := scorer.library[i].effect) is not None and e.SHIFT for i in chosen):
@@ -91,7 +91,7 @@ def _shift(bench: Bench) -> tuple[float, float] | None:
     if n < LEAST_ROWS:
         return None
     step = max(int(REACH * n) // SHIFTS, 1)
-    # Rows without a joint position have no simulation; the residual is bridged there.
+    # Rows without a joint position have no simulation; the residual is interpolated there.
     whole = np.nan_to_num(bench.scene.simulated)
     carried = np.broadcast_to(bench.stream.carried, whole.shape)
     simulated, added = (bench.rows.average(x)[run] for x in (whole, carried))

@@ -48,7 +48,7 @@ def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
 
 
 def _quiet_else(bench: Bench, scorer: Scorer, model: list[int], touches: tuple[Span, ...]) -> bool:
-    """Return whether a model leaves hardly more than noise on the rows outside a touch's episodes."""
+    """Return whether the residual is hardly more than noise outside a contact's episodes."""
     time = bench.time
     outside = bench.train & ~np.any([(time >= start) & (time <= end) for start, end in touches], axis=0)
     residual = residuals(bench, scorer, model)[0][outside]

@@ -35,7 +35,7 @@ def _swap(out: Selection, *, simpler: bool = False) -> bool:
     start = list(out.chosen)
     for i in list(out.chosen):
         others = [j for j in out.chosen if j != i]
-        # A cable has shown by now whether a tendon does what its spring does.
+        # A cable has been compared with a tendon by now.
         rivals = {
             j: scorer.in_full(j, s)
             for j, s in in_place(bench, scorer, out.chosen, i).items()
@@ -58,7 +58,7 @@ def _swap(out: Selection, *, simpler: bool = False) -> bool:
             out.chosen = trial
             steps_split(out)
             rebase(scorer, out.chosen)
-            # What stays was settled beside what goes: beside what comes it stands elsewhere.
+            # The others were at their optimum given the old effect, not the new one.
             settle_together(bench, scorer, out.chosen)
             attempt.kept = (as_good if simpler else no_worse)(before, held_out_errors(out, out.chosen))
     return out.chosen != start
@@ -74,7 +74,7 @@ def _best(out: Selection, others: list[int], i: int, rivals: dict[int, Score], *
     best, whole = i, with_its_kind(scorer, rivals, i)
     with nonlinear_restored(scorer, i):
         for j in ranked[: LIMITS.tries]:
-            # What acts in several channels at once is compared with all joints' own: one of them alone does less.
+            # An effect in several channels is compared with the kind in all joints: in one of them alone it explains less.
             lead = rivals[j].rank - (whole if len(scorer.library[j].raw.channels) > 1 else rivals[i].rank)
             if j == i or rivals[j].rank - rivals[i].rank <= LIMITS.tie:
                 break

@@ -20,7 +20,7 @@ MOST_PER_SEARCH = 3
 Start = tuple[Effect, Array]
 """A tendon, and parameters (k,) from which it is sought."""
 MOST_BESIDE = 3
-"""Effects that may come to light beside a tendon before it is compared with the spring."""
+"""Further effects that may become significant given a tendon before it is compared with the spring."""
 
 
 def tightened(out: Selection, just: int | None = None) -> bool:
@@ -93,7 +93,7 @@ def _with_tendon(
         best = _beside(scorer, out, trial) if most else None
         if best is None:
             return trial
-        # The tendon is sought anew beside it: what it had done in its place may be far from what it is.
+        # The tendon is optimised again given the new effect, which it had partly absorbed.
         others, starts, most = [*trial[:-1], best], [_start(bench, found)], most - 1
         rebase(scorer, others)
 

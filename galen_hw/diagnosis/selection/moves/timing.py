@@ -29,7 +29,7 @@ from galen_hw.physics.effects.registry import effect_class, shifts
 from galen_hw.spatial import Array
 
 RICHER = 0.05
-"""Share of the excess that is left in some channel, on blocks left out, that the clocks must take."""
+"""Share of the remaining excess in some channel, on held-out blocks, that the timing effects must explain."""
 NOTHING = 0.02
 """Of the noise: a smaller excess is none."""
 COMPLETE = 0.9
@@ -41,7 +41,7 @@ MOST_PER_MODEL = 2
 def reclocked(out: Selection) -> bool:
     """Return whether the delays and lags of a model were exchanged for better ones, of the whole stream or of each joint."""
     bench, scorer = out.bench, out.scorer
-    # Not for ever: what the search takes back of an exchange, it would take back again.
+    # Not for ever: an exchange that the search undoes would be undone again.
     model = out.families
     again = _ends(scorer, out.chosen) and out.clocked[model] < MOST_PER_MODEL
     proposed = shifts(bench.scene) if again else []
@@ -65,15 +65,15 @@ def clocks_per_joint(out: Selection) -> bool:
     ends = [e for e in proposed if e.joint]
     if not ends or len(out.chosen) != 1 or not _ends(scorer, out.chosen):
         return False
-    # By its slope alone the one clock leaves what its own optimum does not.
+    # By its slope alone the global timing effect explains less than at its optimum.
     settle_together(bench, scorer, out.chosen)
     (one, _), (each, _) = _sought(bench, scorer, out.chosen, ([e for e in proposed if not e.joint], ends))
-    # A response of second order is larger or smaller than what it follows: it would take a scale that is off for its own.
+    # A response of second order changes the amplitude: it would absorb a scale error.
     swings = any(end.swings for end, _ in one)
     exchanged = bool(one) and _exchanged(bench, scorer, out, one, {}, nearly=1 if swings else 0)
     if len({end.joint for end, _ in each}) < 2 or not _exchanged(bench, scorer, out, each, {}, nearly=2):
         return exchanged
-    # What friction does is little beside all of the lateness, and much beside what the right clocks leave of it.
+    # Friction is small compared with all of the lateness, and large compared with what the right timing leaves of it.
     out.initial_errors = cross_validated(bench, scorer.parts(out.chosen), scorer.white) ** 2
     return True
 
@@ -91,7 +91,7 @@ def _sought(
     And the friction that replaces friction within these lags.
     """
     old = _ends(scorer, chosen)
-    # Friction of a servo has the servo's lag in it: it goes where that goes.
+    # Friction of a servo contains the servo's lag, and is removed with it.
     friction = [e for i in chosen if (e := scorer.library[i].effect) is not None and _has_clock(e)]
     others = [i for i in chosen if i not in old and scorer.library[i].effect not in friction]
     swings = any("damping" in e.searched() for i in old if (e := scorer.library[i].effect) is not None)
@@ -126,7 +126,7 @@ def _exchanged(
     before, errors, old = scorer.solve(out.chosen)[2], held_out_errors(out, out.chosen), _ends(scorer, out.chosen)
     gone = [one for i in old if (one := scorer.library[i].effect) is not None]
     penalty = (numbers([one for one, _ in clocks]) - numbers(gone)) * float(np.log(bench.noise.effective))
-    # What lies between two rows is no number more.
+    # The interpolation between two rows is no parameter.
     told = {one.interpolation for one in gone} != {one.interpolation for one, _ in clocks}
     plainer = numbers([one for one, _ in clocks]) < numbers(gone) + told
     with out.attempt() as attempt:
@@ -144,7 +144,7 @@ def _through(
     """Return a model of the other effects passed through these timing effects, converged, and the timing effects."""
     kept = [(end, theta) for end, theta in bench.timing if not end.CLOCK]
     ends = [(effect, np.array([size]) if effect.held is None else effect.held) for effect, size in clocks]
-    # For a while: the search brings all columns to the clocks that it finds chosen.
+    # Temporarily: the search passes all columns through the chosen timing effects later.
     with bench.delivering([*kept, *ends]):
         fresh = [scorer.retimed(_in_place_of(bench, scorer.library[i], instead)) for i in others]
         for effect, size in clocks:

@@ -23,13 +23,13 @@ DAMPINGS = (0.35, 0.7)
 FINE = 0.02
 """Share of what is late to which a clock is sought."""
 FINEST = 2e-4
-"""The same of a constant and a damping, which then stand as they were found."""
+"""The same of a constant and a damping, which are not optimised again."""
 STRIDE = 0.2
 """The same, of the first steps from there to the optimum."""
 SHORTEST = 1.05
-"""Times the shortest constant that can be told from a delay, up to which a lag beside a delay is none."""
+"""Times the shortest constant that differs from a delay, up to which a lag with a delay counts as none."""
 LN2 = float(np.log(2.0))
-"""Constants and bands are sought up to twice and down to half of where they stood."""
+"""Constants and bands are sought within a factor of two."""
 NEAR = 10.0
 """Log likelihood by which the last steps to an optimum may still matter, at most, once a step is no more than `FINE`."""
 
@@ -39,10 +39,10 @@ Clocks = list[tuple[Timing, float]]
 
 @dataclass
 class ClockSearch:
-    """For the best of nothing, a delay, a lag, and a delay of what lags, where `delay` acts, beside other effects.
+    """Search for the best of nothing, a delay, a lag, and a delay of what lags, where `delay` acts, given other effects.
 
-    With friction `within` the lag: of servos that have the lag's constant, and are as late; beside the best of clocks these
-    stand `instead` of them. `swings`: a lag of second order is in the model already.
+    `friction`: of servos, with the lag's constant and delay; `replacements`: the same at the best timing. `swings`: a lag of
+    second order is in the model already.
     """
 
     bench: Bench
@@ -102,8 +102,8 @@ class ClockSearch:
             most, late = self._latest(constant, (0.0, all_late))
             candidates.append((most - 2.0 * self.penalty - CRITERIA.log_odds, [(self.delay, late), (lag, constant)]))
         clocks = self._plainer(self._refined(max(candidates, key=lambda one: one[0])[1], all_late), all_late)
-        # A response of second order looks like a delay, or a delay and a lag; friction within has a lag of the first. In one
-        # joint by itself two more numbers would take what the others show to be something else.
+        # A response of second order looks like a delay, or a delay and a lag; friction of a servo has a lag of first order. In
+        # one joint by itself two more parameters would explain what the other joints show to be something else.
         if self.friction or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
             return clocks
         required = self.penalised_gain(clocks) + (0.0 if self.swings else CRITERIA.log_odds)
@@ -152,7 +152,7 @@ class ClockSearch:
                 )
         late, constant, _ = best
         if delays and not self.friction and constant <= SHORTEST * self.shortest:
-            # At its shortest it is none, but a part of the delay.
+            # The shortest lag is a part of the delay.
             return [(self.delay, self._latest(0.0, (0.0, 2.0 * all_late))[1])] if all_late > 0.0 else clocks[:-1]
         return [*((end, late) for end, _ in delays), (self.delay.lagging(constant, self.shortest), constant)]
 
