@@ -14,7 +14,7 @@ from galen_hw.diagnosis.findings.variables import Variable, variables
 from galen_hw.diagnosis.identifiability.experiment import Pair, best_of, next_experiment, options_of
 from galen_hw.diagnosis.identifiability.motions import recipes
 from galen_hw.diagnosis.identifiability.rivals import rivals
-from galen_hw.diagnosis.identifiability.simulate import Eye, projected_out, stage
+from galen_hw.diagnosis.identifiability.simulate import NoiseMetric, projected_out, stage
 from galen_hw.diagnosis.selection.comparison import without_timing
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.drift import Drift, Temperature
@@ -191,7 +191,7 @@ def test_a_recipes_worth_is_the_squared_distance_in_units_of_the_noise() -> None
     work = parts.diagnosed("nothing")
     scene = work.bench.scene
     recipe = next(r for r in recipes(scene, 0.05, ()) if r.name == "same poses in reverse order")
-    eye = Eye(work.bench, stage(scene, recipe))
+    eye = NoiseMetric(work.bench, stage(scene, recipe))
     rows = sum(len(p.time) for p in recipe.parts)
     x = np.random.default_rng(9).normal(size=(rows, 6, 1))
     level = work.bench.noise.sigma

@@ -53,7 +53,7 @@ def contacts(
         # A channel without spread shows no contact.
         z = np.where(spread > 0.0, z / np.where(spread > 0.0, spread, 1.0), 0.0)
         loud = np.sum(z**2, axis=1) > chi2.isf(1e-3 * length / N, C)
-        wide = [(a, b) for a, b in _loud(loud, length) if a > 0 and b < N]
+        wide = [(a, b) for a, b in _episodes(loud, length) if a > 0 and b < N]
         if not wide or sum(b - a for a, b in wide) > covered * N or len(wide) > most:
             continue
         narrow = []
@@ -62,14 +62,14 @@ def contacts(
             # A mean as wide as the episode needs no narrower one.
             narrow = [own] if poses > N or max(b - a for a, b in own) <= length else []
         for own in (wide, *narrow):
-            for names in _felt(scene, own, away, z):
+            for names in _channels_of(scene, own, away, z):
                 times = tuple((moment(scene, rows, a), moment(scene, rows, b - 1)) for a, b in own)
                 touch = Contact(names, times)
                 out.setdefault(touch, Sought(touch, N // length))
     return list(out.values())
 
 
-def _loud(loud: Mask, length: int) -> list[Episode]:
+def _episodes(loud: Mask, length: int) -> list[Episode]:
     """Return runs of loud rows: joined over short gaps, without shorter ones, their ends extended a little."""
     out: list[list[int]] = []
     for a, b in true_runs(loud):
@@ -88,7 +88,9 @@ def _level(away: Array, start: int, end: int) -> Episode:
     return start + int(first[best]), start + int(last[best])
 
 
-def _felt(scene: Scene, episodes: list[Episode], away: Array, z: Array, *, least: float = 3.0) -> list[tuple[str, ...]]:
+def _channels_of(
+    scene: Scene, episodes: list[Episode], away: Array, z: Array, *, least: float = 3.0
+) -> list[tuple[str, ...]]:
     """Return the channels whose single samples show the episodes, and those of which only running means `z` (N, C) do.
 
     Args:

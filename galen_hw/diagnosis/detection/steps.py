@@ -178,10 +178,10 @@ def slips(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
     out = []
     for one in scene.slipping():
         own = list(one.channels)
-        X, r = _in_noise(rows.average(one.values), residual[:, own])
-        A, b, moments = _behind(X, r)
+        X, r = _normalised(rows.average(one.values), residual[:, own])
+        A, b, moments = _products_after(X, r)
         whole = np.linalg.pinv(np.einsum("mck,mcl->kl", X, X), rcond=1e-9, hermitian=True)
-        when = _most(scene, A - A @ whole @ A, b, moments, rows)
+        when = _best_moment(scene, A - A @ whole @ A, b, moments, rows)
         out.append(Sought(Step(tuple(scene.channels[c] for c in own), when, one.name), places_of(len(residual))))
     return out
 
@@ -197,22 +197,22 @@ def loads(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
         return []
     out = []
     for part, body in (("moment", slice(1, 4)), ("body", slice(0, 4))):
-        X, r = _in_noise(rows.average(port[:, :, body]), residual)
-        A, b, moments = _behind(X, r)
+        X, r = _normalised(rows.average(port[:, :, body]), residual)
+        A, b, moments = _products_after(X, r)
         sums = np.cumsum(X[::-1], axis=0)[::-1][moments]
-        when = _most(scene, A - np.einsum("mck,mcl->mkl", sums, sums) / len(residual), b, moments, rows)
+        when = _best_moment(scene, A - np.einsum("mck,mcl->mkl", sums, sums) / len(residual), b, moments, rows)
         out.append(Sought(Payload(part, since=when), places_of(len(residual))))
     return out
 
 
-def _in_noise(X: Array, residual: Array) -> tuple[Array, Array]:
+def _normalised(X: Array, residual: Array) -> tuple[Array, Array]:
     """Return columns (M, c, k) and a residual (M, c) over its quick standard deviation, the columns of equal size."""
     sigma = np.maximum(slow_spread(residual), 1e-300)
     X = X / sigma[:, None]
     return X / np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300), (residual - residual.mean(axis=0)) / sigma
 
 
-def _behind(X: Array, residual: Array, *, count: int = 400) -> tuple[Array, Array, Array]:
+def _products_after(X: Array, residual: Array, *, count: int = 400) -> tuple[Array, Array, Array]:
     """Return squares (m, k, k) of columns (M, c, k) after moments, products (m, k) with a residual (M, c), first rows (m,).
 
     Args:
@@ -225,7 +225,7 @@ def _behind(X: Array, residual: Array, *, count: int = 400) -> tuple[Array, Arra
     return A, b, moments
 
 
-def _most(scene: Scene, free: Array, b: Array, moments: Array, rows: Rows) -> float:
+def _best_moment(scene: Scene, free: Array, b: Array, moments: Array, rows: Rows) -> float:
     """Return the moment, s, with the largest gain b A^-1 b of squares A (m, k, k) and products b (m, k)."""
     gain = np.einsum("mk,mkl,ml->m", b, np.linalg.pinv(free, rcond=1e-6, hermitian=True), b)
     return moment(scene, rows, int(moments[int(np.argmax(gain))]))

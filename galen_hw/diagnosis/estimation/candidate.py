@@ -67,7 +67,7 @@ class Hypothesis:
         if self.noise is not None:
             self.whitened = None
 
-    def own(self, channel: int) -> tuple[Index, Array]:
+    def nonzero_columns(self, channel: int) -> tuple[Index, Array]:
         """Return the numbers (n,) of its nonzero columns in a channel, and these whitened (M, n)."""
         i = self.raw.channels.index(channel)
         at = np.flatnonzero(self.live[i])

@@ -21,7 +21,7 @@ class Group(NamedTuple):
     columns: dict[int, tuple[Index, Array]]
 
 
-class _Beside(NamedTuple):
+class _ColumnStack(NamedTuple):
     """Columns stacked next to each other.
 
     Args:
@@ -32,7 +32,7 @@ class _Beside(NamedTuple):
     room: Array
 
     @classmethod
-    def of(cls, at: Index, X: Array, *, least: int = 32) -> "_Beside":
+    def of(cls, at: Index, X: Array, *, least: int = 32) -> "_ColumnStack":
         """Return a stack of columns X, with spare room where they are few.
 
         Args:
@@ -52,17 +52,17 @@ class _Beside(NamedTuple):
         """Return whether there is room for so many more."""
         return bool(len(self.at) + count <= self.room.shape[1])
 
-    def joined(self, at: Index, X: Array) -> "_Beside":
+    def joined(self, at: Index, X: Array) -> "_ColumnStack":
         """Return the stack with more columns X (n, k)."""
         self.room[:, len(self.at) : len(self.at) + len(at)] = X
-        return _Beside(np.concatenate([self.at, at]), self.room)
+        return _ColumnStack(np.concatenate([self.at, at]), self.room)
 
 
 class _Stacks:
     """Columns of each channel, side by side in the order of their numbers or as they came."""
 
-    def __init__(self, width: int, channels: list[list[_Beside]] | None = None) -> None:
-        self.channels: list[list[_Beside]] = channels or [[] for _ in range(width)]
+    def __init__(self, width: int, channels: list[list[_ColumnStack]] | None = None) -> None:
+        self.channels: list[list[_ColumnStack]] = channels or [[] for _ in range(width)]
 
     def copy(self) -> "_Stacks":
         """Return another that may grow by itself."""
@@ -74,7 +74,7 @@ class _Stacks:
         if stack and stack[-1].takes(len(at)):
             stack[-1] = stack[-1].joined(at, X)
         else:
-            stack.append(_Beside.of(at, X))
+            stack.append(_ColumnStack.of(at, X))
 
     def parts(self, channel: int, first: int) -> Iterator[tuple[Index, Array]]:
         """Yield numbers and columns (n, k) of a channel, in order, from a number on."""

@@ -87,7 +87,7 @@ class Scorer:
 
     def _group(self, h: Hypothesis) -> Group:
         """Return its whitened columns on the training rows."""
-        own = {c: h.own(c) for c in h.raw.channels} if h.count else {}
+        own = {c: h.nonzero_columns(c) for c in h.raw.channels} if h.count else {}
         return Group(h.count, {c: (at, X[self._train]) for c, (at, X) in own.items() if len(at)})
 
     def retime(self) -> None:
@@ -163,35 +163,35 @@ class Scorer:
 
     def base_with(self, chosen: list[int]) -> Index:
         """Return the column numbers of the constants and the chosen hypotheses."""
-        return self._numbers([*range(len(self.base)), *chosen])
+        return self._columns_of([*range(len(self.base)), *chosen])
 
-    def own(self, at: Index, i: int) -> Mask:
+    def mask_of(self, at: Index, i: int) -> Mask:
         """Return which of the column numbers `at` (k,) belong to hypothesis i."""
         return np.asarray((at >= self.places[i].start) & (at < self.places[i].stop))
 
-    def _numbers(self, which: list[int]) -> Index:
+    def _columns_of(self, which: list[int]) -> Index:
         parts = [np.arange(self.places[i].start, self.places[i].stop) for i in which]
         return np.concatenate([np.empty(0, dtype=np.intp), *parts])
 
-    def solve(self, chosen: list[int], *, asked: int | None = None) -> tuple[Array, Index, float]:
-        """Return parameters, column numbers and whitened sum of squares; parameters of hypothesis `asked` are freed."""
+    def solve(self, chosen: list[int], *, freed: int | None = None) -> tuple[Array, Index, float]:
+        """Return parameters, column numbers and whitened sum of squares; fixed parameters of hypothesis `freed` are fitted."""
         at = self.base_with(chosen)
-        held = self._held(chosen)
-        if asked is not None:
-            held[self.own(at, asked)] = np.nan
+        fixed = self._fixed(chosen)
+        if freed is not None:
+            fixed[self.mask_of(at, freed)] = np.nan
         G, b = self.products.between(at, at), self.b[at]
-        theta = pinned_at(held, G, b)
+        theta = pinned_at(fixed, G, b)
         return theta, at, self.total - float(2.0 * theta @ b - theta @ G @ theta)
 
     def projected(self, chosen: list[int]) -> Projected:
         """Project out the model's fixed parameters."""
-        at, held = self.base_with(chosen), self._held(chosen)
-        fixed = ~np.isnan(held)
-        value, own = held[fixed], at[fixed]
+        at, values = self.base_with(chosen), self._fixed(chosen)
+        fixed = ~np.isnan(values)
+        value, own = values[fixed], at[fixed]
         off = value @ self.products.between(own, np.arange(len(self.products)))
         return Projected(at[~fixed], self.b - off, self.total - float(value @ (2.0 * self.b[own] - off[own])))
 
-    def _held(self, chosen: list[int]) -> Array:
+    def _fixed(self, chosen: list[int]) -> Array:
         return np.concatenate([np.empty(0), *(self.library[i].fixed for i in [*range(len(self.base)), *chosen])])
 
     def scores(
@@ -202,7 +202,7 @@ class Scorer:
         asked = list(range(len(self.base), len(self.library))) if which is None else which
         at, b, _ = self.projected(chosen)
         # Only columns of the hypotheses in question: most calls compare two, not all.
-        own = self._numbers(asked)
+        own = self._columns_of(asked)
         starts = dict(zip(asked, np.cumsum([0, *(self.library[i].count for i in asked)]).tolist(), strict=False))
         GS, cross, K = self.products.between(at, at), self.products.between(at, own), len(own)
         P = solve_sym(GS, np.concatenate([cross, b[at][:, None], every[at]], axis=1))

@@ -93,7 +93,7 @@ def regions(bench: Bench, known: list[Variable], energy: Array, *, most: int = 3
         most: number of reported regions.
     """
     learn, check = halves(bench)
-    if len(energy) < 60 or not (_sure(bench, energy, learn) and _sure(bench, energy, check)):
+    if len(energy) < 60 or not (_significant(bench, energy, learn) and _significant(bench, energy, check)):
         return []
     everywhere = np.ones(len(energy), dtype=bool)
     single = [one for v in known if (one := _region((), everywhere, v, energy, bench, learn, check))]
@@ -130,7 +130,7 @@ def _region(
     Args:
         widest: share of the rows; what holds more of them is no region.
     """
-    found = _scan(variable.values[learn & inside], energy[learn & inside])
+    found = _best_range(variable.values[learn & inside], energy[learn & inside])
     if found is None:
         return None
     mask = inside & (variable.values >= found[0]) & (variable.values <= found[1])
@@ -140,7 +140,7 @@ def _region(
         return None
     # Blocks are independent: a region needs more than one block with a large excess.
     surplus = np.where(check & inside, energy * (mask - rows), 0.0)
-    if not _sure(bench, surplus, check & inside):
+    if not _significant(bench, surplus, check & inside):
         return None
     share = float(energy[check & mask].sum() / total)
     if share < rows + 0.15:
@@ -151,7 +151,7 @@ def _region(
     )
 
 
-def _sure(bench: Bench, surplus: Array, rows: Mask, *, needed: float = 2.5) -> bool:
+def _significant(bench: Bench, surplus: Array, rows: Mask, *, needed: float = 2.5) -> bool:
     """Return whether the sum over some rows lies above zero by more than blocks of them differ.
 
     Args:
@@ -162,7 +162,7 @@ def _sure(bench: Bench, surplus: Array, rows: Mask, *, needed: float = 2.5) -> b
     return float(by_block.sum()) > needed * spread
 
 
-def _scan(values: Array, energy: Array, *, count: int = 16) -> tuple[float, float] | None:
+def _best_range(values: Array, energy: Array, *, count: int = 16) -> tuple[float, float] | None:
     """Return the range of bins of equal count whose share of the energy exceeds its share of the rows most.
 
     Args:

@@ -17,7 +17,7 @@ from galen_hw.diagnosis.findings.quantities import SIGNAL
 from galen_hw.diagnosis.findings.wording import settled_by
 from galen_hw.diagnosis.identifiability.motions import MEANS, Recipe, recipes
 from galen_hw.diagnosis.identifiability.rivals import Rival, rivals
-from galen_hw.diagnosis.identifiability.simulate import Eye, Stage, projected_out, stacked, stage
+from galen_hw.diagnosis.identifiability.simulate import NoiseMetric, Stage, projected_out, stacked, stage
 from galen_hw.diagnosis.lack_of_fit.structure_test import Structure
 from galen_hw.diagnosis.result import Finding
 from galen_hw.diagnosis.selection.search_state import Selection
@@ -160,9 +160,9 @@ def _distance(model: Model, staged: Stage, pair: Pair, others: list[Hypothesis])
         return None
     if found.shape[2] != pair.theta.size or rival.shape[2] != pair.rival_theta.size:
         return None  # what belongs to the recording's own moments has no counterpart in another
-    eye = Eye(bench, staged)
+    metric = NoiseMetric(bench, staged)
     nuisance = _nuisances(staged, others, width, constants=not (pair.found.CONSTANT or pair.rival.CONSTANT))
-    white = projected_out(eye.whiten(np.concatenate([found, rival], axis=2)), N := eye.whiten(nuisance))
+    white = projected_out(metric.whiten(np.concatenate([found, rival], axis=2)), N := metric.whiten(nuisance))
     F, R = white[:, : found.shape[2]], white[:, found.shape[2] :]
     signal = F @ (staged.scale(pair.found) * pair.theta)
     answer = R @ (staged.scale(pair.rival) * pair.rival_theta)
@@ -170,7 +170,7 @@ def _distance(model: Model, staged: Stage, pair: Pair, others: list[Hypothesis])
     for effect in pair.kin:
         columns = staged.columns(effect, width)
         if columns is not None:
-            kin.append(projected_out(eye.whiten(columns), N))
+            kin.append(projected_out(metric.whiten(columns), N))
     apart = [float(np.sum(_residual(signal, X) ** 2)) for X in kin]
     back = float(np.sum(_residual(answer, F) ** 2))
     distance = min(*apart, back)
@@ -286,8 +286,8 @@ def _halving(model: Model, h: Hypothesis, error: float) -> Advice | None:
         columns = None if recipe.keys else staged.columns(effect, model.bench.width)
         if columns is None:
             continue
-        eye = Eye(model.bench, staged)
-        X = projected_out(eye.whiten(columns), eye.whiten(_nuisances(staged, others, model.bench.width)))
+        metric = NoiseMetric(model.bench, staged)
+        X = projected_out(metric.whiten(columns), metric.whiten(_nuisances(staged, others, model.bench.width)))
         signal = X @ theta
         runs = max(1.0, np.ceil(3.0 / max(error**2 * float(signal @ signal), 1e-9)))
         out.append(Advice(recipe, float(signal @ signal), float(recipe.minutes * runs), 90.0))

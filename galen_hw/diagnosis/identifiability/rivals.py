@@ -294,13 +294,13 @@ def _places(selection: Selection, finding: Finding) -> list[int]:
 def _others(scorer: Scorer, chosen: list[int], i: int) -> Projected:
     """Return the projected normal equations of the model without hypothesis i, which may be one of the constants."""
     at, b, total = scorer.projected([j for j in chosen if j != i])
-    return Projected(at[~scorer.own(at, i)], b, total)
+    return Projected(at[~scorer.mask_of(at, i)], b, total)
 
 
 def _own(scorer: Scorer, chosen: list[int], i: int) -> Own:
     """Return the gain and parameters of hypothesis i in the model."""
     theta, every, residual = scorer.solve(chosen)
-    mine = scorer.own(every, i)
+    mine = scorer.mask_of(every, i)
     with nonlinear_restored(scorer, i):
         linear = scorer.solve(chosen)[0]
         at, b, total = _others(scorer, chosen, i)

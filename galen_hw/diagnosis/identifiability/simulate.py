@@ -113,7 +113,7 @@ def _simulation(scene: Scene, part: Part, rates: tuple[Array, Array]) -> dict[st
     return {name: values[:, c] for c, name in enumerate(scene.channels)}
 
 
-class Eye:
+class NoiseMetric:
     """Whiten signals of a simulated recipe by the noise of the recording.
 
     Args:

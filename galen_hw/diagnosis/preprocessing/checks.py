@@ -60,7 +60,7 @@ def screened(scene: Scene, *, short: int = 100) -> Screening:
         raise UsageError(f"no column of the group {group!r} is there to compare", where="recording", todo="see predict")
     _drivable(scene)
     out = Screening(scene)
-    for step in (_measured, _with_tool, _ordered, _parted, _driven):
+    for step in (_measured, _with_tool, _in_time_order, _split_at_gaps, _with_inputs):
         out.scene = step(out.scene, out.notes)
     out.scene = _complete(out.scene, out.notes, out.wrong)
     out.scene = quiet(out.scene)
@@ -77,7 +77,7 @@ def held_out(scene: Scene, notes: list[str]) -> Scene:
         UsageError: as `screened`.
     """
     mine: list[str] = []
-    for step in (_with_tool, _ordered, _parted, _driven, _complete):
+    for step in (_with_tool, _in_time_order, _split_at_gaps, _with_inputs, _complete):
         scene = step(scene, mine)
     notes += [f"held-out recording: {line}" for line in mine]
     return quiet(scene)
@@ -124,7 +124,7 @@ def _with_tool(scene: Scene, notes: list[str]) -> Scene:
     return scene_of(scene.observations.taken(~bare))
 
 
-def _ordered(scene: Scene, notes: list[str], *, most: float = 0.05) -> Scene:
+def _in_time_order(scene: Scene, notes: list[str], *, most: float = 0.05) -> Scene:
     """Leave out rows whose clock stands or runs backwards inside a segment.
 
     Args:
@@ -171,7 +171,7 @@ def longest_rising(t: Array) -> Index:
     return np.array(out[::-1], dtype=np.intp)
 
 
-def _parted(scene: Scene, notes: list[str], *, times: float = 5.0, least: float = 0.5) -> Scene:
+def _split_at_gaps(scene: Scene, notes: list[str], *, times: float = 5.0, least: float = 0.5) -> Scene:
     """Begin a new segment after each gap of the clock.
 
     Args:
@@ -200,7 +200,7 @@ def _parted(scene: Scene, notes: list[str], *, times: float = 5.0, least: float 
     return scene_of(replace(observations, columns=columns))
 
 
-def _driven(scene: Scene, notes: list[str]) -> Scene:
+def _with_inputs(scene: Scene, notes: list[str]) -> Scene:
     """Leave out rows without the inputs of the simulation; interpolate empty cells of thermometers."""
     columns, robot = scene.observations.columns, scene.belief.robot
     bridged = {}

@@ -117,7 +117,7 @@ def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
     """Return whether the parameters fit the effect's name."""
     h = scorer.library[i]
     assert h.effect is not None, "nuisances are never candidates"
-    theta, at, _ = scorer.solve([*chosen, i], asked=i)
+    theta, at, _ = scorer.solve([*chosen, i], freed=i)
     misfit = scorer.misfit([*chosen, i])
     spread = scorer.spread(at)[-h.count :] * np.sqrt(misfit)
     named = list(zip(h.effect.parameters(bench.scene), theta[-h.count :], spread, strict=True))

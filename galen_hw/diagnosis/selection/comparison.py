@@ -110,11 +110,13 @@ def at_nonlinear_optimum(bench: Bench, scorer: Scorer, chosen: list[int], i: int
     """Return the score of a nonlinear effect at its own optimum (Gauss-Newton) instead of by its slope at zero."""
     rows = np.flatnonzero(bench.train)
     before = float(np.sum(residuals(bench, scorer, chosen)[1][rows] ** 2))
-    best = max(score.gain, *(before - float(np.sum(residual**2)) for residual in _approached(bench, scorer, chosen, i)))
+    best = max(
+        score.gain, *(before - float(np.sum(residual**2)) for residual in _gauss_newton_steps(bench, scorer, chosen, i))
+    )
     return replace(score, gain=best, rank=score.rank + best - score.gain)
 
 
-def _approached(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Iterator[Array]:
+def _gauss_newton_steps(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Iterator[Array]:
     """Yield whitened residuals (n, C) of the training rows with a nonlinear effect, after each Gauss-Newton step."""
     h, y, theta = scorer.library[i], bench.y, scorer.solve([*chosen, i])[0][-scorer.library[i].count :]
     base = scorer.parts(chosen)
@@ -150,7 +152,7 @@ def _best_residual(bench: Bench, scorer: Scorer, others: list[int], i: int) -> A
     """Return the whitened residual (n, C) of the training rows with hypothesis i at its optimum."""
     h = scorer.library[i]
     if h.theta is None and _is_nonlinear(bench, h):
-        return min(_approached(bench, scorer, others, i), key=lambda residual: float(np.sum(residual**2)))
+        return min(_gauss_newton_steps(bench, scorer, others, i), key=lambda residual: float(np.sum(residual**2)))
     # The nonlinear remainder of a tangent is not in its columns.
     with nullcontext() if h.nonlinear is None else scorer.against(bench.y - h.nonlinear):
         pinned = None if h.effect is None else h.effect.pinned(bench.scene)

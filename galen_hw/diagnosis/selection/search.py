@@ -65,7 +65,7 @@ def settled(scorer: Scorer, start: Start, needed: float, *, rivals: bool = False
         rivals: whether each effect is asked for better ones in its place.
     """
     out = Selection(scorer, needed=needed)
-    _stand(out, start)
+    _start_from(out, start)
     if rivals and swapped(out):
         settle_together(out.bench, scorer, out.chosen)
     _restore_residual(out)
@@ -76,10 +76,10 @@ def _begin(out: Selection, start: Start) -> None:
     """Look at a model that has no effects, then put those of a start into it."""
     _look(out)
     out.initial_errors = cross_validated(out.bench, out.scorer.base, out.scorer.white) ** 2
-    _stand(out, start)
+    _start_from(out, start)
 
 
-def _stand(out: Selection, start: Start) -> None:
+def _start_from(out: Selection, start: Start) -> None:
     """Put the effects of a start into a model that has none, and iterate to convergence."""
     bench, scorer = out.bench, out.scorer
     trials = {h.effect.family: h.trials for h in scorer.library if h.effect is not None}

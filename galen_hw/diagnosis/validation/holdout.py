@@ -145,7 +145,7 @@ def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remaind
     return replace(judged, with_generic=unnamed) if np.any(unnamed != judged.after) else judged
 
 
-def _beside(model: Model, key: str) -> list[int]:
+def _unexplained_channels(model: Model, key: str) -> list[int]:
     """Return the channels whose residual counts as unexplained; none for contacts, which are compared moment by moment."""
     touching = any(h.effect is not None and key == h.effect.KEY and h.effect.touches for h in model.effects)
     return [] if touching else _channels(model, key)
@@ -186,7 +186,7 @@ def backward_eliminated(model: Model, holdout: Scene | None, judged: Judged | No
             (judged.gains[key].share, key)
             for key, tests in judged.tests.items()
             if key in judged.refused
-            or not (_supported(judged, tests, _beside(model, key), asked) or _is_needed(model, key))
+            or not (_supported(judged, tests, _unexplained_channels(model, key), asked) or _is_needed(model, key))
         ]
         places = [
             (max(one.share for one in tests), k)

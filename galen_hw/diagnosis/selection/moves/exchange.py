@@ -51,10 +51,10 @@ def regrouped(out: Selection) -> bool:
         for chain in _best(scorer, pair, chains, penalty, whole, unsure):
             if _taken(out, pair, chain, penalty):
                 return True
-    return _counted_otherwise(out)
+    return _reparametrised(out)
 
 
-def _counted_otherwise(out: Selection) -> bool:
+def _reparametrised(out: Selection) -> bool:
     """Return whether an effect in its equivalent form made another one needless that only covered the difference.
 
     What settles after a load is less at first than in the end: described by what is missing at first, it needs a heavier load.

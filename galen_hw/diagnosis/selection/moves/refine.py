@@ -78,7 +78,7 @@ def _bound(out: Selection) -> bool:
         for _ in range(LIMITS.chain):
             effect = scorer.library[j].effect
             theta, at, _ = scorer.solve([*others, j])
-            told = None if effect is None else effect.told_by(theta[scorer.own(at, j)])
+            told = None if effect is None else effect.told_by(theta[scorer.mask_of(at, j)])
             if told is None:
                 break
             scorer.append([bench.hypothesis(told)])

@@ -20,7 +20,7 @@ def steps_relocated(out: Selection) -> bool:
         theta, at, misfit = scorer.solve(out.chosen)
         h = scorer.library[i]
         residual, _ = residuals(bench, scorer, out.chosen)
-        residual[:, list(h.raw.channels)] += h.raw.values @ theta[scorer.own(at, i)]
+        residual[:, list(h.raw.channels)] += h.raw.values @ theta[scorer.mask_of(at, i)]
         best = steps.relocated(bench.scene, residual, step, bench.noise)
         if best.effect == step:
             continue

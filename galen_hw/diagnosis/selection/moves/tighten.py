@@ -51,7 +51,7 @@ def _instead(out: Selection, i: int, most: int) -> bool:
     if not starts:
         return False
     trial = _with_tendon(bench, scorer, out, others, starts, most)
-    more = sum(_numbers(scorer, j) for j in trial) - sum(_numbers(scorer, j) for j in out.chosen)
+    more = sum(_parameter_count(scorer, j) for j in trial) - sum(_parameter_count(scorer, j) for j in out.chosen)
     penalty = more * float(np.log(bench.noise.effective)) + (CRITERIA.log_odds if more == 0 else 0.0)
     if scorer.solve(trial)[2] + penalty < before and no_worse(errors, held_out_errors(out, trial)):
         out.chosen = trial
@@ -90,7 +90,7 @@ def _with_tendon(
         scorer.append([found])
         trial = [*others, len(scorer.library) - 1]
         settle(bench, scorer, trial)
-        best = _beside(scorer, out, trial) if most else None
+        best = _most_significant(scorer, out, trial) if most else None
         if best is None:
             return trial
         # The tendon is optimised again given the new effect, which it had partly absorbed.
@@ -98,7 +98,7 @@ def _with_tendon(
         rebase(scorer, others)
 
 
-def _beside(scorer: Scorer, out: Selection, trial: list[int]) -> int | None:
+def _most_significant(scorer: Scorer, out: Selection, trial: list[int]) -> int | None:
     """Return the best significant hypothesis given a model, of those that a spring can have absorbed."""
     scores = scorer.scores(trial)[0]
     able = [j for j, s in scores.items() if s.surprise > out.needed and s.rank > 0.0 and _is_plain(scorer, j)]
@@ -111,7 +111,7 @@ def _is_plain(scorer: Scorer, j: int) -> bool:
     return h.effect is not None and not h.effect.EPISODIC and not h.effect.searched() and h.trials == 1
 
 
-def _numbers(scorer: Scorer, i: int) -> int:
+def _parameter_count(scorer: Scorer, i: int) -> int:
     """Return the number of parameters of a hypothesis, whatever its physics would need."""
     h = scorer.library[i]
     return h.count - int(np.sum(~np.isnan(h.fixed))) + (0 if h.effect is None else len(h.effect.searched()))

@@ -19,7 +19,7 @@ from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.estimation.nonlinear import settle
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import held_out_errors, improves
-from galen_hw.diagnosis.selection.moves.timing_search import Clocks, ClockSearch, numbers
+from galen_hw.diagnosis.selection.moves.timing_search import Clocks, ClockSearch, parameter_count
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.paired_test import paired
@@ -125,12 +125,14 @@ def _exchanged(
     """
     before, errors, old = scorer.solve(out.chosen)[2], held_out_errors(out, out.chosen), _ends(scorer, out.chosen)
     gone = [one for i in old if (one := scorer.library[i].effect) is not None]
-    penalty = (numbers([one for one, _ in clocks]) - numbers(gone)) * float(np.log(bench.noise.effective))
+    penalty = (parameter_count([one for one, _ in clocks]) - parameter_count(gone)) * float(
+        np.log(bench.noise.effective)
+    )
     # The interpolation between two rows is no parameter.
     told = {one.interpolation for one in gone} != {one.interpolation for one, _ in clocks}
-    plainer = numbers([one for one, _ in clocks]) < numbers(gone) + told
+    plainer = parameter_count([one for one, _ in clocks]) < parameter_count(gone) + told
     with out.attempt() as attempt:
-        out.chosen = trial = _through(bench, scorer, [i for i in out.chosen if i not in old], clocks, instead)
+        out.chosen = trial = _with_timing(bench, scorer, [i for i in out.chosen if i not in old], clocks, instead)
         better = before - scorer.solve(trial)[2] - penalty > CRITERIA.log_odds
         attempt.kept = better and _pays(out, errors, held_out_errors(out, trial), nearly=nearly, plainer=plainer)
     if attempt.kept:
@@ -138,7 +140,7 @@ def _exchanged(
     return attempt.kept
 
 
-def _through(
+def _with_timing(
     bench: Bench, scorer: Scorer, others: list[int], clocks: Clocks, instead: dict[Effect, Effect]
 ) -> list[int]:
     """Return a model of the other effects passed through these timing effects, converged, and the timing effects."""

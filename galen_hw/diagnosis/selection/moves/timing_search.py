@@ -122,7 +122,7 @@ class ClockSearch:
     def penalised_gain(self, clocks: Clocks) -> float:
         """Return the gain less the penalty of delay, lag or second-order response."""
         late, constant, damping = _read(clocks)
-        return self._gain(late, constant, damping=damping) - self.penalty * numbers([end for end, _ in clocks])
+        return self._gain(late, constant, damping=damping) - self.penalty * parameter_count([end for end, _ in clocks])
 
     def _refined(self, clocks: Clocks, all_late: float) -> Clocks:
         """Return the same timing effects with lag, delay and bands of friction at their common optimum."""
@@ -258,6 +258,6 @@ def _with_lag(effect: Effect, constant: float, band_factor: float) -> Effect:
     return effect.with_searched({"coulomb": band_factor * effect.searched()["coulomb"]} | response)
 
 
-def numbers(effects: Sequence[Effect]) -> int:
+def parameter_count(effects: Sequence[Effect]) -> int:
     """Return the number of delays, constants and dampings."""
     return sum(max(len(effect.searched()), 1) for effect in effects)
