@@ -222,7 +222,7 @@ def test_what_does_not_come_to_rest_is_left_as_if_alone(
         calls.append(1)
         return [growth ** len(calls) * np.ones((len(scene), 6)) for _ in placed]
 
-    monkeypatch.setattr(signal_chain, "beside", growing)
+    monkeypatch.setattr(signal_chain, "interaction_terms", growing)
     assert with_interactions(model) is model
     assert len(calls) == rounds
     scorer = Scorer(bench, effects)

@@ -65,7 +65,7 @@ def add_claims(
         parameters = {name: Value(*values) for name, values in claim.parameters.items()}
         if same is not None:
             diagnosis.findings.remove(same)
-            parameters = composed(claim, same.parameters)
+            parameters = combined_parameters(claim, same.parameters)
         score = 0.5 * max(rows, 1) * float(np.sum(np.log(np.maximum(judged.before / after, 1.0))))
         evidence = {
             "heldout_gain": judged.share(judged.before - after),
@@ -96,7 +96,7 @@ def _of_the_whole(findings: list[Finding], judged: Judged, after: Array) -> None
         finding.says = finding.says.replace(told, finding.takes)
 
 
-def composed(claim: Claim, more: Mapping[str, Value]) -> dict[str, Value]:
+def combined_parameters(claim: Claim, more: Mapping[str, Value]) -> dict[str, Value]:
     """Return the parameters of a claim and of what the search found beside it: turns as one rotation, all else as a sum."""
     names = [f"{kind}_{axis}" for kind in ("turn", "tilt") for axis in "xyz" if f"{kind}_{axis}" in claim.parameters]
     first, then = (np.zeros(3), np.zeros(3))

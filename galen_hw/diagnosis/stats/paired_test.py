@@ -15,12 +15,12 @@ PIECES: Final = 40
 
 @dataclass(frozen=True)
 class Gain:
-    """What falls away of the held-out excess with an effect, all channels together, each weighed by its noise.
+    """Gain of an effect in the held-out excess, all channels together, each weighted by its noise.
 
     Args:
         fall: mean over the rows of the squared error without it less that with it; error: its standard error.
-        sure: by how many standard errors what is there without it matches what it says.
-        excess: the same of the baseline's squared error above the noise, not below 0 or what falls.
+        sure: correlation of the error without it with its contribution, in standard errors.
+        excess: mean of the baseline's squared error above the noise, not below 0 or `fall`.
         completes: noise alone is left with it, and more without it: then the laws have no discrepancy.
     """
 
@@ -48,7 +48,7 @@ class Gain:
         questions: int = 1,
         moments: int = 0,
     ) -> bool:
-        """Return whether it is there beyond luck, and more than what laws that are rough or missing leave along it.
+        """Return whether the gain is significant, and larger than model discrepancy and missing physics explain.
 
         Args:
             criteria: the levels.
@@ -62,7 +62,7 @@ class Gain:
         return bool(self.fall > 0.0 and self.sure > criteria.standard_errors(questions) and self.share >= least)
 
     def contrary(self, criteria: Criteria = CRITERIA, *, questions: int = 1) -> bool:
-        """Return whether the error rises with it beyond luck, and by more than a law that is right may miss."""
+        """Return whether the error rises with it significantly, and by more than the discrepancy of a correct law."""
         return bool(
             self.fall < -criteria.standard_errors(questions) * self.error and self.share <= -criteria.least_share
         )
@@ -73,16 +73,15 @@ def paired(
 ) -> Gain:
     """Compare the errors (n, C) without an effect and with it on the same rows, in units of the noise.
 
-    With w without it, r with it and d = w - r what it says, the error falls by d^2 + 2 r d, and what is there matches that by
-    w d = d^2 + r d: a match is there before the fall is sure, for a law that is not there at all raises the error by d^2. The
-    square is there whatever the noise does, and luck is in r d alone: for an effect that acts in one piece of many it is no less
-    sure for that. Where physics is missing r d is large, but a fall in nearly every piece is no luck either: the less of the two
-    spreads counts.
+    With the error w without it, r with it and its contribution d = w - r, the squared error falls by d^2 + 2 r d, and w
+    correlates with d by w d = d^2 + r d: the correlation is significant before the fall is, for an effect that is absent raises
+    the error by d^2. Only r d is random, so that an effect that acts in one piece of many is no less significant for that. Where
+    physics is missing r d is large, but a fall in nearly every piece is no chance either: the smaller of the two spreads counts.
 
     Args:
         excess: (C,) of the baseline.
         own: channels that are compared; all have to be noise alone where the effect completes the model.
-        parameters: that were learnt on these very rows: each takes as much of the noise as it adds elsewhere (Akaike 1974).
+        parameters: number of parameters fitted on these very rows, each with the penalty of Akaike 1974.
     """
     old, new = (np.mean(x**2, axis=0) for x in (without, residual))
     whole = bool(np.any(old > CRITERIA.beyond_noise) and np.all(new <= CRITERIA.noise_alone))
