@@ -80,11 +80,11 @@ def _wandering(model: Model) -> list[str]:
     bench = model.bench
     drifting = {name for h in model.effects if h.effect is not None for name in h.effect.wandering}
     told = [
-        f"{name} {wander:.2g} {unit}"
-        for name, unit, wander, quick in zip(
+        f"{name} {slow:.2g} {unit}"
+        for name, unit, slow, quick in zip(
             bench.scene.channels, bench.scene.units, *bench.noise.slow_and_quick_rms, strict=True
         )
-        if wander > quick and name not in drifting
+        if slow > quick and name not in drifting
     ]
     return [f"what wanders so slowly passes for noise, rms: {', '.join(told)}"] if told else []
 

@@ -114,8 +114,8 @@ def effect_columns(effects: list[Effect], *benches: Bench) -> tuple[list[Effect]
     done: dict[int, list[Columns]] = {}
     for part in Parallel(n_jobs=2, require="sharedmem", batch_size=1)(delayed(of)(*one) for one in work):
         done |= part
-    told = [k for k in range(len(effects)) if all(np.isfinite(columns.values).all() for columns in done[k])]
-    return [effects[k] for k in told], [[done[k][b] for k in told] for b in range(len(benches))]
+    finite = [k for k in range(len(effects)) if all(np.isfinite(columns.values).all() for columns in done[k])]
+    return [effects[k] for k in finite], [[done[k][b] for k in finite] for b in range(len(benches))]
 
 
 def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list[Columns], *, blind: bool) -> Known:

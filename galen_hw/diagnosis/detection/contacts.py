@@ -64,8 +64,8 @@ def contacts(
         for own in (wide, *narrow):
             for names in _channels_of(scene, own, away, z):
                 times = tuple((moment(scene, rows, a), moment(scene, rows, b - 1)) for a, b in own)
-                touch = Contact(names, times)
-                out.setdefault(touch, Sought(touch, N // length))
+                contact = Contact(names, times)
+                out.setdefault(contact, Sought(contact, N // length))
     return list(out.values())
 
 

@@ -143,9 +143,9 @@ class Model:
         """Return the model with bound parameters re-evaluated at the estimates: a small body at its present place."""
         effects = list(self.effects)
         for k, (h, s) in enumerate(zip(self.effects, self.slices()[len(self.nuisances) :], strict=True)):
-            told = h.effect.told_by(self.final[s]) if h.effect is not None and h.effect.bound else None
-            if told is not None:
-                effects[k] = replace(self.bench.hypothesis(told, h.trials), interaction=h.interaction)
+            bound = h.effect.told_by(self.final[s]) if h.effect is not None and h.effect.bound else None
+            if bound is not None:
+                effects[k] = replace(self.bench.hypothesis(bound, h.trials), interaction=h.interaction)
         return self if effects == self.effects else replace(self, effects=effects)
 
     def replacing(self, old: Hypothesis, new: Hypothesis) -> "Model":
@@ -203,8 +203,8 @@ class Model:
             [h.effect for h in out if h.effect is not None and h.effect.clips],
         )
         if not limits:
-            bent = any(h.nonlinear is not None or h.interaction is not None for h in out)
-            white = self.bench.whitened(self.y + _nonlinear_contribution(out, self.y)) if bent else self.white
+            nonlinear = any(h.nonlinear is not None or h.interaction is not None for h in out)
+            white = self.bench.whitened(self.y + _nonlinear_contribution(out, self.y)) if nonlinear else self.white
             return replace(self, effects=kept, white=white)
         bench = copy(self.bench)
         bench.update_state(timing=[(effect, theta) for effect, theta in bench.timing if effect not in limits])

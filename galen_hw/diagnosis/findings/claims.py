@@ -91,9 +91,9 @@ def _of_the_whole(findings: list[Finding], judged: Judged, after: Array) -> None
     """Scale the shares of the findings beside the claims to the whole excess: they were of what the claims leave."""
     left, whole = (float(np.sum(np.maximum(x - judged.floor, 0.0) / judged.floor)) for x in (after, judged.before))
     for finding in findings:
-        told = finding.takes
+        before = finding.takes
         finding.evidence["heldout_gain"] *= left / max(whole, 1e-300)
-        finding.says = finding.says.replace(told, finding.takes)
+        finding.says = finding.says.replace(before, finding.takes)
 
 
 def combined_parameters(claim: Claim, more: Mapping[str, Value]) -> dict[str, Value]:
@@ -115,6 +115,6 @@ def combined_parameters(claim: Claim, more: Mapping[str, Value]) -> dict[str, Va
         out[name] = Value(float(whole[at]), float(np.hypot(std[at], claim.parameters[name][1])), "rad")
     for name in [name for name in claim.parameters if name not in names]:
         value, deviation, unit = claim.parameters[name]
-        beside = more.get(name, Value(0.0, 0.0, unit))
-        out[name] = Value(value + beside.value, float(np.hypot(deviation, beside.std)), unit)
+        other = more.get(name, Value(0.0, 0.0, unit))
+        out[name] = Value(value + other.value, float(np.hypot(deviation, other.std)), unit)
     return {**{name: out.pop(name) for name in claim.parameters}, **out}

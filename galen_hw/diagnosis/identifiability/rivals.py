@@ -261,12 +261,12 @@ class Sharpener:
         bound = effect.SEARCHED[name]
         low, high = np.log(max(within[0], bound.low)), np.log(min(within[1], bound.high))
 
-        def missed(at: float) -> float:
+        def misfit(at: float) -> float:
             return self._residual_of(effect.with_searched({name: float(np.exp(at))}))[0]
 
         # Where the size is not free, the searched value is the size.
         options = {"xatol": 1e-3, "maxiter": 30} if finely else {"xatol": 0.02, "maxiter": 14}
-        best = minimize_scalar(missed, bounds=(low, high), method="bounded", options=options)
+        best = minimize_scalar(misfit, bounds=(low, high), method="bounded", options=options)
         return effect.with_searched({name: float(np.exp(best.x))})
 
     def _residual_of(self, effect: Effect) -> tuple[float, Array]:

@@ -108,9 +108,9 @@ def _levels(
         if np.sum(reachable[inside]) < least or edges[b] < above:
             continue
         # A single line (mains, a periodic motion) must not pass for noise; of few lines one may well be large by chance.
-        single, told = line[inside] / reachable[inside], reachable[inside] > 0.3
-        many = told.sum() >= 12 and len(level) >= RESOLUTION.fewest
-        usual = np.median(single[told]) / 0.69 if many else np.inf
+        single, usable = line[inside] / reachable[inside], reachable[inside] > 0.3
+        many = usable.sum() >= 12 and len(level) >= RESOLUTION.fewest
+        usual = np.median(single[usable]) / 0.69 if many else np.inf
         good = single < 8.0 * usual
         level[b] = np.sum(line[inside][good]) / np.sum(reachable[inside][good])
     return _filled(level, edges)

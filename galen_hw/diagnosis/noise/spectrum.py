@@ -234,11 +234,14 @@ class Noise:
         for c in range(len(self.sigma)) if len(self.centres) > 4 else ():
             top = int(np.argmax(self.levels[:, c]))
             far = np.abs(np.arange(len(self.centres)) - top) > 1
-            beside = [
+            neighbours = [
                 self.levels[side & far, c]
                 for side in (self.centres < self.centres[top], self.centres > self.centres[top])
             ]
-            if min(map(len, beside)) == 0 or max(map(np.max, beside)) * CRITERIA.outstanding > self.levels[top, c]:
+            if (
+                min(map(len, neighbours)) == 0
+                or max(map(np.max, neighbours)) * CRITERIA.outstanding > self.levels[top, c]
+            ):
                 continue
             own = (at > self.edges[max(top - 1, 0)]) & (at < self.edges[min(top + 2, len(self.edges) - 1)])
             power = self._all[:, c] / M

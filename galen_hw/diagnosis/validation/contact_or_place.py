@@ -34,29 +34,29 @@ def predicted_by_place(whole: Model, less: Model) -> list[Structure]:
     Args:
         whole: with contacts; less: the same without them.
     """
-    bench, touches = whole.bench, touches_of(whole)
-    channels = sorted({c for h in touches for c in h.raw.channels})
+    bench, contacts = whole.bench, touches_of(whole)
+    channels = sorted({c for h in contacts for c in h.raw.channels})
     # Momentary effects are fitted on all rows, held-out ones too.
     good = ~bench.excluded_rows
     during = good & touched(whole)
-    each = [rows for rows in _each(bench, touches) if np.any(during & rows)]
+    each = [rows for rows in _each(bench, contacts) if np.any(during & rows)]
     if len(each) < 2:
         return []
     sigma = bench.noise.sigma[channels]
-    missed, kept = (model.residual()[:, channels] / sigma for model in (less, whole))
+    residual, kept = (model.residual()[:, channels] / sigma for model in (less, whole))
     position = Inputs.of(bench.scene, bench.rows).position
-    predicted = np.zeros_like(missed)
+    predicted = np.zeros_like(residual)
     for rows in each:
         others, asked = good & ~rows, during & rows
         for c in range(len(channels)):
             predicted[asked, c] = (
-                trees.boosted_trees().fit(position[others], missed[others, c]).predict(position[asked])
+                trees.boosted_trees().fit(position[others], residual[others, c]).predict(position[asked])
             )
-    gain = np.sum(predicted * (2.0 * missed - predicted), axis=0)
-    taken = np.sum(missed[during] ** 2 - kept[during] ** 2)
+    gain = np.sum(predicted * (2.0 * residual - predicted), axis=0)
+    taken = np.sum(residual[during] ** 2 - kept[during] ** 2)
     if taken <= 0.0 or gain.sum() < CRITERIA.beside_unexplained * taken:
         return []
-    share = gain / np.sum(missed[good] ** 2, axis=0)
+    share = gain / np.sum(residual[good] ** 2, axis=0)
     size = sigma * np.sqrt(np.sum(predicted**2, axis=0) / good.sum())
     found = [
         Structure(c, POSITION, float(gain[k] - 1.0) / np.sqrt(2.0), float(share[k]), float(size[k]), predicted[:, [k]])
@@ -66,11 +66,11 @@ def predicted_by_place(whole: Model, less: Model) -> list[Structure]:
     return sorted(found, key=lambda one: -one.z)
 
 
-def _each(bench: Bench, touches: Sequence[Hypothesis]) -> list[Mask]:
+def _each(bench: Bench, contacts: Sequence[Hypothesis]) -> list[Mask]:
     """Return the rows (M,) of each contact with its surroundings; overlapping ones are one."""
     time = bench.time
     near = np.zeros(len(bench.rows), dtype=bool)
-    for h in touches:
+    for h in contacts:
         for start, end in () if h.effect is None else h.effect.touches:
             margin = AROUND * (end - start)
             near |= (time >= start - margin) & (time <= end + margin)

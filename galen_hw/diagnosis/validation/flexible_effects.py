@@ -37,14 +37,14 @@ def has_flexible_effects(model: Model) -> bool:
 
 def structures_of_holdout(model: Model, holdout: Scene, judged: Judged) -> list[structure_test.Structure]:
     """Return structure in the held-out recording that matters, where effects are flexible or the model does not hold."""
-    missed, bends = (
+    unexplained, bends = (
         {one.channel for one in above_noise(judged, model, outside_contacts=True)},
         has_flexible_effects(model),
     )
-    if not missed and not bends:
+    if not unexplained and not bends:
         return []
     found = strong(structures_elsewhere(model, holdout, judged), judged, model.bench)
-    return [one for one in found if bends or one.channel in missed]
+    return [one for one in found if bends or one.channel in unexplained]
 
 
 def predict_unnamed(

@@ -85,13 +85,13 @@ def _ask(
         models: with all effects, without the one asked for, and without any; elsewhere: another recording judges.
     """
     model, part, baseline = models
-    told, tests = test.could_tell(part, questions), test.gains(part)
+    informative, tests = test.could_tell(part, questions), test.gains(part)
     if not effect_class(key).lasting():
         # In another recording these rows only show the sizes of other episodes.
-        if not elsewhere and told and all(one.fall < 0.0 for one in tests):
+        if not elsewhere and informative and all(one.fall < 0.0 for one in tests):
             judged.refused.add(key)
         tests = [_at_moments(model, part, baseline)]
-    elif elsewhere and not told:
+    elif elsewhere and not informative:
         judged.cross_validated.add(key)
         tests = [_cross_validated_gain(model, part)]
     elif test.belied(part, _channels(model, key), questions):

@@ -84,8 +84,8 @@ def noise_ratio(model: Model, residual: Array) -> Array:
     free = good & ~touched(model)
     own = model.residual()[free if free.any() else good]
     here, there = (np.mean(np.diff(x, n=2, axis=0) ** 2, axis=0) for x in (own, residual))
-    told = model.bench.scene.clock & (here > 0.0) & (there > 0.0)
-    ratio = np.where(told, there / np.where(told, here, 1.0), 1.0)
+    known = model.bench.scene.clock & (here > 0.0) & (there > 0.0)
+    ratio = np.where(known, there / np.where(known, here, 1.0), 1.0)
     return np.where(model.bench.steps > 0.0, np.maximum(ratio, 1.0), ratio)
 
 

@@ -78,10 +78,10 @@ def _bound(out: Selection) -> bool:
         for _ in range(LIMITS.chain):
             effect = scorer.library[j].effect
             theta, at, _ = scorer.solve([*others, j])
-            told = None if effect is None else effect.told_by(theta[scorer.mask_of(at, j)])
-            if told is None:
+            bound = None if effect is None else effect.told_by(theta[scorer.mask_of(at, j)])
+            if bound is None:
                 break
-            scorer.append([bench.hypothesis(told)])
+            scorer.append([bench.hypothesis(bound)])
             j = len(scorer.library) - 1
         if j == i:
             continue
