@@ -150,9 +150,9 @@ def test_columns_that_stay_empty_are_left_empty():
     names = bench.scene.channels
     together, alone = bench.hypothesis(Vibration(names, 7.0, 2)), bench.hypothesis(Vibration(names[2:3], 7.0, 2))
     assert together.raw.live().sum() == len(names) * alone.count
-    at, own = together.own(2)
+    at, own = together.nonzero_columns(2)
     assert at.tolist() == list(range(2 * alone.count, 3 * alone.count))
-    assert np.allclose(own, alone.own(2)[1])
+    assert np.allclose(own, alone.nonzero_columns(2)[1])
     assert not together.white.values[:, 2, : 2 * alone.count].any()
 
 
