@@ -35,13 +35,13 @@ def scored(seen: Observations) -> Scorer:
     """Noise learnt from the recording itself, then a residual twice as large."""
     bench = Dataset(scene_of(seen))
     bench.learn_noise([])
-    bench.stand(y=2.0 * bench.whole)
+    bench.update_state(y=2.0 * bench.whole)
     return Scorer(bench, [])
 
 
 def test_channels_without_data_do_not_dilute_the_misfit() -> None:
     all_six, forces = (scored(measured(torques=there)) for there in (True, False))
-    assert forces.bench.unread.tolist() == [False] * 3 + [True] * 3
+    assert forces.bench.without_data.tolist() == [False] * 3 + [True] * 3
     assert all_six.misfit([]) == pytest.approx(4.0, rel=0.1)
     assert forces.misfit([]) == pytest.approx(4.0, rel=0.1)
     assert forces.bench.noise.effective == pytest.approx(all_six.bench.noise.effective / 2.0, rel=0.2)

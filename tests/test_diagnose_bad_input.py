@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from galen_hw.cli import main
-from galen_hw.diagnosis.preprocessing.checks import premises
+from galen_hw.diagnosis.preprocessing.checks import screened
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.signals.differentiation import derivatives
 from galen_hw.premises import examined
@@ -326,7 +326,7 @@ def test_what_was_not_measured_is_left_out_and_the_rest_compared(group: Any, col
     """An empty column is a channel that nobody measured: said, and no reason to stop."""
     scene = physics_scenes.scene(group, np.random.default_rng(3), 400)
     columns = dict(scene.observations.columns) | {column: np.full(400, np.nan)}
-    out = premises(scene_of(replace(scene.observations, columns=columns)))
+    out = screened(scene_of(replace(scene.observations, columns=columns)))
     assert f"{column} was not measured and is left out" in out.notes
     assert out.scene.channels
     assert not any("elbow" in name or "orientation" in name for name in out.scene.channels)

@@ -14,8 +14,8 @@ from galen_hw.diagnosis.findings.variables import Variable, variables
 from galen_hw.diagnosis.identifiability.experiment import Pair, best_of, next_experiment, options_of
 from galen_hw.diagnosis.identifiability.motions import recipes
 from galen_hw.diagnosis.identifiability.rivals import rivals
-from galen_hw.diagnosis.identifiability.simulate import Eye, beside, stage
-from galen_hw.diagnosis.selection.comparison import unclocked
+from galen_hw.diagnosis.identifiability.simulate import NoiseMetric, projected_out, stage
+from galen_hw.diagnosis.selection.comparison import without_timing
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.drift import Drift, Temperature
 from galen_hw.physics.effects.load import Payload
@@ -91,16 +91,18 @@ def test_angles_are_those_between_the_whitened_spans_beside_the_model() -> None:
     base = stacked(scorer, [*range(len(scorer.base)), *rest], train)
     for one in near[:3]:
         # A rival may stand between two points of its grid: its columns are those of its own searched value.
-        with unclocked(scorer, one.instead):  # beside no delay but in its place
-            full = work.bench.add(one.effect).white.full(work.bench.width)[train]
-        A, B = (beside(X, base) for X in (stacked(scorer, [one.instead], train), full.reshape(-1, full.shape[2])))
+        with without_timing(scorer, one.instead):  # beside no delay but in its place
+            full = work.bench.hypothesis(one.effect).white.full(work.bench.width)[train]
+        A, B = (
+            projected_out(X, base) for X in (stacked(scorer, [one.instead], train), full.reshape(-1, full.shape[2]))
+        )
         assert np.degrees(subspace_angles(A, B)).min() == pytest.approx(one.nearest, abs=0.05)
         signal = A @ one.own
-        bend = scorer.library[one.instead].bend
-        if bend is not None:
-            signal = signal + beside(scorer.bench.whitened(bend)[train].reshape(-1, 1), base)[:, 0]
+        nonlinear = scorer.library[one.instead].nonlinear
+        if nonlinear is not None:
+            signal = signal + projected_out(scorer.bench.whitened(nonlinear)[train].reshape(-1, 1), base)[:, 0]
         pinned = one.effect.pinned(work.bench.scene)
-        missed = beside(signal[:, None], B)[:, 0] if pinned is None else signal - B @ pinned
+        missed = projected_out(signal[:, None], B)[:, 0] if pinned is None else signal - B @ pinned
         share = np.sum(missed**2) / np.sum(signal**2)
         assert one.angle == pytest.approx(np.degrees(np.arcsin(np.sqrt(share))), abs=0.05)
 
@@ -189,7 +191,7 @@ def test_a_recipes_worth_is_the_squared_distance_in_units_of_the_noise() -> None
     work = parts.diagnosed("nothing")
     scene = work.bench.scene
     recipe = next(r for r in recipes(scene, 0.05, ()) if r.name == "same poses in reverse order")
-    eye = Eye(work.bench, stage(scene, recipe))
+    eye = NoiseMetric(work.bench, stage(scene, recipe))
     rows = sum(len(p.time) for p in recipe.parts)
     x = np.random.default_rng(9).normal(size=(rows, 6, 1))
     level = work.bench.noise.sigma

@@ -16,7 +16,7 @@ from test_tendons import pulled
 from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.selection.moves import swap
-from galen_hw.diagnosis.selection.moves.pairs import hidden
+from galen_hw.diagnosis.selection.moves.add import hidden
 from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.cable import CableDrag
@@ -48,7 +48,7 @@ def test_two_that_hide_each_other_are_found_together() -> None:
 def test_of_nothing_no_two_are_made() -> None:
     work = diagnosed(Bench(6, rows=2000))
     work.selection.chosen = []
-    work.selection.turn.able = [place(work, JointOffset("tilt")), place(work, BaseTilt("y"))]
+    work.selection.turn.significant = [place(work, JointOffset("tilt")), place(work, BaseTilt("y"))]
     assert not hidden(work.selection)
     assert not work.selection.chosen
 

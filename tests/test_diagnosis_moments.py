@@ -11,15 +11,15 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from diagnosis_cases import SIGMA, WRENCH, Bench
 
-from galen_hw.diagnosis.estimation.cross_validation import of_parts
+from galen_hw.diagnosis.estimation.cross_validation import cross_validated
 from galen_hw.diagnosis.estimation.dataset import Bench as DiagnosisBench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.pipeline import diagnose
-from galen_hw.diagnosis.selection.moves.step_times import timed
+from galen_hw.diagnosis.selection.moves.step_times import steps_relocated
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats import paired_test
-from galen_hw.diagnosis.validation.holdout import earned
+from galen_hw.diagnosis.validation.holdout import backward_eliminated
 from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.physics.effects.drift import Drift
 from galen_hw.physics.effects.events import Contact, Step, Vibration
@@ -35,8 +35,8 @@ def test_offsets_are_learnt_beside_the_drift_that_is_told() -> None:
     work = diagnose(scene_of(case.observations()))
     bench, nuisances = work.bench, work.model.nuisances
     forms = [Drift(WRENCH[1], form, None, 0.0, length) for form in ("wander", "linear")]
-    model = Model(bench, nuisances, [bench.add(form) for form in forms], bench.whitened(bench.whole))
-    rest = model.rest()[bench.train, 1]
+    model = Model(bench, nuisances, [bench.hypothesis(form) for form in forms], bench.whitened(bench.whole))
+    rest = model.residual()[bench.train, 1]
     assert abs(float(rest.mean())) < 4.0 * SIGMA[1] / np.sqrt(len(rest))
     for h, s in zip(model.parts, model.slices(), strict=True):
         if h.effect is not None:
@@ -45,8 +45,8 @@ def test_offsets_are_learnt_beside_the_drift_that_is_told() -> None:
 
 def touched(bench: DiagnosisBench, *, aside: bool) -> tuple[float, float]:
     """A moment of a second and a half that lies in the middle of one block, set aside or learnt from."""
-    time = bench.rows.average(bench.scene.time)
-    numbers = [b for b in np.unique(bench.block) if bench.aside[bench.block == b].all() == aside]
+    time = bench.time
+    numbers = [b for b in np.unique(bench.block) if bench.held_out[bench.block == b].all() == aside]
     inside = time[bench.block == numbers[len(numbers) // 2]]
     middle = float(inside.mean())
     return middle - 0.75, middle + 0.75
@@ -58,16 +58,19 @@ def test_a_touch_in_a_block_left_out_decides_nothing_between_models_that_have_it
     work = diagnose(scene_of(case.observations()))
     bench = work.bench
     start, end = touched(bench, aside=False)
-    time = bench.rows.average(bench.scene.time)
+    time = bench.time
     during = (time >= start) & (time <= end)
     y = bench.whole + 20.0 * SIGMA[0] * (during[:, None] & (np.arange(6) == 0))
-    model = [*(bench.made(None, c) for c in bench.constants()), bench.add(Contact(WRENCH[:1], ((start, end),)))]
+    model = [
+        *(bench.hypothesis_of(None, c) for c in bench.constants()),
+        bench.hypothesis(Contact(WRENCH[:1], ((start, end),))),
+    ]
     white, before = bench.whitened(y), bench.y
-    bench.stand(y=y)
+    bench.update_state(y=y)
     try:
-        left, without = (np.mean(of_parts(bench, some, white) ** 2, axis=0) for some in (model, model[:-1]))
+        left, without = (np.mean(cross_validated(bench, some, white) ** 2, axis=0) for some in (model, model[:-1]))
     finally:
-        bench.stand(y=before)
+        bench.update_state(y=before)
     assert left[0] < 1.1 * SIGMA[0] ** 2
     assert without[0] > 1.5 * SIGMA[0] ** 2
 
@@ -78,25 +81,25 @@ def test_a_touch_that_is_not_learnt_from_costs_nothing() -> None:
     bench = diagnose(scene_of(case.observations())).bench
     seen, hidden = (touched(bench, aside=aside) for aside in (False, True))
     contacts = [Contact(WRENCH[:2], tuple(sorted(episodes))) for episodes in ((seen,), (seen, hidden))]
-    scorer = Scorer(bench, [bench.add(contact) for contact in contacts])
+    scorer = Scorer(bench, [bench.hypothesis(contact) for contact in contacts])
     first = len(scorer.base)
     one, both = (scorer.scores([], [first + k])[0][first + k] for k in range(2))
     assert both.rank - both.gain == pytest.approx(one.rank - one.gain)
     # A level and a bow in two channels; one of two places.
-    assert one.gain - one.rank == pytest.approx(4.0 * scorer.library[first].price(bench) + 2.0 * np.log(2.0))
+    assert one.gain - one.rank == pytest.approx(4.0 * scorer.library[first].penalty(bench) + 2.0 * np.log(2.0))
 
 
 def test_a_touch_owes_for_the_rows_that_tell_of_it() -> None:
     """A level of two seconds is learnt from these alone; what lasts is learnt from every row, and costs the more."""
     bench = diagnose(scene_of(Bench(5, rows=4000).observations())).bench
-    time = bench.rows.average(bench.scene.time)
+    time = bench.time
     start, end = touched(bench, aside=False)
-    touch, jump = bench.add(Contact(WRENCH[:1], ((start, end),))), bench.add(Step(WRENCH[:1], start))
-    lasts = touch.lasts(bench.train)
+    touch, jump = bench.hypothesis(Contact(WRENCH[:1], ((start, end),))), bench.hypothesis(Step(WRENCH[:1], start))
+    lasts = touch.informative_share(bench.train)
     assert lasts == np.mean(((time >= start) & (time <= end))[bench.train])
     assert 0.0 < lasts < 0.03
-    assert jump.price(bench) == pytest.approx(np.log(bench.noise.effective))
-    assert touch.price(bench) == pytest.approx(np.log(bench.noise.effective * lasts))
+    assert jump.penalty(bench) == pytest.approx(np.log(bench.noise.effective))
+    assert touch.penalty(bench) == pytest.approx(np.log(bench.noise.effective * lasts))
 
 
 def test_each_of_several_touches_owes_its_place() -> None:
@@ -105,9 +108,11 @@ def test_each_of_several_touches_owes_its_place() -> None:
     seen, hidden = (touched(bench, aside=aside) for aside in (False, True))
     other = (seen[0] - 0.3, seen[0] - 0.1)
     for episodes, count in (((seen,), 1), ((other, seen), 2), (tuple(sorted((seen, hidden))), 1)):
-        assert bench.add(Contact(WRENCH[:2], episodes), 250).ways(bench.train) == pytest.approx(count * np.log(250.0))
-    assert bench.add(Step(WRENCH, seen[0]), 250).ways(bench.train) == pytest.approx(np.log(250.0))
-    assert bench.add(Contact(WRENCH[:2], (seen,))).ways(bench.train) == 0.0
+        assert bench.hypothesis(Contact(WRENCH[:2], episodes), 250).log_trials(bench.train) == pytest.approx(
+            count * np.log(250.0)
+        )
+    assert bench.hypothesis(Step(WRENCH, seen[0]), 250).log_trials(bench.train) == pytest.approx(np.log(250.0))
+    assert bench.hypothesis(Contact(WRENCH[:2], (seen,))).log_trials(bench.train) == 0.0
 
 
 @pytest.mark.inject
@@ -130,8 +135,8 @@ def test_a_hum_that_takes_nothing_of_its_own_recording_is_not_claimed(monkeypatc
     """It is there all through it, and what it takes there is what speaks for it; a touch beside it stays."""
     case = Bench(7, rows=4000)
     bench = diagnose(scene_of(case.observations())).bench
-    nuisances = [bench.made(None, columns) for columns in bench.constants()]
-    hum, touch = bench.add(Vibration(WRENCH[:1], 3.7)), bench.add(Contact(WRENCH[:1], ((30.0, 34.0),)))
+    nuisances = [bench.hypothesis_of(None, columns) for columns in bench.constants()]
+    hum, touch = bench.hypothesis(Vibration(WRENCH[:1], 3.7)), bench.hypothesis(Contact(WRENCH[:1], ((30.0, 34.0),)))
     model = Model(bench, nuisances, [hum, touch], bench.whitened(bench.whole))
     nothing, much = paired_test.Gain(0.0, 0.01, 1.0, 0.0), paired_test.Gain(0.3, 0.01, 1.0, 30.0)
     took = {"vibration": nothing, "contact": much}
@@ -145,9 +150,9 @@ def test_a_hum_that_takes_nothing_of_its_own_recording_is_not_claimed(monkeypatc
         return Judged("", floor, floor, dict.fromkeys(support, floor), floor, support, tests)
 
     monkeypatch.setattr("galen_hw.diagnosis.validation.holdout.judge", told)
-    assert earned(model, None)[0].effects == [touch]
+    assert backward_eliminated(model, None)[0].effects == [touch]
     took["vibration"] = much
-    assert earned(model, None)[0] is model
+    assert backward_eliminated(model, None)[0] is model
 
 
 @pytest.mark.inject
@@ -173,15 +178,15 @@ def test_a_jump_goes_to_the_moment_that_the_present_model_gives_it() -> None:
     case.wrench[:, :2] += 3.0 * SIGMA[:2] * (case.t >= moment)[:, None]
     bench = DiagnosisBench(scene_of(case.observations()), 0.3, 0)
     bench.learn_noise([bench.raw(Step(WRENCH[:2], moment))])
-    late = bench.add(Step(WRENCH[:2], moment + 1.5), looked=500)
-    scorer = Scorer(bench, [bench.add(Gain(WRENCH[5])), late])
+    late = bench.hypothesis(Step(WRENCH[:2], moment + 1.5), trials=500)
+    scorer = Scorer(bench, [bench.hypothesis(Gain(WRENCH[5])), late])
     first = len(scorer.base)
     out = Selection(scorer, [first, first + 1])
-    assert timed(out)
+    assert steps_relocated(out)
     assert out.chosen[0] == first
     told = scorer.library[out.chosen[1]]
-    assert (told.effect, told.looked) == (Step(WRENCH[:2], moment), len(bench.rows) // 4)
-    assert not timed(out)
+    assert (told.effect, told.trials) == (Step(WRENCH[:2], moment), len(bench.rows) // 4)
+    assert not steps_relocated(out)
 
 
 def test_a_tool_that_slips_in_its_clamp_is_a_body_from_that_moment_on() -> None:

@@ -45,11 +45,11 @@ def test_a_model_that_does_not_come_to_rest_is_compared_with_no_other() -> None:
     """What one part undoes of another grows round after round: it has no optimum."""
     bench = Bench(5, rows=1500)
     fitted = diagnose(scene_of(bench.observations())).bench
-    scorer = Scorer(fitted, [fitted.add(Payload("body")), fitted.add(JointOffset("tilt"))])
+    scorer = Scorer(fitted, [fitted.hypothesis(Payload("body")), fitted.hypothesis(JointOffset("tilt"))])
     out = Selection(scorer, chosen=[len(scorer.base), len(scorer.base) + 1])
-    fitted.stand(restless=True)
+    fitted.update_state(diverging=True)
     assert not exchange.regrouped(out)
     assert not out.regrouped
-    fitted.stand(restless=False)
+    fitted.update_state(diverging=False)
     exchange.regrouped(out)
     assert out.regrouped

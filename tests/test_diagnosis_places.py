@@ -18,12 +18,13 @@ class Holding:
 
     def __init__(self, effects: list[Any], shapes: list[np.ndarray], noise: np.ndarray) -> None:
         self.effects, self._shapes, self._noise = effects, shapes, noise
-        self.bench = SimpleNamespace(scene=SimpleNamespace(clock=True))
+        dead = np.zeros(noise.shape[1], dtype=bool)
+        self.bench = SimpleNamespace(scene=SimpleNamespace(clock=True), without_data=dead)
 
     def without(self, left: list[Any]) -> "Holding":
         return Holding([e for e in self.effects if e not in left], self._shapes, self._noise)
 
-    def rest(self) -> np.ndarray:
+    def residual(self) -> np.ndarray:
         return self._noise + sum(s for k, s in enumerate(self._shapes) if k not in {e.place for e in self.effects})
 
 
@@ -48,7 +49,7 @@ def comparison_of(model: Any) -> HoldoutTest:
     """On rows of white noise of unit size."""
 
     def rest(part: Any) -> np.ndarray:
-        return np.asarray(part.rest())
+        return np.asarray(part.residual())
 
     return HoldoutTest(np.ones(rest(model).shape[1]), rest, rest, model, model.without(model.effects))
 

@@ -12,7 +12,6 @@ from diagnosis_cases import SIGMA, Bench, hanging, payload, rotation, sines
 
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.pipeline import diagnose
-from galen_hw.diagnosis.selection.criterion import merit
 from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.cable import CableDrag
 from galen_hw.physics.effects.registry import scene_of
@@ -36,7 +35,7 @@ def test_the_best_of_many_places_pays_for_all_of_them(leaking: Work) -> None:
     """Thirty leaks, six gains: beyond the numbers each owes twice the log of how many of its kind there are."""
     bench = leaking.bench
     effects = [*CrossTalk.propose(bench.scene), *Gain.propose(bench.scene)]
-    scorer = Scorer(bench, [bench.add(effect) for effect in effects])
+    scorer = Scorer(bench, [bench.hypothesis(effect) for effect in effects])
     scores, _ = scorer.scores([])
     for i, score in scores.items():
         many = sum(type(effect) is type(scorer.library[i].effect) for effect in effects)
@@ -49,8 +48,8 @@ def test_what_was_sought_in_the_residual_pays_for_where_it_was_sought(leaking: W
     """And not for the places of its kind besides."""
     bench = leaking.bench
     effects = list(CrossTalk.propose(bench.scene))
-    scorer = Scorer(bench, [bench.add(effect) for effect in effects])
-    scorer.append([bench.add(effects[0], 1000)])
+    scorer = Scorer(bench, [bench.hypothesis(effect) for effect in effects])
+    scorer.append([bench.hypothesis(effects[0], 1000)])
     score = scorer.scores([], [len(scorer.library) - 1])[0].popitem()[1]
     assert score.gain - score.rank == pytest.approx(np.log(bench.noise.effective) + 2.0 * np.log(1000))
 
@@ -58,7 +57,7 @@ def test_what_was_sought_in_the_residual_pays_for_where_it_was_sought(leaking: W
 def test_a_spring_that_no_tendon_replaced_owes_all_of_its_numbers(leaking: Work) -> None:
     """Sixteen, not the seven of the cable that was to be sought from it; a tendon has no more than it owes."""
     bench = leaking.bench
-    scorer = Scorer(bench, [bench.add(effect) for effect in (CableDrag("spring"), CableDrag("tendon"))])
+    scorer = Scorer(bench, [bench.hypothesis(effect) for effect in (CableDrag("spring"), CableDrag("tendon"))])
     scores, _ = scorer.scores([])
     spring, tendon = sorted(scores)
     less = scores[spring].rank - scorer.in_full(spring, scores[spring]).rank
@@ -71,7 +70,7 @@ def test_merit_for_foretelling_asks_two_for_a_number_that_lasts(leaking: Work) -
     """Akaike's price beside what is judged on blocks left out, Schwarz's for being the truth."""
     model = leaking.model
     assert [h.effect for h in model.effects] == [CrossTalk("wrench.force.y", "wrench.force.z")]
-    asked = merit(model, foretelling=True) - merit(model)
+    asked = model.penalised_gain(predictive=True) - model.penalised_gain()
     assert asked == pytest.approx(np.log(model.bench.noise.effective) - 2.0)
 
 

@@ -22,11 +22,11 @@ from galen_hw.diagnosis.lack_of_fit.gram import Functions, by_name
 from galen_hw.diagnosis.lack_of_fit.pursuit import Pursuit
 from galen_hw.diagnosis.lack_of_fit.regression import Blend
 from galen_hw.diagnosis.lack_of_fit.residual_model import RIDGES, Ridge, learn
-from galen_hw.diagnosis.lack_of_fit.trees import beside
+from galen_hw.diagnosis.lack_of_fit.trees import blended
 from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.stats.paired_test import paired
 from galen_hw.diagnosis.stats.sampling import Rows
-from galen_hw.diagnosis.validation.contact_or_place import foretold
+from galen_hw.diagnosis.validation.contact_or_place import predicted_by_place
 from galen_hw.diagnosis.validation.flexible_effects import _finished
 from galen_hw.diagnosis.validation.holdout import judge_remainder
 from galen_hw.diagnosis.work import Work
@@ -93,12 +93,12 @@ def test_what_is_found_in_one_channel_is_asked_of_the_others_too() -> None:
         roll, tilt = (np.gradient(run.q[:, k], run.t) for k in (3, 4))
         run.wrench[:, 4] += 0.5 * SIGMA[4] * roll * tilt / 0.2
     work = judged(*runs)
-    found = [one for one in work.left if one.channel == 0]
+    found = [one for one in work.structures if one.channel == 0]
     assert found
     scene = scene_of(runs[1].observations())
     functions, remainder = Functions(work.bench), learn(work.model, {0: {"products of speeds"}})
     assert remainder is not None
-    alone = judge_remainder(work.model, scene, work.judged, beside(remainder, work.model, functions)).reached
+    alone = judge_remainder(work.model, scene, work.judged, blended(remainder, work.model, functions)).reached
     wider = _finished(work.model, scene, work.judged, remainder, found, functions).reached
     assert wider[4] < 0.9 * alone[4]
     np.testing.assert_array_equal(wider[[1, 2, 3, 5]], alone[[1, 2, 3, 5]])
@@ -212,8 +212,8 @@ def test_inner_products_say_what_the_predictions_do() -> None:
     work = of_stray()
     bench, names = work.bench, ["products of speeds", "speeds and accelerations"]
     functions = Functions(bench)
-    sums, y = functions.plain(names, 0), work.model.rest()[functions.rows, 0] / bench.noise.sigma[0]
-    ridge = Ridge(sums, functions.white(names, 0), y, work.model.rest(white=True)[functions.rows, 0], weighed=False)
+    sums, y = functions.plain(names, 0), work.model.residual()[functions.rows, 0] / bench.noise.sigma[0]
+    ridge = Ridge(sums, functions.white(names, 0), y, work.model.residual(white=True)[functions.rows, 0], weighed=False)
     assert ridge.chosen == ["products of speeds"]
     X, out = functions.columns[ridge.chosen[0]][functions.rows] / bench.noise.sigma[0], np.zeros(len(y))
     X /= np.linalg.norm(X, axis=0)
@@ -221,8 +221,8 @@ def test_inner_products_say_what_the_predictions_do() -> None:
         others = np.setdiff1d(np.arange(len(y)), np.arange(len(y))[rows])
         G, b = X[others].T @ X[others], X[others].T @ y[others]
         gains = {r: X[rows] @ np.linalg.solve(G + r * np.eye(len(G)), b) for r in RIDGES}
-        out[rows] = min(gains.values(), key=lambda p, rows=rows: np.sum((ridge.crossed()[rows] - p) ** 2))  # type: ignore[misc]
-    assert ridge.crossed() == pytest.approx(out, abs=1e-9)
+        out[rows] = min(gains.values(), key=lambda p, rows=rows: np.sum((ridge.cross_validated()[rows] - p) ** 2))  # type: ignore[misc]
+    assert ridge.cross_validated() == pytest.approx(out, abs=1e-9)
     assert ridge.reached == pytest.approx(float(np.sum(out * (2.0 * y - out))), rel=1e-9)
 
 
@@ -231,7 +231,8 @@ def test_models_asked_together_leave_what_each_leaves_alone() -> None:
     work = of_stray()
     generic, white = structure_test.families(work.bench), [h.white for h in work.model.parts]
     some = [
-        structure_test.Fitted(parts, work.model.rest(), work.model.rest(white=True)) for parts in (white, white[:1])
+        structure_test.Fitted(parts, work.model.residual(), work.model.residual(white=True))
+        for parts in (white, white[:1])
     ]
     together = structure_test.leftovers(work.bench, generic, some)
     for mine, one in zip(together, some, strict=True):
@@ -358,10 +359,10 @@ def test_what_touches_in_a_place_is_told_in_the_channel_and_size_that_it_has() -
     episodes = tuple((float(corner.t[a]) - 0.3, float(corner.t[b - 1]) + 0.3) for a, b in on.reshape(-1, 2))
     assert len(episodes) >= 3
 
-    def found(episodes: tuple[tuple[float, float], ...]) -> list[structure_test.Left]:
-        touches = work.bench.add(Contact(("wrench.torque.x",), episodes))
+    def found(episodes: tuple[tuple[float, float], ...]) -> list[structure_test.Structure]:
+        touches = work.bench.hypothesis(Contact(("wrench.torque.x",), episodes))
         whole = Model(work.bench, work.model.nuisances, [touches], work.model.white)
-        return foretold(whole, whole.without([touches]))
+        return predicted_by_place(whole, whole.without([touches]))
 
     (one,) = found(episodes)
     assert WRENCH[one.channel] == "wrench.torque.x"
@@ -396,7 +397,7 @@ def test_noise_that_grows_ever_slower_is_not_what_a_model_leaves() -> None:
     bench.noise = flicker / flicker.std(axis=0) * SIGMA
     work = judged(bench)
     assert work.diagnosis.verdict == "agrees"
-    assert np.all(work.bench.noise.slower > 1.1)
+    assert np.all(work.bench.noise.slow_power_ratio > 1.1)
 
 
 def test_one_function_of_many_is_taken_alone_and_holds_on_another_motion_better_than_its_family() -> None:
@@ -405,11 +406,11 @@ def test_one_function_of_many_is_taken_alone_and_holds_on_another_motion_better_
     bench, names = work.bench, ["products of speeds", "positions times speeds"]
     functions = Functions(bench)
     sums = functions.plain(names, 0), functions.white(names, 0)
-    rests = (
-        work.model.rest()[functions.rows, 0] / bench.noise.sigma[0],
-        work.model.rest(white=True)[functions.rows, 0],
+    residuals = (
+        work.model.residual()[functions.rows, 0] / bench.noise.sigma[0],
+        work.model.residual(white=True)[functions.rows, 0],
     )
-    alone, family = (of(*sums, *rests, weighed=True) for of in (Pursuit, Ridge))
+    alone, family = (of(*sums, *residuals, weighed=True) for of in (Pursuit, Ridge))
     assert alone.chosen == ["products of speeds"]
     assert np.count_nonzero(alone.coefficients()["products of speeds"]) == 1
     assert alone.reached > family.reached
@@ -417,11 +418,11 @@ def test_one_function_of_many_is_taken_alone_and_holds_on_another_motion_better_
     scene = scene_of(other.observations())
     rows = Rows(tuple(scene.segments), bench.rows.stride)
     inputs = Inputs.of(scene, rows, like=functions.inputs)
-    rest = rows.average(scene.residual)[:, 0]
+    residual = rows.average(scene.residual)[:, 0]
 
     def error(parts: dict[str, np.ndarray]) -> float:
         told = sum(by_name(inputs)[n] @ t - functions.means[n] @ t for n, t in parts.items())
-        return float(np.std(rest - told))
+        return float(np.std(residual - told))
 
     assert error(alone.coefficients()) < error(family.coefficients())
     assert error(alone.coefficients()) < 1.01 * SIGMA[0] / np.sqrt(bench.rows.stride)
@@ -446,15 +447,17 @@ def test_what_predicts_a_row_was_not_fitted_on_it() -> None:
     work = of_stray()
     bench, names = work.bench, ["products of speeds"]
     functions = Functions(bench)
-    sums, y = functions.plain(names, 0), work.model.rest()[functions.rows, 0] / bench.noise.sigma[0]
-    alone = Pursuit(sums, functions.white(names, 0), y, work.model.rest(white=True)[functions.rows, 0], weighed=False)
+    sums, y = functions.plain(names, 0), work.model.residual()[functions.rows, 0] / bench.noise.sigma[0]
+    alone = Pursuit(
+        sums, functions.white(names, 0), y, work.model.residual(white=True)[functions.rows, 0], weighed=False
+    )
     at = int(np.flatnonzero(alone.coefficients()[names[0]])[0])
     x = functions.columns[names[0]][functions.rows, at]
     out = np.zeros(len(y))
     for rows in functions.folds:
         others = np.delete(np.arange(len(y)), rows)
         out[rows] = x[rows] * (x[others] @ y[others]) / (x[others] @ x[others])
-    assert alone.crossed() == pytest.approx(out, abs=1e-9)
+    assert alone.cross_validated() == pytest.approx(out, abs=1e-9)
     noise = np.random.default_rng(5).normal(size=(2, len(y)))
     assert not Pursuit(sums, functions.white(names, 0), *noise, weighed=True).chosen
 
@@ -465,13 +468,13 @@ def test_a_mean_of_two_regressions_is_judged_as_each_of_them_is() -> None:
     bench, names = work.bench, ["products of speeds", "positions times speeds"]
     functions = Functions(bench)
     sums = functions.plain(names, 0), functions.white(names, 0)
-    y = work.model.rest()[functions.rows, 0] / bench.noise.sigma[0]
+    y = work.model.residual()[functions.rows, 0] / bench.noise.sigma[0]
     one, other = (
-        of(*sums, y, work.model.rest(white=True)[functions.rows, 0], weighed=False) for of in (Pursuit, Ridge)
+        of(*sums, y, work.model.residual(white=True)[functions.rows, 0], weighed=False) for of in (Pursuit, Ridge)
     )
     both = Blend.between(one, other)
-    mean = 0.5 * (one.crossed() + other.crossed())
-    assert both.crossed() == pytest.approx(mean)
+    mean = 0.5 * (one.cross_validated() + other.cross_validated())
+    assert both.cross_validated() == pytest.approx(mean)
     assert both.reached == pytest.approx(float(y @ y - (y - mean) @ (y - mean)))
     # The mean of two errs no more than they do on the average.
     assert both.reached >= 0.5 * (one.reached + other.reached)
@@ -496,21 +499,21 @@ def test_trees_stand_beside_functions_where_they_say_more_of_blocks_left_out_and
     functions = Functions(work.bench)
     alone = learn(work.model, kinds, functions)
     assert alone is not None
-    both = beside(alone, work.model, functions)
+    both = blended(alone, work.model, functions)
     assert list(both.trees) == [0]
     rows = Rows(tuple(other.segments), work.bench.rows.stride)
-    rest = rows.average(other.residual)
+    residual = rows.average(other.residual)
 
     def error(told: np.ndarray | None) -> float:
         assert told is not None
-        return float(np.std((rest - told)[:, 0]))
+        return float(np.std((residual - told)[:, 0]))
 
     assert error(both.predict(other, rows, 6)) < 0.95 * error(alone.predict(other, rows, 6))
     smooth = of_stray()
     functions = Functions(smooth.bench)
     single = learn(smooth.model, {0: {"products of speeds"}}, functions)
     assert single is not None
-    assert beside(single, smooth.model, functions).trees == {}
+    assert blended(single, smooth.model, functions).trees == {}
 
 
 def slow(bench: Bench) -> Bench:

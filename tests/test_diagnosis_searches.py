@@ -15,7 +15,7 @@ from galen_hw.diagnosis.estimation.dataset import Bench as DiagnosisBench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.pipeline import diagnose
-from galen_hw.diagnosis.searching import Search, held_up
+from galen_hw.diagnosis.searching import Search, pruned
 from galen_hw.diagnosis.selection.acceptance import plausible
 from galen_hw.diagnosis.selection.search import settled
 from galen_hw.diagnosis.selection.search_state import Selection
@@ -36,7 +36,7 @@ def warming() -> DiagnosisBench:
 def search(bench: DiagnosisBench, *effects: Effect) -> Search:
     """One that ended with these."""
     own = copy(bench)
-    scorer = Scorer(own, [own.add(effect) for effect in effects])
+    scorer = Scorer(own, [own.hypothesis(effect) for effect in effects])
     chosen = scorer.library[len(scorer.base) :]
     return Selection(scorer), Model(own, list(scorer.base), chosen, own.whitened(own.whole))
 
@@ -45,7 +45,7 @@ def test_where_a_name_is_refused_the_other_search_is_asked(warming: DiagnosisBen
     """A gain of what does not read wrong holds on no block that was set aside; the drift does."""
     drift = Drift(WRENCH[2], "linear", None, 0.0, float(warming.scene.time[-1]))
     wrong, right = search(warming, Gain(WRENCH[0])), search(warming, drift)
-    selection, chosen, model, judged = held_up([wrong, right], None, nothing=False)
+    selection, chosen, model, judged = pruned([wrong, right], None, nothing=False)
     assert selection is right[0]
     assert chosen is wrong[1]
     assert [h.effect for h in model.effects] == [drift]
@@ -57,9 +57,9 @@ def test_what_holds_is_kept_and_what_is_no_better_does_not_take_its_place(warmin
     """The better model stays as long as no name of it is refused, and where the other has nothing that holds either."""
     drift = Drift(WRENCH[2], "linear", None, 0.0, float(warming.scene.time[-1]))
     right, wrong = search(warming, drift), search(warming, Gain(WRENCH[0]))
-    assert held_up([right, wrong], None, nothing=False)[0] is right[0]
+    assert pruned([right, wrong], None, nothing=False)[0] is right[0]
     other = search(warming, Gain(WRENCH[4]))
-    selection, chosen, model, _ = held_up([wrong, other], None, nothing=False)
+    selection, chosen, model, _ = pruned([wrong, other], None, nothing=False)
     assert selection is wrong[0]
     assert model is not chosen
     assert not model.effects
@@ -75,8 +75,8 @@ def test_an_offset_that_stands_at_the_end_meets_what_explains_more() -> None:
     kept = {}
     for rivals in (False, True):
         own = copy(bench)
-        own.begin()
-        scorer = Scorer(own, [own.add(offset), own.add(drift)], free=False)
+        own.reset()
+        scorer = Scorer(own, [own.hypothesis(offset), own.hypothesis(drift)], free=False)
         stands = settled(scorer, [(offset, np.array([SIGMA[2]]))], 10.0, rivals=rivals)
         kept[rivals] = [h.effect for h in stands.hypotheses]
     assert kept == {False: [offset], True: [drift]}
@@ -87,7 +87,7 @@ def test_two_that_cancel_but_for_a_small_part_are_not_real_side_by_side(warming:
     end = float(warming.scene.time[-1])
     line, bow = (Drift(WRENCH[2], *form, 0.0, end) for form in (("linear", None), ("warm_up", 5.0 * end)))
     own = copy(warming)
-    scorer = Scorer(own, [own.add(line), own.add(bow), own.add(Gain(WRENCH[2]))])
+    scorer = Scorer(own, [own.hypothesis(line), own.hypothesis(bow), own.hypothesis(Gain(WRENCH[2]))])
     first = len(scorer.base)
     shapes = [h.raw.values[:, 0, 0] for h in scorer.library[first:]]
 

@@ -13,7 +13,7 @@ from diagnosis_cases import COM, WRENCH, Bench, hanging, lagged, rotation, sines
 
 from galen_hw.diagnosis.estimation import signal_chain
 from galen_hw.diagnosis.estimation.interactions import settle_together
-from galen_hw.diagnosis.estimation.model import Model, together
+from galen_hw.diagnosis.estimation.model import Model, with_interactions
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.noise.low_frequency import smoothed
 from galen_hw.diagnosis.pipeline import diagnose
@@ -124,23 +124,25 @@ def test_what_is_searched_is_as_unknown_as_what_is_linear() -> None:
         (whole(linear, searched + step) - whole(linear, searched - step)) / (2.0 * step[k])
         for k, step in enumerate(np.diag(1e-3 * searched))
     ]
-    hypotheses = [bench.add(effect) for effect, _ in effects]
-    constants = [bench.made(None, c) for c in bench.constants()]
+    hypotheses = [bench.hypothesis(effect) for effect, _ in effects]
+    constants = [bench.hypothesis_of(None, c) for c in bench.constants()]
     ones = [np.zeros((len(bench.rows), bench.width)) for _ in constants]
     for one, h in zip(ones, constants, strict=True):
         one[:, h.white.channels] = h.white.values[:, :, 0]
     X = np.stack([*J, *(one.reshape(-1) for one in ones)], axis=1)
-    X = X[np.repeat(~bench.dropped, bench.width)]
+    X = X[np.repeat(~bench.excluded_rows, bench.width)]
     size = np.linalg.norm(X, axis=0)
-    wanted = (np.sqrt(np.diag(np.linalg.inv(X.T @ X / np.outer(size, size)))) / size)[: len(J)]
+    required = (np.sqrt(np.diag(np.linalg.inv(X.T @ X / np.outer(size, size)))) / size)[: len(J)]
     y = whole(linear, searched).reshape(bench.whole.shape) + bench.whitened(bench.rows.average(case.noise))
     model = Model(bench, constants, hypotheses, y)
     places = np.concatenate([np.arange(s.start, s.stop) for s in model.slices()[len(constants) :]])
-    told = np.concatenate([np.sqrt(np.diag(model.joint.covariance)[places]), list(model.joint.searched.values())])
-    assert len(told) == len(wanted)
+    told = np.concatenate(
+        [np.sqrt(np.diag(model.parameter_errors.covariance)[places]), list(model.parameter_errors.searched.values())]
+    )
+    assert len(told) == len(required)
     # The sandwich of forty blocks is never below, and errs by a tenth or two.
-    assert np.all(told > 0.95 * wanted)
-    assert np.all(told < 1.5 * wanted)
+    assert np.all(told > 0.95 * required)
+    assert np.all(told < 1.5 * required)
     alone = np.sqrt(np.diag(model.covariance)[places])
     assert np.max(told[: len(alone)] / alone) > 1.3
 
@@ -174,9 +176,9 @@ def test_what_creeps_and_a_load_that_was_wrong_all_along_say_how_little_is_known
     crept = heavier + 0.01 * (np.stack([lagged(case.t, c, 40.0) for c in heavier.T], axis=1) - heavier)
     y = bench.rows.average(crept - hanging(R) + case.noise)
     bench.whole = y
-    nuisances = [bench.made(None, c) for c in bench.constants()]
+    nuisances = [bench.hypothesis_of(None, c) for c in bench.constants()]
     for form in ("more", "less"):
-        effects = [bench.add(Payload("body")), bench.add(Creep(40.0, form=form))]
+        effects = [bench.hypothesis(Payload("body")), bench.hypothesis(Creep(40.0, form=form))]
         model = Model(bench, nuisances, effects, bench.whitened(y))
         at = model.slices()[len(nuisances)].start
         assert abs(model.final[at] - 0.004) < 2.0 * np.sqrt(model.variance[at])
@@ -193,14 +195,14 @@ def test_a_small_body_is_told_anew_where_it_sits_beside_another_convention() -> 
     bench = diagnose(scene_of(case.observations())).bench
     at = np.array([0.05, 0.01, -0.12])
     y = bench.rows.average(hanging(rotation(case.q[:, 3], case.q[:, 4]), 0.002, at))
-    nuisances = [bench.made(None, c) for c in bench.constants()]
-    model = Model(bench, nuisances, [bench.add(Payload("point", (0.0, 0.1, 0.0)))], bench.whitened(y))
-    told = model.retold().effects[0].effect
+    nuisances = [bench.hypothesis_of(None, c) for c in bench.constants()]
+    model = Model(bench, nuisances, [bench.hypothesis(Payload("point", (0.0, 0.1, 0.0)))], bench.whitened(y))
+    told = model.with_updated_laws().effects[0].effect
     assert isinstance(told, Payload)
     assert told.at is not None
     np.testing.assert_allclose(told.at, at, atol=1e-4)
-    free = Model(bench, nuisances, [bench.add(Payload("body"))], bench.whitened(y))
-    assert free.retold() is free
+    free = Model(bench, nuisances, [bench.hypothesis(Payload("body"))], bench.whitened(y))
+    assert free.with_updated_laws() is free
 
 
 @pytest.mark.parametrize(("growth", "rounds"), [(10.0, 2), (np.nan, 1)])
@@ -210,16 +212,18 @@ def test_what_does_not_come_to_rest_is_left_as_if_alone(
     """Shares of several hundred per cent undo each other ever more; a clock that is seconds off had made numbers without end."""
     case = Bench(8)
     bench = diagnose(scene_of(case.observations())).bench
-    effects = [bench.add(Gain(WRENCH[0])), bench.add(Creep(4.0, WRENCH[0]))]
-    model = Model(bench, [bench.made(None, c) for c in bench.constants()], effects, bench.whitened(bench.whole))
+    effects = [bench.hypothesis(Gain(WRENCH[0])), bench.hypothesis(Creep(4.0, WRENCH[0]))]
+    model = Model(
+        bench, [bench.hypothesis_of(None, c) for c in bench.constants()], effects, bench.whitened(bench.whole)
+    )
     calls = []
 
     def growing(scene: Any, placed: Any, timing: Any) -> list[np.ndarray]:
         calls.append(1)
         return [growth ** len(calls) * np.ones((len(scene), 6)) for _ in placed]
 
-    monkeypatch.setattr(signal_chain, "beside", growing)
-    assert together(model) is model
+    monkeypatch.setattr(signal_chain, "interaction_terms", growing)
+    assert with_interactions(model) is model
     assert len(calls) == rounds
     scorer = Scorer(bench, effects)
     chosen = [len(scorer.base), len(scorer.base) + 1]

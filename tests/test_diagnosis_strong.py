@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from diagnosis_cases import Array, Bench, Servo, cable_drag, lagged
 
 from galen_hw.diagnosis.estimation.model import Model
-from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.lack_of_fit.structure_test import Structure
 from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.validation.judgement import Judged
@@ -59,11 +59,11 @@ def modelled(*placed: tuple[object, float]) -> Model:
     """Effects of given rms in one channel, in newtons, of a run without anything else: as they would be found."""
     run = Bench()
     bench = diagnose(scene_of(run.observations())).bench
-    hypotheses = [bench.add(effect) for effect, _ in placed]  # type: ignore[arg-type]
+    hypotheses = [bench.hypothesis(effect) for effect, _ in placed]  # type: ignore[arg-type]
     model = Model(bench, [], hypotheses, bench.whitened(bench.whole))
     for h, s, (_, rms) in zip(hypotheses, model.slices(), placed, strict=True):
         one = np.ones(h.count)
-        model.final[s] = one * rms / np.sqrt(np.mean(h.does(one) ** 2))
+        model.final[s] = one * rms / np.sqrt(np.mean(h.contribution(one) ** 2))
     return model
 
 
@@ -104,7 +104,7 @@ def test_structure_is_said_that_is_large_enough_to_matter(before: float, size: f
     work = diagnose(scene_of(Bench().observations()))
     sigma = work.bench.noise.sigma
     judged = replace(work.judged, before=(1.0 + before) * sigma**2)
-    left = [Left(0, "speeds", 9.0, 0.5, size * float(sigma[0]), np.zeros((1, 1)))]
+    left = [Structure(0, "speeds", 9.0, 0.5, size * float(sigma[0]), np.zeros((1, 1)))]
     assert strong(left, judged, work.bench) == left * worth_saying
 
 

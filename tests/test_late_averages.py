@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.linearisation import does
+from galen_hw.diagnosis.estimation.linearisation import contribution
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.proposals import library
 from galen_hw.diagnosis.stats.sampling import Rows
@@ -56,32 +56,32 @@ def bench() -> Bench:
 def test_a_late_stream_delivers_averages(end: TimeDelay, even: bool) -> None:
     """Of one channel or all, behind a clock of one joint or of all, on an even clock or not, as by delaying every row."""
     bench, late = made(even=even), np.array([0.0037])
-    bench.stand(timing=[(end, late)])
+    bench.update_state(timing=[(end, late)])
     for effect in (Lag(0.05), Lag(0.05, "j2"), Friction("j1", "coulomb", 0.01), Friction("j0", "coulomb", 0.01)):
         through = end.delivered(bench.scene, effect.columns(bench.scene), late)
         assert np.allclose(bench.raw(effect).values, bench.averaged(through).values, rtol=0.0, atol=1e-12)
     change = bench.rows.average(end.change(bench.scene, late))
-    assert np.allclose(does(bench, end, late), change, rtol=0.0, atol=1e-12)
+    assert np.allclose(contribution(bench, end, late), change, rtol=0.0, atol=1e-12)
 
 
 def test_what_is_known_is_what_would_be_made(bench: Bench) -> None:
     """Kept columns are used where nothing delivers them otherwise, and go with the noise."""
     effect = Lag(0.05, "j2")
-    known = bench.add(effect)
-    bench.know([known])
-    assert bench.add(effect) is known
-    bench.stand(timing=[(TimeDelay(), np.array([0.0037]))])
-    assert bench.add(effect) is not known
-    bench.stand(timing=[])
+    known = bench.hypothesis(effect)
+    bench.cache_columns([known])
+    assert bench.hypothesis(effect) is known
+    bench.update_state(timing=[(TimeDelay(), np.array([0.0037]))])
+    assert bench.hypothesis(effect) is not known
+    bench.update_state(timing=[])
     bench.learn_noise(())
-    again = bench.add(effect)
+    again = bench.hypothesis(effect)
     assert again is not known
     assert np.array_equal(again.raw.values, known.raw.values)
 
 
 def test_inner_products_are_the_same_however_hypotheses_come(bench: Bench) -> None:
     """All at once, one by one, and after some came for a while only."""
-    some = [bench.add(effect) for effect in library(bench)[:80]]
+    some = [bench.hypothesis(effect) for effect in library(bench)[:80]]
     at_once, one_by_one = Scorer(bench, some), Scorer(bench, some[:3])
     for h in some[3:]:
         with one_by_one.trying([some[-1], some[-2]]):

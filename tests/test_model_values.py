@@ -27,7 +27,7 @@ def bench() -> Bench:
 
 def test_an_attempt_that_is_not_kept_leaves_no_trace(bench: Bench) -> None:
     """Terms, residual, stream and clocks are those from before, also where it ended in an error."""
-    late, gain = bench.add(TimeDelay()), bench.add(Gain(bench.scene.channels[0]))
+    late, gain = bench.hypothesis(TimeDelay()), bench.hypothesis(Gain(bench.scene.channels[0]))
     scorer = Scorer(bench, [late, gain])
     out, first = Selection(scorer, [len(scorer.base) + 1]), len(scorer.base)
     scorer.retarget(bench.y)
@@ -36,7 +36,7 @@ def test_an_attempt_that_is_not_kept_leaves_no_trace(bench: Bench) -> None:
         with end, out.attempt():
             out.chosen = [first]
             settle_together(bench, scorer, out.chosen)
-            bench.stand(timing=[(TimeDelay(), np.array([0.03]))], y=bench.y + 1.0)
+            bench.update_state(timing=[(TimeDelay(), np.array([0.03]))], y=bench.y + 1.0)
             scorer.retarget(bench.y)
             assert isinstance(end, nullcontext) or 1 // 0
         assert bench.state is before
@@ -45,14 +45,14 @@ def test_an_attempt_that_is_not_kept_leaves_no_trace(bench: Bench) -> None:
 
 
 def test_an_attempt_that_is_kept_stays(bench: Bench) -> None:
-    scorer = Scorer(bench, [bench.add(TimeDelay())])
+    scorer = Scorer(bench, [bench.hypothesis(TimeDelay())])
     out, first = Selection(scorer), len(scorer.base)
     with out.attempt() as attempt:
         out.chosen = [first]
-        bench.stand(restless=True)
+        bench.update_state(diverging=True)
         attempt.kept = True
     assert out.chosen == [first]
-    assert bench.state.restless
+    assert bench.state.diverging
 
 
 def test_columns_go_through_other_clocks_for_a_while_only(bench: Bench) -> None:
@@ -63,17 +63,16 @@ def test_columns_go_through_other_clocks_for_a_while_only(bench: Bench) -> None:
 
 
 def test_other_models_are_made_of_one_and_it_stays(bench: Bench) -> None:
-    gains = [bench.add(Gain(name)) for name in bench.scene.channels[:3]]
-    nuisances = [bench.made(None, columns) for columns in bench.constants()]
+    gains = [bench.hypothesis(Gain(name)) for name in bench.scene.channels[:3]]
+    nuisances = [bench.hypothesis_of(None, columns) for columns in bench.constants()]
     model = Model(bench, nuisances, gains[:1], bench.whitened(bench.whole))
     final = model.final.copy()
-    assert model.with_(gains[1]).effects == gains[:2]
     assert model.replacing(gains[0], gains[2]).effects == [gains[2]]
     assert model.without(gains[:1]).effects == []
     assert model.effects == gains[:1]
     assert np.array_equal(model.final, final)
     with pytest.raises(FrozenInstanceError):
-        model.plain = True  # type: ignore[misc]
+        model.unweighted = True  # type: ignore[misc]
     with pytest.raises(FrozenInstanceError):
         bench.state.y = bench.whole  # type: ignore[misc]
 

@@ -21,10 +21,10 @@ from galen_hw.diagnosis.detection.steps import _jumps
 from galen_hw.diagnosis.estimation.dataset import Bench as DiagnosisBench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.noise.estimator import estimate
-from galen_hw.diagnosis.noise.low_frequency import shelves, whitest
+from galen_hw.diagnosis.noise.low_frequency import plateaus, whitest
 from galen_hw.diagnosis.noise.spectrum import Noise
 from galen_hw.diagnosis.stats.sampling import Rows
-from galen_hw.diagnosis.validation.other_recording import noisier
+from galen_hw.diagnosis.validation.other_recording import noise_ratio
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.drift import WALK
 from galen_hw.physics.effects.events import Contact, Vibration
@@ -110,7 +110,7 @@ def test_what_walks_and_what_only_is_slow(kind: str, least: float, most: float) 
     constant = np.ones((len(rest), 1)) / np.sqrt(len(rest))
     width = rest.shape[1]
     learnt = estimate(rest, [constant] * width, Rows((slice(0, len(rest)),)), ordered=True, steps=np.zeros(width))
-    assert least <= float(np.mean(learnt.walks(rest, WALK))) <= most
+    assert least <= float(np.mean(learnt.random_walks(rest, WALK))) <= most
 
 
 @pytest.mark.parametrize("apart", [False, True])
@@ -121,7 +121,7 @@ def test_what_neighbouring_poses_share_is_no_noise(apart: bool) -> None:
     rest = np.concatenate([white, white + np.cumsum(rng.normal(size=(56, 200)), axis=0)], axis=1)
     rest = rest - rest.mean(axis=0)
     basis = [np.ones((56, 1)) / np.sqrt(56.0)] * 400
-    sigma = estimate(rest, basis, rows, ordered=True, steps=np.zeros(400), apart=apart).sigma
+    sigma = estimate(rest, basis, rows, ordered=True, steps=np.zeros(400), static_poses=apart).sigma
     plain = rest.std(axis=0, ddof=1)
     assert np.mean(sigma[:200] < 0.99 * plain[:200]) <= 0.02
     assert np.median(sigma[200:] / plain[200:]) < (0.5 if apart else 1.01)
@@ -148,11 +148,11 @@ def test_columns_that_stay_empty_are_left_empty():
     """A hum with coefficients of its own in every channel: whitened as if each channel stood alone."""
     bench = parts.diagnosed("nothing").bench
     names = bench.scene.channels
-    together, alone = bench.add(Vibration(names, 7.0, 2)), bench.add(Vibration(names[2:3], 7.0, 2))
+    together, alone = bench.hypothesis(Vibration(names, 7.0, 2)), bench.hypothesis(Vibration(names[2:3], 7.0, 2))
     assert together.raw.live().sum() == len(names) * alone.count
-    at, own = together.own(2)
+    at, own = together.nonzero_columns(2)
     assert at.tolist() == list(range(2 * alone.count, 3 * alone.count))
-    assert np.allclose(own, alone.own(2)[1])
+    assert np.allclose(own, alone.nonzero_columns(2)[1])
     assert not together.white.values[:, 2, : 2 * alone.count].any()
 
 
@@ -198,9 +198,9 @@ def test_what_has_humps_is_no_noise_with_a_corner():
     centres, lines = np.geomspace(1e-3, 0.45, 15), np.geomspace(18.0, 4000.0, 15)
     corner = 0.01 + 20.0 / (1.0 + (centres / 0.02) ** 2)
     humps = corner + 3.0 * np.exp(-(np.log(centres / 0.15) ** 2) / 0.1)
-    shelf = shelves(centres, np.stack([corner, humps], axis=-1), lines, 3e-4)
-    assert shelf[0] == pytest.approx(20.0, rel=0.3)
-    assert np.isnan(shelf[1])
+    plateau = plateaus(centres, np.stack([corner, humps], axis=-1), lines, 3e-4)
+    assert plateau[0] == pytest.approx(20.0, rel=0.3)
+    assert np.isnan(plateau[1])
 
 
 def test_rounding_that_hides_the_noise_of_another_recording_is_not_less_noise() -> None:
@@ -211,10 +211,10 @@ def test_rounding_that_hides_the_noise_of_another_recording_is_not_less_noise() 
     columns = dict(case.observations().columns) | {WRENCH[0]: read}
     bench = DiagnosisBench(scene_of(replace(case.observations(), columns=columns)), 0.3, 0)
     bench.learn_noise([])
-    model = Model(bench, [bench.made(None, c) for c in bench.constants()], [], bench.whitened(bench.whole))
-    quiet = 0.1 * model.rest()
+    model = Model(bench, [bench.hypothesis_of(None, c) for c in bench.constants()], [], bench.whitened(bench.whole))
+    quiet = 0.1 * model.residual()
     quiet[:, 0] = step * (np.arange(len(quiet)) == 1000)
-    ratio = noisier(model, quiet)
+    ratio = noise_ratio(model, quiet)
     assert ratio[0] == 1.0
     assert ratio[1:] == pytest.approx(0.01, rel=0.05)
 
@@ -225,9 +225,11 @@ def test_the_edges_of_a_touch_are_not_the_first_recording_s_noise() -> None:
     case.wrench[(case.t > 30.0) & (case.t < 36.0), 2] += 100.0 * SIGMA[2]
     bench = DiagnosisBench(scene_of(case.observations()), 0.0, 0)
     bench.learn_noise([])
-    touch = bench.add(Contact((WRENCH[2],), ((29.5, 36.5),), 4))
-    model = Model(bench, [bench.made(None, c) for c in bench.constants()], [touch], bench.whitened(bench.whole))
-    assert noisier(model, Cases(5, rows=len(bench.rows)).noise)[2] == pytest.approx(1.0, rel=0.2)
+    touch = bench.hypothesis(Contact((WRENCH[2],), ((29.5, 36.5),), 4))
+    model = Model(
+        bench, [bench.hypothesis_of(None, c) for c in bench.constants()], [touch], bench.whitened(bench.whole)
+    )
+    assert noise_ratio(model, Cases(5, rows=len(bench.rows)).noise)[2] == pytest.approx(1.0, rel=0.2)
 
 
 def test_few_bands_that_scatter_as_white_noise_does_are_white() -> None:

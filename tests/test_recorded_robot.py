@@ -94,12 +94,12 @@ def test_a_load_is_sought_at_the_sensor_whatever_stands_beside(tmp_path: Path, g
 
 
 def test_a_joint_on_the_way_is_asked_for_by_name(tmp_path: Path) -> None:
-    from galen_hw.diagnosis.preprocessing.checks import premises
+    from galen_hw.diagnosis.preprocessing.checks import screened
 
     columns = {"joint.shoulder.position": Q[:, 0]} | dict.fromkeys(WRENCH, 0.0 * T)
     made = scene(written(tmp_path, arm_with_gripper(), columns, predict="wrench"))
     with pytest.raises(UsageError, match=r"1 of the robot's joints have no position, first elbow"):
-        premises(made)
+        screened(made)
 
 
 def test_a_finger_of_the_sensors_own_bodies_is_asked_for(tmp_path: Path) -> None:

@@ -12,12 +12,12 @@ import diagnosis_cases as cases
 from diagnosis_cases import Bench, rotation
 from physics_scenes import scene
 
-from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside, descended
+from galen_hw.diagnosis.estimation.levenberg_marquardt import ConditionalGain, descended
 from galen_hw.diagnosis.estimation.linearisation import tangent
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.stats.paired_test import Gain
-from galen_hw.diagnosis.validation.holdout import earned
+from galen_hw.diagnosis.validation.holdout import backward_eliminated
 from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.diagnosis.work import Work
 from galen_hw.kinematics import GalenRobot
@@ -29,15 +29,15 @@ from galen_hw.physics.scenes.wrench import WrenchScene
 CLIP, ANCHOR = np.array([0.02, 0.0, -0.03]), np.array([0.2, 0.05, 0.45])
 
 
-def pulled(bench: Bench, stiffness: float, rest: float, friction: float = 0.0) -> None:
+def pulled(bench: Bench, stiffness: float, residual: float, friction: float = 0.0) -> None:
     """A taut cable on the sensor's body, its friction overcome before it follows; written row by row."""
     pose = GalenRobot().sensor_pose(bench.q)
     tension = 0.0
     for k, (R, p) in enumerate(zip(pose[:, :3, :3], pose[:, :3, 3], strict=True)):
         span = ANCHOR - p - R @ CLIP
-        wanted = stiffness * max(float(np.linalg.norm(span)) - rest, 0.0)
-        start = wanted if k == 0 else tension
-        tension = max(min(max(start, wanted - friction), wanted + friction), 0.0)
+        required = stiffness * max(float(np.linalg.norm(span)) - residual, 0.0)
+        start = required if k == 0 else tension
+        tension = max(min(max(start, required - friction), required + friction), 0.0)
         force = R.T @ (tension * span / np.linalg.norm(span))
         bench.wrench[k] += np.concatenate([force, np.cross(CLIP, force)])
 
@@ -64,23 +64,23 @@ def test_a_tendon_pulls_as_a_taut_cable_does(friction: float) -> None:
     assert isinstance(scene, WrenchScene)
     pose = GalenRobot().sensor_pose(bench.q)
     lengths = np.linalg.norm(ANCHOR - pose[:, :3, 3] - pose[:, :3, :3] @ CLIP, axis=1)
-    rest = float(np.quantile(lengths, 0.3))
+    residual = float(np.quantile(lengths, 0.3))
     before = bench.wrench.copy()
-    pulled(bench, 7.0, rest, friction)
-    theta = np.array([7.0, *ANCHOR, rest, *CLIP, friction])
+    pulled(bench, 7.0, residual, friction)
+    theta = np.array([7.0, *ANCHOR, residual, *CLIP, friction])
     effect = CableDrag("tendon_dry" if friction else "tendon")
     change = effect.change(scene, theta if friction else theta[:8])
     assert 0.1 < np.mean(~(bench.wrench - before).any(axis=1)) < 0.5 or friction
     np.testing.assert_allclose(change, bench.wrench - before, atol=1e-12)
 
 
-def drawn(bench: Bench, stiffness: float, rest: float, friction: float) -> None:
+def drawn(bench: Bench, stiffness: float, residual: float, friction: float) -> None:
     """The same through an eye that rubs: more while it is drawn out, less while it goes back."""
     pose = GalenRobot().sensor_pose(bench.q)
     R, p = pose[:, :3, :3], pose[:, :3, 3]
     span = ANCHOR - p - R @ CLIP
     length = np.linalg.norm(span, axis=1)
-    tension = stiffness * (length - rest) + friction * np.tanh(np.gradient(length, bench.t) / 5e-4)
+    tension = stiffness * (length - residual) + friction * np.tanh(np.gradient(length, bench.t) / 5e-4)
     force = np.einsum("nji,nj->ni", R, span * (tension / length)[:, None])
     bench.wrench += np.concatenate([force, np.cross(CLIP, force)], axis=1)
 
@@ -115,7 +115,7 @@ def test_a_cable_is_told_with_its_place_and_its_friction(friction: float) -> Non
     for name, value in true.items():
         assert told[name][0] == pytest.approx(value, abs=4.0 * told[name][1]), name
     assert told["stiffness"][1] < 0.1 * 4.0
-    assert work.model.rest(white=True)[work.bench.train].std() < 1.03
+    assert work.model.residual(white=True)[work.bench.train].std() < 1.03
 
 
 @pytest.mark.inject
@@ -154,17 +154,17 @@ def test_a_cable_pulls_at_the_link_that_it_is_clipped_to() -> None:
     """Of an arm's efforts: what is beyond the clip holds nothing of it. By virtual work, of the length by small steps."""
     effort = scene("effort", np.random.default_rng(1))
     assert isinstance(effort, EffortScene)
-    anchor, clip, stiffness, rest = np.array([0.5, 0.1, 0.2]), np.array([0.05, 0.0, 0.3]), 40.0, 0.1
+    anchor, clip, stiffness, residual = np.array([0.5, 0.1, 0.2]), np.array([0.05, 0.0, 0.3]), 40.0, 0.1
     cable = CableDrag("tendon", clipped="shoulder")
 
     def energy(shoulder: np.ndarray) -> np.ndarray:
         c, s = np.cos(shoulder), np.sin(shoulder)
         at = np.stack([c * clip[0] + s * clip[2], np.full_like(c, clip[1]), c * clip[2] - s * clip[0]], axis=-1)
-        return 0.5 * stiffness * (np.linalg.norm(anchor - at, axis=1) - rest) ** 2
+        return 0.5 * stiffness * (np.linalg.norm(anchor - at, axis=1) - residual) ** 2
 
     step = 1e-5
     held = (energy(effort.q[:, 0] + step) - energy(effort.q[:, 0] - step)) / (2.0 * step)
-    change = cable.change(effort, np.array([stiffness, *anchor, rest, *clip]))
+    change = cable.change(effort, np.array([stiffness, *anchor, residual, *clip]))
     np.testing.assert_allclose(change[:, 0], held, atol=1e-6 * np.abs(held).max())
     np.testing.assert_allclose(change[:, 1], 0.0, atol=1e-12)
     assert cable.family != CableDrag("tendon").family
@@ -186,7 +186,7 @@ def test_no_cable_hangs_from_thirty_metres_away() -> None:
     bench = Bench(rows=1000)
     bench.wrench[:, 5] += 2.0 * cases.SIGMA[5] * np.maximum(bench.q[:, 4] - 0.2, 0.0) / 0.1
     work = diagnosed(bench)
-    beside, tendon = Beside(work.bench, work.selection.scorer, []), work.bench.add(CableDrag("tendon"))
+    beside, tendon = ConditionalGain(work.bench, work.selection.scorer, []), work.bench.hypothesis(CableDrag("tendon"))
     for begun in ([1.0, *ANCHOR, 0.2, *CLIP], [5e-5, -30.0, 2.0, 1.6, 43.0, -1.9, 33.0, 3.3]):
         found = descended(work.bench, beside, tendon, np.array(begun))[1]
         assert found.theta is not None
@@ -201,18 +201,20 @@ def test_a_tendon_whose_stiffness_is_not_known_is_no_cable(stiffness: float, mon
     pulled(case, stiffness, 0.2)
     bench = diagnose(scene_of(clean.observations())).bench
     bench.whole = bench.whole + bench.rows.average(case.wrench - clean.wrench)
-    tendon = tangent(bench, bench.add(CableDrag("tendon")), np.array([max(stiffness, 1e-4), *ANCHOR, 0.2, *CLIP]))
-    nuisances = [bench.made(None, columns) for columns in bench.constants()]
-    model = Model(bench, nuisances, [tendon], bench.whitened(bench.whole - tendon.bend))
+    tendon = tangent(
+        bench, bench.hypothesis(CableDrag("tendon")), np.array([max(stiffness, 1e-4), *ANCHOR, 0.2, *CLIP])
+    )
+    nuisances = [bench.hypothesis_of(None, columns) for columns in bench.constants()]
+    model = Model(bench, nuisances, [tendon], bench.whitened(bench.whole - tendon.nonlinear))
 
-    def wanted(asked: Model, *_: object) -> Judged:
+    def required(asked: Model, *_: object) -> Judged:
         keys, floor = [h.effect.KEY for h in asked.effects if h.effect is not None], bench.noise.sigma**2
         without = dict.fromkeys(keys, floor)
         surely = Gain(1.0, 0.01, 1.0, 100.0)
         return Judged("", floor, floor, without, floor, dict.fromkeys(keys, surely), {key: [surely] for key in keys})
 
-    monkeypatch.setattr("galen_hw.diagnosis.validation.holdout.judge", wanted)
-    assert earned(model, None)[0].effects == ([tendon] if stiffness else [])
+    monkeypatch.setattr("galen_hw.diagnosis.validation.holdout.judge", required)
+    assert backward_eliminated(model, None)[0].effects == ([tendon] if stiffness else [])
 
 
 def test_what_pushes_off_or_turns_without_a_force_is_no_cable() -> None:

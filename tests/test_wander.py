@@ -28,8 +28,8 @@ def told(size: float, walk: float, seed: int) -> tuple[float, float]:
     run.wrench[:, 0] += size * SIGMA[0] * np.sqrt(2.0) * hum
     bench = Bench(scene_of(run.observations()), 0.0, 0)
     bench.learn_noise((), ())
-    nuisances = [bench.made(None, columns) for columns in bench.constants()]
-    found = bench.add(Vibration(WRENCH[:1], loudest(run.t, bench.y[:, 0])))
+    nuisances = [bench.hypothesis_of(None, columns) for columns in bench.constants()]
+    found = bench.hypothesis(Vibration(WRENCH[:1], loudest(run.t, bench.y[:, 0])))
     assert isinstance(found.effect, Vibration)
     model = Model(bench, nuisances, [found], bench.whitened(bench.whole))
     return mean_frequency(model, found, found.effect.line(bench.scene))

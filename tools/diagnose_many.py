@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 
 from galen_hw.config.tool_store import write_atomic
-from galen_hw.diagnosis.estimation.dataset import Progress
+from galen_hw.diagnosis.pipeline import Progress
 from galen_hw.diagnosis.recordings import diagnose_recordings
 from galen_hw.diagnosis.result import Diagnosis
 from galen_hw.diagnosis.work import Work

@@ -1,4 +1,4 @@
-"""A first look at a recording: what is there, so that it does not pass for noise."""
+"""A first look at a recording on few rows, so that what it finds is not taken for noise."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -7,33 +7,33 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from galen_hw.diagnosis.detection import outliers
-from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.initial_state import left_open
-from galen_hw.diagnosis.estimation.signal_chain import Timing, arrived
+from galen_hw.diagnosis.estimation.signal_chain import OutputStage, output_of
 from galen_hw.diagnosis.lack_of_fit import structure_test
 from galen_hw.diagnosis.searching import searched
 from galen_hw.diagnosis.selection.moves.clock_offset import far_off
 from galen_hw.diagnosis.selection.proposals import at_first_sight
+from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.events import Glitches
 from galen_hw.physics.scenes.base import Scene
+from galen_hw.physics.scenes.initial_state import Beginning
 from galen_hw.spatial import Array
 
 
 @dataclass(frozen=True)
 class Known:
-    """What a first look has found: effects (with parameters where these are not linear), generic functions by channel.
+    """Result of a first look: effects with parameters, and kinds of structure by channel.
 
     step: between the rows of the first look, s; ends: late clocks, filters and limits that it goes through; stream: the scene
     with all that these effects add.
     """
 
     effects: list[tuple[Effect, Array]]
-    left: dict[int, str]
+    structures: dict[int, str]
     step: float
-    ends: Timing
+    output_stage: OutputStage
     stream: Scene
 
     def alike(self, effects: Iterable[Effect], columns: Iterable[Columns]) -> list[Columns]:
@@ -55,7 +55,7 @@ class Known:
         generic: list[structure_test.Family],
         also: Iterable[Columns] = (),
     ) -> None:
-        """Learn the noise of a bench beside all that was found, what acts where it was found, and more.
+        """Learn the noise of a bench from the residual of what was found, of what acts in the same joints, and more.
 
         Args:
             effects: of the library, with their columns.
@@ -63,35 +63,35 @@ class Known:
         bench.learn_noise(self.alike(effects, columns), [*self.columns(bench, generic), *also])
 
     def columns(self, bench: Bench, generic: list[structure_test.Family], *, least: int = 12) -> list[Columns]:
-        """On the rows of a bench: what must not pass for noise, as it arrives.
+        """Return columns, on the rows of a bench, of what must not be taken for noise, through the output stage.
 
         Args:
             least: rows for each direction that may be kept from passing for noise.
         """
-        with bench.delivering(self.ends):
+        with bench.delivering(self.output_stage):
             out = [bench.raw(effect.relaxed) for effect, _ in self.effects]
-            # Moments are known to a row of the first look.
+            # Moments are known to within a row of the first look.
             step = self.step if self.step > bench.spacing else 0.0
             out += [bench.raw(more) for effect, _ in self.effects for more in effect.unshaped(step)]
             everywhere = tuple(range(bench.width))
             for effect, theta in self.effects:
                 change = effect.exact(bench.scene, theta)
                 if change is not None:
-                    seen = arrived(bench.stream, effect, change, self.ends)
+                    seen = output_of(bench.stream, effect, change, self.output_stage)
                     out.append(Columns(everywhere, bench.rows.average(seen)[:, :, None]))
-        for channel, kind in self.left.items():
+        for channel, kind in self.structures.items():
             alike = [one.basis for one in generic if one.kind == kind]
-            # In few rows all directions of what looked best would leave too little of the noise, and find themselves again.
+            # In few rows all directions of a family would absorb too much of the noise, and be found again.
             most = max(len(bench.rows) // least // len(alike), 2)
             out += [Columns((channel,), basis[:, None, :most]) for basis in alike]
         return out
 
 
 def benches(scene: Scene, held: float, seed: int) -> tuple[Bench, Bench, list[Glitches]]:
-    """The data of the search, those of the first look, and the isolated samples that both leave out."""
+    """Return the bench of the search, that of the first look, and the isolated samples that both exclude."""
     bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, BUDGET.coarse)
     glitch = outliers.marked(bench)
-    coarse.leave_out(bench.spoilt)
+    coarse.leave_out(bench.outlier_rows)
     return bench, coarse, glitch
 
 
@@ -114,39 +114,40 @@ def effect_columns(effects: list[Effect], *benches: Bench) -> tuple[list[Effect]
     done: dict[int, list[Columns]] = {}
     for part in Parallel(n_jobs=2, require="sharedmem", batch_size=1)(delayed(of)(*one) for one in work):
         done |= part
-    told = [k for k in range(len(effects)) if all(np.isfinite(columns.values).all() for columns in done[k])]
-    return [effects[k] for k in told], [[done[k][b] for k in told] for b in range(len(benches))]
+    finite = [k for k in range(len(effects)) if all(np.isfinite(columns.values).all() for columns in done[k])]
+    return [effects[k] for k in finite], [[done[k][b] for k in finite] for b in range(len(benches))]
 
 
 def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list[Columns], *, blind: bool) -> Known:
-    """Effects and leftovers under a noise that is too small rather than too large, on few rows."""
+    """Search for effects and structure on few rows, with a noise level that is too low rather than too high."""
     generic = structure_test.families(coarse)
     seen = [coarse.raw(s.effect) for s in at_first_sight(bench)]
-    extra, above = [*structure_test.compact(coarse, generic), *seen], coarse.motion_band()
+    extra, above = [*structure_test.leading_directions(coarse, generic), *seen], coarse.motion_band()
     coarse.learn_noise(columns, extra, above=above)
-    ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind)
+    ((_, model), *_), structures = searched(coarse, effects, columns, generic, blind=blind)
     coarse = model.bench
     if shifts := far_off(model):
-        # On the clock that was off no effect is like what was measured: slow ones had passed for noise.
+        # With a wrong clock no effect matched the measured signals: slow ones had passed for noise.
         late = [coarse.raw(effect) for effect in effects]
-        coarse.begin()
+        coarse.reset()
         coarse.learn_noise(late, [*extra, *shifts], above=above)
-        ((_, model), *_), left = searched(coarse, effects, columns, generic, blind=blind)
+        ((_, model), *_), structures = searched(coarse, effects, columns, generic, blind=blind)
         coarse = model.bench
-    if not left and len(coarse.noise.edges):
-        # What is finely structured passes for quick noise. Only blocks that it was not fitted on can tell, whatever the noise.
+    if not structures and len(coarse.noise.edges):
+        # Fine structure passes for quick noise: only held-out blocks can show it, whatever the noise.
         coarse.noise = coarse.noise.flat()
-        rest = model.rest()
-        plain = structure_test.Fitted([h.raw for h in model.parts], rest, rest / coarse.noise.sigma)
-        (left,) = structure_test.leftovers(coarse, generic, [plain])
+        residual = model.residual()
+        plain = structure_test.Fitted([h.raw for h in model.parts], residual, residual / coarse.noise.sigma)
+        (structures,) = structure_test.leftovers(coarse, generic, [plain])
     return Known(
-        model.placed(), {x.channel: x.kind for x in reversed(left)}, coarse.spacing, coarse.timing, coarse.stream
+        model.placed(), {x.channel: x.kind for x in reversed(structures)}, coarse.spacing, coarse.timing, coarse.stream
     )
 
 
-def begun(bench: Bench, known: Known, holdout: Scene | None) -> Scene | None:
-    """The other recording, and the bench with the stream of the first look: of the beginnings that a model leaves open."""
-    beginning = left_open(bench.scene, known.effects)
-    bench.begun(bench.scene.begun(beginning))
-    bench.stand(stream=known.stream)
+def restarted(bench: Bench, known: Known, holdout: Scene | None) -> Scene | None:
+    """Give the bench the stream of the first look and its initial state; return the held-out recording with that too."""
+    every = [effect for effect, _ in known.effects]
+    beginning = sum((e.beginning(bench.scene, theta, every) for e, theta in known.effects), Beginning())
+    bench.restart_with(bench.scene.begun(beginning))
+    bench.update_state(stream=known.stream)
     return None if holdout is None else holdout.begun(beginning)

@@ -1,11 +1,10 @@
-"""Recordings into a diagnosis: read, joined where they are several runs of one machine, and what is odd about each."""
+"""Recordings into a diagnosis: read, and joined where they are several runs of one machine."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 from galen_hw.config.tool_file import terms_in
-from galen_hw.diagnosis.estimation.dataset import Progress
-from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.pipeline import Progress, diagnose
 from galen_hw.diagnosis.work import Work
 from galen_hw.errors import UsageError
 from galen_hw.physics.concatenate import joined
@@ -31,7 +30,7 @@ def diagnose_recordings(
 
     Args:
         recordings: at least one, all of one machine and model.
-        holdout: of the same machine, to be judged on; without any `share` of contiguous blocks is set aside.
+        holdout: of the same machine, to be judged on; without any `share` of contiguous blocks is held out.
         share: of the blocks, from 0 to 0.9.
         seed: of the choice of blocks.
         repair: put right in memory what is certain; else the same is refused.
@@ -84,7 +83,7 @@ def _said_better(line: str, columns: list[str]) -> bool:
 
 
 def _joined(recordings: Sequence[Recording], names: list[str]) -> tuple[Observations, list[str]]:
-    """The recordings as one, and what is odd about each."""
+    """Return the recordings joined to one, with notes on each."""
     _same_machine(recordings, names)
     each = [observed(recording) for recording in recordings]
     odd = [
@@ -100,7 +99,7 @@ def _joined(recordings: Sequence[Recording], names: list[str]) -> tuple[Observat
 
 
 def _same_machine(recordings: Sequence[Recording], names: list[str]) -> None:
-    """That all recordings are of one machine and one model, so that one set of parameters can stand for all."""
+    """Raise unless all recordings are of one machine and one model, so that one set of parameters holds for all."""
     first = recordings[0]
     for recording in recordings[1:]:
         for key in ("robot", "tool", "predict", "model", "distal_bodies"):

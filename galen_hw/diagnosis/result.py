@@ -1,4 +1,4 @@
-"""The answer as data: what `--json` writes, key by key as `docs/diagnosis.md` has it."""
+"""The answer as data: what `--json` writes, key by key as in `docs/diagnosis.md`."""
 
 import math
 from dataclasses import asdict, dataclass, field
@@ -42,17 +42,17 @@ class Finding:
 
     @property
     def named(self) -> bool:
-        """Whether it is a kind of physics, and not what is left without a name."""
+        """Whether it is a kind of physics, and not structure without a name."""
         return self.effect != UNKNOWN
 
     @property
     def rivals(self) -> list[Confusion]:
-        """What it could be besides itself in another place."""
+        """Other effects that it could be."""
         return [c for c in self.confounded_with if c.effect != self.effect]
 
     @property
     def takes(self) -> str:
-        """What it does on data that it did not learn from, in words."""
+        """Its gain on held-out data, in words."""
         gain = self.evidence["heldout_gain"]
         return f"takes {100 * gain:.{0 if gain >= 0.01 else 1}f} % of the unexplained error"
 
@@ -82,7 +82,7 @@ class Diagnosis:
     clock: bool = True
 
     def to_json(self) -> dict[str, Any]:
-        """As specified; numbers that are not finite become null, which JSON has a word for."""
+        """Return the answer as specified in `docs/diagnosis.md`; numbers that are not finite become null."""
         answer = {
             "schema": 1,
             "recording": self.recording,

@@ -1,6 +1,6 @@
-"""The searches under one noise, and what held-out data leave of the better model."""
+"""The searches under one noise model, and the pruning of their models by held-out data."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from copy import copy
 
 import numpy as np
@@ -8,17 +8,15 @@ from joblib import Parallel, delayed
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.initial_state import supposable
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.lack_of_fit import structure_test
-from galen_hw.diagnosis.selection.criterion import merit
 from galen_hw.diagnosis.selection.finalise import offsets, settle_model, weighed
 from galen_hw.diagnosis.selection.search import Start, select, settled
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
-from galen_hw.diagnosis.validation.flexible_effects import left_by
-from galen_hw.diagnosis.validation.holdout import earned
+from galen_hw.diagnosis.validation.flexible_effects import remaining_structures
+from galen_hw.diagnosis.validation.holdout import backward_eliminated
 from galen_hw.diagnosis.validation.judgement import Judged
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns
@@ -36,42 +34,26 @@ def searched(
     *,
     blind: bool,
     start: Start = (),
-) -> tuple[list[Search], list[structure_test.Left]]:
-    """What was searched under the present noise, the better model first, and what that leaves.
+) -> tuple[list[Search], list[structure_test.Structure]]:
+    """Search under the present noise; return the models, the better one first, and the structure that it leaves.
 
     Args:
         start: a model that another search has found; where it is better than what was found without it, one begins there too.
     """
-    hypotheses = [bench.made(e, raw) for e, raw in supposable(bench.scene, effects, columns)]
-    bench.know(hypotheses)
+    # Creep that began at rest is redundant where any initial transient as quick is fitted.
+    each = zip(effects, columns, strict=True)
+    hypotheses = [bench.hypothesis_of(e, raw) for e, raw in each if not e.presumes(bench.scene)]
+    bench.cache_columns(hypotheses)
     searches = _models(bench, hypotheses, blind=blind, start=start)
-    return searches, left_by([searches[0][1]], generic)[0]
-
-
-def searched_again(
-    bench: Bench,
-    effects: list[Effect],
-    columns: list[Columns],
-    generic: list[structure_test.Family],
-    learn: Callable[[Bench, list[structure_test.Family]], None],
-    start: Start = (),
-) -> tuple[list[Search], list[structure_test.Left]]:
-    """Learn the noise anew, and search again.
-
-    Args:
-        learn: learns the noise on a bench beside what is known.
-    """
-    bench.begin()
-    learn(bench, generic)
-    return searched(bench, effects, columns, generic, blind=False, start=start)
+    return searches, remaining_structures([searches[0][1]], generic)[0]
 
 
 def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: Start) -> list[Search]:
-    """One search or two, the better model first; of two each has a bench of its own, as it left it.
+    """Search once or twice, and return the better model first; of two each has a bench of its own.
 
-    With offsets always in the model and judged at the end (a drift is not called an offset), and with offsets among the
-    hypotheses (a constant error of geometry is not called one). Offsets that stand at the end meet what explains more in their
-    place. Where a start explains all and the better one does not, one more begins there.
+    Once with offsets always in the model and judged at the end (so that a drift is not called an offset), once with offsets among
+    the hypotheses (so that a constant error of geometry is not). Offsets that remain are compared with what explains more in
+    their place. Where a start explains all and the better model does not, one more search begins there.
     """
     if blind:
         nothing = Selection(Scorer(bench, hypotheses))
@@ -85,7 +67,7 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
         return selection, settle_model(on, selection.scorer, selection)
 
     def better_from(found: Search, own: list[Hypothesis]) -> Search:
-        """Return what a search finds from the start, if that is better as it stands than what was found; else that."""
+        """Return what a search finds from the start, if the start is better than what was found; else that."""
         constants = set() if own else _families(h.effect for h in offsets(bench))
         begun = [(effect, theta) for effect, theta in start if effect.family not in constants]
         if not begun or _families(effect for effect, _ in begun) == _families(h.effect for h in found[1].effects):
@@ -106,17 +88,17 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
         on = copy(fresh)
         stands = settled(scored(on, own), found[1].placed(), found[0].needed, rivals=True)
         model = settle_model(on, stands.scorer, stands)
-        return (stands, model) if merit(model) > merit(found[1]) + CRITERIA.log_odds else found
+        return (stands, model) if model.penalised_gain() > found[1].penalised_gain() + CRITERIA.log_odds else found
 
     own, fresh = offsets(bench), copy(bench)
     if not own:
         return [better_from(one(bench, own), own)]
-    # Each has what the search changes (the residual without bends, the late stream) to itself, and a core if there are two.
+    # Each has its own model state, and a core if there are two.
     better, other = Parallel(n_jobs=2, require="sharedmem")(
         delayed(one)(*each) for each in ((copy(bench), []), (copy(bench), own))
     )
-    lead = merit(other[1]) - merit(better[1])
-    # A constant that something else accounts for as well is an effect too many.
+    lead = other[1].penalised_gain() - better[1].penalised_gain()
+    # Of equally good models the one with fewer effects is taken.
     if lead > CRITERIA.log_odds or (lead > 0.0 and len(other[1].effects) < len(better[1].effects)):
         better, other = other, better
     return [exchanged(better_from(better, [] if better[0].scorer.free else own)), other]
@@ -128,30 +110,30 @@ def _explains(model: Model, other: Model) -> bool:
     Where physics is missing, as on most machines, a better likelihood is the missing physics' as soon as the model's.
     """
     kinds, its = ({h.effect.KEY for h in one.effects if h.effect is not None} for one in (model, other))
-    square = np.mean((model.rest()[model.bench.train] / model.bench.noise.sigma) ** 2, axis=0)
+    square = np.mean((model.residual()[model.bench.train] / model.bench.noise.sigma) ** 2, axis=0)
     alone = bool(np.all(square <= CRITERIA.noise_alone))
-    return alone and len(kinds) <= len(its) and merit(model) > merit(other) + CRITERIA.log_odds
+    return alone and len(kinds) <= len(its) and model.penalised_gain() > other.penalised_gain() + CRITERIA.log_odds
 
 
 def _families(effects: Iterable[Effect | None]) -> set[object]:
     return {effect.family for effect in effects if effect is not None}
 
 
-def held_up(searches: list[Search], holdout: Scene | None, *, nothing: bool) -> tuple[Selection, Model, Model, Judged]:
-    """How it was found, the model that leaves `left`, the model without what held-out data refuse, and how it does on these.
+def pruned(searches: list[Search], holdout: Scene | None, *, nothing: bool) -> tuple[Selection, Model, Model, Judged]:
+    """Return selection, fitted model, model after pruning by held-out data, and its judgement.
 
-    With `nothing` a premise refuses the recording: constants too are numbers of something else.
+    With `nothing` a check has refused the recording: constants too are then meaningless.
 
-    Where some of the better model's names are refused (two offsets in the place of a warm-up), the other search may have found
-    what holds: then that is taken.
+    Where held-out data refuse some names of the better model (two offsets in the place of a warm-up), the model of the other
+    search is taken if it is better once pruned.
     """
     (selection, found), *others = searches
     chosen = found.without(list(found.effects)) if nothing else weighed(found)
-    model, judged = earned(chosen, holdout)
+    model, judged = backward_eliminated(chosen, holdout)
     if model is chosen or nothing:
         return selection, chosen, model, judged
     for other, rival in others:
-        kept, its = earned(weighed(rival), holdout)
-        if merit(kept) > merit(model) + CRITERIA.log_odds:
+        kept, its = backward_eliminated(weighed(rival), holdout)
+        if kept.penalised_gain() > model.penalised_gain() + CRITERIA.log_odds:
             return other, chosen, kept, its
     return selection, chosen, model, judged

@@ -12,11 +12,11 @@ from galen_hw.diagnosis.validation.judgement import Judged
 
 @dataclass
 class Work:
-    """What the diagnosis went through, for reports and tests; `left`: what was worth saying of what is left."""
+    """Everything a diagnosis went through, for reports and tests; `structures`: what is left unexplained and matters."""
 
     bench: Bench
     selection: Selection
     model: Model
     judged: Judged
-    left: list[structure_test.Left]
+    structures: list[structure_test.Structure]
     diagnosis: Diagnosis

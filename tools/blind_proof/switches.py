@@ -77,7 +77,7 @@ SWITCHES: Final[dict[str, Switch]] = {
     "tendon": Switch(f"{MOVES}.tighten:tightened", _no, "a spring as the tendon that it may be"),
     "exchange": Switch(f"{MOVES}.exchange:regrouped", _no, "two effects for others that stand for both"),
     "reclock": Switch(f"{MOVES}.timing:reclocked", _no, "clocks of all effects at once"),
-    "pairs": Switch(f"{MOVES}.pairs:hidden", _no, "two effects that are significant together alone"),
+    "pairs": Switch(f"{MOVES}.add:hidden", _no, "two effects that are significant together alone"),
     "kinds first": Switch(f"{MOVES}.add:_kinds_first", _in_order, "the best of each kind before a second of any"),
     "its kind": Switch(
         f"{SELECTION}.kinds:with_its_kind", _alone, "an effect in many channels against all joints' own"

@@ -1,4 +1,4 @@
-"""Limits at which readings stop."""
+"""Propose saturation limits from a residual."""
 
 import numpy as np
 
@@ -8,13 +8,13 @@ from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
 
-def saturations(scene: Scene, rest: Array, simulated: Array, *, few: int = 5, fewest: float = 1e-3) -> list[Sought]:
-    """For each end of each channel the limit at which clipping of what is simulated (M, C) takes most out of the rest (M, C).
+def saturations(scene: Scene, residual: Array, simulated: Array, *, few: int = 5, fewest: float = 1e-3) -> list[Sought]:
+    """Return the saturation limit at each end of each channel whose clipping explains most of the residual (M, C).
 
-    Rows that no fit sees do not belong here: what is filled in there says that nothing was clipped.
+    `simulated` (M, C) holds no excluded rows: interpolated values would say that nothing was clipped.
 
-    Clipping takes all that goes beyond the limit L, so that only L is free: the gain of h = max(w - L, 0) with the factor -1,
-    -2 sum r h - sum h^2, for every L at once from running sums over the rows in order of w.
+    Clipping takes all that goes beyond the limit L, so that only L is free: the gain of h = max(w - L, 0) with the factor -1, -2
+    sum r h - sum h^2, is computed for every L at once from running sums over the rows in order of w.
 
     Args:
         few: rows beyond a limit that are too few to show that it is one.
@@ -23,7 +23,7 @@ def saturations(scene: Scene, rest: Array, simulated: Array, *, few: int = 5, fe
     out = []
     for c, name in enumerate(scene.channels):
         for sign in (1.0, -1.0):
-            w, r = sign * simulated[:, c], sign * (rest[:, c] - np.median(rest[:, c]))
+            w, r = sign * simulated[:, c], sign * (residual[:, c] - np.median(residual[:, c]))
             order = np.argsort(-w)
             w, r = w[order], r[order]
             k = np.arange(1, len(w))

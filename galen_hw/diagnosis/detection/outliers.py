@@ -1,4 +1,4 @@
-"""Isolated samples: marked before anything is fitted, believed once the physics does not explain them either."""
+"""Mark isolated samples before any fit, and confirm those that the final model does not explain."""
 
 from typing import Final
 
@@ -16,7 +16,7 @@ from galen_hw.spatial import Array
 FEWEST: Final = 2
 """Isolated samples that are a finding."""
 FAR: Final = 6.0
-"""Standard deviations by which a glitch must stand off what the model says, not only off its neighbours."""
+"""Standard deviations by which a glitch must differ from the model, not only from its neighbours."""
 NEAR: Final = 3.5
 MOST_SPOILT = 0.03
 """Share of a channel's samples: more isolated ones are another kind of noise."""
@@ -35,27 +35,27 @@ def marked(bench: Bench) -> list[Glitches]:
     return [Glitches(names, tuple(int(r) for r in rows))]
 
 
-def off(model: Model) -> Array:
-    """(N, C) how far every single sample is off what the model says."""
+def sample_residual(model: Model) -> Array:
+    """Return the residual of every single sample (N, C)."""
     bench = model.bench
     place = np.searchsorted(bench.rows.starts, np.arange(len(bench.scene)), side="right") - 1
-    return np.asarray(bench.scene.raw_residual - (bench.whole - model.rest())[place])
+    return np.asarray(bench.scene.raw_residual - (bench.whole - model.residual())[place])
 
 
-def deviations(bench: Bench, rest: Array) -> Array:
-    """(N, C) what samples are off, in standard deviations of a single one; 0 where nothing was recorded."""
-    return np.asarray(np.nan_to_num(np.abs(rest) / (np.sqrt(bench.rows.stride) * bench.noise.sigma)))
+def deviations(bench: Bench, residual: Array) -> Array:
+    """Return residuals of samples (N, C) in standard deviations of one sample; 0 where nothing was recorded."""
+    return np.asarray(np.nan_to_num(np.abs(residual) / (np.sqrt(bench.rows.stride) * bench.noise.sigma)))
 
 
 def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
-    """Isolated samples that the model does not explain either: a cusp of physics looks isolated until it is modelled.
+    """Return the isolated samples that the model does not explain: a cusp of physics looks isolated until it is modelled.
 
-    Of repeated samples all, once some of them stand off what the model says: what is old need not be wrong.
+    Repeated samples are all kept once some of them are far from the model's prediction: a stale value need not be wrong.
     """
     if not glitch:
         return []
     bench, out = model.bench, []
-    z, again = deviations(bench, off(model)), repeated(bench.scene)
+    z, again = deviations(bench, sample_residual(model)), repeated(bench.scene)
     single = np.where(again, 0.0, z)
     for one in glitch:
         rows = np.array(one.rows)
@@ -72,7 +72,7 @@ def confirmed(glitch: list[Glitches], model: Model) -> list[Glitches]:
 
 
 def _heavy_tailed(z: Array, far: Array) -> Mask:
-    """(C,) whether so many far samples (C,) are but the end of a tail, in deviations (N, C), that thins out towards them.
+    """Return in which channels (C,) the far samples (C,) are the end of a heavy tail of deviations (N, C).
 
     Of noise with heavy tails more samples lie between `NEAR` and `FAR` than beyond: with Student's t of three degrees of freedom
     four times as many, of two still twice; outliers of a uniform size have hardly any there.
@@ -83,12 +83,12 @@ def _heavy_tailed(z: Array, far: Array) -> Mask:
 
 
 def spikes(residual: Array, segments: tuple[slice, ...], *, handful: int = 4) -> Mask:
-    """(N, C) isolated samples, see `differentiation.isolated`; a channel with more than 3 % of them has another kind of noise.
+    """Return isolated samples (N, C), see `differentiation.isolated`; none of a channel in which they are too many.
 
-    Of a sweep of few poses a handful is more than that.
+    More than 3 % of a channel's samples are another kind of noise; of a sweep of few poses a handful is more than that.
 
     Args:
-        handful: isolated samples of one channel that may always be told.
+        handful: isolated samples of one channel that are always reported.
     """
     out = np.zeros(residual.shape, dtype=bool)
     for part in segments:

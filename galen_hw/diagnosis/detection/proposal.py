@@ -1,4 +1,4 @@
-"""Something found by looking at a residual, and what all who look need."""
+"""What a detector proposes, and what all detectors need."""
 
 from dataclasses import dataclass
 
@@ -12,10 +12,10 @@ from galen_hw.spatial import Array
 
 @dataclass(frozen=True)
 class Sought:
-    """Something found by looking, and at how many places was looked."""
+    """An effect proposed by a detector, and the number of places that were searched for it."""
 
     effect: Effect
-    looked: int
+    trials: int
 
 
 FEW_ROWS = 40
@@ -27,7 +27,7 @@ SHARED = 0.1
 
 
 def slow_spread(x: Array) -> Array:
-    """(C,) standard deviation of a rest (M, C) by the differences of its rows, and a little of its own."""
+    """Return the standard deviation (C,) of a residual (M, C) from differences of its rows, with a small part of its own."""
     return np.asarray(np.std(np.diff(x, axis=0), axis=0) / np.sqrt(2.0) + 0.05 * np.std(x, axis=0))
 
 

@@ -1,4 +1,4 @@
-"""Looks into a residual for spectral lines, and for ripple along the way of a joint."""
+"""Propose spectral lines of a residual, and ripple over a joint's position."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ from galen_hw.spatial import Array
 
 def lines(
     scene: Scene,
-    rest: Array,
+    residual: Array,
     rows: Rows,
     known: Sequence[tuple[tuple[int, ...], Line]] = (),
     *,
@@ -25,16 +25,16 @@ def lines(
     wanders: tuple[int, ...] = (0, 5, 15, 45),
     stands_out: float = 3.0,
 ) -> list[Sought]:
-    """The strongest line of the spectrum over its neighbourhood, over all channels and in each.
+    """Return the strongest spectral line over its neighbourhood, over all channels together and in each.
 
-    What is left within the breadth of a known line is its own: two lines so near would be each other's wander.
+    What is left within the breadth of a known line belongs to it: two lines so near would model each other's phase noise.
 
     Args:
         known: lines with the places of their channels.
         narrow: share of its frequency that a line may reach to either side: what is broader is no narrow band (a quality
             of five).
-        wanders: half cosines over the recording that the phase of a hum may follow; the last where the line stands out
-            beyond the reach of the others.
+        wanders: half cosines over the recording that the phase of a line may follow; the last where the line is broader
+            than the reach of the others.
         stands_out: times the power further away that the one within reach of the widest form must have for this
             form to be proposed.
     """
@@ -42,7 +42,7 @@ def lines(
     n = long.stop - long.start
     if not scene.clock or n < 256:
         return []
-    x = rest[long] - rest[long].mean(axis=0)
+    x = residual[long] - residual[long].mean(axis=0)
     pad = 4 * n
     power = np.abs(np.fft.rfft(x * np.hanning(n)[:, None], pad, axis=0)) ** 2
     ground = _ground(power, 4 * 61) + 1e-300
@@ -60,18 +60,18 @@ def lines(
         *((ratio[:, c], (scene.channels[c],)) for c in range(ratio.shape[1])),
     ]:
         f = _peak(score) / (pad * dt)
-        hums = [Vibration(tuple(names), float(f), wander) for wander in wanders]
-        reach, widest, away = hums[-2].breadth(scene), hums[-1].breadth(scene), np.abs(frequency - f)
+        candidates = [Vibration(tuple(names), float(f), wander) for wander in wanders]
+        reach, widest, away = candidates[-2].breadth(scene), candidates[-1].breadth(scene), np.abs(frequency - f)
         skirt, around = (away >= reach) & (away < widest), (away >= widest) & (away < 3.0 * widest)
         mine = power[:, [scene.channels.index(name) for name in names]]
         if not around.any() or np.all(mine[skirt].mean(axis=0) < stands_out * mine[around].mean(axis=0)):
-            hums.pop()
-        out += [Sought(hum, n // 2) for hum in hums if hum.breadth(scene) <= narrow * hum.frequency]
+            candidates.pop()
+        out += [Sought(hum, n // 2) for hum in candidates if hum.breadth(scene) <= narrow * hum.frequency]
     return out
 
 
 def _peak(score: Array) -> float:
-    """Place of the highest value, between the lines: the top of a parabola through the logarithms of three."""
+    """Return the fractional index of the highest value, by a parabola through the logarithms of three values."""
     k = int(np.argmax(score))
     if not 0 < k < len(score) - 1 or not np.all(score[k - 1 : k + 2] > 0.0):
         return float(k)
@@ -81,7 +81,7 @@ def _peak(score: Array) -> float:
 
 
 def _ground(power: Array, width: int) -> Array:
-    """Running median (F, C) over about `width` lines, from medians of half-overlapping pieces."""
+    """Return the running median (F, C) over about `width` lines, from medians of half-overlapping pieces."""
     half = width // 2
     count = max(len(power) // half - 1, 1)
     middle = np.array([np.median(power[k * half : k * half + width], axis=0) for k in range(count)])
@@ -91,10 +91,10 @@ def _ground(power: Array, width: int) -> Array:
 
 
 def _above_motion(scene: Scene, rows: Rows, pad: int, n: int) -> int:
-    """First place of the padded spectrum that lies above what the arm itself does: a line below is motion."""
+    """Return the first index of the padded spectrum above the band of the motion: a line below is motion."""
     least = (pad // n) * 8
     moving = [scene.joint_index(joint) for joint in scene.moved]
-    # Where no joints are known, what is simulated of a recorded orientation shows the motion.
+    # Where no joints are known, the simulation from a recorded orientation shows the motion.
     x = scene.q[rows.starts][:, moving] if moving else scene.simulated[rows.starts]
     x = x[:, np.ptp(x, axis=0) > 0.0]
     if not x.shape[1]:
@@ -105,11 +105,11 @@ def _above_motion(scene: Scene, rows: Rows, pad: int, n: int) -> int:
     return max(least, int(2.0 * reach * pad / len(x)))
 
 
-def ripples(scene: Scene, rest: Array, rows: Rows) -> list[Sought]:
-    """For every joint effort the wave number at which a sine of the joint's position fits best.
+def ripples(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
+    """Return for every joint effort the wave number at which a sine of the joint's position fits best.
 
-    A period is longer than two steps of the position's reading: finer ones are aliases of its rounding (a standing arm's, above
-    all, whose joints move by a few steps).
+    A period is longer than two steps of the position's reading: finer ones are aliases of its rounding (most of all for a
+    standing arm, whose joints move by a few steps).
     """
     if scene.observations.predict != "effort":
         return []
@@ -124,7 +124,7 @@ def ripples(scene: Scene, rest: Array, rows: Rows) -> list[Sought]:
         numbers = numbers[numbers * quantisation(scene.q[:, [scene.joint_index(joint)]])[0] < np.pi]
         if not len(numbers):
             continue
-        r = rest[:, c] - rest[:, c].mean()
+        r = residual[:, c] - residual[:, c].mean()
         power = np.array([np.abs(np.mean(r * np.exp(-1j * k * q))) ** 2 for k in numbers])
         out.append(Sought(TorqueRipple(joint, float(numbers[int(np.argmax(power))])), len(numbers)))
     return out

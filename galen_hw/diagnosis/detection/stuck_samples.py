@@ -1,11 +1,9 @@
-"""Samples that are the one before again: of a sensor that hangs, or that drops out to a constant."""
-
-from collections.abc import Iterator
+"""Find samples that repeat the one before: a sensor that hangs, or that drops out to a constant."""
 
 import numpy as np
 
 from galen_hw.diagnosis.detection.proposal import FEW_ROWS
-from galen_hw.diagnosis.stats.sampling import Mask
+from galen_hw.diagnosis.stats.sampling import Mask, true_runs
 from galen_hw.physics.scenes.base import Scene
 
 
@@ -19,19 +17,18 @@ def repeated(
     grids: float = 3.0,
     jump: float = 6.0,
 ) -> Mask:
-    """(N, C) samples that are the one before again where readings do not come again by themselves, in all channels or in one.
+    """Return samples (N, C) that repeat the one before where readings do not repeat by themselves.
 
-    Readings without noise do where nothing moves. Those on a grid do by chance: such a stretch must be too long for that, and
-    what is simulated must change over it by more than it usually does from row to row. One channel alone is asked of a wrench,
-    off a grid, and must jump there or back: a joint's effort and position stand still with the joint. Of two and more samples
-    the first is told with them: when it stopped, nobody knows.
+    Readings without noise repeat where nothing moves. Readings on a grid repeat by chance: such a stretch must be too long for
+    that, and the simulation must change over it by more than it usually does from row to row. A single channel is tested only in
+    a wrench, off a grid, and must jump into the stretch or out of it: a joint's effort and position stand still with the joint.
+    Of two and more samples the first is marked with them, for nobody knows when the sensor stopped.
 
     Args:
-        most: share of samples that are the one before again; where there are more, the sensor is slower than its
-            record.
+        most: share of repeated samples; where there are more, the sensor is slower than its record.
         least: times its usual change by which a simulated channel must move from row to row to move at all.
         once: share of readings that are different from one another where they are on no grid.
-        often: stretches of readings on a grid that may stand by chance, in a recording.
+        often: stretches of readings on a grid that may repeat by chance, in a recording.
         grids: times its usual change, a step or two of a grid, that the simulation must move over a stretch on a
             grid.
         jump: the same, by which one channel must jump into such a stretch or out of it: readings at a limit come
@@ -43,7 +40,7 @@ def repeated(
     for part in scene.segments:
         again[part][1:] = y[part][1:] == y[part][:-1]
         moved[part][1:] = np.max(np.abs(np.diff(scene.simulated[part], axis=0)) / usual, axis=1)
-    # Values that were there before, but not just before, are those of a grid.
+    # Values that occurred before, but not just before, are on a grid.
     grid = np.array([len(np.unique(x[~a])) < once * np.sum(~a) for x, a in zip(y.T, again.T, strict=True)])
     chance = np.where(grid, np.log(np.maximum(np.mean(again, axis=0), 1.0 / N)), -np.inf)
     still, out = moved < least, np.zeros(y.shape, dtype=bool)
@@ -55,21 +52,15 @@ def repeated(
 
     every = list(range(y.shape[1]))
     together = np.all(again, axis=1)
-    for a, b in _stretches(together) if not by_itself(every, together) else ():
+    for a, b in true_runs(together) if not by_itself(every, together) else ():
         changed = float(np.max(np.abs(scene.simulated[b - 1] - scene.simulated[a - 1]) / usual))
         by_chance = np.log(N) + (b - a) * float(np.sum(chance)) >= np.log(often)
         if not by_chance and (not grid.all() or changed > grids):
             out[a - (b > a + 1) : b] = True
     for c in every if scene.observations.predict == "wrench" else ():
         alone = again[:, c] & ~out[:, c]
-        for a, b in _stretches(alone) if not by_itself([c], alone) else ():
+        for a, b in true_runs(alone) if not by_itself([c], alone) else ():
             jumps = np.abs(y[[a - 1, min(b, N - 1)], c] - y[[max(a - 2, 0), b - 1], c])
             if not grid[c] and float(np.max(jumps)) > jump * usual[c]:
                 out[a - (b > a + 1) : b, c] = True
     return out
-
-
-def _stretches(x: Mask) -> Iterator[tuple[int, int]]:
-    """First rows of stretches of a mask (N,), and the rows behind them."""
-    for a, b in np.flatnonzero(np.diff(np.concatenate([[False], x, [False]]).astype(int))).reshape(-1, 2):
-        yield int(a), int(b)

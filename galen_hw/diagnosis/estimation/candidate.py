@@ -1,4 +1,4 @@
-"""One candidate term of a model: an effect at a place, with its columns plain and whitened."""
+"""One hypothesis of a model: an effect at a place, with its columns, raw and whitened."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -23,31 +23,30 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False)
 class Hypothesis:
-    """One effect on the bench.
+    """Hold one effect with its columns on the bench.
 
     Args:
-        effect: the piece of physics; None: a nuisance or a generic term.
-        raw: averaged columns, unfiltered.
+        effect: physical effect; None: a nuisance or a generic term.
+        raw: averaged columns.
         whitened: the same, whitened channel by channel; None: not yet, or released (see `white`).
-        looked: at how many places it was looked for; each of several touches at as many.
+        trials: number of places that were searched for it; each of several contacts counts as many.
         theta: parameters at which `raw` is the slope (nonlinear effects); None: at zero.
-        bend: (M, C) what it predicts at theta beyond slope times theta; None where it is linear.
-        beside: (M, C) what it adds in a settled model because the others are there too; None: nothing.
+        nonlinear: (M, C) nonlinear remainder: its contribution at theta beyond slope times theta; None where it is linear.
+        interaction: (M, C) its additional contribution in a converged model given the other effects; None: nothing.
         noise: by which it is whitened; None: `whitened` is given.
-        unseen: see `aside`; telling: see `lasts`; None: not asked yet.
     """
 
     effect: Effect | None
     raw: Columns
     whitened: Columns | None
-    looked: int = 1
+    trials: int = 1
     name: str = ""
     theta: Array | None = None
-    bend: Array | None = None
-    beside: Array | None = None
+    nonlinear: Array | None = None
+    interaction: Array | None = None
     noise: Noise | None = None
-    unseen: int | None = None
-    telling: float | None = None
+    _unobserved: int | None = None
+    _informative_share: float | None = None
 
     @property
     def count(self) -> int:
@@ -56,7 +55,7 @@ class Hypothesis:
 
     @property
     def white(self) -> Columns:
-        """Its columns, whitened channel by channel."""
+        """Whitened columns (M, len(channels), k)."""
         out = self.whitened
         if out is None:
             assert self.noise is not None, "it is given where there is no noise to whiten by"
@@ -64,54 +63,55 @@ class Hypothesis:
         return out
 
     def release(self) -> None:
-        """Forget the whitened columns, which are computed again where they are asked for: most are never."""
+        """Release the whitened columns, which are computed again on access: most are never needed again."""
         if self.noise is not None:
             self.whitened = None
 
-    def own(self, channel: int) -> tuple[Index, Array]:
-        """Its columns in a channel that are not zero throughout: their numbers, and whitened (M, n)."""
+    def nonzero_columns(self, channel: int) -> tuple[Index, Array]:
+        """Return the numbers (n,) of its nonzero columns in a channel, and these whitened (M, n)."""
         i = self.raw.channels.index(channel)
         at = np.flatnonzero(self.live[i])
         return at, self.white.values[:, i] if len(at) == self.count else self.white.values[:, i, at]
 
-    def aside(self, train: Mask) -> int:
-        """How many parameters belong to moments of which no row is learnt from: they gain nothing there, and cost nothing.
+    def unobserved(self, train: Mask) -> int:
+        """Return how many of its parameters have no training rows: those of moments in held-out blocks, without gain or penalty.
 
-        Told once, for it is asked at every turn of a search: the rows `train` (M,) of a bench stay as they are.
+        The value is cached: the rows `train` (M,) of a bench do not change.
         """
-        if self.unseen is None:
+        if self._unobserved is None:
             episodic = self.effect is not None and self.effect.EPISODIC
-            self.unseen = sum(not self._seen(j, train) for j in range(self.count)) if episodic else 0
-        return self.unseen
+            self._unobserved = sum(not self._seen(j, train) for j in range(self.count)) if episodic else 0
+        return self._unobserved
 
     def _seen(self, column: int, train: Mask) -> bool:
-        """Whether a column is other than zero in any row that is learnt from; only channels in which it lives are looked at."""
+        """Return whether a column is nonzero in any training row; only its nonzero channels are examined."""
         return any(bool(self.raw.values[train, i, column].any()) for i in np.flatnonzero(self.live[:, column]))
 
     @cached_property
     def live(self) -> Mask:
-        """(len(channels), k) where a column is not zero throughout."""
+        """Mask (len(channels), k) of columns that are not zero throughout."""
         return self.raw.live()
 
     @cached_property
     def family(self) -> Any:
-        """Of its effect; None: a nuisance."""
+        """Family of its effect; None: a nuisance."""
         return None if self.effect is None else self.effect.family
 
     def line(self, scene: Scene) -> Line | None:
-        """The line of the spectrum that it is, if any."""
+        """Return its spectral line, or None."""
         return None if self.effect is None else self.effect.line(scene)
 
     @property
-    def held(self) -> Array:
-        """(k,) values of its parameters that are not fitted in a model, nan for those that are."""
+    def fixed(self) -> Array:
+        """Values (k,) of its fixed parameters, NaN for fitted ones."""
         held = None if self.effect is None else self.effect.held
         return np.full(self.count, np.nan) if held is None else held
 
-    def owed(self, count: int | None = None, *, whole: bool = False) -> int:
-        """Numbers that it pays for: those that its physics has, searched values included, of `count` columns that show (all).
+    def effective_parameters(self, count: int | None = None, *, whole: bool = False) -> int:
+        """Return the effective number of parameters that are penalised, searched values included.
 
-        `whole`: with all parameters of a loose hypothesis, which stands for physics with fewer and may not be it.
+        Of `count` columns that are identifiable (all). `whole`: with all parameters of a relaxed hypothesis, which stands for
+        physics with fewer parameters and may not be that physics.
         """
         shown = self.count if count is None else count
         if self.effect is None:
@@ -119,39 +119,39 @@ class Hypothesis:
         relaxed = self.effect.freedom is not None and not (whole and self.effect.loose)
         return (min(shown, self.effect.freedom or 0) if relaxed else shown) + len(self.effect.searched())
 
-    def lasts(self, train: Mask) -> float:
-        """Share of the rows that are learnt from which tell of its parameters: of touches those while they last, else all.
+    def informative_share(self, train: Mask) -> float:
+        """Return the share of training rows that inform its parameters: of contacts those while they last, else all.
 
-        Told once, as `aside` is.
+        The value is cached, as that of `unobserved`.
         """
-        if self.telling is None:
+        if self._informative_share is None:
             touching = self.effect is not None and bool(self.effect.touches)
-            self.telling = float(np.mean(self.raw.values[train].any(axis=(1, 2)))) if touching else 1.0
-        return self.telling
+            self._informative_share = float(np.mean(self.raw.values[train].any(axis=(1, 2)))) if touching else 1.0
+        return self._informative_share
 
-    def price(self, bench: "Bench") -> float:
-        """Of one of its numbers: the log of how many independent values tell of it (Schwarz 1978).
+    def penalty(self, bench: "Bench") -> float:
+        """Return the BIC penalty of one parameter: the log of the effective sample size, at least the AIC penalty 2.
 
-        Of few no less than two: what it takes of noise alone on average, and as much again (Akaike 1974).
+        Schwarz 1978; Akaike 1974.
         """
-        return max(float(np.log(max(bench.noise.effective * self.lasts(bench.train), 1.0))), 2.0)
+        return max(float(np.log(max(bench.noise.effective * self.informative_share(bench.train), 1.0))), 2.0)
 
-    def ways(self, train: Mask) -> float:
-        """Log of how many ways it could have been found in: each of several touches, of which rows are learnt from, anywhere."""
+    def log_trials(self, train: Mask) -> float:
+        """Return the log of the number of trials (look-elsewhere effect); each of several contacts counts by itself."""
         times = 1.0
         if self.effect is not None and self.effect.touches and self.count:
-            times = len(self.effect.touches) * (1.0 - self.aside(train) / self.count)
-        return times * math.log(self.looked)
+            times = len(self.effect.touches) * (1.0 - self.unobserved(train) / self.count)
+        return times * math.log(self.trials)
 
-    def does(self, theta: Array) -> Array:
-        """(M, len(channels)) its change with parameters theta (k,), what it is bent by included."""
-        more = [x[:, list(self.raw.channels)] for x in (self.bend, self.beside) if x is not None]
+    def contribution(self, theta: Array) -> Array:
+        """Return the predicted contribution (M, len(channels)) at theta (k,), including its nonlinear remainder."""
+        more = [x[:, list(self.raw.channels)] for x in (self.nonlinear, self.interaction) if x is not None]
         return np.asarray(sum(more, self.raw.values @ theta))
 
     def pinned_gain(self, scene: Scene, A: Array, r: Array) -> float | None:
-        """Fall of the whitened sum of squares at the one value its parameters can have, by inner products; None: free.
+        """Return the gain at the one value its parameters can have, from inner products; None where they are free.
 
-        What is fitted instead could be something else: a lag of share two is a delay.
+        A fitted value could be something else: a lag with a share of two is a delay.
         """
         at = None if self.effect is None else self.effect.pinned(scene)
         if at is None:
@@ -171,7 +171,7 @@ def _whitened(noise: Noise, raw: Columns, live: Mask) -> Columns:
 
 
 def with_parameters(parts: Iterable[Hypothesis], theta: Array) -> Iterator[tuple[Hypothesis, Array]]:
-    """Give each part of a model with its share of the parameters theta (k,) of all, in their order."""
+    """Yield each part of a model with its slice of the parameters theta (k,)."""
     done = 0
     for h in parts:
         yield h, theta[done : done + h.count]
@@ -179,10 +179,10 @@ def with_parameters(parts: Iterable[Hypothesis], theta: Array) -> Iterator[tuple
 
 
 def place_of(effect: Effect | None) -> tuple[str, ...]:
-    """Where an effect sits: one hypothesis of a kind a place; those of moments may stand side by side."""
+    """Return the location of an effect: of one kind a location holds one hypothesis, except of momentary effects."""
     return () if effect is None else effect.location
 
 
-def told(effect: Effect | None) -> tuple[object, ...]:
-    """What an effect is, and which of its numbers are searched: a bearing with friction is not one without."""
+def identity_of(effect: Effect | None) -> tuple[object, ...]:
+    """Return the effect's family and which of its values are searched: a bearing with friction is not one without."""
     return () if effect is None else (effect.family, *effect.searched())

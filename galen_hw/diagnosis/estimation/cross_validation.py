@@ -1,50 +1,36 @@
-"""Errors on blocks left out."""
+"""Cross-validated errors of a model, with blocks of rows left out in turn."""
 
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.least_squares import fit, predicted
-from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.stats.sampling import Chosen, Index, folds
 from galen_hw.spatial import Array
 
 
-def errors(bench: Bench, scorer: Scorer, chosen: list[int], *, fine: bool = False, whitened: bool = False) -> Array:
-    """(n, C) errors of a model on the training rows, raw or whitened, each predicted from blocks that it is not in."""
-    model = scorer.parts(chosen)
-    return _errors(bench, model, scorer.white, fine=fine, whitened=whitened)
-
-
-def of_parts(bench: Bench, model: list[Hypothesis], white: Array) -> Array:
-    """(n, C) raw errors on the training rows, each block predicted from the others."""
-    return _errors(bench, model, white, fine=False)
-
-
-def white_left_out(bench: Bench, model: list[Hypothesis], white: Array) -> Array:
-    """(n, C) white errors on the training rows, each block predicted from the others."""
-    return _errors(bench, model, white, fine=False, whitened=True)
-
-
-def _errors(
+def cross_validated(
     bench: Bench,
     model: list[Hypothesis],
     white: Array,
     *,
-    fine: bool,
+    fine: bool = False,
     whitened: bool = False,
     pieces: int = 400,
     least: int = 8,
 ) -> Array:
-    """(n, C) errors on the training rows, each block or piece predicted from the others.
+    """Return the errors (n, C) of a model on the training rows, each block predicted from the others.
 
     Args:
-        pieces: of a recording, of which every fifth is left out to judge what belongs to moments.
-        least: rows of a piece where noise has a memory.
+        white: (M, C) whitened residual that the model is fitted to.
+        fine: short pieces are left out instead of blocks.
+        whitened: whitened errors, else raw ones.
+        pieces: of a recording, every fifth of which is left out to judge momentary effects.
+        least: rows of a piece of coloured noise.
     """
     train = np.flatnonzero(bench.train)
     if fine:
-        # Noise with a memory would tell one row from the next; poses of a sweep know nothing of each other.
+        # Coloured noise predicts one row from the next; static poses are independent.
         piece = max(len(bench.rows) // pieces, least if len(bench.noise.edges) else 1)
         fold = folds(np.asarray(train // piece))
     else:
@@ -62,13 +48,13 @@ def _errors(
 def _of_moments(
     model: list[Hypothesis], white: Array, rows: Chosen, fold: Index, width: int, *, fine: bool, lives: float = 0.9
 ) -> Array | None:
-    """(k,) parameters of what lies in one fold alone, as learnt on all rows, else nan; None where nothing does.
+    """Return parameters (k,) that only one fold informs, as fitted on all rows, else NaN; None where there are none.
 
-    A touch that lies in the blocks left out cannot be foretold from the others: what then stands there would decide between
-    models that have the same one. Nor can what fades from a beginning; it may be quicker than a short piece, which no touch is.
+    A contact inside the left-out block cannot be predicted from the others: its residual would decide between models that all
+    contain it. Nor can an initial transient; it may be shorter than a piece, which no contact is.
 
     Args:
-        lives: share of the square of what belongs to a moment that must lie in blocks left out for these to be
+        lives: share of the square of what belongs to a moment that must lie in held-out blocks for these to be
             all that tells of it.
     """
     held = np.zeros(sum(h.count for h in model), dtype=bool)

@@ -1,9 +1,9 @@
-"""The bench: one recording (or several at once) averaged, its noise known, every hypothesis' columns whitened once.
+"""One averaged recording with its noise model, on which all hypotheses are scored.
 
-All decisions are then small solves: inner products of columns with each other and with the residual.
+All decisions are then small solves: inner products of whitened columns with each other and with the residual.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
-from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
-from galen_hw.diagnosis.estimation.signal_chain import Timing as Ends
-from galen_hw.diagnosis.estimation.signal_chain import through
+from galen_hw.diagnosis.estimation.signal_chain import OutputStage, through
 from galen_hw.diagnosis.noise.estimator import estimate, quantisation
 from galen_hw.diagnosis.noise.spectrum import Noise
+from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.diagnosis.stats.linear_algebra import orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.stats.sampling import Index, Mask, Rows, blocks, set_aside
 from galen_hw.lazy import cached_property
@@ -30,158 +29,161 @@ from galen_hw.spatial import Array
 
 @dataclass(frozen=True, eq=False)
 class ModelState:
-    """What a model makes of the data: replaced as a whole when another model is tried, and never changed.
+    """State that a model gives the data: replaced as a whole when another model is tried, and never changed.
 
     Args:
-        y: (M, C) residual less what the model predicts beyond its slopes, and less `interaction`.
+        y: (M, C) residual less the model's nonlinear remainders and `interaction`.
         stream: the scene with all that the model adds to its simulation.
-        timing: late clocks, filters and limits that all else goes through, with their parameters.
-        interaction: (M, C) what its effects add because of each other: a gain scales a new load too.
-        restless: whether that grows round after round: one part of the model undoes another.
+        timing: output stage: delays, filters and limits with their parameters.
+        interaction: (M, C) sum of the interaction terms of its effects: a gain scales a new load too.
+        diverging: whether the interactions grow round after round: one part of the model cancels another.
     """
 
     y: Array
     stream: Scene
-    timing: Ends = ()
+    timing: OutputStage = ()
     interaction: Array | float = 0.0
-    restless: bool = False
+    diverging: bool = False
 
 
 @dataclass
 class Bench:
-    """See the module.
+    """Hold one averaged recording with its noise model and the state of the present model.
 
     Args:
-        scene: what was measured and simulated.
-        held: share of blocks set aside.
+        scene: measured and simulated signals.
+        held_share: share of held-out blocks.
         seed: of the choice of blocks and of surrogates.
-        most: rows that it may have; neighbours are averaged until there are no more.
-        pose: seconds from row to row from which rows are poses of a sweep.
-        in_order: rows without a clock from which their order shows what the noise is like; poses that were averaged are fewer,
-            and apart.
+        most: maximum number of rows; neighbours are averaged until there are no more.
+        pose: period, s, from which rows are static poses of a sweep.
+        in_order: number of rows without a clock from which their order shows the noise spectrum; averaged poses are fewer.
     """
 
     scene: Scene
-    held: float = 0.3
+    held_share: float = 0.3
     seed: int = 0
     most: int = BUDGET.rows
     pose: float = field(default=1.0, kw_only=True)
     in_order: int = field(default=1000, kw_only=True)
     rows: Rows = field(init=False)
     block: Index = field(init=False)
-    aside: Mask = field(init=False)
-    hollow: Mask = field(init=False)
-    unread: Mask = field(init=False)
-    """(C,) channels that read one value in every row, as simulated, while others do not (a sensor without them)."""
-    read: int = field(init=False)
-    """Channels that hold data: the others add no degree of freedom."""
-    dropped: Mask = field(init=False)
+    held_out: Mask = field(init=False)
+    invalid_rows: Mask = field(init=False)
+    without_data: Mask = field(init=False)
+    """Channels (C,) that read one value in every row, as simulated, while others do not (a sensor without them)."""
+    live_channels: int = field(init=False)
+    """Number of channels with data: the others add no degree of freedom."""
+    excluded_rows: Mask = field(init=False)
     noise: Noise = field(init=False)
     state: ModelState = field(init=False)
-    plain: dict[Effect, Hypothesis] = field(default_factory=dict)
-    """See `know`."""
+    known_columns: dict[Effect, Hypothesis] = field(default_factory=dict)
+    """See `cache_columns`."""
 
     def __post_init__(self) -> None:
-        """Averages the residual and marks the rows set aside."""
+        """Average the residual and choose the held-out blocks."""
         n = len(self.scene)
-        # A scene that low-passes what it compares says how many neighbouring rows hold nothing new.
+        # A scene that low-passes the compared signals says how many neighbouring rows are redundant.
         stride = max(1, self.scene.grain, -(-n // self.most))
         self.rows = Rows(tuple(self.scene.segments), stride, self.scene.cut)
         count = 40 if len(self.rows) >= 400 else max(min(len(self.rows) // 4, 14), 4)
         self.block = blocks(self.rows.runs, count)
-        self.aside = set_aside(self.block, self.held, self.seed) if self.held > 0 else np.zeros(len(self.rows), bool)
+        self.held_out = (
+            set_aside(self.block, self.held_share, self.seed) if self.held_share > 0 else np.zeros(len(self.rows), bool)
+        )
         still = np.ptp(self.scene.measured, axis=0) + np.ptp(self.scene.simulated, axis=0) == 0.0
-        self.unread = still & ~still.all()
-        self.read = int((~self.unread).sum())
-        self.whole = np.where(self.unread, 0.0, self.rows.average(self.scene.residual))
+        self.without_data = still & ~still.all()
+        self.live_channels = int((~self.without_data).sum())
+        self.whole = np.where(self.without_data, 0.0, self.rows.average(self.scene.residual))
         self.state = ModelState(self.whole, self.scene)
         self.steps = quantisation(self.scene.measured)
         self.width = len(self.scene.channels)
         self.leave_out(np.zeros(n, dtype=bool))
 
-    def leave_out(self, spoilt: Mask) -> None:
-        """Rows (N,) of the recording that no fit may see, its ends among them; the averaged rows that hold one are bridged."""
-        self.spoilt = spoilt
+    def leave_out(self, outlier_rows: Mask) -> None:
+        """Exclude rows (N,) and the recording's ends from all fits; interpolate the averaged rows that contain one."""
+        self.outlier_rows = outlier_rows
         scene = self.scene
-        self.hollow = self.rows.spread(spoilt | scene.ends)
-        self.dropped = self.hollow | self.rows.spread(scene.unanswered)
-        good = np.flatnonzero(~self.hollow)
-        if self.hollow.any() and len(good):
-            at = np.arange(len(self.hollow))
+        self.invalid_rows = self.rows.spread(outlier_rows | scene.ends)
+        self.excluded_rows = self.invalid_rows | self.rows.spread(scene.unanswered)
+        good = np.flatnonzero(~self.invalid_rows)
+        if self.invalid_rows.any() and len(good):
+            at = np.arange(len(self.invalid_rows))
             self.whole = np.stack([np.interp(at, good, self.whole[good, c]) for c in range(self.width)], axis=-1)
-        self.stand(y=self.whole, stream=scene.carrying(np.median(self.whole[good], axis=0) if len(good) else 0.0, 0.0))
+        self.update_state(
+            y=self.whole, stream=scene.carrying(np.median(self.whole[good], axis=0) if len(good) else 0.0, 0.0)
+        )
 
     @property
     def y(self) -> Array:
-        """(M, C) residual that the present model's columns are fitted to."""
+        """Residual (M, C) that the present model's columns are fitted to."""
         return self.state.y
 
     @property
     def stream(self) -> Scene:
-        """The scene with what the present model adds."""
+        """Scene with the present model's contribution."""
         return self.state.stream
 
     @property
-    def timing(self) -> Ends:
-        """Ends of the stream in the present model."""
+    def timing(self) -> OutputStage:
+        """Output stage of the present model: delays, filters and limits with their parameters."""
         return self.state.timing
 
-    def stand(self, **changes: Any) -> None:
-        """Let another state, with these fields changed, stand in the place of the present one."""
+    def update_state(self, **changes: Any) -> None:
+        """Replace fields of the model state."""
         self.state = replace(self.state, **changes)
 
     @contextmanager
-    def delivering(self, timing: Ends) -> Iterator[None]:
-        """Deliver all columns through other ends of the stream for a while."""
+    def delivering(self, timing: OutputStage) -> Iterator[None]:
+        """Deliver all columns through another output stage while the context lasts."""
         before = self.timing
-        self.stand(timing=timing)
+        self.update_state(timing=timing)
         try:
             yield
         finally:
-            self.stand(timing=before)
+            self.update_state(timing=before)
 
-    def begun(self, scene: Scene) -> None:
-        """The same scene with another beginning."""
+    def restart_with(self, scene: Scene) -> None:
+        """Use the same scene with another initial state."""
         self.scene = scene
-        self.leave_out(self.spoilt)
+        self.leave_out(self.outlier_rows)
 
-    def begin(self) -> None:
-        """As before anything was chosen, but for what the stream is known to carry."""
+    def reset(self) -> None:
+        """Reset the model state, keeping the stream."""
         self.state = ModelState(self.whole, self.stream)
 
     @property
     def train(self) -> Mask:
-        """Rows to learn from."""
-        return ~self.aside & ~self.dropped
+        """Training rows (M,)."""
+        return ~self.held_out & ~self.excluded_rows
 
     @property
     def judged(self) -> Mask:
-        """Rows to judge on."""
-        return self.aside & ~self.dropped
+        """Held-out rows (M,) that can be judged on."""
+        return self.held_out & ~self.excluded_rows
 
     def average(self, x: Array) -> Array:
-        """Signals (N, ...) on the bench's rows, (M, ...)."""
+        """Return signals (N, ...) averaged on the bench's rows, (M, ...)."""
         return self.rows.average(x)
 
     def averaged(self, columns: Columns) -> Columns:
-        """Columns (N, c, k) on the bench's rows, (M, c, k)."""
+        """Return columns (N, c, k) averaged on the bench's rows, (M, c, k)."""
         return Columns(columns.channels, self.rows.average(columns.values))
 
-    def add(self, effect: Effect, looked: int = 1) -> Hypothesis:
-        """A hypothesis with its columns, averaged and whitened."""
-        known = self.plain.get(effect) if looked == 1 and not through(effect, self.timing) else None
-        return self.made(effect, self.raw(effect), looked) if known is None else known
+    def hypothesis(self, effect: Effect, trials: int = 1) -> Hypothesis:
+        """Return the hypothesis of an effect, with averaged columns; from the cache where it has them."""
+        known = self.known_columns.get(effect) if trials == 1 and not through(effect, self.timing) else None
+        return self.hypothesis_of(effect, self.raw(effect), trials) if known is None else known
 
-    def know(self, hypotheses: Iterable[Hypothesis]) -> None:
-        """Keeps what effects do by themselves, whatever the stream carries, until the noise is another: it is asked again."""
+    def cache_columns(self, hypotheses: Iterable[Hypothesis]) -> None:
+        """Cache the columns of effects that do not depend on the stream, until the noise is learnt again."""
         each = ((h.effect, h) for h in hypotheses)
-        self.plain = {e: h for e, h in each if e is not None and (not e.DOWNSTREAM or e.CLOCK)}
+        self.known_columns = {e: h for e, h in each if e is not None and (not e.DOWNSTREAM or e.CLOCK)}
 
     def raw(self, effect: Effect) -> Columns:
-        """An effect's averaged columns, as the late, lagging or clipping stream delivers them."""
+        """Return an effect's averaged columns, passed through the output stage: delays, filters and limits."""
         ends = through(effect, self.timing)
         if not ends:
-            known = self.plain.get(effect)
+            known = self.known_columns.get(effect)
             return effect.averaged(self.scene_of(effect), self.rows.average) if known is None else known.raw
         columns = effect.columns(self.scene_of(effect))
         for downstream, theta in ends[:-1]:
@@ -191,31 +193,41 @@ class Bench:
 
     @property
     def spacing(self) -> float:
-        """Between its rows, s."""
+        """Nominal period of the averaged rows, s."""
         return spacing(self.scene) * self.rows.stride
 
     def late(self, x: Array, seconds: float, *, bowed: bool = False) -> Array:
-        """(M, ...) averages of signals (N, ...) that come later by seconds, see `operators.delay`."""
+        """Return averages (M, ...) of signals (N, ...) delayed by seconds, see `operators.delay`."""
         if self.scene.even:
             return self.rows.late(x, [seconds / step for step in self.scene.steps], bowed=bowed)
         flat = self.stream.delay("delay", x.reshape(len(x), -1), seconds, bowed=bowed)
         return self.rows.average(flat).reshape(-1, *x.shape[1:])
 
     @cached_property
+    def time(self) -> Array:
+        """Averaged clock (M,), s, or the row number without a clock."""
+        return self.rows.average(self.scene.time)
+
+    @cached_property
+    def period(self) -> float:
+        """Median period of the averaged rows, s."""
+        return float(np.median(np.diff(self.time))) if len(self.rows) > 1 else 1.0
+
+    @cached_property
     def simulated(self) -> Array:
-        """(M, C) averages of what was simulated."""
+        """Averaged simulated channels (M, C)."""
         return self.rows.average(self.scene.simulated)
 
     def scene_of(self, effect: Effect) -> Scene:
-        """The scene as an effect meets it: at the end of the stream with all that the model adds."""
+        """Return the scene on which an effect acts: of output stages the one with the model's contribution."""
         return self.stream if effect.DOWNSTREAM else self.scene
 
-    def made(self, effect: Effect | None, raw: Columns, looked: int = 1, name: str = "") -> Hypothesis:
-        """A hypothesis of given averaged columns."""
-        return Hypothesis(effect, raw, None, looked, name, noise=self.noise)
+    def hypothesis_of(self, effect: Effect | None, raw: Columns, trials: int = 1, name: str = "") -> Hypothesis:
+        """Return a hypothesis with given averaged columns."""
+        return Hypothesis(effect, raw, None, trials, name, noise=self.noise)
 
     def constants(self) -> list[Columns]:
-        """What is always fitted: offsets of all channels, the baseline's own nuisances, and what fades from the beginning."""
+        """Return the columns of always fitted nuisances: channel offsets, baseline nuisances, initial transients."""
         ones = np.ones((len(self.rows), 1, 1))
         out = [Columns((c,), ones) for c in range(self.width)]
         everywhere = tuple(range(self.width))
@@ -223,58 +235,60 @@ class Bench:
         return out + [Columns(channels, self.rows.average(x)[:, :, None]) for channels, x in fading(self.scene)]
 
     def learn_noise(self, hypotheses: Iterable[Columns], extra: Iterable[Columns] = (), *, above: float = 0.0) -> None:
-        """Noise from the rest of a fit: principal directions of all columns, channel by channel, and `extra` whole.
+        """Estimate the noise from the residual of a rich fit: leading directions of all columns per channel, and `extra` whole.
 
-        Below `above` (cycles a row) it is not measured but taken as at that frequency.
+        Below `above` (cycles a row) the spectrum is not measured but continued from that frequency.
         """
-        self.plain = {}
+        self.known_columns = {}
         constants, library = self.constants(), list(hypotheses)
         always = [*constants, *extra]
-        M, good = len(self.rows), ~self.dropped
+        M, good = len(self.rows), ~self.excluded_rows
 
-        def left(c: int) -> tuple[Array, Array]:
+        def residual_of(c: int) -> tuple[Array, Array]:
             whole = [_of(col, c) for col in always if c in col.channels]
             rich = [_of(col, c) for col in library if c in col.channels]
             Q = rich_basis(np.concatenate(whole, axis=1), rich, M)
             fit = Q @ solve_sym(Q[good].T @ Q[good], Q[good].T @ self.y[good, c][:, None])[:, 0]
             return np.where(good, self.y[:, c] - fit, 0.0), Q
 
-        rest, basis = zip(
-            *Parallel(n_jobs=2, require="sharedmem")(delayed(left)(c) for c in np.flatnonzero(~self.unread).tolist()),
+        residual, basis = zip(
+            *Parallel(n_jobs=2, require="sharedmem")(
+                delayed(residual_of)(c) for c in np.flatnonzero(~self.without_data).tolist()
+            ),
             strict=True,
         )
-        rows, whole = self.rows, np.stack(rest, axis=-1)
+        rows, whole = self.rows, np.stack(residual, axis=-1)
         self.noise = estimate(
             whole,
             list(basis),
             rows,
             ordered=self.ordered,
-            apart=self.apart,
-            steps=self.steps[~self.unread],
+            static_poses=self.static_poses,
+            steps=self.steps[~self.without_data],
             above=above,
-        ).padded(self.unread)
+        ).padded(self.without_data)
 
     @property
     def detectable(self) -> Array:
-        """(C,) rms of the smallest effect in one channel alone that the training rows would show; of a slow one in slow noise.
+        """Smallest detectable rms (C,) of an effect in one channel alone; of a slow effect where the noise is slow.
 
-        Half the log-likelihood ratio that is asked of the best of a library is about 14.
+        Half the log-likelihood ratio required of the best of a library is about 14.
         """
         variance = np.maximum(self.noise.slow, self.noise.sigma**2)
         return np.asarray(np.sqrt(2.0 * 14.0 / max(int(self.train.sum()), 1) * variance))
 
     @property
     def ordered(self) -> bool:
-        """Whether the noise of successive rows may be of one piece: on a clock, or where so many rows have only their order."""
+        """Whether the noise of successive rows may be correlated: on a clock, or in sufficiently many ordered rows."""
         return self.scene.clock or len(self.rows) >= self.in_order
 
     @property
-    def apart(self) -> bool:
-        """Return whether each row is a pose by itself, held for a second or for nobody knows how long."""
+    def static_poses(self) -> bool:
+        """Whether each row is a separate static pose, held for a second or for an unknown time."""
         return not self.scene.clock or self.spacing >= self.pose
 
     def motion_band(self, *, most: float = 0.995) -> float:
-        """Cycles a row below which nearly all of the motion and of its products lies; 0 where nothing moves.
+        """Return the frequency, cycles a row, below which nearly all of the motion and its products lies; 0 without motion.
 
         Args:
             most: share of the power that counts as nearly all.
@@ -292,11 +306,11 @@ class Bench:
         return float(min(2.0 * reach / n, 0.2))
 
     def whitened(self, y: Array) -> Array:
-        """(M, C) residual whitened; rows that hold nothing are bridged first."""
-        return self.noise.bridged(y, ~self.hollow)
+        """Return the whitened residual (M, C); invalid rows are interpolated first."""
+        return self.noise.bridged(y, ~self.invalid_rows)
 
     def surrogates(self, count: int = BUDGET.surrogates) -> Array:
-        """(M, C, count) whitened noise like this recording's, quantised where its channels are."""
+        """Return surrogates (M, C, count): whitened noise like this recording's, quantised where its channels are."""
         rng = np.random.default_rng(self.seed + 1)
         mix = np.linalg.cholesky(self.noise.correlation + 1e-6 * np.eye(self.width))
         z = rng.normal(size=(len(self.rows), count, self.width)) @ mix.T
@@ -307,23 +321,23 @@ class Bench:
             step = self.steps[c]
             own = max(float(self.noise.sigma[c] ** 2 - step**2 / 12.0), 0.0) ** 0.5 / float(self.noise.sigma[c])
             coloured = self.noise.colour(out[:, c], c) * own
-            simulated = self.rows.average(self.scene.simulated)[:, [c]] + float(np.median(self.y[:, c]))
+            simulated = self.simulated[:, [c]] + float(np.median(self.y[:, c]))
             read = np.round((simulated + coloured) / step) * step - simulated
             out[:, c] = self.noise.whiten(read, c)
         return out
 
 
 def _of(columns: Columns, channel: int) -> Array:
-    """(M, k) columns in a channel, without those that are none there but for the rounding of what they are in others.
+    """Return columns (M, k) in a channel, without those that are rounding errors of other channels' columns.
 
-    Scaled to unit length these would be directions like any, and other ones on another processor.
+    Scaled to unit length these would be arbitrary directions, and other ones on another processor.
     """
     size, own = np.linalg.norm(columns.values, axis=0), columns.channels.index(channel)
     return np.asarray(columns.values[:, own, size[own] > np.sqrt(np.finfo(float).eps) * size.max(axis=0)])
 
 
 def rich_basis(whole: Array, rich: list[Array], rows: int) -> Array:
-    """Orthonormal (M, r): `whole` and the leading directions of the `rich` columns in order, r at most a twelfth of the rows."""
+    """Return an orthonormal basis (M, r) of `whole` and the leading directions of `rich`, r at most a twelfth of the rows."""
     most = int(min(70, max(rows // 12, 4)))
     Q = orthonormal(scaled(whole))
     if not rich:
@@ -333,8 +347,5 @@ def rich_basis(whole: Array, rich: list[Array], rows: int) -> Array:
     if not X.size:
         return Q
     P = orthonormal(X, most=most)
-    # Once more against what rounding left of `whole`; QR keeps the order, the strongest first.
+    # Orthogonalise again against rounding errors; QR keeps the order, the strongest first.
     return np.concatenate([Q, np.linalg.qr(P - Q @ (Q.T @ P))[0]], axis=1)
-
-
-Progress = Callable[[str, float], None]

@@ -1,4 +1,4 @@
-"""Inner products of the columns of many hypotheses: those of one with all others when they are first asked for."""
+"""Inner products of the columns of many hypotheses, computed when they are first asked for."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,19 +21,19 @@ class Group(NamedTuple):
     columns: dict[int, tuple[Index, Array]]
 
 
-class _Beside(NamedTuple):
-    """Columns side by side.
+class _ColumnStack(NamedTuple):
+    """Columns stacked next to each other.
 
     Args:
-        at: their numbers; room: (n, m) whose first columns they are: who goes back to fewer leaves the rest to be overwritten.
+        at: their numbers; room: (n, m) array whose first columns they are; later ones may be overwritten.
     """
 
     at: Index
     room: Array
 
     @classmethod
-    def of(cls, at: Index, X: Array, *, least: int = 32) -> "_Beside":
-        """With room for more, if they are few.
+    def of(cls, at: Index, X: Array, *, least: int = 32) -> "_ColumnStack":
+        """Return a stack of columns X, with spare room where they are few.
 
         Args:
             least: columns for which there is room where few come: inner products with many narrow arrays cost
@@ -45,24 +45,24 @@ class _Beside(NamedTuple):
 
     @property
     def columns(self) -> Array:
-        """(n, len(at))."""
+        """Columns (n, len(at))."""
         return self.room[:, : len(self.at)]
 
     def takes(self, count: int) -> bool:
         """Return whether there is room for so many more."""
         return bool(len(self.at) + count <= self.room.shape[1])
 
-    def joined(self, at: Index, X: Array) -> "_Beside":
-        """With more columns X (n, k)."""
+    def joined(self, at: Index, X: Array) -> "_ColumnStack":
+        """Return the stack with more columns X (n, k)."""
         self.room[:, len(self.at) : len(self.at) + len(at)] = X
-        return _Beside(np.concatenate([self.at, at]), self.room)
+        return _ColumnStack(np.concatenate([self.at, at]), self.room)
 
 
 class _Stacks:
     """Columns of each channel, side by side in the order of their numbers or as they came."""
 
-    def __init__(self, width: int, channels: list[list[_Beside]] | None = None) -> None:
-        self.channels: list[list[_Beside]] = channels or [[] for _ in range(width)]
+    def __init__(self, width: int, channels: list[list[_ColumnStack]] | None = None) -> None:
+        self.channels: list[list[_ColumnStack]] = channels or [[] for _ in range(width)]
 
     def copy(self) -> "_Stacks":
         """Return another that may grow by itself."""
@@ -74,7 +74,7 @@ class _Stacks:
         if stack and stack[-1].takes(len(at)):
             stack[-1] = stack[-1].joined(at, X)
         else:
-            stack.append(_Beside.of(at, X))
+            stack.append(_ColumnStack.of(at, X))
 
     def parts(self, channel: int, first: int) -> Iterator[tuple[Index, Array]]:
         """Yield numbers and columns (n, k) of a channel, in order, from a number on."""
@@ -88,7 +88,7 @@ class InnerProducts:
     """Columns channel by channel, and their inner products over all channels.
 
     A search looks at thousands of columns and puts dozens into its models. What it asks for is each group of columns within
-    itself, and those of the models with all others: the whole matrix would cost the square of what is looked at.
+    itself, and those of the models with all others: the whole matrix would cost the square of the library's size.
 
     Args:
         width: number of channels.
@@ -137,7 +137,7 @@ class InnerProducts:
             self.__dict__.update(kept)
 
     def with_targets(self, targets: list[Array], first: int) -> Array:
-        """(len - first, k) inner products of the columns from a number on with targets, (n, k) of each channel."""
+        """Return inner products (len - first, k) of the columns from a number on with targets, (n, k) of each channel."""
         out = np.zeros((len(self) - first, targets[0].shape[1]))
         for c, target in enumerate(targets):
             for at, X in self._stacks.parts(c, first):
@@ -145,7 +145,7 @@ class InnerProducts:
         return out
 
     def within(self, at: Index) -> Array:
-        """(m, k, k) inner products within groups of k columns each.
+        """Return inner products (m, k, k) within groups of k columns each.
 
         Args:
             at: (m,) a column of each.
@@ -153,7 +153,7 @@ class InnerProducts:
         return np.array([self._blocks[group] for group in self._owner[at].tolist()])
 
     def between(self, a: Index, b: Index) -> Array:
-        """(len(a), len(b)) inner products of columns with columns."""
+        """Return inner products (len(a), len(b)) of columns with columns."""
         self._learn(self._missing(a, b))
         rows, columns = self._row[a], self._row[b]
         out, known = np.zeros((len(a), len(b))), rows >= 0
@@ -163,14 +163,14 @@ class InnerProducts:
         rest, other = ~known, columns >= 0
         out[np.ix_(rest, other)] = self._table[np.ix_(columns[other], a[rest])].T
         if not other.all():
-            # Of one and the same group: of two, one would be known.
+            # Both are of the same group: of two groups, one would be known.
             group = self._owner[a[rest][0]]
             first = np.searchsorted(self._owner, group)
             out[np.ix_(rest, ~other)] = self._blocks[group][np.ix_(a[rest] - first, b[~other] - first)]
         return out
 
     def _missing(self, a: Index, b: Index) -> list[int]:
-        """Groups to be learnt so that of each pair of columns one is known: of a model all but its last."""
+        """Return groups to be computed so that of each pair of columns one is known: of a model all but its last."""
         left, right = (list(dict.fromkeys(self._owner[x[self._row[x] < 0]].tolist())) for x in (a, b))
         return left[:-1] if set(left) == set(right) else min(left, right, key=len)
 
@@ -182,7 +182,7 @@ class InnerProducts:
         old, reach, size = self._rows, self._reach, len(self)
         self._rows, self._reach = old + len(new), size
         if self._rows > self._table.shape[0] or size > self._table.shape[1]:
-            # With room to spare: a search appends thousands of times.
+            # With spare room: a search appends thousands of times.
             table = np.empty((self._rows + self._rows // 2 + 32, size + size // 2))
             table[:old, :reach] = self._table[:old, :reach]
             self._table = table

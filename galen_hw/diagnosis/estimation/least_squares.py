@@ -1,4 +1,4 @@
-"""Models of hypotheses fitted by generalised least squares, on all rows or with blocks left out in turn."""
+"""Generalised least squares fits of a model and their residuals."""
 
 import numpy as np
 
@@ -11,7 +11,10 @@ from galen_hw.spatial import Array
 
 
 def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int, stays: Array | None = None) -> Array:
-    """Generalised least squares of a model on some rows; `stays`: (k,) values that parameters keep besides, else nan."""
+    """Fit a model by generalised least squares on some rows, and return its parameters (k,).
+
+    `stays`: (k,) fixed values of parameters besides those of the hypotheses themselves, NaN for free ones.
+    """
     size = sum(h.count for h in model)
     G, b = np.zeros((size, size)), np.zeros(size)
     starts = np.cumsum([0, *(h.count for h in model)])
@@ -23,12 +26,12 @@ def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int, stays: 
         X = np.concatenate([h.white.values[:, h.white.channels.index(c)] for h, _ in mine], axis=1)[rows]
         G[np.ix_(at, at)] += X.T @ X
         b[at] += X.T @ white[rows, c]
-    held = np.concatenate([np.empty(0), *(h.held for h in model)])
+    held = np.concatenate([np.empty(0), *(h.fixed for h in model)])
     return pinned_at(held if stays is None else np.where(np.isnan(held), stays, held), G, b)
 
 
 def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int, *, whitened: bool = False) -> Array:
-    """(len(rows), C) of a model in raw units, or whitened."""
+    """Return the prediction (len(rows), C) of a model, raw or whitened."""
     out = np.zeros((len(rows), width))
     for h, t in with_parameters(model, theta):
         columns = h.white if whitened else h.raw
@@ -36,21 +39,21 @@ def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int, *
     return out
 
 
-def rests(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, Array]:
-    """(M, C) rest of a model, raw and whitened."""
+def residuals(bench: Bench, scorer: Scorer, chosen: list[int]) -> tuple[Array, Array]:
+    """Return the residual (M, C) of a model, raw and whitened."""
     theta = scorer.solve(chosen)[0]
-    rest, white = bench.y.copy(), scorer.white.copy()
+    residual, white = bench.y.copy(), scorer.white.copy()
     for h, t in with_parameters(scorer.parts(chosen), theta):
-        rest[:, list(h.raw.channels)] -= h.raw.values @ t
+        residual[:, list(h.raw.channels)] -= h.raw.values @ t
         white[:, list(h.white.channels)] -= h.white.values @ t
-    return rest, white
+    return residual, white
 
 
-def missed(bench: Bench, scorer: Scorer, chosen: list[int]) -> float:
-    """Mean square of what a model leaves over the noise's, 1 where noise alone is left: whitened, or raw where that is more.
+def reduced_chi2(bench: Bench, scorer: Scorer, chosen: list[int]) -> float:
+    """Return the reduced chi square of a model's residual on the training rows: the larger of whitened and raw.
 
-    Physics that is missing passes for slow noise in the weights of a short recording; a single sample knows better.
+    It is 1 for noise alone. Missing physics passes for slow noise in the weights of a short recording; single samples show it.
     """
-    rest = rests(bench, scorer, chosen)[0][np.ix_(bench.train, ~bench.unread)]
-    noise = (bench.noise.sigma**2 * bench.noise.slower)[~bench.unread]
-    return max(scorer.misfit(chosen), float(np.mean(rest**2 / noise)))
+    residual = residuals(bench, scorer, chosen)[0][np.ix_(bench.train, ~bench.without_data)]
+    noise = (bench.noise.sigma**2 * bench.noise.slow_power_ratio)[~bench.without_data]
+    return max(scorer.misfit(chosen), float(np.mean(residual**2 / noise)))

@@ -1,19 +1,19 @@
-"""What is not linear in its parameters: linearised anew where it stands, compared at its optimum, searched values polished."""
+"""Iterated linearisation of the nonlinear effects of a model (Gauss-Newton)."""
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.candidate import Hypothesis, with_parameters
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside, descended
-from galen_hw.diagnosis.estimation.linearisation import rebase, tangent, unbent
+from galen_hw.diagnosis.estimation.levenberg_marquardt import ConditionalGain, descended
+from galen_hw.diagnosis.estimation.linearisation import nonlinear_restored, rebase, tangent
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
+from galen_hw.diagnosis.settings import BUDGET
 
 
 def settle(bench: Bench, scorer: Scorer, chosen: list[int], *, anew: bool = False) -> None:
-    """Nonlinear effects are linearised anew where they stand; what they do beyond their slope is taken off the residual.
+    """Linearise nonlinear effects again at their estimates until these converge; their remainders leave the residual.
 
-    `anew`: even where they stand as before, since all that they do arrives otherwise.
+    `anew`: even where the estimates have not moved, since the output stage has changed.
     """
     rebase(scorer, chosen)
     for _ in range(3):
@@ -23,9 +23,9 @@ def settle(bench: Bench, scorer: Scorer, chosen: list[int], *, anew: bool = Fals
             if h.effect is None or not h.effect.bends(bench.scene, t):
                 continue
             new = _settled(bench, scorer, chosen, chosen[place]) if h.effect.curved else tangent(bench, h, t)
-            assert new.bend is not None, "a tangent has one"
+            assert new.nonlinear is not None, "a tangent has one"
             assert new.theta is not None, "a tangent has one"
-            beyond += new.bend
+            beyond += new.nonlinear
             moved = (
                 moved or h.theta is None or bool(np.max(np.abs(h.theta - new.theta)) > 1e-3 * np.max(np.abs(new.theta)))
             )
@@ -33,7 +33,7 @@ def settle(bench: Bench, scorer: Scorer, chosen: list[int], *, anew: bool = Fals
         if not fresh or not (moved or anew):
             return
         anew = False
-        bench.stand(y=bench.whole - bench.state.interaction - beyond)
+        bench.update_state(y=bench.whole - bench.state.interaction - beyond)
         scorer.append([h for _, h in fresh])
         for k, (place, _) in enumerate(fresh):
             chosen[place] = len(scorer.library) - len(fresh) + k
@@ -41,9 +41,9 @@ def settle(bench: Bench, scorer: Scorer, chosen: list[int], *, anew: bool = Fals
 
 
 def _settled(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Hypothesis:
-    """The chosen hypothesis i, which is curved, at its optimum beside the others."""
+    """Return the chosen nonlinear hypothesis i at its optimum given the others."""
     h = scorer.library[i]
     assert h.theta is not None, "it is chosen as a tangent"
-    with unbent(scorer, i):
-        beside = Beside(bench, scorer, [j for j in chosen if j != i])
-    return descended(bench, beside, h, h.theta, BUDGET.settled)[1]
+    with nonlinear_restored(scorer, i):
+        given = ConditionalGain(bench, scorer, [j for j in chosen if j != i])
+    return descended(bench, given, h, h.theta, BUDGET.settled)[1]

@@ -1,4 +1,4 @@
-"""What a model adds to a simulation, in the order in which the wire meets it: physics, late clocks and filters, limits."""
+"""The signal chain of a model: physics, then the output stage of delays, filters and limits."""
 
 from collections.abc import Sequence
 
@@ -10,12 +10,12 @@ from galen_hw.physics.effects.interactions import Placed, compound, meet
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.spatial import Array
 
-Timing = Sequence[tuple[Effect, Array]]
+OutputStage = Sequence[tuple[Effect, Array]]
 """The ends of a stream with their parameters, the first one first."""
 
 
-def through(effect: Effect, timing: Timing) -> Timing:
-    """What an effect's change goes through before it is read; nothing for what belongs to moments."""
+def through(effect: Effect, timing: OutputStage) -> OutputStage:
+    """Return the parts of the output stage that an effect passes through; none for momentary effects."""
     if effect.EPISODIC:
         return ()
     if effect.DOWNSTREAM:
@@ -23,49 +23,49 @@ def through(effect: Effect, timing: Timing) -> Timing:
     return [(other, theta) for other, theta in timing if other.KEY not in effect.contains]
 
 
-def arriving(scene: Scene, effects: Sequence[Placed], timing: Timing) -> Array:
-    """(N, C) what effects add together, each as it arrives."""
+def total_output(scene: Scene, effects: Sequence[Placed], timing: OutputStage) -> Array:
+    """Return the total output (N, C) of effects, each through the output stage."""
     out = np.zeros((len(scene), len(scene.channels)))
     for (effect, _), change in zip(effects, compound(scene, effects), strict=True):
-        out += arrived(scene, effect, change, timing)
+        out += output_of(scene, effect, change, timing)
     return out
 
 
-def arrived(scene: Scene, effect: Effect, change: Array, timing: Timing) -> Array:
-    """(N, C) what one effect adds, as it arrives."""
+def output_of(scene: Scene, effect: Effect, change: Array, timing: OutputStage) -> Array:
+    """Return the output (N, C) of one effect through the output stage."""
     columns = Columns(tuple(range(len(scene.channels))), change[:, :, None])
     for other, its in through(effect, timing):
         columns = other.delivered(scene, columns, its)
     return columns.values[:, :, 0]
 
 
-def carried(scene: Scene, effects: Sequence[Placed], timing: Timing) -> Array:
-    """(N, C) what all but limits add, as if nothing clipped."""
+def carried(scene: Scene, effects: Sequence[Placed], timing: OutputStage) -> Array:
+    """Return the output (N, C) of all effects but limits, as if nothing clipped."""
     open_end = [(other, its) for other, its in timing if not other.clips]
-    return arriving(scene, [(e, theta) for e, theta in effects if not e.clips], open_end)
+    return total_output(scene, [(e, theta) for e, theta in effects if not e.clips], open_end)
 
 
-def beside(scene: Scene, effects: Sequence[Placed], timing: Timing) -> list[Array]:
-    """(N, C) what each effect adds, as it arrives, because the others are there too; nothing at all where none meets another."""
+def interaction_terms(scene: Scene, effects: Sequence[Placed], timing: OutputStage) -> list[Array]:
+    """Return the interaction term (N, C) of each effect, through the output stage; none where no effects interact."""
     out: list[Array] = []
     if not meet(scene, effects):
         return out
     for (effect, theta), change in zip(effects, compound(scene, effects), strict=True):
         more = np.zeros_like(change) if effect.DOWNSTREAM else change - effect.change(scene, theta)
-        out.append(arrived(scene, effect, more, timing) if more.any() else more)
+        out.append(output_of(scene, effect, more, timing) if more.any() else more)
     return out
 
 
-def limited(timing: Timing) -> list[str]:
-    """Channels whose readings clip."""
+def limited(timing: OutputStage) -> list[str]:
+    """Return the channels whose readings clip."""
     return [other.clips[0] for other, _ in timing if other.clips]
 
 
-def added(scene: Scene, effects: Sequence[Placed], timing: Timing) -> Array:
-    """(N, C) what a model adds to a recording that it has not seen, whose constants are not known before."""
+def added(scene: Scene, effects: Sequence[Placed], timing: OutputStage) -> Array:
+    """Return the output (N, C) of a model in another recording, whose constants are not known beforehand."""
     whole = carried(scene, effects, timing)
     if not any(effect.clips for effect, _ in effects):
         return whole
     # Few rows clip: the median constant is that of the others.
     stream = scene.carrying(np.median(scene.residual - whole, axis=0), whole, limited(timing))
-    return arriving(stream, effects, timing)
+    return total_output(stream, effects, timing)

@@ -66,7 +66,7 @@ def add_claims(
         parameters = {name: Value(*values) for name, values in claim.parameters.items()}
         if same is not None:
             diagnosis.findings.remove(same)
-            parameters = composed(claim, same.parameters)
+            parameters = combined_parameters(claim, same.parameters)
         score = 0.5 * max(rows, 1) * float(np.sum(np.log(np.maximum(judged.before / after, 1.0))))
         evidence = {
             "heldout_gain": judged.share(judged.before - after),
@@ -82,22 +82,22 @@ def add_claims(
 
 
 def _solved(claim: Claim) -> str:
-    """How a claim was solved, in words."""
+    """Return how a claim was solved, in words."""
     if any(name.startswith(("turn_", "tilt_")) for name in claim.parameters):
         return "solved exactly as one rotation, before anything else was fitted"
     return "two fits on either side of that moment against one, before anything else was fitted"
 
 
 def _of_the_whole(findings: list[Finding], judged: Judged, after: Array) -> None:
-    """Tell the shares of what was found beside the claims of the whole excess: they were of what the claims leave."""
+    """Scale the shares of the findings beside the claims to the whole excess: they were of what the claims leave."""
     left, whole = (float(np.sum(np.maximum(x - judged.floor, 0.0) / judged.floor)) for x in (after, judged.before))
     for finding in findings:
-        told = finding.takes
+        before = finding.takes
         finding.evidence["heldout_gain"] *= left / max(whole, 1e-300)
-        finding.says = finding.says.replace(told, finding.takes)
+        finding.says = finding.says.replace(before, finding.takes)
 
 
-def composed(claim: Claim, more: Mapping[str, Value]) -> dict[str, Value]:
+def combined_parameters(claim: Claim, more: Mapping[str, Value]) -> dict[str, Value]:
     """Return the parameters of a claim and of what the search found beside it: turns as one rotation, all else as a sum."""
     names = [f"{kind}_{axis}" for kind in ("turn", "tilt") for axis in "xyz" if f"{kind}_{axis}" in claim.parameters]
     first, then = (np.zeros(3), np.zeros(3))
@@ -116,6 +116,6 @@ def composed(claim: Claim, more: Mapping[str, Value]) -> dict[str, Value]:
         out[name] = Value(float(whole[at]), float(np.hypot(std[at], claim.parameters[name][1])), "rad")
     for name in [name for name in claim.parameters if name not in names]:
         value, deviation, unit = claim.parameters[name]
-        beside = more.get(name, Value(0.0, 0.0, unit))
-        out[name] = Value(value + beside.value, float(np.hypot(deviation, beside.std)), unit)
+        other = more.get(name, Value(0.0, 0.0, unit))
+        out[name] = Value(value + other.value, float(np.hypot(deviation, other.std)), unit)
     return {**{name: out.pop(name) for name in claim.parameters}, **out}

@@ -1,4 +1,4 @@
-"""From hypotheses to findings: one for each key, with all its channels, joints and parameters."""
+"""Findings from a fitted model: one per kind of effect, with all its channels, joints and parameters."""
 
 import re
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ from galen_hw.diagnosis.findings.quantities import SIGNAL, headline
 from galen_hw.diagnosis.findings.variables import joint_units
 from galen_hw.diagnosis.findings.wording import believing, saying
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
-from galen_hw.diagnosis.lack_of_fit.structure_test import FALSE_ALARM, Left
-from galen_hw.diagnosis.preprocessing.data_quality import Premise
+from galen_hw.diagnosis.lack_of_fit.structure_test import FALSE_ALARM, Structure
+from galen_hw.diagnosis.preprocessing.checks import Screening
 from galen_hw.diagnosis.result import UNKNOWN, Finding, Value
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
@@ -28,7 +28,7 @@ from galen_hw.spatial import Array
 
 
 def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list[Glitches]) -> list[Finding]:
-    """All findings, the most certain and largest first: by the product of score and share of the held-out error."""
+    """Return all findings, sorted by the product of score and share of the held-out error."""
     by_key: dict[str, list[Hypothesis]] = {}
     for h in model.effects:
         assert h.effect is not None, "effects, not nuisances"
@@ -41,15 +41,16 @@ def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list
 
 def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts: list[Hypothesis]) -> Finding:
     bench = model.bench
-    where = dict(zip(map(id, model.parts), model.slices(), strict=True))
     signal = np.zeros((len(bench.rows), bench.width))
     variance = np.zeros(bench.width)
     parameters: dict[str, Value] = {}
     free = _free(model)
     for n, h in enumerate(parts):
-        s = where[id(h)]
-        signal[:, list(h.raw.channels)] += h.does(model.final[s])
-        variance[list(h.raw.channels)] += _rms_variance(h, model.final[s], model.joint.covariance[s, s], free)
+        s = model.slice_of(h)
+        signal[:, list(h.raw.channels)] += h.contribution(model.final[s])
+        variance[list(h.raw.channels)] += _rms_variance(
+            h, model.final[s], model.parameter_errors.covariance[s, s], free
+        )
         parameters |= _parameters(model, h, s, prefix=_prefix(h) if len(parts) > 1 else "", number=n)
     power = np.mean((signal - free * signal.mean(axis=0)) ** 2, axis=0)
     energy = power / bench.noise.sigma**2
@@ -65,14 +66,14 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
     evidence = {"heldout_gain": gain, "score": score, "false_alarm_probability": chance}
     finding = Finding(key, channels, joints, "", parameters, evidence)
     remarks = dict.fromkeys(h.effect.remark for h in parts if h.effect is not None and h.effect.remark)
-    if key in judged.at_home:
+    if key in judged.cross_validated:
         remarks["The other recording hardly rouses it; that was told by blocks left out of this one."] = None
     finding.says = " ".join([says(finding), *remarks])
     return finding
 
 
 def says(finding: Finding) -> str:
-    """What physics and how much of it; why it is believed."""
+    """Return a finding in words: what physics, how much of it, and why it is believed."""
     key = finding.effect
     names = finding.joints or finding.channels
     place = ", ".join(names) if len(names) < 4 else f"{', '.join(names[:3])} and {len(names) - 3} more"
@@ -82,7 +83,7 @@ def says(finding: Finding) -> str:
 
 
 def _free(model: Model) -> Array:
-    """(C,) 1 where the baseline fits a constant offset, which is then no part of an effect's size."""
+    """Return 1 for channels (C,) with a constant offset in the baseline, which is no part of an effect's size, else 0."""
     out = np.zeros(model.bench.width)
     for h in model.nuisances:
         if len(h.raw.channels) == 1:
@@ -91,10 +92,10 @@ def _free(model: Model) -> Array:
 
 
 def _rms_variance(h: Hypothesis, theta: Array, covariance: Array, free: Array) -> Array:
-    """Variance of the rms of a signal in each of its channels, to first order in its parameters."""
-    free, does = free[list(h.raw.channels)], h.does(theta)
+    """Return the variance of the rms of a contribution in each of its channels, to first order in the parameters."""
+    free, contribution = free[list(h.raw.channels)], h.contribution(theta)
     centred = h.raw.values - free[:, None] * h.raw.values.mean(axis=0)
-    signal = does - free * does.mean(axis=0)
+    signal = contribution - free * contribution.mean(axis=0)
     size = np.sqrt(np.maximum(np.mean(signal**2, axis=0), 1e-300))
     slope = np.einsum("nc,nck->ck", signal, centred) / (len(signal) * size[:, None])
     return np.asarray(np.einsum("ck,kl,cl->c", slope, covariance, slope))
@@ -112,7 +113,7 @@ def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int)
     assert effect is not None, "effects, not nuisances"
     variance = model.variance[s]
     values = effect.searched()
-    searched = {name: model.joint.searched[model.effects.index(h), name] for name in values}
+    searched = {name: model.parameter_errors.searched[model.effects.index(h), name] for name in values}
     line = effect.line(bench.scene)
     if line is not None:
         values["frequency"], wandering = mean_frequency(model, h, line)
@@ -132,7 +133,7 @@ def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int)
 
 
 def _unit(scene: Scene, joints: tuple[str, ...], unit: str) -> str:
-    """Of "rad or m" and its like, inside a unit too, the one that the joint has."""
+    """Return the joint's own unit of "rad or m" and its like, inside a compound unit too."""
     if " or " not in unit or not joints or joints[0] not in scene.joint_names:
         return unit
     slides = joint_units(scene, joints[0])[0] == "m"
@@ -142,16 +143,15 @@ def _unit(scene: Scene, joints: tuple[str, ...], unit: str) -> str:
 
 
 def _evidence(model: Model, selection: Selection, parts: list[Hypothesis]) -> tuple[float, float]:
-    """Score and surprise of a finding: of its parts together, or the z of a constant."""
+    """Return score and surprise of a finding: of its parts together, or the z of a constant."""
     score, surprise = 0.0, 0.0
     for i, h in zip(selection.chosen, selection.hypotheses, strict=True):
         if any(h.effect is p.effect for p in parts) and i in selection.evidence:
             score += selection.evidence[i].rank
             surprise = max(surprise, selection.evidence[i].surprise)
     if score == 0.0:
-        where = dict(zip(map(id, model.parts), model.slices(), strict=True))
         for h in parts:
-            s = where[id(h)]
+            s = model.slice_of(h)
             gain = float(np.sum(model.final[s] ** 2 / np.maximum(np.diag(model.covariance)[s], 1e-300)))
             score += gain
             surprise = max(surprise, 0.5 * gain)
@@ -159,18 +159,18 @@ def _evidence(model: Model, selection: Selection, parts: list[Hypothesis]) -> tu
 
 
 def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
-    """Rows that stand off what the model says; their share is of the whole excess of the recording, theirs included."""
+    """Return the finding of isolated samples; its share is of the whole excess of the recording, theirs included."""
     bench, rows = model.bench, np.asarray(glitch.rows)
     places = [bench.scene.channels.index(name) for name in glitch.channels]
-    rest = outliers.off(model)
-    away, z = (x[rows][:, places] for x in (np.abs(rest), outliers.deviations(bench, rest)))
-    # In the channel that stands out most often: newtons and newton metres have no common size.
+    residual = outliers.sample_residual(model)
+    away, z = (x[rows][:, places] for x in (np.abs(residual), outliers.deviations(bench, residual)))
+    # In the channel with most of the largest deviations: newtons and newton metres have no common size.
     strongest = np.argmax(z, axis=1)
     first = int(np.bincount(strongest).argmax())
     size = float(np.median(away[strongest == first, first]))
     own = float(np.sum(z**2))
     others = float(np.sum(np.maximum(judged.before / judged.floor - 1.0, 0.0))) * len(bench.scene)
-    # Of samples that came again some stand nowhere off.
+    # Some repeated samples deviate nowhere.
     least = np.min(z, where=z > outliers.FAR, initial=np.max(z))
     chance = float(np.clip(len(bench.scene) * bench.width * erfc(least / np.sqrt(2.0)), 1e-300, 1.0))
     return Finding(
@@ -183,19 +183,21 @@ def _glitch(model: Model, judged: Judged, glitch: Glitches) -> Finding:
     )
 
 
-def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Premise, *, near: float = 0.9) -> Finding:
+def unknown_finding(
+    bench: Bench, judged: Judged, structures: list[Structure], screening: Screening, *, near: float = 0.9
+) -> Finding:
     """Return the finding of what nothing named explains.
 
     Args:
         near: share of the strongest evidence with which a plainer family of functions is named in its place.
     """
     names = bench.scene.channels
-    channels = list(dict.fromkeys([*premise.channels, *(names[one.channel] for one in left)]))
-    if premise.wrong:
-        says, share, z = premise.wrong[0], 0.0, 10.0
+    channels = list(dict.fromkeys([*screening.channels, *(names[one.channel] for one in structures)]))
+    if screening.wrong:
+        says, share, z = screening.wrong[0], 0.0, 10.0
     else:
-        # What says the same in plainer words is what people want to read.
-        alike = [one for one in left if one.channel == left[0].channel and one.z >= near * left[0].z]
+        # A simpler family that explains as much is reported instead.
+        alike = [one for one in structures if one.channel == structures[0].channel and one.z >= near * structures[0].z]
         best = min(alike, key=lambda one: one.place)
         share, z = best.share, best.z
         where = names[best.channel] + (f" of {ELSEWHERE}" if best.elsewhere else "")
@@ -231,14 +233,14 @@ def unknown_finding(bench: Bench, judged: Judged, left: list[Left], premise: Pre
         says += "; they are not saved."
     parameters = {"share_left": Value(float(share), 0.0, "1")}
     for c in np.flatnonzero(judged.reached != judged.after):
-        # What the findings with a name leave on held-out data: a saved model reaches this, not `rmse_after`.
+        # Held-out error of the named findings: a saved model reaches this, not `rmse_after`.
         parameters[f"rmse_named_{names[c]}"] = Value(float(np.sqrt(judged.after[c])), 0.0, bench.scene.units[c])
     evidence = {"heldout_gain": gain, "score": float(z), "false_alarm_probability": FALSE_ALARM}
     return Finding(UNKNOWN, channels, [], says, parameters, evidence)
 
 
 def dependence(kind: str, names: Sequence[str]) -> str:
-    """What generic functions found, in words; inputs by their names, see `generic.Inputs`."""
+    """Return what generic functions depend on, in words; inputs by their names, see `basis_functions.Inputs`."""
     number = re.fullmatch(r"periodic in input (\d+)", kind)
     if number:
         return f"it repeats along {names[int(number[1]) - 1]}"

@@ -1,6 +1,6 @@
-"""Where the mismatch sits: channels, times, and regions of joint space, speed, direction, load and temperature.
+"""Localisation of the mismatch: channels, times, and regions of joint space, speed, load and temperature.
 
-Regions are found on the rows that the diagnosis learns from and kept only if rows that were set aside agree.
+Regions are found on training rows and kept only if held-out rows agree.
 """
 
 import itertools
@@ -19,7 +19,7 @@ from galen_hw.spatial import Array
 
 
 def channels_of(bench: Bench, judged: Judged) -> list[dict[str, Any]]:
-    """Every channel with its share of the excess, in units of its noise; most first, and last those that read nothing."""
+    """Return every channel with its share of the excess in units of its noise, most first; last those without data."""
     floor = judged.floor
     excess = np.maximum(judged.before / floor - 1.0 - 3.0 * np.sqrt(2.0 / max(len(bench.rows), 1)), 0.0)
     share = excess / max(float(excess.sum()), 1e-300)
@@ -28,9 +28,9 @@ def channels_of(bench: Bench, judged: Judged) -> list[dict[str, Any]]:
             "channel": bench.scene.channels[c],
             "excess_share": float(share[c]),
             "rmse": float(np.sqrt(judged.before[c])),
-            "noise_floor": 0.0 if bench.unread[c] else float(np.sqrt(floor[c])),
+            "noise_floor": 0.0 if bench.without_data[c] else float(np.sqrt(floor[c])),
         }
-        for c in np.lexsort((-share, bench.unread))
+        for c in np.lexsort((-share, bench.without_data))
     ]
 
 
@@ -50,25 +50,25 @@ class Region:
     mask: Mask
 
     @property
-    def lift(self) -> float:
-        """How much more of the excess than of the rows."""
+    def concentration(self) -> float:
+        """Share of the excess beyond the share of the rows."""
         return self.share - self.rows
 
 
 def where_of(model: Model, *, least: float = 0.5) -> list[dict[str, Any]]:
-    """Regions that hold much more of the excess than of the rows, then variables of which the excess is a function.
+    """Return regions that hold much more of the excess than of the rows, then variables that explain the excess.
 
     Args:
         least: share of the held-out excess from which a variable is said to organise it.
     """
     bench = model.bench
-    rest = baseline_rest(model)
+    residual = baseline_residual(model)
     known = variables(bench)
-    energy = np.sum((rest**2 / bench.noise.sigma**2 - 1.0)[:, ~bench.unread], axis=1)
+    energy = np.sum((residual**2 / bench.noise.sigma**2 - 1.0)[:, ~bench.without_data], axis=1)
     found = regions(bench, known, energy)
     out = [_region_entry(one) for one in found]
     named = {one.parts[0][0].name for one in found}
-    for variable, share, channel in organised(bench, known, rest)[:2]:
+    for variable, share, channel in organised(bench, known, residual)[:2]:
         if share > least and variable.name not in named:
             low, high = float(variable.values.min()), float(variable.values.max())
             says = f"{100 * share:.0f} % of the unexplained error of {channel} is one function of {variable.name}"
@@ -76,8 +76,8 @@ def where_of(model: Model, *, least: float = 0.5) -> list[dict[str, Any]]:
     return out
 
 
-def baseline_rest(model: Model) -> Array:
-    """(M, C) what was recorded less the baseline, whose own nuisances are fitted by least squares on the training rows."""
+def baseline_residual(model: Model) -> Array:
+    """Return the residual (M, C) of the baseline, its nuisances fitted by least squares on the training rows."""
     bench, parts = model.bench, model.nuisances
     if not parts:
         return bench.whole
@@ -87,18 +87,18 @@ def baseline_rest(model: Model) -> Array:
 
 
 def regions(bench: Bench, known: list[Variable], energy: Array, *, most: int = 3) -> list[Region]:
-    """The best region of every variable, those that say the same as a better one left out.
+    """Return the best region of every variable, without those that overlap with a better one.
 
     Args:
-        most: regions that are told.
+        most: number of reported regions.
     """
     learn, check = halves(bench)
-    if len(energy) < 60 or not (_sure(bench, energy, learn) and _sure(bench, energy, check)):
+    if len(energy) < 60 or not (_significant(bench, energy, learn) and _significant(bench, energy, check)):
         return []
     everywhere = np.ones(len(energy), dtype=bool)
     single = [one for v in known if (one := _region((), everywhere, v, energy, bench, learn, check))]
     # Speeds and loads often only follow positions: they must hold clearly more to be named in their stead.
-    single.sort(key=lambda one: -one.lift - (0.08 if one.parts[0][0].name.endswith(".position") else 0.0))
+    single.sort(key=lambda one: -one.concentration - (0.08 if one.parts[0][0].name.endswith(".position") else 0.0))
     kept: list[Region] = []
     for one in single:
         if len(kept) < most and all(_overlap(one.mask, other.mask) < 0.5 for other in kept):
@@ -107,7 +107,7 @@ def regions(bench: Bench, known: list[Variable], energy: Array, *, most: int = 3
 
 
 def halves(bench: Bench) -> tuple[Mask, Mask]:
-    """Rows to find on and rows to check on: set aside, or every other block where none were."""
+    """Return rows to find regions on and rows to check them on: held out, or every other block without held-out rows."""
     if bench.judged.any():
         return bench.train, bench.judged
     odd = bench.block % 2 == 1
@@ -125,12 +125,12 @@ def _region(
     *,
     widest: float = 0.7,
 ) -> Region | None:
-    """The range of a variable, within `inside`, that holds most excess beyond its rows; None if other rows disagree.
+    """Return the range of a variable, within `inside`, with most excess beyond its rows; None if other rows disagree.
 
     Args:
         widest: share of the rows; what holds more of them is no region.
     """
-    found = _scan(variable.values[learn & inside], energy[learn & inside])
+    found = _best_range(variable.values[learn & inside], energy[learn & inside])
     if found is None:
         return None
     mask = inside & (variable.values >= found[0]) & (variable.values <= found[1])
@@ -138,9 +138,9 @@ def _region(
     total = float(energy[check & inside].sum())
     if not 0.0 < rows < widest or total <= 0.0:
         return None
-    # Blocks are what is independent: a region that one loud block makes is none.
+    # Blocks are independent: a region needs more than one block with a large excess.
     surplus = np.where(check & inside, energy * (mask - rows), 0.0)
-    if not _sure(bench, surplus, check & inside):
+    if not _significant(bench, surplus, check & inside):
         return None
     share = float(energy[check & mask].sum() / total)
     if share < rows + 0.15:
@@ -151,7 +151,7 @@ def _region(
     )
 
 
-def _sure(bench: Bench, surplus: Array, rows: Mask, *, needed: float = 2.5) -> bool:
+def _significant(bench: Bench, surplus: Array, rows: Mask, *, needed: float = 2.5) -> bool:
     """Return whether the sum over some rows lies above zero by more than blocks of them differ.
 
     Args:
@@ -162,8 +162,8 @@ def _sure(bench: Bench, surplus: Array, rows: Mask, *, needed: float = 2.5) -> b
     return float(by_block.sum()) > needed * spread
 
 
-def _scan(values: Array, energy: Array, *, count: int = 16) -> tuple[float, float] | None:
-    """The range of bins of equal count whose share of the energy exceeds its share of the rows most.
+def _best_range(values: Array, energy: Array, *, count: int = 16) -> tuple[float, float] | None:
+    """Return the range of bins of equal count whose share of the energy exceeds its share of the rows most.
 
     Args:
         count: bins.
@@ -185,7 +185,7 @@ def _scan(values: Array, energy: Array, *, count: int = 16) -> tuple[float, floa
 
 
 def _narrowed(one: Region, known: list[Variable], energy: Array, bench: Bench, learn: Mask, check: Mask) -> Region:
-    """The region cut by a second variable, where that holds clearly more of the excess a row."""
+    """Return the region restricted by a second variable, where that holds clearly more of the excess per row."""
     parts, inside = one.parts, one.mask
     own = one.parts[0][0]
     found = [
@@ -193,8 +193,8 @@ def _narrowed(one: Region, known: list[Variable], energy: Array, bench: Bench, l
         for v in known
         if v is not own and v.about != own.about and (two := _region(parts, inside, v, energy, bench, learn, check))
     ]
-    best = max(found, key=lambda two: two.lift, default=one)
-    return best if best.lift > one.lift + 0.02 and best.share > 0.5 * one.share else one
+    best = max(found, key=lambda two: two.concentration, default=one)
+    return best if best.concentration > one.concentration + 0.02 and best.share > 0.5 * one.share else one
 
 
 def _overlap(a: Mask, b: Mask) -> float:
@@ -208,14 +208,16 @@ def _region_entry(one: Region) -> dict[str, Any]:
     return {"variable": variable.name, "range": [low, high], "excess_share": one.share, "says": says}
 
 
-def organised(bench: Bench, known: list[Variable], rest: Array, bins: int = 20) -> list[tuple[Variable, float, str]]:
-    """For every variable the share of the excess of its best channel that is a function of it, on rows set aside.
+def organised(
+    bench: Bench, known: list[Variable], residual: Array, bins: int = 20
+) -> list[tuple[Variable, float, str]]:
+    """Return for every variable the share of its best channel's excess that is a function of it, on held-out rows.
 
     The function is the mean in bins of equal count, learnt on the other rows; most first.
     """
     learn, check = halves(bench)
     floor, names = bench.noise.sigma**2, bench.scene.channels
-    excess = np.mean(rest[check] ** 2, axis=0) - floor
+    excess = np.mean(residual[check] ** 2, axis=0) - floor
     able = np.flatnonzero(excess / floor > 0.05 * max(float(np.max(excess / floor)), 1e-300))
     out = []
     for v in known:
@@ -224,16 +226,16 @@ def organised(bench: Bench, known: list[Variable], rest: Array, bins: int = 20) 
             continue
         place = np.clip(np.searchsorted(edges, v.values, side="right") - 1, 0, len(edges) - 2)
         count = np.maximum(np.bincount(place[learn], minlength=len(edges) - 1), 1)
-        mean = [np.bincount(place[learn], rest[learn, c], len(edges) - 1) / count for c in able]
-        after = [float(np.mean((rest[check, c] - m[place[check]]) ** 2)) for c, m in zip(able, mean, strict=True)]
-        share = [(np.mean(rest[check, c] ** 2) - a) / excess[c] for c, a in zip(able, after, strict=True)]
+        mean = [np.bincount(place[learn], residual[learn, c], len(edges) - 1) / count for c in able]
+        after = [float(np.mean((residual[check, c] - m[place[check]]) ** 2)) for c, m in zip(able, mean, strict=True)]
+        share = [(np.mean(residual[check, c] ** 2) - a) / excess[c] for c, a in zip(able, after, strict=True)]
         best = int(np.argmax(share * excess[able] / floor[able]))
         out.append((v, float(np.clip(share[best], 0.0, 1.0)), names[able[best]]))
     return sorted(out, key=lambda one: -one[1])
 
 
 def episodes_of(model: Model, glitch: list[Glitches]) -> list[list[float]]:
-    """Times at which something happens: of contacts, after steps, around glitches; else where the excess is loud."""
+    """Return times of events: contacts, after steps, around glitches; without events, times of large excess."""
     scene, end = model.bench.scene, float(model.bench.scene.time[-1])
     out: list[list[float]] = []
     steps: list[float] = []
@@ -251,9 +253,9 @@ def episodes_of(model: Model, glitch: list[Glitches]) -> list[list[float]]:
 
 
 def _loud(model: Model) -> list[list[float]]:
-    """Stretches whose energy is more than twice the mean."""
+    """Return stretches of the recording whose energy is more than twice the mean."""
     bench = model.bench
-    energy = np.sum(baseline_rest(model) ** 2 / bench.noise.sigma**2, axis=1)
+    energy = np.sum(baseline_residual(model) ** 2 / bench.noise.sigma**2, axis=1)
     count = min(60, len(energy) // 8)
     if count < 8:
         return []

@@ -1,4 +1,4 @@
-"""How large a finding is, for people: the parameters that matter, in units that read well, with their uncertainty."""
+"""The size of a finding for people: the parameters that matter, in readable units, with their uncertainty."""
 
 import math
 import re
@@ -28,7 +28,7 @@ class Shown:
 
 
 def quantity(value: float, std: float | None, unit: str) -> str:
-    """A number with its standard deviation and unit, as many digits as it deserves."""
+    """Return a number with its standard deviation and unit, with as many digits as are significant."""
     if std is None or not std > 0.0 or not math.isfinite(std):
         return f"{value:.4g} {unit}".strip()
     place = _order(std)
@@ -43,7 +43,7 @@ def _order(x: float) -> int:
 
 
 def readable(value: float, std: float, unit: str, name: str = "") -> Shown:
-    """SI in a unit that people read: mm, mrad or deg, ms, g, N mm, per cent."""
+    """Return an SI quantity in a unit that people read: mm, mrad or deg, ms, g, N mm, per cent."""
     if name in PERCENT and unit == "1":
         return Shown(100.0 * value, 100.0 * std, "%")
     size = max(abs(value), std) if math.isfinite(std) else abs(value)
@@ -68,13 +68,13 @@ def readable(value: float, std: float, unit: str, name: str = "") -> Shown:
 
 
 def text(name: str, value: Value) -> str:
-    """One parameter for people."""
+    """Return one parameter in words."""
     shown = readable(value.value, value.std, value.unit, name)
     return quantity(shown.value, shown.std, shown.unit)
 
 
 def headline(finding: Finding, *, most: int = 3) -> str:
-    """The size of a finding in a few words: up to three parameters, ranges over joints or channels.
+    """Return the size of a finding in a few words: up to three parameters, ranges over joints or channels.
 
     Args:
         most: parameters that are named.
@@ -97,7 +97,7 @@ def _sure(value: Value) -> bool:
 
 
 def _by_name(parameters: Mapping[str, Value]) -> dict[str, list[Value]]:
-    """Parameters of all parts under their bare name: "joint3: coulomb" is a coulomb."""
+    """Return the parameters of all parts by their bare name: "joint3: coulomb" is a coulomb."""
     out: dict[str, list[Value]] = {}
     for name, value in parameters.items():
         out.setdefault(name.rsplit(": ", 1)[-1], []).append(value)

@@ -1,4 +1,4 @@
-"""What a mismatch may depend on, by name and unit: joints' positions, speeds and loads, forces, temperatures."""
+"""Variables that a mismatch may depend on: positions, speeds and loads of joints, forces, temperatures."""
 
 from dataclasses import dataclass
 
@@ -26,8 +26,13 @@ class Variable:
     about: str
     values: Array
 
+    @property
+    def label(self) -> str:
+        """Name for people: "tilt position"."""
+        return self.name.removeprefix("joint.").replace(".", " ")
+
     def span(self, low: float, high: float, *, outside: float = 0.02) -> str:
-        """A range in words: from, above, below, or the direction where it is all of one sign.
+        """Return a range in words: from, above, below, or the direction where it is all of one sign.
 
         Args:
             low, high: of the range.
@@ -46,12 +51,12 @@ class Variable:
 
 
 def joint_units(scene: Scene, joint: str) -> tuple[str, str]:
-    """Units of a joint's position and load: m and N where it slides, rad and N m where it turns."""
+    """Return the units of a joint's position and load: m and N where it slides, rad and N m where it turns."""
     return scene.joint_units(joint)
 
 
 def variables(bench: Bench) -> list[Variable]:
-    """All that is known of the recording's rows and varies."""
+    """Return all known variables of the recording's rows that vary."""
     scene, average, out = bench.scene, bench.rows.average, []
     for joint in scene.moved:
         j, (unit, load_unit) = scene.joint_index(joint), joint_units(scene, joint)
@@ -68,7 +73,7 @@ def variables(bench: Bench) -> list[Variable]:
 
 
 def _columns(bench: Bench) -> list[Variable]:
-    """Temperatures, the size of the applied force, and whatever else was recorded beside."""
+    """Return temperatures, the magnitude of the applied force, and other recorded covariates."""
     columns, average, out = bench.scene.observations.columns, bench.rows.average, []
     for name, values in columns.items():
         unit = "degC" if name.startswith("temperature.") else ""
@@ -81,7 +86,7 @@ def _columns(bench: Bench) -> list[Variable]:
 
 
 def _gravity(bench: Bench) -> list[Variable]:
-    """Where only the sensor's orientation is known: gravity as the sensor sees it."""
+    """Return gravity in the sensor's frame, where only the sensor's orientation is known."""
     scene = bench.scene
     if not isinstance(scene, WrenchScene):
         return []

@@ -1,6 +1,6 @@
-"""What is said in plain words: of findings, why they are believed, and why look-alikes cannot be told apart.
+"""Words for findings: what they are, why they are believed, and why look-alikes cannot be told apart.
 
-The words themselves stand with each effect, see `Words`.
+The words themselves are in each effect's class, see `Words`.
 """
 
 from collections.abc import Iterable
@@ -14,13 +14,13 @@ REPEATED: Final = "record a motion over a wider range, at two speeds"
 
 
 def why(found: str, rival: str) -> str:
-    """Why two effects cannot be told apart: by structure where that is known, else what this recording shows."""
+    """Return why two effects cannot be told apart: by structure where that is known, else by this recording."""
     one, other = effect_class(found), effect_class(rival)
     return one.ALIKE.get(rival) or other.ALIKE.get(found) or ALIKE
 
 
 def structural(found: str, scene: Scene, parameters: Iterable[str] = ()) -> list[str]:
-    """Effects that no recording of this kind can tell from the one found, whatever the likelihood says.
+    """Return effects that no recording of this kind can tell from the one found, whatever the likelihood.
 
     Args:
         found: key; parameters: names of the finding's parameters.
@@ -29,7 +29,7 @@ def structural(found: str, scene: Scene, parameters: Iterable[str] = ()) -> list
 
 
 def settled_by(found: str, rival: str) -> str:
-    """What would tell two effects apart where it cannot be simulated."""
+    """Return what would tell two effects apart where that cannot be simulated."""
     one, other = effect_class(found), effect_class(rival)
     apart = one.TOLD_APART.get(rival) or other.TOLD_APART.get(found)
     return apart or other.CONFIRMED_BY or one.CONFIRMED_BY or REPEATED

@@ -1,7 +1,7 @@
-"""The recording that would settle what is open: every recipe is simulated with both rivals, the quickest one is named.
+"""The next experiment: every recipe is simulated with both rivals, and the quickest one is recommended.
 
 T-optimality (Atkinson and Fedorov 1975): a recipe is worth D = min over the rival's parameters of the whitened squared distance
-between the found effect's signal and the rival's, beside nuisances and the other effects; D is the expected fall of twice the log
+between the found effect's signal and the rival's, given nuisances and the other effects; D is the expected fall of twice the log
 likelihood when the wrong one is believed. Both are taken for the truth in turn and the smaller D counts. The best recipe is the
 one that reaches odds of a thousand to one soonest.
 """
@@ -17,8 +17,8 @@ from galen_hw.diagnosis.findings.quantities import SIGNAL
 from galen_hw.diagnosis.findings.wording import settled_by
 from galen_hw.diagnosis.identifiability.motions import MEANS, Recipe, recipes
 from galen_hw.diagnosis.identifiability.rivals import Rival, rivals
-from galen_hw.diagnosis.identifiability.simulate import Eye, Stage, beside, stacked, stage
-from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.identifiability.simulate import NoiseMetric, Stage, projected_out, stacked, stage
+from galen_hw.diagnosis.lack_of_fit.structure_test import Structure
 from galen_hw.diagnosis.result import Finding
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.physics.effects.base import Effect
@@ -62,13 +62,13 @@ class Pair:
     now: float
 
 
-def next_experiment(model: Model, selection: Selection, findings: list[Finding], left: list[Left]) -> str:
-    """One or two sentences: what to record next, and what that would show."""
+def next_experiment(model: Model, selection: Selection, findings: list[Finding], structures: list[Structure]) -> str:
+    """Return one or two sentences: what to record next, and what that would show."""
     if any(not f.named and not f.parameters["share_left"].value for f in findings):
         return "First put right what is said of the recording itself; nothing else is worth an experiment before."
     said = [_settled(model, selection, f) for f in findings if f.rivals][:1]
-    if left:
-        said.append(_unexplained(model, left))
+    if structures:
+        said.append(_unexplained(model, structures))
     if not said:
         said.append(_sharper(model, findings) if findings else _smaller(model))
     return " ".join(said)
@@ -84,7 +84,7 @@ def _settled(model: Model, selection: Selection, finding: Finding) -> str:
 
 
 def pair_of(selection: Selection, finding: Finding, rival: str, model: Model) -> Pair | None:
-    """The finding and its rival with parameters; None where the rival has no hypothesis to stage."""
+    """Return the finding and its rival with parameters; None where the rival has no hypothesis to simulate."""
     scorer = selection.scorer
     near: list[Rival] = [r for r in rivals(selection, finding, everyone=True) if rival == r.key]
     part = next((h for h in model.effects if h.effect is not None and finding.effect == h.effect.KEY), None)
@@ -96,43 +96,44 @@ def pair_of(selection: Selection, finding: Finding, rival: str, model: Model) ->
         found = scorer.library[one.instead].effect or part.effect
         effects = (h.effect for h in scorer.library if h.effect is not None)
         kin = tuple(effect for effect in effects if effect.family == one.effect.family)
-        mine = _straight(model, part) if found.curved else (found, one.own)
+        mine = _linearised(model, part) if found.curved else (found, one.own)
         return Pair(*mine, one.effect, one.theta, kin[:8], one.angle)
     supposed = effect_class(rival).supposed(model.bench.scene.channels[part.raw.channels[0]])
     if supposed is None:
         return None
-    # Of what drives the rival nothing was recorded: it is taken to have done as much within the range supposed.
+    # The rival's input was not recorded: it is assumed to explain as much within the supposed range.
     other, span = supposed
-    theta = _straight(model, part)[1]
-    size = float(np.ptp(part.does(theta)[:, 0])) / span
+    theta = _linearised(model, part)[1]
+    size = float(np.ptp(part.contribution(theta)[:, 0])) / span
     return Pair(part.effect, theta, other, np.array([size]), (other,), float("nan"))
 
 
-def _straight(model: Model, h: Hypothesis) -> tuple[Effect, Array]:
-    """An effect of the model with its parameters (k,) as columns can be staged of it: what is curved, by its relaxation."""
-    theta = model.final[dict(zip(map(id, model.parts), model.slices(), strict=True))[id(h)]]
+def _linearised(model: Model, h: Hypothesis) -> tuple[Effect, Array]:
+    """Return an effect that has columns, with its parameters (k,): of a nonlinear one its linear relaxation."""
+    theta = model.final[model.slice_of(h)]
     assert h.effect is not None, "effects, not nuisances"
     if not h.effect.curved:
         return h.effect, theta
-    X = model.bench.raw(h.effect.relaxed).full(model.bench.width).reshape(h.does(theta).size, -1)
-    return h.effect.relaxed, np.asarray(np.linalg.lstsq(X, h.does(theta).reshape(-1), rcond=1e-9)[0], dtype=float)
+    X = model.bench.raw(h.effect.relaxed).full(model.bench.width).reshape(h.contribution(theta).size, -1)
+    return h.effect.relaxed, np.asarray(
+        np.linalg.lstsq(X, h.contribution(theta).reshape(-1), rcond=1e-9)[0], dtype=float
+    )
 
 
 def best_of(model: Model, pair: Pair) -> Advice | None:
-    """The recipe that settles the pair soonest; None where none of them can."""
-    able = [a for a in _advised(model, pair) if a.distance > 0.05 * SETTLED and a.minutes < MEANS.longest]
-    # Where the two stay close, what the model leaves out elsewhere decides: a wide angle comes first.
+    """Return the recipe that settles the pair soonest; None where no recipe can."""
+    able = [a for a in _advised(model, pair) if a.distance > 0.05 * SETTLED]
+    # Where the two stay close, small model errors decide: a wide angle comes first.
     wide = [a for a in able if a.angle >= WIDE]
     return min(wide or able, key=lambda a: a.minutes, default=None)
 
 
 def options_of(model: Model, selection: Selection, findings: list[Finding]) -> list[Advice]:
-    """All recipes for the first open question, quickest first; none where nothing is open."""
+    """Return all recipes for the first open question, quickest first; none where nothing is open."""
     for finding in findings:
         if finding.rivals:
             pair = pair_of(selection, finding, finding.rivals[0].effect, model)
-            able = [] if pair is None else [a for a in _advised(model, pair) if a.minutes < MEANS.longest]
-            return sorted(able, key=lambda a: (a.angle < WIDE, a.minutes))
+            return sorted([] if pair is None else _advised(model, pair), key=lambda a: (a.angle < WIDE, a.minutes))
     return []
 
 
@@ -140,7 +141,7 @@ def _advised(model: Model, pair: Pair) -> Iterator[Advice]:
     bench, joints = model.bench, tuple(dict.fromkeys((*pair.found.joints, *pair.rival.joints)))
     keys = {pair.found.KEY, pair.rival.KEY}
     others = [h for h in model.effects if h.effect is not None and h.effect.KEY not in keys]
-    for recipe in recipes(bench.scene, _step(model), joints):
+    for recipe in recipes(bench.scene, model.bench.period, joints):
         if recipe.keys and not recipe.keys & keys:
             continue
         try:
@@ -148,13 +149,8 @@ def _advised(model: Model, pair: Pair) -> Iterator[Advice]:
         except ValueError:
             return
         advice = _distance(model, staged, pair, others)
-        if advice is not None:
+        if advice is not None and advice.minutes < MEANS.longest:
             yield advice
-
-
-def _step(model: Model) -> float:
-    """Seconds between rows of the bench."""
-    return float(np.median(np.diff(model.bench.rows.average(model.bench.scene.time))))
 
 
 def _distance(model: Model, staged: Stage, pair: Pair, others: list[Hypothesis]) -> Advice | None:
@@ -164,9 +160,9 @@ def _distance(model: Model, staged: Stage, pair: Pair, others: list[Hypothesis])
         return None
     if found.shape[2] != pair.theta.size or rival.shape[2] != pair.rival_theta.size:
         return None  # what belongs to the recording's own moments has no counterpart in another
-    eye = Eye(bench, staged)
+    metric = NoiseMetric(bench, staged)
     nuisance = _nuisances(staged, others, width, constants=not (pair.found.CONSTANT or pair.rival.CONSTANT))
-    white = beside(eye.whiten(np.concatenate([found, rival], axis=2)), N := eye.whiten(nuisance))
+    white = projected_out(metric.whiten(np.concatenate([found, rival], axis=2)), N := metric.whiten(nuisance))
     F, R = white[:, : found.shape[2]], white[:, found.shape[2] :]
     signal = F @ (staged.scale(pair.found) * pair.theta)
     answer = R @ (staged.scale(pair.rival) * pair.rival_theta)
@@ -174,9 +170,9 @@ def _distance(model: Model, staged: Stage, pair: Pair, others: list[Hypothesis])
     for effect in pair.kin:
         columns = staged.columns(effect, width)
         if columns is not None:
-            kin.append(beside(eye.whiten(columns), N))
-    apart = [float(np.sum(_rest(signal, X) ** 2)) for X in kin]
-    back = float(np.sum(_rest(answer, F) ** 2))
+            kin.append(projected_out(metric.whiten(columns), N))
+    apart = [float(np.sum(_residual(signal, X) ** 2)) for X in kin]
+    back = float(np.sum(_residual(answer, F) ** 2))
     distance = min(*apart, back)
     size = float(signal @ signal)
     angle = float(np.degrees(np.arcsin(np.sqrt(np.clip(min(apart) / size, 0.0, 1.0))))) if size > 0.0 else 0.0
@@ -185,22 +181,22 @@ def _distance(model: Model, staged: Stage, pair: Pair, others: list[Hypothesis])
 
 
 def _nuisances(staged: Stage, others: list[Hypothesis], width: int, *, constants: bool = True, most: int = 6) -> Array:
-    """Constants of all channels and the other effects, over all parts; of these at most so many."""
+    """Return columns of all channels' constants and of the other effects (at most so many), over all parts."""
     rows = sum(len(scene) for scene in staged.scenes)
     known = [np.tile(np.eye(width), (rows, 1, 1))] if constants else []
     more = [staged.columns(h.effect, width) for h in others[:most] if h.effect is not None]
     return stacked([*known, *(c for c in more if c is not None)], rows, width)
 
 
-def _rest(y: Array, X: Array) -> Array:
-    return beside(y[:, None], X)[:, 0]
+def _residual(y: Array, X: Array) -> Array:
+    return projected_out(y[:, None], X)[:, 0]
 
 
 def _settling(pair: Pair, advice: Advice, *, most_odds: float = 1e6) -> str:
-    """The recipe for two rivals and what it would show.
+    """Return the recipe for two rivals and what it would show, in words.
 
     Args:
-        most_odds: that are told as a number: what is said of noise holds no further.
+        most_odds: that are reported as a number: the noise model holds no further.
     """
     names = f"{_plain(pair.found.KEY)} from {_plain(pair.rival.KEY)}"
     runs = round(advice.minutes / advice.recipe.minutes)
@@ -227,12 +223,12 @@ def _plain(key: str) -> str:
     return key.replace("_", " ")
 
 
-def _unexplained(model: Model, left: list[Left]) -> str:
-    """Where no name fits: whether it is of place, of time or of speed."""
-    place = f" in {model.bench.scene.channels[left[0].channel]}"
-    if left[0].kind.startswith("covariate."):
+def _unexplained(model: Model, structures: list[Structure]) -> str:
+    """Return what to record where structure has no name: whether it depends on place, time or speed."""
+    place, kind = f" in {model.bench.scene.channels[structures[0].channel]}", structures[0].kind
+    if kind.startswith("covariate."):
         return (
-            f"Something is left{place} that no name fits and that {left[0].kind} goes with: run once with that held constant, "
+            f"Something is left{place} that no name fits and that {kind} goes with: run once with that held constant, "
             "and once with it alone moved, up and down again, with pauses. What stays after a pause is friction or play, what "
             "goes back with it is give."
         )
@@ -248,7 +244,7 @@ def _unexplained(model: Model, left: list[Left]) -> str:
 
 
 def _sharper(model: Model, findings: list[Finding], *, loose_error: float = 0.05) -> str:
-    """With every name settled: the effect whose size is least certain and the recipe that halves its error soonest.
+    """Return the recipe that halves the relative error of the least certain effect soonest, in words.
 
     Args:
         loose_error: relative standard error from which a parameter is worth another recording.
@@ -271,18 +267,18 @@ def _sharper(model: Model, findings: list[Finding], *, loose_error: float = 0.05
 
 
 def _error(finding: Finding) -> float:
-    """Relative standard error of a finding's size."""
+    """Return the relative standard error of a finding's size."""
     size = finding.parameters.get(SIGNAL)
     return size.std / size.value if size is not None and size.value > 0.0 else 0.0
 
 
 def _halving(model: Model, h: Hypothesis, error: float) -> Advice | None:
-    """The recipe whose information on an effect's size reaches three times the present one soonest."""
+    """Return the recipe whose information on an effect's size reaches three times the present one soonest."""
     assert h.effect is not None, "effects, not nuisances"
-    effect, theta = _straight(model, h)
+    effect, theta = _linearised(model, h)
     others = [o for o in model.effects if o is not h]
     out = []
-    for recipe in recipes(model.bench.scene, _step(model), effect.joints):
+    for recipe in recipes(model.bench.scene, model.bench.period, effect.joints):
         try:
             staged = stage(model.bench.scene, recipe)
         except ValueError:
@@ -290,8 +286,8 @@ def _halving(model: Model, h: Hypothesis, error: float) -> Advice | None:
         columns = None if recipe.keys else staged.columns(effect, model.bench.width)
         if columns is None:
             continue
-        eye = Eye(model.bench, staged)
-        X = beside(eye.whiten(columns), eye.whiten(_nuisances(staged, others, model.bench.width)))
+        metric = NoiseMetric(model.bench, staged)
+        X = projected_out(metric.whiten(columns), metric.whiten(_nuisances(staged, others, model.bench.width)))
         signal = X @ theta
         runs = max(1.0, np.ceil(3.0 / max(error**2 * float(signal @ signal), 1e-9)))
         out.append(Advice(recipe, float(signal @ signal), float(recipe.minutes * runs), 90.0))
@@ -300,12 +296,12 @@ def _halving(model: Model, h: Hypothesis, error: float) -> Advice | None:
 
 
 def _smaller(model: Model) -> str:
-    """With nothing found: the smallest effect that would have been seen, and how to see smaller ones."""
+    """Return the smallest effect that would have been detected, and how to detect smaller ones, in words."""
     bench = model.bench
     least = bench.detectable
-    # Of channels in different units, the one in which most of what is simulated could hide.
+    # Of channels in different units, the one with the largest limit relative to its simulated range.
     reach = np.ptp(bench.simulated, axis=0)
-    c = int(np.argmax(np.where(bench.unread, -np.inf, least / np.maximum(reach, least))))
+    c = int(np.argmax(np.where(bench.without_data, -np.inf, least / np.maximum(reach, least))))
     unit, name = bench.scene.units[c], bench.scene.channels[c]
     return (
         f"Nothing is open: an effect of {least[c]:.2g} {unit} rms in {name} alone would have been seen. "

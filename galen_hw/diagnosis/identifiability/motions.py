@@ -1,6 +1,6 @@
-"""Recordings that could be made next, as joint motions of this robot within the range that it has shown.
+"""Candidate recordings: joint motions of this robot within the range that it has shown.
 
-Each recipe has a name, a sentence that an operator can follow, its length, and the stretches of motion that make it up.
+Each recipe has a name, a sentence that an operator can follow, its length, and its stretches of motion.
 """
 
 import itertools
@@ -20,7 +20,7 @@ from galen_hw.spatial import Array
 
 @dataclass(frozen=True)
 class Means:
-    """What a workshop beside the robot has at hand.
+    """Equipment that is available beside the robot.
 
     Args:
         mass: kg of a known weight that is hung on the tool beside its own; force: N of a known weight on the tip.
@@ -100,7 +100,7 @@ class Room:
 
 
 def room_of(scene: Scene, step: float) -> Room:
-    """From the recording's own motion."""
+    """Return the range of motion that the recording shows."""
     index = tuple(scene.joint_index(j) for j in scene.moved)
     q = np.where(np.isfinite(scene.q), scene.q, 0.0)
     speed, ramp = np.ones(q.shape[1]), np.zeros(q.shape[1])
@@ -111,7 +111,7 @@ def room_of(scene: Scene, step: float) -> Room:
 
 
 def recipes(scene: Scene, step: float, joints: tuple[str, ...]) -> Iterator[Recipe]:
-    """All that this robot can do; sweeps for the named joints that moved, else for every one (at most five).
+    """Yield all recipes; sweeps for the named joints that moved, else for every one (at most five).
 
     Args:
         scene: the recording; step: s between its rows as they were diagnosed.
@@ -130,7 +130,7 @@ def recipes(scene: Scene, step: float, joints: tuple[str, ...]) -> Iterator[Reci
 
 
 def _sweeps(scene: Scene, room: Room, joint: str) -> Iterator[Recipe]:
-    """To and fro with one joint: slowly, by sizes, by speeds, with quick starts, with long rests."""
+    """Yield sweeps of one joint: slowly, by sizes, by speeds, with quick starts, with long rests."""
     j, unit = scene.joint_index(joint), joint_units(scene, joint)[0]
     low, high, top = float(room.low[j]), float(room.high[j]), float(room.speed[j])
     if not top > 0.0:
@@ -189,7 +189,7 @@ def _sweeps(scene: Scene, room: Room, joint: str) -> Iterator[Recipe]:
 
 
 def _leg(stops: list[float], speed: float, rest: float) -> tuple[Array, Array]:
-    """Corners of a path of one joint: times and positions."""
+    """Return the corners of a path of one joint: times and positions."""
     t, x = [0.0], [stops[0]]
     for a, b in itertools.pairwise(stops):
         if rest > 0.0:
@@ -203,7 +203,7 @@ def _one(room: Room, name: str, says: str, j: int, stops: list[float], speed: fl
 
 
 def _joined(room: Room, name: str, says: str, j: int, legs: list[tuple[Array, Array]]) -> Recipe:
-    """One recipe of the legs after one another, on a grid no finer than the recording's rows."""
+    """Return one recipe of the legs after one another, on a grid no finer than the recording's rows."""
     t, x = legs[0]
     for more, y in legs[1:]:
         t, x = np.concatenate([t, t[-1] + 1e-3 + more]), np.concatenate([x, y])
@@ -236,18 +236,18 @@ def _at(room: Room, time: Array) -> Array:
 
 
 def _path(scene: Scene, room: Room) -> Part:
-    """The recording's own motion, thinned."""
+    """Return the recording's own motion, thinned."""
     rows = np.unique(np.linspace(0, len(scene) - 1, min(len(scene), MEANS.rows)).astype(int))
     return Part(scene.time[rows] - scene.time[rows[0]], np.where(np.isfinite(scene.q[rows]), scene.q[rows], room.q0))
 
 
 def _length(part: Part, *, clock: bool) -> float:
-    """Minutes; four poses a minute where only their order is known."""
+    """Return the length of a part in minutes; four poses a minute where only their order is known."""
     return float(np.ptp(part.time)) / 60.0 if clock else len(part.time) / 4.0
 
 
 def _after(part: Part, other: Part) -> Part:
-    """The other part begun where this one ends."""
+    """Return the other part, started where this one ends."""
     step = float(part.time[-1] - part.time[-2])
     return replace(other, time=part.time[-1] + step + other.time - other.time[0])
 
@@ -260,7 +260,7 @@ def _reversed(path: Part, *, clock: bool) -> Recipe:
 
 
 def _poses(room: Room, *, clock: bool) -> Recipe:
-    """Sixty random poses, back to the same one after every eight, seconds of rest in each."""
+    """Return a recipe of sixty random poses, back to the same one after every eight, with seconds of rest in each."""
     rng, count = np.random.default_rng(3), 60
     q = np.tile(room.q0, (count, 1))
     for j in room.index:
@@ -278,7 +278,7 @@ def _poses(room: Room, *, clock: bool) -> Recipe:
 
 
 def _handled(scene: Scene, room: Room, path: Part) -> Iterator[Recipe]:
-    """What needs a hand: a second weight, a thermometer, a plug, free air, weights on the tip."""
+    """Yield recipes that need a hand: a second weight, a thermometer, a plug, free air, weights on the tip."""
     group, once = scene.observations.predict, _length(path, clock=scene.clock)
     if group == "wrench":
         tool = scene.belief.tool
@@ -305,14 +305,14 @@ def _handled(scene: Scene, room: Room, path: Part) -> Iterator[Recipe]:
 
 
 def _with_weight(tool: Body, mass: float) -> Body:
-    """The tool with a point mass hung 5 cm off its centre of mass, across the sensor's axis."""
+    """Return the tool with a point mass hung 5 cm off its centre of mass, across the sensor's axis."""
     total = tool.mass + mass
     place = np.asarray(tool.com, dtype=float) + np.array([0.05, 0.0, 0.0])
     return Body(total, (tool.mass * np.asarray(tool.com) + mass * place) / total, np.asarray(tool.inertia))
 
 
 def _weights(room: Room) -> Recipe:
-    """In three poses three weights on the tip, along three axes one after the other."""
+    """Return a recipe of three poses with weights on the tip along three axes."""
     loads = [MEANS.force * share * axis for axis in -np.eye(3) for share in (0.0, 0.3, 0.6, 1.0)]
     rng = np.random.default_rng(5)
     time = _grid(len(loads) * 3 * 10.0, room.step)
@@ -326,7 +326,7 @@ def _weights(room: Room) -> Recipe:
 
 
 def _number(x: float, unit: str) -> str:
-    """A length or an angle for an operator."""
+    """Return a length or an angle in words."""
     if unit.startswith("rad"):
         return f"{np.degrees(x):.3g} deg{unit[3:]}"
     return f"{1e3 * x:.3g} mm{unit[1:]}"

@@ -1,10 +1,9 @@
-"""What this recording cannot tell apart: by likelihood, by the angle between the effects' signals, and by structure.
+"""Effects that this recording cannot tell apart: by likelihood, by angles between their signals, and by structure.
 
-Everything is read off the inner products of whitened columns. Beside the rest of the model (nuisances and the other
-effects, projected out) a found effect leaves the columns A with parameters t and a rival the columns B. The rival can make
-the share R^2 = |P_B A t|^2 / |A t|^2 of the found signal; its angle is arccos R. The smallest principal angle between the
-spans of A and B (Bjoerck and Golub 1973) says whether any signal of one could be any of the other. The likelihood decides,
-angles say why.
+Everything is read off the inner products of whitened columns. With the rest of the model (nuisances and the other effects)
+projected out, a found effect has the columns A with parameters t and a rival the columns B. The rival can make the share R^2 =
+|P_B A t|^2 / |A t|^2 of the found signal; its angle is arccos R. The smallest principal angle between the spans of A and B
+(Bjoerck and Golub 1973) says whether any signal of one could be any of the other. The likelihood decides, angles say why.
 """
 
 import math
@@ -15,12 +14,12 @@ from scipy.linalg import subspace_angles
 from scipy.optimize import minimize_scalar
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
-from galen_hw.diagnosis.estimation.linearisation import unbent
+from galen_hw.diagnosis.estimation.linearisation import nonlinear_restored
 from galen_hw.diagnosis.estimation.model import Model
-from galen_hw.diagnosis.estimation.normal_equations import Left, Scorer
+from galen_hw.diagnosis.estimation.normal_equations import Projected, Scorer
 from galen_hw.diagnosis.findings.wording import structural, why
 from galen_hw.diagnosis.result import Confusion, Finding
-from galen_hw.diagnosis.selection.comparison import ahead, bent, unclocked
+from galen_hw.diagnosis.selection.comparison import at_nonlinear_optimum, vuong_statistic, without_timing
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.linear_algebra import WEAK, orthonormal, pinned_at, scaled, solve_sym
 from galen_hw.physics.effects.base import Effect
@@ -40,7 +39,7 @@ class Rival:
     Args:
         place: of the rival in the scorer's library; instead: of the found one.
         key: of the rival.
-        lead: twice the log likelihood by which the found one is better, prices paid.
+        lead: twice the log likelihood by which the found one is better, penalties paid.
         angle: deg between the found signal and what the rival can make of it.
         nearest: deg, smallest principal angle between the two spans.
         theta: (k,) the rival's parameters in the found one's place; own: the found one's.
@@ -75,18 +74,18 @@ class Own:
     Args:
         i: place in the scorer's library; chosen: the model it belongs to.
         gain: fall of the whitened sum of squares by it; theta: (k,) its parameters.
-        straight: (k,) where its slopes alone come nearest to what it does; theta, where it is linear.
+        linear: (k,) parameters of its best linear approximation; theta, where it is linear.
     """
 
     i: int
     chosen: tuple[int, ...]
     gain: float
     theta: Array
-    straight: Array
+    linear: Array
 
 
 def confusions(model: Model, selection: Selection, finding: Finding, *, most: int = 5) -> list[Confusion]:
-    """Other effects that, put in the finding's place, would do as well; and those that are the same by structure.
+    """Return other effects that would explain as much in the finding's place, and those that are structurally the same.
 
     Args:
         most: effects, and joints of the same effect.
@@ -98,14 +97,14 @@ def confusions(model: Model, selection: Selection, finding: Finding, *, most: in
 
 
 def _in_other_joints(selection: Selection, finding: Finding, most: int) -> list[Confusion]:
-    """The same effect where it would do as well: joints about parallel axes turn gravity alike."""
+    """Return the same effect in other joints that explains as much: joints about parallel axes turn gravity alike."""
     scorer, out = selection.scorer, []
     for i in _places(selection, finding):
         effect = scorer.library[i].effect
         if effect is None or not effect.joints:
             continue
         own, best = _own(scorer, selection.chosen, i), dict[tuple[str, ...], Rival]()
-        with unbent(scorer, i), unclocked(scorer, i):
+        with nonlinear_restored(scorer, i), without_timing(scorer, i):
             for rival in sorted(_in_place(scorer, own, own_key=True), key=lambda r: -r.angle):
                 if rival.angle < NEAR and rival.effect.joints not in ((), effect.joints):
                     best[rival.effect.joints] = rival
@@ -121,27 +120,31 @@ def _in_other_joints(selection: Selection, finding: Finding, most: int) -> list[
 def rivals(
     selection: Selection, finding: Finding, *, everyone: bool = False, asked: float = 60.0, sharpened: int = 2
 ) -> list[Rival]:
-    """The best rival of every other key that ties with the finding (or `everyone` at all near), nearest first.
+    """Return the best rival of every other kind that ties with the finding (or `everyone` at all near), nearest first.
 
     Args:
         asked: twice the log likelihood, above what ties, from which the blocks need not be asked: they would have
             to disagree four times over.
-        sharpened: so many rivals of each effect are looked at between the points of their grids.
+        sharpened: number of rivals of each effect that are optimised between the points of their grids.
     """
     scorer = selection.scorer
     found: dict[str, Rival] = {}
     misfit = scorer.misfit(selection.chosen)
     for i in _places(selection, finding):
         own = _own(scorer, selection.chosen, i)
-        # Where physics is missing, differences of a few hundredths are that physics.
+        # Where physics is missing, differences of a few hundredths are model discrepancy.
         margin = CLOSE + 0.05 * min(1.0, misfit - 1.0) * own.gain
         best: dict[str, Rival] = {}
-        with unbent(scorer, i), unclocked(scorer, i):
+        with nonlinear_restored(scorer, i), without_timing(scorer, i):
             for rival in _in_place(scorer, own):
                 if rival.key != finding.effect and rival.lead < best.get(rival.key, rival).lead + 1e-9:
                     best[rival.key] = rival
             near = sorted(best.values(), key=lambda rival: rival.angle)
-            coarse = [(_coarse(r) and k < sharpened) or _pinned(scorer, r.effect) for k, r in enumerate(near)]
+            # Where the searched value is the size, a point of the grid says nothing of the rival.
+            coarse = [
+                (_coarse(r) and k < sharpened) or r.effect.pinned(scorer.bench.scene) is not None
+                for k, r in enumerate(near)
+            ]
             sharp = Sharpener(scorer, own) if any(coarse) else None
             for k, rival in enumerate(near):
                 one = sharp.sharpened(rival) if sharp and coarse[k] else rival
@@ -155,7 +158,7 @@ def rivals(
 
 
 def _at_its_best(scorer: Scorer, own: Own, rival: Rival) -> Rival:
-    """A rival that is not linear, by its own optimum instead of by its slope at zero."""
+    """Return a rival scored at its nonlinear optimum instead of by its slope at zero."""
     bench, h = scorer.bench, scorer.library[rival.place]
     if h.effect is None or not h.effect.bends(bench.scene, np.zeros(h.count)):
         return rival
@@ -163,11 +166,13 @@ def _at_its_best(scorer: Scorer, own: Own, rival: Rival) -> Rival:
     score = scorer.scores(others, [rival.place])[0].get(rival.place)
     if score is None:
         return rival
-    return replace(rival, lead=rival.lead + score.gain - bent(bench, scorer, others, rival.place, score).gain)
+    return replace(
+        rival, lead=rival.lead + score.gain - at_nonlinear_optimum(bench, scorer, others, rival.place, score).gain
+    )
 
 
 def _is_what_it_is_called(scorer: Scorer, rival: Rival, *, unsure: float = 0.2) -> bool:
-    """A play wider than the motion with a share of a thousandth is a scale, and no rival under the name of play.
+    """Return whether a rival's parameters fit its name: a play with a share of a thousandth is a scale.
 
     Args:
         unsure: standard deviation that a rival's share is allowed: its searched value stands where it is most
@@ -179,10 +184,10 @@ def _is_what_it_is_called(scorer: Scorer, rival: Rival, *, unsure: float = 0.2) 
 
 
 def _agreed(scorer: Scorer, own: Own, rival: Rival) -> float:
-    """The lead over a rival by what the blocks make of it: noise that the whitening has missed makes likelihoods too sure."""
+    """Return the lead over a rival in standard errors over blocks: imperfect whitening makes likelihoods too sure."""
     others = [j for j in own.chosen if j != own.i]
-    with scorer.trying([scorer.bench.add(rival.effect, scorer.library[rival.place].looked)]):
-        return ahead(scorer.bench, scorer, others, own.i, len(scorer.library) - 1)
+    with scorer.trying([scorer.bench.hypothesis(rival.effect, scorer.library[rival.place].trials)]):
+        return vuong_statistic(scorer.bench, scorer, others, own.i, len(scorer.library) - 1)
 
 
 def _coarse(rival: Rival, *, already: float = 0.5) -> bool:
@@ -194,55 +199,52 @@ def _coarse(rival: Rival, *, already: float = 0.5) -> bool:
     return len(rival.effect.searched()) == 1 and already < rival.angle < NEAR
 
 
-def _pinned(scorer: Scorer, effect: Effect) -> bool:
-    """Return whether its searched value is its size: what it would add at a point of the grid says nothing of it."""
-    return effect.pinned(scorer.bench.scene) is not None
-
-
 class Sharpener:
     """Rivals of one chosen effect between the points of their grids: the library's grid must not decide what is alike.
 
     Args:
-        scorer: with the residual `unbent`; own: the effect in whose place the rivals stand.
+        scorer: with `nonlinear_restored`; own: the effect in whose place the rivals are.
     """
 
     def __init__(self, scorer: Scorer, own: Own) -> None:
         self.scorer, self.i, self.gain = scorer, own.i, own.gain
         i = own.i
-        rest = [j for j in [*range(len(scorer.base)), *own.chosen] if j != i]
+        present = [j for j in [*range(len(scorer.base)), *own.chosen] if j != i]
         nothing = self._rows(scorer.library[i])[:, :0]  # a model without nuisances has nothing else in it
-        others = [self._rows(scorer.library[j]) for j in rest]
+        others = [self._rows(scorer.library[j]) for j in present]
         self.base = orthonormal(scaled(np.concatenate([nothing, *others], axis=1)))
-        self.own = self._left(self._rows(scorer.library[i]))
+        self.own = self._projected(self._rows(scorer.library[i]))
         self.signal = self.own @ own.theta
-        bend = scorer.library[i].bend
-        if bend is not None:
-            self.signal = self.signal + self._left(scorer.bench.whitened(bend)[scorer.bench.train].reshape(-1, 1))[:, 0]
-        self.white = self._left(scorer.white[scorer.bench.train].reshape(-1, 1))[:, 0]
+        nonlinear = scorer.library[i].nonlinear
+        if nonlinear is not None:
+            self.signal = (
+                self.signal + self._projected(scorer.bench.whitened(nonlinear)[scorer.bench.train].reshape(-1, 1))[:, 0]
+            )
+        self.white = self._projected(scorer.white[scorer.bench.train].reshape(-1, 1))[:, 0]
 
     def _rows(self, h: Hypothesis) -> Array:
-        """(n C, k) whitened columns on the training rows."""
+        """Return whitened columns (n C, k) on the training rows."""
         bench = self.scorer.bench
         full = h.white.full(bench.width)[bench.train]
         return full.reshape(full.shape[0] * full.shape[1], h.count)
 
-    def _left(self, X: Array) -> Array:
+    def _projected(self, X: Array) -> Array:
         return np.asarray(X - self.base @ (self.base.T @ X))
 
     def sharpened(self, rival: Rival, *, reach: float = 8.0) -> Rival:
-        """The rival with its searched values, one after the other, where it makes most of the found signal.
+        """Return the rival with its searched values, one after the other, where it makes most of the found signal.
 
         Args:
             reach: factor up and down within which a searched value is sought.
         """
         effect = rival.effect.unlimited()
-        pinned = self._pinned(effect)
+        pinned = effect.pinned(self.scorer.bench.scene)
         # Where the size is not free, the searched value is the size: without its limit it may lie far below the grid.
         down = 1.0 / reach if pinned is None or effect == rival.effect else 0.0
         for name, value in rival.effect.searched().items():
             effect = self._along(effect, name, (down * value, reach * value), finely=pinned is not None)
-        rest, X = self._rest(effect)
-        share = max(1.0 - rest / float(self.signal @ self.signal), 0.0)
+        residual, X = self._residual_of(effect)
+        share = max(1.0 - residual / float(self.signal @ self.signal), 0.0)
         if pinned is None and _angle(np.sqrt(share)) >= rival.angle:
             return rival
         A, r, library = X.T @ X, X.T @ self.white, self.scorer.library
@@ -250,7 +252,7 @@ class Sharpener:
             return rival
         theta = solve_sym(A, r[:, None])[:, 0] if pinned is None else pinned_at(pinned, A, r)
         worth = float(2.0 * theta @ r - theta @ A @ theta)
-        paid = price(library[rival.place]) - price(library[self.i])
+        paid = akaike_penalty(library[rival.place]) - akaike_penalty(library[self.i])
         nearest = float(np.degrees(np.min(subspace_angles(self.own, X))))
         angle = _angle(np.sqrt(share))
         return replace(rival, lead=self.gain - worth + paid, angle=angle, nearest=nearest, theta=theta, effect=effect)
@@ -259,21 +261,18 @@ class Sharpener:
         bound = effect.SEARCHED[name]
         low, high = np.log(max(within[0], bound.low)), np.log(min(within[1], bound.high))
 
-        def missed(at: float) -> float:
-            return self._rest(effect.with_searched({name: float(np.exp(at))}))[0]
+        def misfit(at: float) -> float:
+            return self._residual_of(effect.with_searched({name: float(np.exp(at))}))[0]
 
         # Where the size is not free, the searched value is the size.
         options = {"xatol": 1e-3, "maxiter": 30} if finely else {"xatol": 0.02, "maxiter": 14}
-        best = minimize_scalar(missed, bounds=(low, high), method="bounded", options=options)
+        best = minimize_scalar(misfit, bounds=(low, high), method="bounded", options=options)
         return effect.with_searched({name: float(np.exp(best.x))})
 
-    def _pinned(self, effect: Effect) -> Array | None:
-        return effect.pinned(self.scorer.bench.scene)
-
-    def _rest(self, effect: Effect) -> tuple[float, Array]:
-        """Squares of the found signal that an effect does not make, and its columns beside the model."""
-        X = self._left(self._rows(self.scorer.bench.add(effect)))
-        pinned = self._pinned(effect)
+    def _residual_of(self, effect: Effect) -> tuple[float, Array]:
+        """Return the squares of the found signal that an effect does not make, and its projected columns."""
+        X = self._projected(self._rows(self.scorer.bench.hypothesis(effect)))
+        pinned = effect.pinned(self.scorer.bench.scene)
         A, r = X.T @ X, X.T @ self.signal
         theta = solve_sym(A, r[:, None])[:, 0] if pinned is None else pinned_at(pinned, A, r)
         answer = X @ theta
@@ -281,7 +280,7 @@ class Sharpener:
 
 
 def _places(selection: Selection, finding: Finding) -> list[int]:
-    """Where the finding stands in the scorer's library: among the chosen, or as a constant that is always fitted."""
+    """Return the numbers of the finding's hypotheses: among the chosen, or as a constant that is always fitted."""
     scorer = selection.scorer
     chosen = [(i, scorer.library[i].effect) for i in selection.chosen]
     mine = [i for i, effect in chosen if effect is not None and finding.effect == effect.KEY]
@@ -292,29 +291,27 @@ def _places(selection: Selection, finding: Finding) -> list[int]:
     return [i for i in constant if names[scorer.base[i].raw.channels[0]] in finding.channels]
 
 
-def _others(scorer: Scorer, chosen: list[int], i: int) -> Left:
-    """What the model without hypothesis i leaves, which may be one of the constants."""
-    at, b, total = scorer.beside([j for j in chosen if j != i])
-    own = scorer.places[i]
-    return Left(np.asarray(at[(at < own.start) | (at >= own.stop)], dtype=np.intp), b, total)
+def _others(scorer: Scorer, chosen: list[int], i: int) -> Projected:
+    """Return the projected normal equations of the model without hypothesis i, which may be one of the constants."""
+    at, b, total = scorer.projected([j for j in chosen if j != i])
+    return Projected(at[~scorer.mask_of(at, i)], b, total)
 
 
 def _own(scorer: Scorer, chosen: list[int], i: int) -> Own:
-    """Hypothesis i as it stands in the model."""
-    theta, every, rest = scorer.solve(chosen)
-    place = scorer.places[i]
-    with unbent(scorer, i):
-        straight = scorer.solve(chosen)[0]
+    """Return the gain and parameters of hypothesis i in the model."""
+    theta, every, residual = scorer.solve(chosen)
+    mine = scorer.mask_of(every, i)
+    with nonlinear_restored(scorer, i):
+        linear = scorer.solve(chosen)[0]
         at, b, total = _others(scorer, chosen, i)
         alone = solve_sym(scorer.products.between(at, at), b[at][:, None])[:, 0]
         without = total - float(alone @ b[at])
-    mine = (every >= place.start) & (every < place.stop)
-    return Own(i, tuple(chosen), without - rest, theta[mine], straight[mine])
+    return Own(i, tuple(chosen), without - residual, theta[mine], linear[mine])
 
 
 def _in_place(scorer: Scorer, found: Own, *, own_key: bool = False) -> list[Rival]:
-    """Every hypothesis of another key (or of its `own_key`) that can make at least half of the found signal."""
-    i, gain, theta = found.i, found.gain, found.straight
+    """Return every hypothesis of another kind (or of its `own_key`) that can make at least half of the found signal."""
+    i, gain, theta = found.i, found.gain, found.linear
     at, b, _ = _others(scorer, list(found.chosen), i)
     own = scorer.places[i]
     columns = np.arange(len(b))
@@ -337,7 +334,7 @@ def _in_place(scorer: Scorer, found: Own, *, own_key: bool = False) -> list[Riva
             continue
         r = b[s] - every[:, s].T @ P[:, -1]
         worth = float(np.sum((W.T @ r) ** 2))
-        lead = (gain - price(scorer.library[i])) - (worth - price(h))
+        lead = (gain - akaike_penalty(scorer.library[i])) - (worth - akaike_penalty(h))
         U = _whitening(A, np.diagonal(mine_with[:, own]))
         nearest = float(np.linalg.norm(W.T @ cross @ U, 2)) if U.shape[1] else 0.0
         out.append(
@@ -349,21 +346,21 @@ def _in_place(scorer: Scorer, found: Own, *, own_key: bool = False) -> list[Riva
 
 
 def _whitening(A: Array, before: Array) -> Array:
-    """(k, r) with W W' = A^-1 on the directions of which enough is left beside the model."""
+    """Return W (k, r) with W W' = A^-1 on the directions of which enough is left given the model."""
     size = np.sqrt(np.maximum(before, 1e-300))
     value, vector = np.linalg.eigh(A / np.outer(size, size))
     good = value > WEAK
     return np.asarray((vector[:, good] / np.sqrt(value[good])) / size[:, None])
 
 
-def price(h: Hypothesis) -> float:
-    """What freedom takes of noise alone (Akaike 1974), and twice the log of the places looked at.
+def akaike_penalty(h: Hypothesis) -> float:
+    """Return the AIC penalty of the parameters (Akaike 1974) and twice the log of the number of trials.
 
-    What is likely beforehand has no say here: an effect with one parameter more is not ruled out by having it.
+    Prior odds do not enter: an effect with one parameter more is not ruled out by having it.
     """
     if h.effect is None:
         return 1.0
-    return float(h.owed() + 2.0 * math.log(h.looked))
+    return float(h.effective_parameters() + 2.0 * math.log(h.trials))
 
 
 def _angle(cosine: float) -> float:
@@ -371,7 +368,7 @@ def _angle(cosine: float) -> float:
 
 
 def _why(found: str, rival: Rival) -> str:
-    """The reason with its numbers."""
+    """Return the reason with its numbers, in words."""
     odds = float(np.exp(np.clip(0.5 * rival.lead, -50.0, 50.0)))
     likely = f"it is {odds:.2g} times less likely" if odds >= 1.5 else "it is as likely"
     if odds < 0.67:

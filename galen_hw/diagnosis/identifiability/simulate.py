@@ -1,4 +1,4 @@
-"""A recipe staged: the scene that it would record, and what effects would do there, in units of this recording's noise."""
+"""Simulation of a recipe: its scenes, and the effects there in units of this recording's noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ class Stage:
     end: float
 
     def columns(self, effect: Effect, width: int) -> Array | None:
-        """(N, width, k) of an effect over all parts; None where it cannot act there."""
+        """Return columns (N, width, k) of an effect over all parts; None where it cannot act there."""
         out = []
         for scene, part in zip(self.scenes, self.recipe.parts, strict=True):
             try:
@@ -43,16 +43,16 @@ class Stage:
 
     @property
     def length(self) -> float:
-        """Of the clock, s."""
+        """Length of the clock, s."""
         return max(self.end - self.start, 1e-9)
 
     def scale(self, effect: Effect) -> float:
-        """How much larger the parameters are here than in the recording."""
+        """Return the factor by which the parameters are larger here than in the recording."""
         return effect.growth(self.end - self.start)
 
 
 def stage(scene: Scene, recipe: Recipe) -> Stage:
-    """The scenes of a recipe.
+    """Return the scenes of a recipe.
 
     Raises:
         ValueError: a new motion cannot be simulated from what the recording says.
@@ -89,7 +89,7 @@ def _rates(part: Part, *, clock: bool) -> tuple[Array, Array]:
 
 
 def _simulation(scene: Scene, part: Part, rates: tuple[Array, Array]) -> dict[str, Array] | None:
-    """Of positions: the command itself; of someone else's simulation: what it says as a function of the motion.
+    """Return the simulated channels: of positions the command, else the given simulation as a function of the motion.
 
     Raises:
         ValueError: that function is not known.
@@ -106,15 +106,15 @@ def _simulation(scene: Scene, part: Part, rates: tuple[Array, Array]) -> dict[st
     X, y = features(scene.q[rows], scene.rates[0][rows], scene.rates[1][rows]), scene.simulated[rows]
     scale = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
     weights = np.linalg.lstsq(X / scale, y, rcond=1e-9)[0] / scale[:, None]
-    left = np.sum((y - X @ weights) ** 2) / max(float(np.sum((y - y.mean(axis=0)) ** 2)), 1e-300)
-    if not left < 0.1:
+    unexplained = np.sum((y - X @ weights) ** 2) / max(float(np.sum((y - y.mean(axis=0)) ** 2)), 1e-300)
+    if not unexplained < 0.1:
         raise ValueError("the given simulation is not a plain function of the motion")
     values = features(part.q, *rates) @ weights
     return {name: values[:, c] for c, name in enumerate(scene.channels)}
 
 
-class Eye:
-    """The recording's own noise as the measure of what a stage would show.
+class NoiseMetric:
+    """Whiten signals of a simulated recipe by the noise of the recording.
 
     Args:
         bench: of the recording; staged: where its noise is asked.
@@ -123,27 +123,26 @@ class Eye:
     def __init__(self, bench: Bench, staged: Stage) -> None:
         self.bench = bench
         time = np.concatenate([part.time for part in staged.recipe.parts])
-        own = float(np.median(np.diff(bench.rows.average(bench.scene.time)))) if len(bench.rows) > 1 else 1.0
-        # Rows of the stage stand for as many rows of a recording as fit between them.
-        self.ratio = max(float(np.median(np.diff(time))) / max(own, 1e-12), 1e-12)
+        # One row of the stage counts as the number of recorded rows between two of its rows.
+        self.ratio = max(float(np.median(np.diff(time))) / max(bench.period, 1e-12), 1e-12)
         frequency = np.fft.rfftfreq(len(time))
         self.level = bench.noise.spectrum(np.minimum(frequency / self.ratio, 0.5))
 
     def whiten(self, X: Array) -> Array:
-        """(N, C, k) columns in units of the noise, stacked to (N C, k); their squares count as log likelihood."""
+        """Return columns (N, C, k) in units of the noise, stacked to (N C, k); their squares count as log likelihood."""
         n = len(X)
         spectrum = np.fft.rfft(X, axis=0) / np.sqrt(self.level)[:, :, None]
         out = np.fft.irfft(spectrum, n, axis=0) * np.sqrt(self.ratio)
         return np.asarray(out.reshape(X.shape[0] * X.shape[1], X.shape[2]))
 
 
-def beside(X: Array, others: Array) -> Array:
-    """Columns less what others (N, m) make of them."""
+def projected_out(X: Array, others: Array) -> Array:
+    """Return columns less their projection onto others (N, m)."""
     if not others.shape[1]:
         return X
     return np.asarray(X - others @ solve_sym(others.T @ others, others.T @ X))
 
 
 def stacked(parts: Sequence[Any], rows: int, width: int) -> Array:
-    """(rows, width, k) columns beside each other."""
+    """Return columns (rows, width, k) next to each other."""
     return np.concatenate([np.zeros((rows, width, 0)), *parts], axis=2)

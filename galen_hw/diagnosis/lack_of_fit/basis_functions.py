@@ -1,7 +1,7 @@
-"""Generic functions of the known inputs and their past: what explains without a name is sought, and predicted, with these."""
+"""Generic functions of the known inputs and their past, for structure without a name."""
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from galen_hw.diagnosis.stats.sampling import Mask, Rows
 from galen_hw.lazy import cached_property
+from galen_hw.physics.covariates import covariates
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.wrench import WrenchScene
 from galen_hw.spatial import Array
@@ -34,9 +35,6 @@ PLAIN = (
     *WARM,
 )
 """Families of low powers of the inputs at the moment: what they say of one motion holds of another."""
-COMPUTED = ("compensated.", "std.")
-COUNTED = frozenset({"samples", "pose", "tool", "verify", "joint_age"})
-"""Covariates that this program adds itself: by how they begin, and by their names."""
 
 
 @dataclass(frozen=True)
@@ -49,19 +47,19 @@ class Scale:
 
     @classmethod
     def of(cls, x: Array) -> Self:
-        """That of columns (M, k)."""
+        """Return the scale of columns (M, k)."""
         spread = x.std(axis=0)
         kept = np.asarray(spread > 1e-9 * np.maximum(np.abs(x).max(axis=0, initial=0.0), 1e-12))
         return cls(kept, x[:, kept].mean(axis=0), spread[kept])
 
     def __call__(self, x: Array) -> Array:
-        """(M, kept) of columns (M, k)."""
+        """Return columns (M, k) scaled, (M, kept)."""
         return np.asarray((x[:, self.kept] - self.centre) / self.spread)
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a recording knows of its causes, on averaged rows, in the units of the recording that is learnt from.
+    """Known inputs of a recording, on averaged rows, in the units of the recording that is learnt from.
 
     Args:
         position: (M, p) joint positions that move, the axes of a sensor of which no joints are known, or the simulated channels;
@@ -96,7 +94,7 @@ class Inputs:
 
     @classmethod
     def of(cls, scene: Scene, rows: Rows, like: "Inputs | None" = None) -> Self:
-        """Of a scene; `like`: in the units of those of another recording.
+        """Return the inputs of a scene; `like`: in the units of those of another recording.
 
         Raises:
             KeyError: it does not have the other's inputs.
@@ -108,21 +106,21 @@ class Inputs:
         if joints:
             raw = [rows.average(scene.q[:, [scene.joint_index(j) for j in joints]])]
         elif isinstance(scene, WrenchScene):
-            # A wrench may follow the heading too (a cable, a magnet), which the weight in the sensor does not show.
+            # A wrench may depend on the heading too (a cable, a magnet), which gravity in the sensor does not show.
             raw = [rows.average(scene.R.reshape(len(scene), 9))]
         else:
             raw = [load]
         raw += [rows.average(np.nan_to_num(given[name]))[:, None] for name in forces]
         places = tuple(n for n in given if n.startswith("temperature.")) if like is None else like.places
         warm = [rows.average(np.nan_to_num(given[name]))[:, None] for name in places]
-        # Beside a motion a covariate may be a consequence, as a clamp's force is.
+        # In a motion a covariate may be a consequence, as a clamp's force is.
         moves = bool(Scale.of(np.concatenate(raw, axis=1)).kept.any())
         others = (() if moves else covariates(given)) if like is None else like.covariates
         beside = [rows.average(np.asarray(given[name], dtype=float))[:, None] for name in others]
         named = joints, forces, places, others
         still = np.zeros((len(rows), 0))
-        warmth, rest = (np.concatenate([still, *columns], axis=1) for columns in (warm, beside))
-        return cls._scaled(scene, rows, np.concatenate(raw, axis=1), load, warmth, rest, like, named)
+        warmth, recorded = (np.concatenate([still, *columns], axis=1) for columns in (warm, beside))
+        return cls._scaled(scene, rows, np.concatenate(raw, axis=1), load, warmth, recorded, like, named)
 
     @classmethod
     def _scaled(
@@ -132,13 +130,13 @@ class Inputs:
         raw: Array,
         load: Array,
         warm: Array,
-        rest: Array,
+        recorded: Array,
         like: "Inputs | None",
         named: tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], tuple[str, ...]],
         *,
         lags: tuple[int, ...] = (2, 5, 12, 30, 80, 200),
     ) -> Self:
-        """Of raw inputs, see `of`; `lags`: rows by which inputs are taken from the past."""
+        """Return inputs from raw ones, see `of`; `lags`: rows by which inputs are taken from the past."""
         scale = Scale.of(raw) if like is None else like.scales[0]
         position = scale(raw)
         weight = Scale.of(load) if like is None else like.scales[1]
@@ -151,7 +149,7 @@ class Inputs:
         period = float(np.median(np.diff(rows.average(scene.time)))) if scene.clock and len(rows) > 1 else 0.0
         lags = tuple(k for k in lags if k < len(rows) // 4) if like is None else like.lags
         heat = Scale.of(warm) if like is None else like.scales[4]
-        others = Scale.of(rest) if like is None else like.scales[5]
+        others = Scale.of(recorded) if like is None else like.scales[5]
         scales = (scale, weight, speed, bend, heat, others)
         return cls(
             position,
@@ -160,7 +158,7 @@ class Inputs:
             bend(second),
             reach,
             heat(warm),
-            others(rest),
+            others(recorded),
             lags,
             rows.runs,
             scales,
@@ -172,7 +170,7 @@ class Inputs:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(p,) what each column of the positions is, in words."""
+        """Names (p,) of the columns of the positions, in words."""
         count = len(self.scales[0].kept) - len(self.forces)
         axes = tuple(f"the sensor's {a} axis along base {b}" for b in "xyz" for a in "xyz")
         simulated = tuple(f"simulated channel {k + 1}" for k in range(count))
@@ -181,7 +179,7 @@ class Inputs:
 
     @cached_property
     def past(self) -> Array:
-        """(M, lags p) changes of the positions since some rows ago; since the run's first row where there is no such row."""
+        """Changes (M, lags p) of the positions since some rows ago, or since the run's first row."""
         z, row = self.position, np.arange(len(self.position))
         first = np.concatenate([np.full(run.stop - run.start, run.start) for run in self.runs])
         each = [z[np.maximum(row - k, first)] - z for k in self.lags]
@@ -189,24 +187,24 @@ class Inputs:
 
     @property
     def seen(self) -> Array:
-        """(M, k) all of it in one row, as what learns functions by itself wants it."""
+        """All inputs (M, k) as columns, for trees."""
         every = [self.position, self.rate, self.second, self.load, self.warmth, self.beside, self.past]
         return np.concatenate(every, axis=1)
 
     def comparable(self, other: "Inputs") -> bool:
-        """Return whether what is by the row here holds there too: a row lasts as long, and there are enough of them."""
+        """Return whether both have the same period and enough rows for the lags."""
         same = abs(self.period - other.period) <= 0.01 * self.period
         return same and len(other.position) > max(self.lags, default=1)
 
 
 def dictionaries(inputs: Inputs) -> Iterator[tuple[str, Array]]:
-    """Generic functions (M, k) of the known inputs, a family at a time, with what they are functions of, plain ones first."""
+    """Yield generic functions (M, k) of the known inputs, family by family, with what they depend on; simple ones first."""
     yield from broad(inputs)
     yield from local(inputs)
 
 
 def broad(inputs: Inputs) -> Iterator[tuple[str, Array]]:
-    """Functions that are large over most of the motion."""
+    """Yield functions that are large over most of the motion."""
     z, load, rate, second = inputs.position, inputs.load, inputs.rate, inputs.second
     yield from _recorded(inputs)
     if not z.size:
@@ -238,9 +236,9 @@ def broad(inputs: Inputs) -> Iterator[tuple[str, Array]]:
 
 
 def factors(inputs: Inputs) -> dict[str, Array]:
-    """(M, k) what the products of some families are made of, by family.
+    """Return the factors (M, k) of the products of some families, by family.
 
-    What a model's own effects have taken of a product is a straight line in them. None is sought by itself: it has a name.
+    What a model's own effects have explained of a product is linear in them. None is sought by itself: it has a name.
     """
     z, load, rate = inputs.position, inputs.load, inputs.rate
     return {
@@ -255,7 +253,7 @@ def factors(inputs: Inputs) -> dict[str, Array]:
 
 
 def _warm(inputs: Inputs) -> Iterator[tuple[str, Array]]:
-    """What a temperature changes in what motion and load do: it by itself is too slow to be told from noise."""
+    """Yield products of motion and load with temperatures; a temperature alone is too slow to be told from noise."""
     z, load, rate, warmth = inputs.position, inputs.load, inputs.rate, inputs.warmth
     if not warmth.shape[1]:
         return
@@ -269,24 +267,13 @@ def _warm(inputs: Inputs) -> Iterator[tuple[str, Array]]:
 
 
 def _recorded(inputs: Inputs) -> Iterator[tuple[str, Array]]:
-    """Each covariate by itself."""
+    """Yield functions of each covariate by itself."""
     for name, z in zip(itertools.compress(inputs.covariates, inputs.scales[5].kept), inputs.beside.T, strict=True):
         yield name, np.stack([z, np.abs(z), z**2, np.tanh(4.0 * z)], axis=-1)
 
 
-def covariates(columns: Mapping[str, Array]) -> tuple[str, ...]:
-    """Return the covariates that may be a cause: no count, no clock, and none that was computed from the compared group."""
-    given = {n: n.removeprefix("covariate.") for n in columns if n.startswith("covariate.")}
-    names = (n for n, own in given.items() if own not in COUNTED and not own.startswith(COMPUTED))
-    return tuple(n for n in names if np.isfinite(columns[n]).all() and not _counts(np.diff(columns[n])))
-
-
-def _counts(steps: Array) -> bool:
-    return bool((steps >= 0.0).all() or (steps <= 0.0).all())
-
-
 def _products(a: Array, b: Array, *, most: int = 40) -> Array:
-    """(M, k) products of columns, each pair once.
+    """Return products (M, k) of columns, each pair once.
 
     Args:
         most: products.
@@ -296,7 +283,7 @@ def _products(a: Array, b: Array, *, most: int = 40) -> Array:
 
 
 def local(inputs: Inputs) -> Iterator[tuple[str, Array]]:
-    """Functions of two inputs each, large in one corner of their plane alone."""
+    """Yield functions of two inputs each, large in one corner of their plane alone."""
     z, rate = inputs.position, inputs.rate
     yield from _planes("input {} and input {} together", z, z)
     yield from _planes("input {} and the speed of input {}", z, rate)
@@ -312,7 +299,7 @@ def _planes(
     places: tuple[float, ...] = (-1.5, -0.5, 0.5, 1.5),
     width: float = 0.8,
 ) -> Iterator[tuple[str, Array]]:
-    """Bumps (M, 16) over the plane of each pair of columns.
+    """Yield bumps (M, 16) over the plane of each pair of columns.
 
     Args:
         most: pairs.
@@ -325,7 +312,7 @@ def _planes(
 
 
 def _waves(z: Array, scale: float) -> Array:
-    """Random Fourier features (Rahimi and Recht 2007): smooth functions of all inputs together."""
+    """Return random Fourier features (Rahimi and Recht 2007): smooth functions of all inputs together."""
     rng = np.random.default_rng(7)
     w, phase = rng.normal(size=(z.shape[1], 24)) * scale, rng.uniform(0, 2 * np.pi, 24)
     return np.asarray(np.cos(z @ w + phase))

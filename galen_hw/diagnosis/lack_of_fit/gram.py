@@ -1,4 +1,4 @@
-"""Generic functions of a recording and their inner products, fold by fold, for the regressions of what a model leaves."""
+"""Inner products of generic functions, fold by fold, for the regressions of a model's residual."""
 
 import itertools
 from dataclasses import dataclass
@@ -12,7 +12,10 @@ from galen_hw.spatial import Array
 
 
 def by_name(inputs: Inputs) -> dict[str, Array]:
-    """(M, k) functions of all families by name, products with their factors, the plain ones first; the resonances share one."""
+    """Return functions (M, k) of all families by name, products with their factors, simple ones first.
+
+    All resonances share one name.
+    """
     out: dict[str, list[Array]] = {}
     for name, X in dictionaries(inputs):
         out.setdefault(name, []).append(X)
@@ -23,7 +26,7 @@ def by_name(inputs: Inputs) -> dict[str, Array]:
 
 
 class Functions:
-    """The generic functions of a bench with their inner products, fold by fold, which many a rest is asked with.
+    """Hold the generic functions of a bench with their inner products, fold by fold, for many residuals.
 
     Args:
         bench: whose training rows they are learnt on.
@@ -43,24 +46,24 @@ class Functions:
         self._white: dict[int, dict[tuple[str, str], Array]] = {}
 
     def plain(self, names: list[str], channel: int) -> "Sums":
-        """Of some families, over a channel's standard deviation."""
+        """Return sums of some families over a channel's standard deviation."""
         sigma = float(self.bench.noise.sigma[channel])
         return Sums({n: self.columns[n][self.rows] for n in names}, self.folds, self._plain, 1.0 / sigma)
 
     def white(self, names: list[str], channel: int) -> "Sums":
-        """Of some families, whitened as a channel's noise wants it."""
+        """Return sums of some families, whitened by a channel's noise."""
         columns = {n: self.bench.noise.whiten(self.columns[n], channel)[self.rows] for n in names}
         return Sums(columns, self.folds, self._white.setdefault(channel, {}))
 
-    def level(self, parts: dict[str, Array], channel: int, white_rest: Array) -> float:
-        """The constant, in the channel's unit, beside functions with coefficients (k,), by name, for a whitened rest (n,).
+    def level(self, parts: dict[str, Array], channel: int, white_residual: Array) -> float:
+        """Return the constant, in the channel's unit, beside functions with coefficients (k,), for a whitened residual (n,).
 
-        The model's own was fitted where nothing else stood for what has no name, by weights that call it slow noise: it is off.
+        The model's own constant was fitted without these functions, by weights that take them for slow noise: it is biased.
         """
         said = sum(self.columns[n] @ theta for n, theta in parts.items())
         both = np.stack([np.ones(len(self.bench.rows)), said], axis=-1)
         one, white = self.bench.noise.whiten(both, channel)[self.rows].T
-        return float(one @ (white_rest - white) / (one @ one))
+        return float(one @ (white_residual - white) / (one @ one))
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,7 @@ class Sums:
     Args:
         columns: (n, k) by name, the folds' rows one after the other.
         folds: where each fold's rows are.
-        known: (folds, k, k) of pairs of families, kept from rest to rest.
+        known: (folds, k, k) products of pairs of families, cached for all residuals.
         scale: factor of all columns.
     """
 
@@ -80,7 +83,7 @@ class Sums:
     scale: float = 1.0
 
     def pair(self, a: str, b: str) -> Array:
-        """(folds, k, l) of two families with each other."""
+        """Return inner products (folds, k, l) of two families."""
         if (b, a) in self.known:
             return np.swapaxes(self.known[b, a], 1, 2) * self.scale**2
         if (a, b) not in self.known:
@@ -89,18 +92,18 @@ class Sums:
         return self.known[a, b] * self.scale**2
 
     def gram(self, names: list[str]) -> Array:
-        """(folds, k, k) of several families together."""
+        """Return the Gram matrices (folds, k, k) of several families together."""
         return np.concatenate([np.concatenate([self.pair(a, b) for b in names], axis=2) for a in names], axis=1)
 
     def against(self, y: Array) -> dict[str, Array]:
-        """(folds, k) of each family with a target (n,)."""
+        """Return inner products (folds, k) of each family with a target (n,)."""
         return {n: np.stack([X[f].T @ y[f] for f in self.folds]) * self.scale for n, X in self.columns.items()}
 
     def squares(self) -> Array:
-        """(folds, k) of all functions with themselves."""
+        """Return the squares (folds, k) of all functions."""
         each = [np.stack([np.einsum("nk,nk->k", X[f], X[f]) for f in self.folds]) for X in self.columns.values()]
         return np.concatenate(each, axis=1) * self.scale**2
 
     def joined(self, names: list[str]) -> Array:
-        """(n, k) columns of several families."""
+        """Return columns (n, k) of several families."""
         return np.concatenate([self.columns[n] for n in names], axis=1) * self.scale

@@ -1,4 +1,4 @@
-"""What every regression of a model's rest on generic functions is asked for, however it learns them."""
+"""The interface of all regressions of a model's residual on generic functions."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
@@ -12,21 +12,21 @@ from galen_hw.spatial import Array
 
 @dataclass
 class Regression(ABC):
-    """Of one channel's rest on families of functions.
+    """Regression of one channel's residual on families of functions.
 
     Args:
         plain, white: inner products of the families, the plain ones first, as they are and whitened.
-        rest, white_rest: (n,) over the noise's standard deviation, and whitened.
-        weighed: fitted as whitened (generalised) or as it is: the first is best where noise is the rest's larger part, the
-            second where physics is.
-        least: share of the whole rest that must be explained.
-        chosen: families of which it takes something; reached, white_gain: falls of the sum of squares on folds left out.
+        residual, white_residual: (n,) over the noise's standard deviation, and whitened.
+        weighed: by generalised or plain least squares: the first is best where noise is the residual's larger part, the second
+            where physics is.
+        least: share of the residual that must be explained.
+        chosen: families of which it takes something; reached, white_gain: falls of the sum of squares on held-out folds.
     """
 
     plain: Sums
     white: Sums
-    rest: Array
-    white_rest: Array
+    residual: Array
+    white_residual: Array
     weighed: bool
     least: float = field(default=1e-3, kw_only=True)
     chosen: list[str] = field(init=False, default_factory=list)
@@ -35,11 +35,11 @@ class Regression(ABC):
 
     @abstractmethod
     def coefficients(self) -> dict[str, Array]:
-        """(k,) of every function of the chosen families, in the channel's unit."""
+        """Return the coefficients (k,) of every function of the chosen families, in the channel's unit."""
 
     @abstractmethod
-    def crossed(self, *, white: bool = False) -> Array:
-        """(n,) what is predicted of each row from other folds, over the noise's deviation; or of the whitened rest."""
+    def cross_validated(self, *, white: bool = False) -> Array:
+        """Return predictions (n,) of each row from other folds, over the noise's deviation; or whitened ones."""
 
 
 @dataclass
@@ -50,25 +50,25 @@ class Blend(Regression):
 
     @classmethod
     def between(cls, *of: Regression) -> Self:
-        """Of regressions of one rest on the same families."""
+        """Return the mean of regressions of one residual on the same families."""
         one = of[0]
-        return cls(one.plain, one.white, one.rest, one.white_rest, one.weighed, of)
+        return cls(one.plain, one.white, one.residual, one.white_residual, one.weighed, of)
 
     def __post_init__(self) -> None:
-        """Judges it on the same folds as each of them."""
+        """Compute its gains on the same folds as theirs."""
         self.chosen = list(dict.fromkeys(name for one in self.of for name in one.chosen))
-        for_plain, for_white = self.crossed(), self.crossed(white=True)
-        self.reached = float(for_plain @ (2.0 * self.rest - for_plain))
-        self.white_gain = float(for_white @ (2.0 * self.white_rest - for_white))
+        for_plain, for_white = self.cross_validated(), self.cross_validated(white=True)
+        self.reached = float(for_plain @ (2.0 * self.residual - for_plain))
+        self.white_gain = float(for_white @ (2.0 * self.white_residual - for_white))
 
     def coefficients(self) -> dict[str, Array]:
-        """Means of theirs; 0 where one takes nothing."""
+        """Return the mean coefficients; 0 where one has none."""
         out: dict[str, Array] = {}
         for one in self.of:
             for name, theta in one.coefficients().items():
                 out[name] = out.get(name, 0.0) + theta / len(self.of)
         return {name: out[name] for name in self.chosen}
 
-    def crossed(self, *, white: bool = False) -> Array:
-        """(n,) mean of what they predict of each row from other folds."""
-        return np.asarray(sum(one.crossed(white=white) for one in self.of) / len(self.of))
+    def cross_validated(self, *, white: bool = False) -> Array:
+        """Return the mean predictions (n,) of each row from other folds."""
+        return np.asarray(sum(one.cross_validated(white=white) for one in self.of) / len(self.of))

@@ -1,4 +1,4 @@
-"""What physics left over, predicted without a name by generic functions of the inputs: the part of `unknown` that can be said.
+"""A model of the residual without a name: regressions on generic functions of the inputs.
 
 It shows how far any function of the known inputs and their past would go (the ceiling), and on what. It is never saved for the
 live services: a function that nobody can explain does not act on a robot.
@@ -28,36 +28,36 @@ RIDGES: Final = np.logspace(-2.0, 4.0, 13)
 
 @dataclass(frozen=True)
 class Remainder:
-    """Regressions of what a model left on generic functions, channel by channel.
+    """Regressions of a model's residual on generic functions, channel by channel.
 
     Args:
         inputs: of the recording that it was learnt on.
         parts: per channel, names of the families and the coefficient of each of their functions.
-        offsets: per channel, the mean of their sum over the rows that it was learnt on, less the constant beside them.
-        gain: fall of the whitened sum of squares on blocks left out, all channels together.
+        offsets: per channel, the mean of their sum over the training rows, less the fitted constant.
+        gain: fall of the whitened sum of squares on held-out blocks, all channels together.
         crossed: (M, C) prediction of each row that it was learnt on from other blocks, 0 elsewhere.
-        trees: per channel, what is the other half of a mean with the sum of the parts.
+        trees: per channel, trees that are averaged with the sum of the parts.
     """
 
     inputs: Inputs
     parts: dict[int, dict[str, Array]]
     offsets: dict[int, float]
     gain: float
-    crossed: Array
+    cross_validated: Array
     trees: dict[int, "HistGradientBoostingRegressor"] = field(default_factory=dict)
 
     def joined(self, other: "Remainder") -> "Remainder":
-        """With the other's channels, none of which are its own, as yet without trees."""
+        """Return both remainders as one, as yet without trees; they have no channel in common."""
         return replace(
             self,
             parts=self.parts | other.parts,
             offsets=self.offsets | other.offsets,
             gain=self.gain + other.gain,
-            crossed=self.crossed + other.crossed,
+            cross_validated=self.cross_validated + other.cross_validated,
         )
 
     def predict(self, scene: Scene, rows: Rows, width: int) -> Array | None:
-        """(M, C) for another recording; None where it cannot speak of it."""
+        """Return predictions (M, C) for another recording; None where its inputs are not comparable."""
         try:
             inputs = Inputs.of(scene, rows, like=self.inputs)
         except (KeyError, ValueError):
@@ -65,7 +65,7 @@ class Remainder:
         return self._sum(inputs, width) if self.inputs.comparable(inputs) else None
 
     def own(self, width: int) -> Array:
-        """(M, C) on the recording that it was learnt on."""
+        """Return predictions (M, C) on the recording that it was learnt on."""
         return self._sum(self.inputs, width)
 
     def _sum(self, inputs: Inputs, width: int) -> Array:
@@ -82,7 +82,7 @@ class Remainder:
 
 
 def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None = None) -> Remainder | None:
-    """The remainder of a model, from its training rows.
+    """Fit the remainder of a model on its training rows.
 
     Args:
         kinds: per channel the families of functions that are tried.
@@ -90,28 +90,28 @@ def learn(model: Model, kinds: dict[int, set[str]], functions: Functions | None 
     """
     bench = model.bench
     functions = functions if functions is not None and functions.bench is bench else Functions(bench)
-    rest, white = model.rest() / bench.noise.sigma, model.rest(white=True)
+    residual, white = model.residual() / bench.noise.sigma, model.residual(white=True)
     parts: dict[int, dict[str, Array]] = {}
-    offsets, gain, crossed = {}, 0.0, np.zeros_like(rest)
+    offsets, gain, cross_validated = {}, 0.0, np.zeros_like(residual)
     for c, kind in kinds.items():
         names = [name for name in functions.columns if name in kind]
         if not names:  # trees alone follow it
             continue
-        best = _best(functions, names, c, rest[functions.rows, c], white[functions.rows, c])
+        best = _best(functions, names, c, residual[functions.rows, c], white[functions.rows, c])
         if best.chosen:
             parts[c] = best.coefficients()
             level = functions.level(parts[c], c, white[functions.rows, c])
-            crossed[functions.rows, c] = best.crossed() * bench.noise.sigma[c] + level
-            # The functions of another recording are not less their mean on this one.
+            cross_validated[functions.rows, c] = best.cross_validated() * bench.noise.sigma[c] + level
+            # In another recording the functions are not centred by their mean on this one.
             offsets[c] = float(sum(functions.means[n] @ t for n, t in parts[c].items())) - level
             gain += best.white_gain
-    return Remainder(functions.inputs, parts, offsets, gain, crossed) if parts else None
+    return Remainder(functions.inputs, parts, offsets, gain, cross_validated) if parts else None
 
 
 def _best(
-    functions: Functions, names: list[str], channel: int, rest: Array, white_rest: Array, *, short: float = 0.03
+    functions: Functions, names: list[str], channel: int, residual: Array, white_residual: Array, *, short: float = 0.03
 ) -> Regression:
-    """The regression of a channel's rest (n,) that explains most of blocks left out; one on low powers if it does nearly as well.
+    """Return the regression of a channel's residual (n,) with the largest cross-validated gain, or a simpler one nearly as good.
 
     A resonance may be in step with a speed in one motion, and is not in the next.
 
@@ -122,7 +122,7 @@ def _best(
 
     def of(kind: type[Ridge | Pursuit], some: list[str]) -> Ridge | Pursuit:
         plain, white = functions.plain(some, channel), functions.white(some, channel)
-        each = (kind(plain, white, rest, white_rest, weighed=weighed) for weighed in (True, False))
+        each = (kind(plain, white, residual, white_residual, weighed=weighed) for weighed in (True, False))
         return max(each, key=lambda one: one.reached)
 
     tried: list[Regression] = [of(Ridge, names), of(Pursuit, names)]
@@ -140,8 +140,8 @@ class Ridge(Regression):
 
     Args:
         most: families.
-        worth: share of what is explained by which a family must be better than a plainer one, or another family add.
-        tried: families that are tried beside those chosen: the ones that explain most of what these leave.
+        worth: share of the gain by which a family must be better than a simpler one, or another family add.
+        tried: families that are tried given the chosen ones: those that explain most of their residual.
     """
 
     most: int = field(default=3, kw_only=True)
@@ -150,23 +150,23 @@ class Ridge(Regression):
     _ridge: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
-        """Chooses families, one after the other as long as each explains more of blocks left out.
+        """Choose families by forward selection as long as each raises the cross-validated gain.
 
-        Another motion is where many functions that say the same of this one differ: the plainest that does nearly as well
-        as the best is taken, and another beside it must be worth it.
+        Where many functions agree on this motion they differ on another one: the simplest family that does nearly as well as the
+        best is taken, and a further family must be worth it.
         """
         self._learnt = self.white if self.weighed else self.plain
-        self._plain_b, self._white_b = self.plain.against(self.rest), self.white.against(self.white_rest)
+        self._plain_b, self._white_b = self.plain.against(self.residual), self.white.against(self.white_residual)
         self._b = self._white_b if self.weighed else self._plain_b
         self._alone: dict[str, list[tuple[Array, Array]]] = {}
-        total, names = float(self.rest @ self.rest), list(self.plain.columns)
+        total, names = float(self.residual @ self.residual), list(self.plain.columns)
         while len(self.chosen) < self.most:
-            left = [n for n in names if n not in self.chosen]
+            candidates = [n for n in names if n not in self.chosen]
             if self.chosen:
-                promise = self._promises(left)
-                best_few = sorted(left, key=lambda n: -promise[n])[: self.tried]
-                left = [n for n in left if n in best_few]
-            tried = {n: self._gains([*self.chosen, n]) for n in left}
+                promise = self._promises(candidates)
+                best_few = sorted(candidates, key=lambda n: -promise[n])[: self.tried]
+                candidates = [n for n in candidates if n in best_few]
+            tried = {n: self._gains([*self.chosen, n]) for n in candidates}
             gains = {n: float(raw.max()) for n, (raw, _) in tried.items()}
             best = max(gains.values(), default=0.0)
             if best - self.reached < max(self.worth * best, self.least * total):
@@ -186,15 +186,15 @@ class Ridge(Regression):
         return out
 
     def coefficients(self) -> dict[str, Array]:
-        """Of every function of the chosen families, in the channel's unit."""
+        """Return the coefficients of every function of the chosen families, in the channel's unit."""
         theta = self._whole(self.chosen)[:, self._ridge] / self._size(self.chosen)
         ends = np.cumsum([len(self._sizes[n]) for n in self.chosen])[:-1]
         return dict(zip(self.chosen, np.split(theta, ends), strict=True))
 
-    def crossed(self, *, white: bool = False) -> Array:
-        """(n,) what the chosen families predict of each row from other folds, over the noise's deviation."""
+    def cross_validated(self, *, white: bool = False) -> Array:
+        """Return predictions (n,) of the chosen families for each row from other folds, over the noise's deviation."""
         columns = (self.white if white else self.plain).joined(self.chosen)
-        out, X = np.zeros(len(self.rest)), columns / self._size(self.chosen)
+        out, X = np.zeros(len(self.residual)), columns / self._size(self.chosen)
         for rows, theta in zip(self.plain.folds, self._thetas(self.chosen), strict=True):
             out[rows] = X[rows] @ theta[:, self._ridge]
         return out
@@ -203,7 +203,7 @@ class Ridge(Regression):
         return np.concatenate([self._sizes[n] for n in names])
 
     def _gains(self, names: list[str]) -> tuple[Array, Array]:
-        """Falls (len(RIDGES),) of the sum of squares on folds left out in turn, plain and whitened."""
+        """Return the falls (len(RIDGES),) of the sum of squares on held-out folds, plain and whitened."""
         thetas, size = self._thetas(names), self._size(names)
         return tuple(  # type: ignore[return-value]
             sum(
@@ -214,13 +214,13 @@ class Ridge(Regression):
         )
 
     def _promises(self, names: list[str]) -> dict[str, float]:
-        """What each family takes of what the chosen ones leave, on folds left out: less than beside them, but soon told."""
+        """Return the cross-validated gain of each family alone on the residual of the chosen ones: a quick lower bound."""
         chosen, size, out = self.chosen, self._size(self.chosen), {}
         thetas = [theta[:, self._ridge] / size for theta in self._thetas(chosen)]
         for name in names:
             mine = self._sizes[name]
-            learnt = self._left(self._learnt, self._b, name, thetas)
-            judged = self._left(self.plain, self._plain_b, name, thetas)
+            learnt = self._residual_products(self._learnt, self._b, name, thetas)
+            judged = self._residual_products(self.plain, self._plain_b, name, thetas)
             G = self.plain.pair(name, name) / np.outer(mine, mine)
             gain = np.zeros(len(RIDGES))
             for f, (value, vector) in enumerate(self._eigen(name)):
@@ -230,42 +230,44 @@ class Ridge(Regression):
             out[name] = float(gain.max())
         return out
 
-    def _left(self, sums: Sums, inner: dict[str, Array], name: str, thetas: list[Array]) -> list[Array]:
-        """For each fold's parameters of the chosen families, (folds, k) of a family with what they leave."""
+    def _residual_products(self, sums: Sums, inner: dict[str, Array], name: str, thetas: list[Array]) -> list[Array]:
+        """Return, for each fold's parameters of the chosen families, products (folds, k) with their residual."""
         cross = np.concatenate([sums.pair(name, other) for other in self.chosen], axis=2)
         return [inner[name] - cross @ theta for theta in thetas]
 
     def _eigen(self, name: str) -> list[tuple[Array, Array]]:
-        """Of a family by itself without each fold, kept."""
+        """Return the eigendecomposition of a family by itself without each fold, cached."""
         if name not in self._alone:
             G = self._learnt.pair(name, name) / np.outer(self._sizes[name], self._sizes[name])
             self._alone[name] = [tuple(np.linalg.eigh(G.sum(axis=0) - one)) for one in G]  # type: ignore[misc]
         return self._alone[name]
 
     def _thetas(self, names: list[str]) -> list[Array]:
-        """For each fold (k, len(RIDGES)) coefficients learnt on the others, one column a ridge."""
+        """Return for each fold the coefficients (k, len(RIDGES)) learnt on the others, one column a ridge."""
         b = _joined(self._b, names)
-        rests = (b.sum(axis=0) - b) / self._size(names)
+        residuals = (b.sum(axis=0) - b) / self._size(names)
         if len(names) == 1:
-            return [_ridged(*eigen, rest) for eigen, rest in zip(self._eigen(names[0]), rests, strict=True)]
+            return [_ridged(*eigen, residual) for eigen, residual in zip(self._eigen(names[0]), residuals, strict=True)]
         size = self._size(names)
         G = self._learnt.gram(names) / np.outer(size, size)
-        return [_ridged(*np.linalg.eigh(G.sum(axis=0) - one), rest) for one, rest in zip(G, rests, strict=True)]
+        return [
+            _ridged(*np.linalg.eigh(G.sum(axis=0) - one), residual) for one, residual in zip(G, residuals, strict=True)
+        ]
 
     def _whole(self, names: list[str]) -> Array:
-        """(k, len(RIDGES)) coefficients learnt on all rows."""
+        """Return coefficients (k, len(RIDGES)) learnt on all rows."""
         size = self._size(names)
         G = self._learnt.gram(names).sum(axis=0) / np.outer(size, size)
         return _ridged(*np.linalg.eigh(G), _joined(self._b, names).sum(axis=0) / size)
 
 
 def _ridged(value: Array, vector: Array, b: Array) -> Array:
-    """(k, len(RIDGES)) solutions of normal equations by their eigenvalues and -vectors."""
+    """Return solutions (k, len(RIDGES)) of normal equations by their eigenvalues and eigenvectors."""
     return np.asarray(vector @ ((vector.T @ b)[:, None] / (np.maximum(value, 0.0)[:, None] + RIDGES)))
 
 
 def _falls(theta: Array, G: Array, b: Array) -> Array:
-    """(m,) falls of a sum of squares by parameters (k, m), from inner products with each other (k, k) and the target (k,)."""
+    """Return falls (m,) of a sum of squares by parameters (k, m), from inner products (k, k) and (k,) with the target."""
     return np.asarray(2.0 * b @ theta - np.einsum("km,km->m", theta, G @ theta))
 
 

@@ -1,4 +1,4 @@
-"""What physics left over, and where: whether any function of the known inputs and their past explains it."""
+"""Test for structure in a model's residual: whether any function of the known inputs and their past explains it."""
 
 import itertools
 from collections.abc import Sequence
@@ -20,20 +20,20 @@ from galen_hw.spatial import Array
 FALSE_ALARM: Final = CRITERIA.chance / 10.0
 """Probability that noise is called structure, over all families and channels: of the budget a tenth."""
 T_NEEDED: Final = 3.0
-"""Standard errors by which generic functions, or trees, must win on blocks that they were not fitted on."""
+"""Standard errors by which generic functions, or trees, must win on held-out blocks."""
 
 
 @dataclass(frozen=True)
-class Left:
-    """One kind of structure that is left in one channel.
+class Structure:
+    """Structure of one kind in the residual of one channel.
 
     Args:
         channel: place.
-        kind: what the generic functions were of; place: of that family, the plain ones first.
+        kind: what the generic functions depend on; place: number of that family, simple ones first.
         z: (T - k) / sqrt(2 k); for a model that does not hold on held-out data, its mean square over the noise's.
-        share: of the whitened rest's mean square, on blocks left out.
+        share: of the whitened residual's mean square, on held-out blocks.
         size: rms in raw units; basis: (M, k) the functions.
-        elsewhere: it is left of another recording, by what was learnt on the first.
+        elsewhere: it is in the residual of another recording than the model was fitted on.
     """
 
     channel: int
@@ -47,7 +47,7 @@ class Left:
 
 
 class Family(NamedTuple):
-    """Generic functions of one kind: what they are of, an orthonormal basis (M, k) of them, whether they are local."""
+    """Generic functions of one kind: what they depend on, an orthonormal basis (M, k) of them, whether they are local."""
 
     kind: str
     basis: Array
@@ -55,8 +55,8 @@ class Family(NamedTuple):
 
 
 def families(bench: Bench) -> list[Family]:
-    """The generic functions of a bench, in each family a constant first, the strongest directions next."""
-    ones, most = np.ones((len(bench.rows), 1)), max(int((~bench.dropped).sum()) // 6, 3)
+    """Return the generic functions of a bench; in each family a constant first, the strongest directions next."""
+    ones, most = np.ones((len(bench.rows), 1)), max(int((~bench.excluded_rows).sum()) // 6, 3)
     inputs = Inputs.of(bench.scene, bench.rows)
 
     def of(kind: str, X: Array, is_local: bool) -> Family:
@@ -68,8 +68,8 @@ def families(bench: Bench) -> list[Family]:
     return list(Parallel(n_jobs=2, require="sharedmem")(delayed(of)(*one) for one in functions if one[1].shape[1]))
 
 
-def compact(bench: Bench, generic: list[Family]) -> list[Columns]:
-    """The leading directions of every broad family, in all channels: what they explain must not pass for noise."""
+def leading_directions(bench: Bench, generic: list[Family]) -> list[Columns]:
+    """Return the leading directions of every broad family in all channels, which are not to be taken for noise."""
     if len(bench.rows) < 2000:
         return []
     return [Columns((c,), one.basis[:, None, 1:9]) for one in generic if not one.local for c in range(bench.width)]
@@ -77,33 +77,33 @@ def compact(bench: Bench, generic: list[Family]) -> list[Columns]:
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model as far as what it leaves is concerned.
+    """Residual of a model with the columns that are projected out of it.
 
     Args:
         columns: whitened, of nuisances and effects, so that generic functions get no credit for what these could do.
-        rest, white: (M, C) of its rest, raw and whitened.
+        residual, white: (M, C) raw and whitened.
     """
 
     columns: list[Columns]
-    rest: Array
+    residual: Array
     white: Array
 
 
-def leftovers(bench: Bench, generic: list[Family], models: Sequence[Fitted]) -> list[list[Left]]:
-    """Structure in the rest of each of some models, strongest first; only what also predicts blocks it was not fitted on.
+def leftovers(bench: Bench, generic: list[Family], models: Sequence[Fitted]) -> list[list[Structure]]:
+    """Return the structure in each model's residual, strongest first; only what also predicts held-out blocks.
 
-    All models of one bench are asked together: most of the work is to whiten the generic functions.
+    All models of one bench are tested together: most of the work is to whiten the generic functions.
 
     Args:
         generic: `families` of the bench.
     """
-    good, known = ~bench.dropped, [bench.noise.transformed(one.basis) for one in generic]
+    good, known = ~bench.excluded_rows, [bench.noise.transformed(one.basis) for one in generic]
 
-    def of(c: int) -> list[list[Left]]:
-        asked: list[tuple[list[Left], Array, Array]] = []
+    def of(c: int) -> list[list[Structure]]:
+        asked: list[tuple[list[Structure], Array, Array]] = []
         for model in models:
             own = [x.values[:, x.channels.index(c)] for x in model.columns if c in x.channels and x.count]
-            whole = np.concatenate([*own, np.zeros((len(model.rest), 0))], axis=1)[good]
+            whole = np.concatenate([*own, np.zeros((len(model.residual), 0))], axis=1)[good]
             base = orthonormal(scaled(whole), weakest=1e-9)
             asked.append(([], base, model.white[good, c] - base @ (base.T @ model.white[good, c])))
         for place, (one, transformed) in enumerate(zip(generic, known, strict=True)):
@@ -116,7 +116,7 @@ def leftovers(bench: Bench, generic: list[Family], models: Sequence[Fitted]) -> 
                     # Slow structure is larger in raw units than the whitening makes it look.
                     size = np.sqrt(gain / len(y)) * np.std(one.basis[good] @ w) / max(np.std(Xw @ w), 1e-300)
                     share = gain / max(float(y @ y), 1e-300)
-                    out.append(Left(c, one.kind, z, share, float(size), one.basis, place))
+                    out.append(Structure(c, one.kind, z, share, float(size), one.basis, place))
         return [out for out, _, _ in asked]
 
     each = Parallel(n_jobs=2, require="sharedmem")(delayed(of)(c) for c in range(bench.width))
@@ -136,15 +136,17 @@ def _found(
     own_part: float = 1e-6,
     least_t: float = 1.2,
 ) -> tuple[float, float, Array] | None:
-    """Whether columns (n, k) explain a rest (n,) more than chance does: z, gain on blocks left out, weights (k,) of the columns.
+    """Test whether columns (n, k) explain the residual (n,) beyond chance, by chi square and by cross-validation.
+
+    Return z, the cross-validated gain, and the weights (k,) of the columns; None where they do not.
 
     Args:
-        squared: (k, k) inner products of the columns; base: (n, r) orthonormal, what the model can do; the rest has no part
-            in it.
+        squared: (k, k) inner products of the columns; base: (n, r) orthonormal basis of the model, projected out of the
+            residual.
         part: of a function, that must lie in the blocks that it is learnt on before it is half believed in the
             others.
         least_z: standard deviations above what chance explains, below which nothing else is asked.
-        own_part: of a function's square, that the model must not be able to do.
+        own_part: share of a function's square that must be outside the model's span.
         least_t: standard errors that are enough where shuffled blocks show that no order of the same blocks is
             predicted nearly so well.
     """
@@ -152,7 +154,7 @@ def _found(
     squares, V = np.diag(squared), np.zeros((Xw.shape[1], 0))
     own = squares - np.einsum("rk,rk->k", B, B) > own_part * squares
     if own.any():
-        # Inner products of the columns less what the model can do.
+        # Inner products of the columns with the model projected out.
         G = squared[np.ix_(own, own)] - B[:, own].T @ B[:, own]
         size = np.sqrt(np.diag(G))
         value, vector = np.linalg.eigh(G / np.outer(size, size))
@@ -165,18 +167,18 @@ def _found(
     if not k or z < least_z or chi2.sf(T, k) > chance:
         return None
     U, ridge = (Xw - base @ B) @ V, part + k / T
-    each = _crossed(U, y[:, None], block, ridge=ridge)[:, 0]
-    sure = sureness(each)
+    each = _cross_validated_gains(U, y[:, None], block, ridge=ridge)[:, 0]
+    sure = t_statistic(each)
     if sure < T_NEEDED and not (sure >= least_t and _beyond_shuffled(U, y, block, ridge=ridge)):
         return None
     return z, float(each.sum()), V @ projected
 
 
-def _crossed(U: Array, Y: Array, block: Index, *, ridge: float) -> Array:
-    """(blocks, m) falls of the sums of squares of m residuals Y (n, m) by orthonormal functions U (n, k) learnt on other blocks.
+def _cross_validated_gains(U: Array, Y: Array, block: Index, *, ridge: float) -> Array:
+    """Return falls (blocks, m) of the sums of squares of residuals Y (n, m) by functions U (n, k) learnt on other blocks.
 
-    Ridge regression, so that many functions of which few matter may win and none is trusted that mostly lives in the blocks
-    left out. Blocks are the unit: slow noise inside a block is one piece of luck.
+    U is orthonormal. Ridge regression lets many functions win of which few matter, and trusts none that mostly lives in the
+    held-out blocks. Blocks are the unit: slow noise is correlated inside a block.
     """
     number = np.unique(block, return_inverse=True)[1]
     fold, gain = folds(block), np.zeros(Y.shape)
@@ -188,8 +190,8 @@ def _crossed(U: Array, Y: Array, block: Index, *, ridge: float) -> Array:
     return np.stack([np.bincount(number, column) for column in gain.T], axis=-1)
 
 
-def sureness(each: Array) -> float:
-    """Mean gain of the blocks over its standard error."""
+def t_statistic(each: Array) -> float:
+    """Return the mean gain of the blocks over its standard error."""
     spread = float(np.std(each, ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else np.inf
     return float(np.mean(each)) / max(spread, 1e-300)
 
@@ -197,10 +199,10 @@ def sureness(each: Array) -> float:
 def _beyond_shuffled(
     U: Array, y: Array, block: Index, *, ridge: float, beyond: float = 8.0, orders_asked: int = 60, first: int = 10
 ) -> bool:
-    """Return whether functions predict blocks left out far better than they predict the same blocks in another order.
+    """Return whether functions predict held-out blocks far better than the same blocks in another order.
 
     What acts in a few corners of the motion lies in a few blocks: their gains differ so much that a mean over its error says
-    little. That the rest is large at just the moments that the motion foretells is no luck.
+    little. That the residual is large at just the moments that the motion predicts is no chance.
 
     Args:
         beyond: standard deviations between orders.
@@ -210,10 +212,10 @@ def _beyond_shuffled(
     rng = np.random.default_rng(len(y))
     pieces = [np.flatnonzero(block == b) for b in np.unique(block)]
     shuffled = [np.concatenate([pieces[i] for i in rng.permutation(len(pieces))]) for _ in range(orders_asked)]
-    # Most are far from it, and a few orders show that.
+    # A few orders reject most of the candidates.
     for count, needed in ((first, 0.5 * beyond), (orders_asked, beyond)):
         orders = np.stack([y, *(y[order] for order in shuffled[:count])], axis=-1)
-        gains = _crossed(U, orders, block, ridge=ridge).sum(axis=0)
+        gains = _cross_validated_gains(U, orders, block, ridge=ridge).sum(axis=0)
         if gains[0] <= np.mean(gains[1:]) + needed * np.std(gains[1:]):
             return False
     return True

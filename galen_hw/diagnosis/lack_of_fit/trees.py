@@ -1,7 +1,4 @@
-"""Trees on the inputs: they bend where no family of functions does, and know nothing beyond the motion.
-
-Beside linear regressions of what has no name, and in search of what all families together have taken for slow noise.
-"""
+"""Regression trees on the inputs, for structure that no family of functions describes."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
@@ -9,12 +6,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from galen_hw.diagnosis.estimation.budget import BUDGET
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
 from galen_hw.diagnosis.lack_of_fit.gram import Functions
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder
-from galen_hw.diagnosis.lack_of_fit.structure_test import T_NEEDED, Left, sureness
+from galen_hw.diagnosis.lack_of_fit.structure_test import T_NEEDED, Structure, t_statistic
+from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.diagnosis.stats.sampling import Index, folds
 from galen_hw.spatial import Array
 
@@ -22,11 +19,11 @@ if TYPE_CHECKING:
     from sklearn.ensemble import ExtraTreesRegressor, HistGradientBoostingRegressor
 
 TOGETHER: Final = "all inputs together, as no function that was tried does"
-"""What trees follow, in words."""
+"""What trees depend on, in words."""
 
 
-def new() -> "HistGradientBoostingRegressor":
-    """Gradient-boosted trees (Friedman 2001) as the library sets them, the same ones every time."""
+def boosted_trees() -> "HistGradientBoostingRegressor":
+    """Return gradient-boosted trees (Friedman 2001) with the library's settings and a fixed seed."""
     # Half a second to import, which most recordings never ask for.
     from sklearn.ensemble import HistGradientBoostingRegressor
 
@@ -35,40 +32,39 @@ def new() -> "HistGradientBoostingRegressor":
 
 # Threads of several diagnoses at once would spin and wait for one another: seven times as long on two cores.
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
-def beside(remainder: Remainder, model: Model, functions: Functions) -> Remainder:
-    """A remainder's mean with trees on the inputs and their past, in the channels where it predicts blocks left out better.
+def blended(remainder: Remainder, model: Model, functions: Functions) -> Remainder:
+    """Return a remainder averaged with trees on the inputs, in channels where that predicts held-out blocks better.
 
-    Never trees alone: where another motion goes further they stay as they are. Errors of so different a kind partly cancel
-    in the mean (Bates and Granger 1969).
+    Never trees alone: beyond the range of the motion they are constant. Errors of so different a kind partly cancel in the mean
+    (Bates and Granger 1969).
     """
     rows, X = functions.rows, remainder.inputs.seen
-    rest, crossed, trees = model.rest(), remainder.crossed.copy(), {}
+    residual, cross_validated, trees = model.residual(), remainder.cross_validated.copy(), {}
     for c in remainder.parts:
-        y, linear, own = rest[rows, c], remainder.crossed[rows, c], np.zeros(len(rows))
+        y, linear, own = residual[rows, c], remainder.cross_validated[rows, c], np.zeros(len(rows))
         every = np.arange(len(rows))
         for fold in functions.folds:
             others = np.delete(every, fold)
-            own[fold] = new().fit(X[rows[others]], y[others]).predict(X[rows[fold]])
+            own[fold] = boosted_trees().fit(X[rows[others]], y[others]).predict(X[rows[fold]])
         both = 0.5 * (linear + own)
-        if _left(y - both) < _left(y - linear):
-            trees[c] = new().fit(X[rows], y)
-            crossed[rows, c] = both
-    return replace(remainder, trees=trees, crossed=crossed)
+        if _sum_of_squares(y - both) < _sum_of_squares(y - linear):
+            trees[c] = boosted_trees().fit(X[rows], y)
+            cross_validated[rows, c] = both
+    return replace(remainder, trees=trees, cross_validated=cross_validated)
 
 
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
-def hidden(model: Model, *, slower: float = 2.0, most_by_time: float = 0.5) -> list[Left]:
-    """Structure of a model's rest that passes for slow noise, a channel at a time: what trees predict of blocks left out.
+def hidden(model: Model, *, slower: float = 2.0, most_by_time: float = 0.5) -> list[Structure]:
+    """Return structure of a model's residual that passes for slow noise: what trees predict of held-out blocks.
 
-    A law of several inputs at once that is in no family is followed by none, and by its own slowness it is noise then. What
-    trees on the time alone foretell is slow noise, or drift: where a motion does not come back its place is a clock.
+    A law of several inputs at once that is in no family passes for noise by its own slowness. What trees on the time alone
+    predict is slow noise, or drift: where a motion does not repeat, its position is a clock.
 
     Args:
-        slower: times the noise's lowest level that some of it must be for trees to look into it: else there is
-            nothing to be found.
-        most_by_time: share of what they win that trees on the time alone may.
+        slower: ratio of the highest to the lowest noise level from which a channel is tested.
+        most_by_time: share of the gain that trees on the time alone may have.
     """
-    bench, good = model.bench, np.flatnonzero(~model.bench.dropped)
+    bench, good = model.bench, np.flatnonzero(~model.bench.excluded_rows)
     levels = bench.noise.levels
     slow = np.flatnonzero(levels.max(axis=0) > slower * levels.min(axis=0)) if len(levels) else np.empty(0, dtype=int)
     if not len(slow):
@@ -77,31 +73,34 @@ def hidden(model: Model, *, slower: float = 2.0, most_by_time: float = 0.5) -> l
     X = np.concatenate([inputs.position, inputs.rate, inputs.second], axis=1)
     if not X.shape[1]:  # nothing moves
         return []
-    time = bench.rows.average(bench.scene.time)[:, None]
-    rest = model.rest()[:, slow] / bench.noise.sigma[slow]
+    time = bench.time[:, None]
+    residual = model.residual()[:, slow] / bench.noise.sigma[slow]
     fold = folds(bench.block)
     number = np.unique(bench.block[good], return_inverse=True)[1]
 
     def asked(of: Array) -> tuple[Array, Array]:
-        foretold = _foretold(of, rest, fold, good)
-        each = (foretold * (2.0 * rest - foretold))[good]
-        return foretold, np.stack([np.bincount(number, column) for column in each.T], axis=-1)
+        predicted = _predicted(of, residual, fold, good)
+        each = (predicted * (2.0 * residual - predicted))[good]
+        return predicted, np.stack([np.bincount(number, column) for column in each.T], axis=-1)
 
-    foretold, gain = asked(X)
-    if max(map(sureness, gain.T)) < T_NEEDED:
+    predicted, gain = asked(X)
+    if max(map(t_statistic, gain.T)) < T_NEEDED:
         return []
     out, by_time = [], asked(time)[1].sum(axis=0)
     for k, c in enumerate(slow):
-        own, sure = float(gain[:, k].sum()), sureness(gain[:, k])
+        own, sure = float(gain[:, k].sum()), t_statistic(gain[:, k])
         if sure >= T_NEEDED and by_time[k] <= most_by_time * own:
-            basis = np.linalg.qr(np.stack([np.ones(len(rest)), foretold[:, k]], axis=-1))[0]
-            share, size = own / float(rest[good, k] @ rest[good, k]), np.sqrt(own / len(good)) * bench.noise.sigma[c]
-            out.append(Left(int(c), TOGETHER, sure, share, float(size), basis))
+            basis = np.linalg.qr(np.stack([np.ones(len(residual)), predicted[:, k]], axis=-1))[0]
+            share, size = (
+                own / float(residual[good, k] @ residual[good, k]),
+                np.sqrt(own / len(good)) * bench.noise.sigma[c],
+            )
+            out.append(Structure(int(c), TOGETHER, sure, share, float(size), basis))
     return sorted(out, key=lambda left: -left.z)
 
 
-def _foretold(X: Array, y: Array, fold: Index, good: Index) -> Array:
-    """(M, m) rests (M, m) as trees on inputs (M, k) predict them that were learnt on some of the good rows of other folds."""
+def _predicted(X: Array, y: Array, fold: Index, good: Index) -> Array:
+    """Return residuals (M, m) predicted from inputs (M, k) by trees learnt on some good rows of other folds."""
     out, seen = np.zeros(y.shape), good[:: max(len(good) // BUDGET.coarse, 1)]
     for f in range(int(fold.max()) + 1):
         learn, aside = seen[fold[seen] != f], fold == f
@@ -112,7 +111,7 @@ def _foretold(X: Array, y: Array, fold: Index, good: Index) -> Array:
 
 
 def _many(*, number: int = 30, leaf: int = 10) -> "ExtraTreesRegressor":
-    """Extremely randomised trees (Geurts, Ernst and Wehenkel 2006): all channels at once, and quick.
+    """Return extremely randomised trees (Geurts, Ernst and Wehenkel 2006): all channels at once, and quick.
 
     Args:
         number: trees.
@@ -123,5 +122,5 @@ def _many(*, number: int = 30, leaf: int = 10) -> "ExtraTreesRegressor":
     return ExtraTreesRegressor(number, min_samples_leaf=leaf, random_state=0)
 
 
-def _left(rest: Array) -> float:
-    return float(rest @ rest)
+def _sum_of_squares(residual: Array) -> float:
+    return float(residual @ residual)

@@ -1,1 +1,1 @@
-"""The readings' noise: its spectrum, and what grows ever slower."""
+"""The noise of the readings: its spectrum and its low-frequency part."""

@@ -1,68 +1,68 @@
-"""Estimate the noise of every channel from the residual of a rich fit, corrected for what that fit itself took of each band."""
+"""Estimation of every channel's noise spectrum from the residual of a rich fit (residual likelihood)."""
 
 import numpy as np
 
 from galen_hw.diagnosis.noise.low_frequency import whitest
-from galen_hw.diagnosis.noise.resolution import RESOLUTION
 from galen_hw.diagnosis.noise.spectrum import Noise
+from galen_hw.diagnosis.settings import RESOLUTION
 from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.spatial import Array
 
 
 def estimate(
-    rest: Array,
+    residual: Array,
     basis: list[Array],
     rows: Rows,
     *,
     ordered: bool,
     steps: Array,
     above: float = 0.0,
-    apart: bool = False,
+    static_poses: bool = False,
 ) -> Noise:
-    """Noise from what is left (M, C) after a fit with an orthonormal basis (M, r) in each channel.
+    """Return the noise estimated from the residual (M, C) of a fit with an orthonormal basis (M, r) in each channel.
 
     Args:
-        rest, basis: of the fit; rows: of the bench; ordered: if not, noise is white; steps: of rounded readings.
-        above: cycles a row below which physics may still be in the rest: there the noise is taken as at that frequency.
-        apart: whether each row is a pose by itself, so that what rows next to each other share is no noise.
+        residual, basis: of the fit; rows: of the bench; ordered: if not, noise is white; steps: of rounded readings.
+        above: cycles a row below which the residual may contain physics: there the level at that frequency is taken.
+        static_poses: whether each row is a separate pose, so that what neighbouring rows share is no noise.
     """
-    M, C = rest.shape
+    M, C = residual.shape
     freedom = np.array([max(M - b.shape[1], 2) for b in basis], dtype=float)
-    sigma = np.sqrt(np.sum(rest**2, axis=0) / freedom)
-    sigma = np.maximum(sigma, 1e-12 * (np.max(np.abs(rest)) + 1e-300) + 1e-15)
+    sigma = np.sqrt(np.sum(residual**2, axis=0) / freedom)
+    sigma = np.maximum(sigma, 1e-12 * (np.max(np.abs(residual)) + 1e-300) + 1e-15)
     with np.errstate(invalid="ignore"):  # of a channel that the fit leaves nothing of
-        correlation = np.nan_to_num(np.corrcoef((rest / sigma).T)) if C > 1 else np.ones((1, 1))
+        correlation = np.nan_to_num(np.corrcoef((residual / sigma).T)) if C > 1 else np.ones((1, 1))
     np.fill_diagonal(correlation, 1.0)
     long = [run for run in rows.runs if run.stop - run.start >= RESOLUTION.shortest]
     if not ordered or not long:
-        sigma = np.minimum(sigma, _by_neighbours(rest, sigma, freedom, rows)) if apart else sigma
+        sigma = np.minimum(sigma, _by_neighbours(residual, sigma, freedom, rows)) if static_poses else sigma
         return Noise(rows, np.empty(0), np.empty((0, C)), sigma, float(freedom.sum()), correlation, steps)
     edges = _bands(max(run.stop - run.start for run in long))
-    levels = np.stack([_levels(rest[:, c], basis[c], long, edges, above) for c in range(C)], axis=-1)
+    levels = np.stack([_levels(residual[:, c], basis[c], long, edges, above) for c in range(C)], axis=-1)
     if len(levels) < RESOLUTION.fewest:
         levels = whitest(levels, sum(run.stop - run.start for run in long) * np.diff(edges))
     noise = Noise(rows, edges, levels, sigma, float(freedom.sum()), correlation, steps)
-    # What the bands say the variance is, so that one sample's sigma holds the slow part too, as far as it was measured.
+    # The variance is the integral of the bands, so that sigma contains the slow part too, as far as it was measured.
     f = np.maximum((np.arange(4096) + 0.5) / 8192, np.sqrt(edges[0] * edges[1]))
     total = np.sqrt(np.mean(noise.spectrum(f), axis=0))
     return Noise(rows, edges, levels, total, float(freedom.sum()), correlation, steps)
 
 
-def _by_neighbours(rest: Array, sigma: Array, freedom: Array, rows: Rows, *, surely: float = 2.5) -> Array:
-    """(C,) standard deviation by the differences of neighbours, where these are surely smaller than noise of sigma (C,) has.
+def _by_neighbours(residual: Array, sigma: Array, freedom: Array, rows: Rows, *, surely: float = 2.5) -> Array:
+    """Return the standard deviation (C,) from differences of neighbours, where these are surely smaller than sigma's (C,).
 
     In white noise half the mean squared difference over the variance is 1, with a deviation of 1 / sqrt(n) (von Neumann 1941).
 
     Args:
         surely: standard deviations of that ratio by which the differences must be smaller.
     """
-    difference = np.concatenate([np.diff(rest[run], axis=0) for run in rows.runs])
-    square = 0.5 * np.mean(difference**2, axis=0) * len(rest) / freedom
+    difference = np.concatenate([np.diff(residual[run], axis=0) for run in rows.runs])
+    square = 0.5 * np.mean(difference**2, axis=0) * len(residual) / freedom
     return np.where(square < (1.0 - surely / np.sqrt(freedom)) * sigma**2, np.sqrt(square), sigma)
 
 
 def _bands(n: int, *, lines: int = 18, per_decade: int = 6, slowest: float = 7.0) -> Array:
-    """Limits in cycles a row: at least so many lines of the spectrum in a band, equal ratios where there are more.
+    """Return band limits in cycles a row: at least so many lines in a band, equal ratios where there are more.
 
     Args:
         n: rows of a segment.
@@ -77,14 +77,16 @@ def _bands(n: int, *, lines: int = 18, per_decade: int = 6, slowest: float = 7.0
     return np.array([*edges[:-1], 0.5])
 
 
-def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array, above: float, *, least: float = 5.0) -> Array:
-    """(B,) level a band: what the rich fit has left there over the share of the band that it could not reach.
+def _levels(
+    residual: Array, basis: Array, runs: list[slice], edges: Array, above: float, *, least: float = 5.0
+) -> Array:
+    """Return the level (B,) of each band: the residual's power over the share of the band outside the rich basis.
 
-    The rest of a fit with an orthonormal basis Q has at frequency f the expected power (1 - t) S, t the basis' own power
+    The residual of a fit with an orthonormal basis Q has at frequency f the expected power (1 - t) S, t the basis' own power
     there (residual likelihood; Patterson and Thompson 1971, in the frequency domain).
 
     Args:
-        least: lines of a band that the rich fit must leave; else it is not measured, but read off its neighbours.
+        least: lines of a band outside the rich basis; with fewer it is not measured, but interpolated.
     """
     lines, free, place = [], [], []
     for run in runs:
@@ -92,33 +94,33 @@ def _levels(rest: Array, basis: Array, runs: list[slice], edges: Array, above: f
         window = np.hanning(n + 2)[1:-1]
         window /= np.sqrt(np.mean(window**2))
         f = np.fft.rfftfreq(n)
-        lines.append(np.abs(np.fft.rfft(rest[run] * window)) ** 2 / n)
+        lines.append(np.abs(np.fft.rfft(residual[run] * window)) ** 2 / n)
         taken = np.zeros(len(f))
         for start in range(0, basis.shape[1], 32):
             part = basis[run, start : start + 32] * window[:, None]
             taken += np.sum(np.abs(np.fft.rfft(part, axis=0)) ** 2, axis=1) / n
         free.append(np.clip(1.0 - taken, 0.0, 1.0))
         place.append(np.where(f > 0, np.searchsorted(edges, f, side="right") - 1, -1).clip(-1, len(edges) - 2))
-    line, left, band = np.concatenate(lines), np.concatenate(free), np.concatenate(place)
+    line, reachable, band = np.concatenate(lines), np.concatenate(free), np.concatenate(place)
     level = np.full(len(edges) - 1, np.nan)
     for b in range(len(level)):
-        inside = (band == b) & (left > 0.02)
-        if np.sum(left[inside]) < least or edges[b] < above:
+        inside = (band == b) & (reachable > 0.02)
+        if np.sum(reachable[inside]) < least or edges[b] < above:
             continue
-        # A single line (mains, a periodic motion) must not pass for noise; of few lines one may well be the largest.
-        single, told = line[inside] / left[inside], left[inside] > 0.3
-        many = told.sum() >= 12 and len(level) >= RESOLUTION.fewest
-        usual = np.median(single[told]) / 0.69 if many else np.inf
+        # A single line (mains, a periodic motion) must not pass for noise; of few lines one may well be large by chance.
+        single, usable = line[inside] / reachable[inside], reachable[inside] > 0.3
+        many = usable.sum() >= 12 and len(level) >= RESOLUTION.fewest
+        usual = np.median(single[usable]) / 0.69 if many else np.inf
         good = single < 8.0 * usual
-        level[b] = np.sum(line[inside][good]) / np.sum(left[inside][good])
+        level[b] = np.sum(line[inside][good]) / np.sum(reachable[inside][good])
     return _filled(level, edges)
 
 
 def _filled(level: Array, edges: Array) -> Array:
-    """Bands that could not be measured: between their neighbours in logarithms, as the nearest one at the ends.
+    """Return levels with unmeasured bands interpolated in logarithms, as the nearest band at the ends.
 
-    At the slow end this may be too little noise: what is then chosen too boldly goes when the noise is learnt again from
-    what the first model leaves.
+    At the slow end this may be too little noise: what is then chosen too boldly goes when the noise is learnt again from the
+    first model's residual.
     """
     centres, known = np.log(np.sqrt(edges[1:] * edges[:-1])), np.isfinite(level) & (level > 0.0)
     if not known.any():
@@ -128,7 +130,7 @@ def _filled(level: Array, edges: Array) -> Array:
 
 
 def quantisation(y: Array) -> Array:
-    """(C,) step of readings (N, C) that stand on a grid, else 0."""
+    """Return the quantisation step (C,) of readings (N, C), 0 where they are not on a grid."""
     out = np.zeros(y.shape[1])
     for c in range(y.shape[1]):
         values = np.unique(y[np.isfinite(y[:, c]), c])

@@ -1,9 +1,9 @@
-"""What noise does below the slowest band that a recording measures: flat below a corner, or rising as flicker noise does.
+"""The noise spectrum below the slowest measured band: a low-frequency plateau, flicker noise or a random walk.
 
 Noise with a memory (a filter, a servo, a settling converter) is flat below its corner; flicker noise goes on rising. Both are
-fitted to the measured bands by their likelihood (Whittle 1953), and a corner is believed where it is the better one for certain.
-What rises more steeply than flicker noise has its corner just below, or is a walk. A walk is no noise but a drift, of which the
-slow end must not pass for noise: what does not forget within a thirtieth of the recording walks.
+fitted to the measured bands by their likelihood (Whittle 1953), and a corner is accepted where it is significantly better. What
+rises more steeply than flicker noise has its corner just below, or is a random walk. A random walk is a drift, not noise: its
+slow end must not pass for noise. A correlation time above a thirtieth of the recording counts as a random walk.
 """
 
 from typing import TYPE_CHECKING
@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import chi2
 
-from galen_hw.diagnosis.noise.resolution import RESOLUTION
+from galen_hw.diagnosis.settings import RESOLUTION
 from galen_hw.spatial import Array
 
 if TYPE_CHECKING:
     from galen_hw.diagnosis.stats.sampling import Index, Mask
 
 
-def shelves(
+def plateaus(
     centres: Array,
     levels: Array,
     lines: Array,
@@ -30,9 +30,9 @@ def shelves(
     steps: int = 15,
     gentle_steps: int = 7,
 ) -> Array:
-    """(C,) level below the corner of each channel's noise, a standard error up; nan where it is not flat there for certain.
+    """Return the low-frequency plateau (C,) of each spectrum, a standard error up, or NaN if it is not identified.
 
-    What is steeper than flicker noise for certain has the slowest corner that noise may have.
+    What is significantly steeper than flicker noise gets the slowest corner that noise may have.
 
     Args:
         centres: (B,) of the bands, cycles a row; levels: (B, C); lines: (B,) of the spectrum in each band.
@@ -40,7 +40,7 @@ def shelves(
         certain: twice the log likelihood ratio, over all channels, from which a corner is believed; one of
             flicker noise reaches 6.
         contrary: the same ratio below which a channel speaks against what the others say.
-        hidden: the same ratio from which flicker noise is there beside the corner: in doubt nothing is flat.
+        hidden: the same ratio from which there is flicker noise besides the corner: in doubt there is no plateau.
         steps: slopes that are tried, a quarter to two.
         gentle_steps: of these, none steeper than flicker noise.
     """
@@ -54,28 +54,27 @@ def shelves(
     corner, fitted, which = _likeliest(levels, weights, [np.stack([white, bend], axis=-1) for bend in bends])
     costs, models = _fitted(levels, weights, [np.stack([white, slope], axis=-1) for slope in slopes])
     both, _, _ = _likeliest(levels, weights, [np.stack([white, bend, flicker], axis=-1) for bend in bends])
-    # The steepest of the slopes is a walk's.
+    # The steepest of the slopes is that of a random walk.
     rising, gentle, walk, walked = costs.min(axis=0), costs[:gentle_steps].min(axis=0), costs[-1], models[-1]
     sure, noise = rising - corner, _like_noise(corner, centres)
     steep = (_like_noise(walk, centres)) & (gentle - walk >= certain)
     flat = noise & (np.sum(sure[noise]) >= certain) & (sure > contrary) & (corner - both < hidden)
-    # The shelf is known from the bands below the corner alone; in doubt slow noise is stronger.
+    # The plateau is known from the bands below the corner alone; in doubt slow noise is stronger.
     known = np.array([np.sum(weights[centres <= corners[k]]) for k in which])
-    shelf = np.where(flat, fitted[0] * (1.0 + 1.0 / np.sqrt(known)), np.nan)
-    return np.where(steep & ~flat, walked[0] * (centres[0] / slowest) ** 2, shelf)
+    plateau = np.where(flat, fitted[0] * (1.0 + 1.0 / np.sqrt(known)), np.nan)
+    return np.where(steep & ~flat, walked[0] * (centres[0] / slowest) ** 2, plateau)
 
 
 def walking(
     centres: Array, levels: Array, lines: Array, modes: Array, rows: int, slowest: float, *, needed: float = 22.0
 ) -> "Mask":
-    """(C,) which channels walk: their spectrum rises as 1 / f^2 down to their slowest modes, and no noise is like that.
+    """Return which channels (C,) contain a random walk: their spectrum rises as 1 / f^2 down to their slowest modes.
 
     Args:
         modes: (K, C) squares of the half cosines 1 to K over so many rows, below the bands.
-        needed: twice the log likelihood ratio from which a channel is said to walk: what a search asks of any
-            effect.
+        needed: twice the log likelihood ratio from which a channel contains a random walk, as of any effect.
 
-    Other arguments as of `shelves`. A walk is asked against noise with a corner above `slowest`, and against flicker noise.
+    Other arguments as of `plateaus`. A random walk is compared with noise with a corner above `slowest`, and flicker noise.
     """
     f = np.concatenate([0.5 * np.arange(1, len(modes) + 1) / rows, centres])
     level = np.concatenate([np.maximum(modes, 1e-12 * np.max(levels, axis=0)), levels])
@@ -90,9 +89,9 @@ def walking(
 
 
 def whitest(levels: Array, lines: Array, *, chance: float = 0.01) -> Array:
-    """(B, C) levels of few bands, all the same where white noise might well have them: whitening by scatter makes structure.
+    """Return levels (B, C) of few bands, equal where white noise may well have them: whitening by scatter adds structure.
 
-    Arguments as of `shelves`. The deviance of one level for all bands is chi square of B - 1.
+    Arguments as of `plateaus`. The deviance of one level for all bands is chi square of B - 1.
 
     Args:
         chance: with which white noise may look more coloured than that.
@@ -106,10 +105,10 @@ def whitest(levels: Array, lines: Array, *, chance: float = 0.01) -> Array:
 def smoothed(
     centres: Array, levels: Array, lines: Array, *, powers: tuple[float, float, int] = (-3.0, 5.0, 33)
 ) -> Array:
-    """(B, C) levels of a spectrum that bends no more than its bands show: a power law is not held back, their scatter is.
+    """Return the smoothed levels (B, C) of a spectrum: the scatter of the bands is reduced, a power law is not.
 
-    A smoothing spline of the logarithms, whose stiffness is the likeliest one (restricted likelihood; Wahba 1985), the
-    scatter of a band being known from its number of lines. Arguments as of `shelves`.
+    A smoothing spline of the logarithms, whose stiffness is the likeliest one (restricted likelihood; Wahba 1985), the scatter of
+    a band being known from its number of lines. Arguments as of `plateaus`.
 
     Args:
         powers: first and last power of ten, and number, of stiffnesses against bending, per band: from none to a straight line.
@@ -136,7 +135,7 @@ def smoothed(
 
 
 def _independent(lines: Array) -> Array:
-    """(B,) independent lines in each band: of a Hann window's spectrum 1.94 lines are worth one.
+    """Return the number (B,) of independent lines in each band: of a Hann window's spectrum 1.94 lines are worth one.
 
     Neighbours correlate by 2/3, the next ones by 1/6: 1 + 2 (4/9 + 1/36).
     """
@@ -144,7 +143,7 @@ def _independent(lines: Array) -> Array:
 
 
 def _like_noise(deviance: Array, centres: Array, *, most: float = 3.0) -> "Mask":
-    """(C,) whether a deviance (C,) over bands is one of noise: 1 a band for such noise; physics that is left has humps.
+    """Return whether a deviance (C,) over bands is one of noise, about 1 a band; a residual with physics has humps.
 
     Args:
         most: deviance a band.
@@ -153,7 +152,7 @@ def _like_noise(deviance: Array, centres: Array, *, most: float = 3.0) -> "Mask"
 
 
 def _likeliest(levels: Array, weights: Array, shapes: list[Array]) -> tuple[Array, Array, "Index"]:
-    """The best of several sums of shapes (B, K), amplitudes >= 0: (C,) deviance, (B, C) levels, (C,) which."""
+    """Return the best of several sums of shapes (B, K), amplitudes >= 0: deviance (C,), levels (B, C), index (C,)."""
     costs, models = _fitted(levels, weights, shapes)
     best = np.argmin(costs, axis=0)
     each = np.arange(levels.shape[1])
@@ -161,9 +160,9 @@ def _likeliest(levels: Array, weights: Array, shapes: list[Array]) -> tuple[Arra
 
 
 def _fitted(levels: Array, weights: Array, shapes: list[Array], *, updates: int = 150) -> tuple[Array, Array]:
-    """Each of several sums of shapes (B, K), amplitudes >= 0: (S, C) deviance, (S, B, C) levels.
+    """Fit several sums of shapes (B, K), amplitudes >= 0, and return deviances (S, C) and levels (S, B, C).
 
-    Deviance: minus twice the log likelihood over that of the levels themselves, chi square of B less what was fitted.
+    Deviance: minus twice the log likelihood over that of the levels themselves, chi square of B less the fitted amplitudes.
 
     Multiplicative updates for the Itakura-Saito divergence, which is this likelihood (Fevotte, Bertin and Durrieu 2009).
 
@@ -183,6 +182,6 @@ def _fitted(levels: Array, weights: Array, shapes: list[Array], *, updates: int 
 
 
 def _deviance(levels: Array, model: Array, weights: Array) -> Array:
-    """(..., C) minus twice the log likelihood of levels (B, C), over that of the levels themselves."""
+    """Return minus twice the log likelihood (..., C) of levels (B, C) over that of the levels themselves."""
     ratio = levels / model
     return np.asarray(2.0 * np.sum(weights[:, None] * (ratio - np.log(ratio) - 1.0), axis=-2))

@@ -1,7 +1,7 @@
-"""The noise of every channel: its spectrum, whitening by it, and surrogates that look like it.
+"""The noise of every channel: its spectrum, whitening, and surrogates.
 
-The spectrum is a level per logarithmic band. Below the slowest band
-that a recording of this length can tell from drift it is continued: flat where it has a corner for certain, else as a power law.
+The spectrum is a level per logarithmic band. Below the slowest band that a recording of this length can tell from drift it is
+continued: flat where a plateau is identified, else as a power law.
 """
 
 import itertools
@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.fft import dct, idct, next_fast_len
 
-from galen_hw.diagnosis.noise.low_frequency import shelves, smoothed, walking
-from galen_hw.diagnosis.noise.resolution import RESOLUTION
+from galen_hw.diagnosis.noise.low_frequency import plateaus, smoothed, walking
+from galen_hw.diagnosis.settings import RESOLUTION
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.sampling import Mask, Rows
 from galen_hw.lazy import cached_property
@@ -27,10 +27,10 @@ class Noise:
         edges: (B + 1,) band limits in cycles a row, empty: white.
         levels: (B, C) spectral level, the variance of one row where white.
         sigma: (C,) standard deviation of one averaged row.
-        degrees: degrees of freedom that the estimate rests on.
+        degrees: degrees of freedom of the estimate.
         correlation: (C, C) between channels.
         steps: (C,) quantisation step of the raw readings, 0 where there is none.
-        unread: (C,) channels without data; none: all have data.
+        without_data: (C,) channels without data; None: all have data.
     """
 
     rows: Rows
@@ -40,56 +40,56 @@ class Noise:
     degrees: float
     correlation: Array
     steps: Array
-    unread: Mask | None = None
-    kept: dict[tuple[int, float], Array] = field(default_factory=dict, compare=False)
+    without_data: Mask | None = None
+    cache: dict[tuple[int, float], Array] = field(default_factory=dict, compare=False)
 
     def spectrum(self, frequency: Array) -> Array:
-        """(F, C) level at frequencies in cycles a row."""
+        """Return the level (F, C) at frequencies in cycles a row."""
         if not len(self.edges):
             return np.tile(self.sigma**2, (len(frequency), 1))
         centres = np.log(self.centres)
         at = np.log(np.maximum(frequency, 0.07 * self.edges[0]))
-        channels = zip(np.log(self.levels).T, np.log(self._shelves), strict=True)
-        return np.exp(np.stack([_line(at, centres, level, shelf) for level, shelf in channels], axis=-1))
+        channels = zip(np.log(self.levels).T, np.log(self._plateaus), strict=True)
+        return np.exp(np.stack([_line(at, centres, level, plateau) for level, plateau in channels], axis=-1))
 
     @cached_property
     def centres(self) -> Array:
-        """(B,) of the bands, cycles a row."""
+        """Centres (B,) of the bands, cycles a row."""
         return np.asarray(np.sqrt(self.edges[1:] * self.edges[:-1]))
 
     @cached_property
     def lines(self) -> Array:
-        """(B,) of the spectrum in each band."""
+        """Number of spectral lines (B,) in each band."""
         return np.asarray(sum(self._lengths) * np.diff(self.edges))
 
     @property
     def _lengths(self) -> list[int]:
-        """Of the runs that are long enough for a spectrum, rows."""
+        """Lengths, rows, of the runs that are long enough for a spectrum."""
         return [run.stop - run.start for run in self.rows.runs if run.stop - run.start >= RESOLUTION.shortest]
 
     @property
     def slowest(self) -> float:
-        """Corner of the longest memory that noise may have, cycles a row."""
+        """Corner frequency of the longest correlation time that noise may have, cycles a row."""
         return RESOLUTION.forgets / (2.0 * np.pi * max(self._lengths))
 
     @cached_property
-    def _shelves(self) -> Array:
-        """(C,) level below the slowest band where the noise is known there for certain, else nan."""
-        return shelves(self.centres, self.levels, self.lines, self.slowest)
+    def _plateaus(self) -> Array:
+        """Low-frequency plateau (C,), NaN where it is not identified."""
+        return plateaus(self.centres, self.levels, self.lines, self.slowest)
 
-    def walks(self, rest: Array, waves: int) -> Mask:
-        """(C,) whether what is left (M, C) of a channel is no noise but a walk; `waves` half cosines lie below the bands."""
+    def random_walks(self, residual: Array, waves: int) -> Mask:
+        """Return which channels (C,) of a residual (M, C) contain a random walk; `waves` half cosines lie below the bands."""
         if len(self.centres) < RESOLUTION.fewest or len(self.rows.runs) > 1:
             return np.zeros(len(self.sigma), dtype=bool)
-        modes = dct(rest, axis=0, norm="ortho")[1 : 1 + waves] ** 2
-        return walking(self.centres, self.levels, self.lines, modes, len(rest), self.slowest)
+        modes = dct(residual, axis=0, norm="ortho")[1 : 1 + waves] ** 2
+        return walking(self.centres, self.levels, self.lines, modes, len(residual), self.slowest)
 
     def whiten(self, x: Array, channel: int) -> Array:
-        """(M, k) columns of one channel, scaled and filtered so that its noise becomes white with unit variance."""
+        """Return columns (M, k) of one channel, filtered so that its noise becomes white with unit variance."""
         return self.whitened(self.transformed(x), channel)
 
     def bridged(self, y: Array, good: Mask) -> Array:
-        """(M, C) all channels whitened, rows (M,) that are not good bridged before."""
+        """Return all channels (M, C) whitened, with rows (M,) that are not good interpolated first."""
         out, at = np.empty_like(y), np.flatnonzero(good)
         for c in range(y.shape[1]):
             filled = y[:, c] if good.all() else np.interp(np.arange(len(y)), at, y[at, c])
@@ -97,13 +97,13 @@ class Noise:
         return out
 
     def colour(self, z: Array, channel: int) -> Array:
-        """White noise (M, k) turned into noise like the channel's."""
+        """Colour white noise (M, k) by the channel's spectrum."""
         return self._filtered(self.transformed(z)[:, None], (channel,), 0.5)[:, 0]
 
     def as_smooth(self, white: Array, channel: int) -> Array:
-        """(M, k) whitened columns of one channel, weighed by how much more noise a smooth spectrum has there (root of it).
+        """Weight whitened columns (M, k) by the root of a smooth spectrum over the measured one.
 
-        The scatter of the measured bands whitens too much here and too little there; what it makes of a fit is told by this.
+        The scatter of the measured bands whitens too much here and too little there; this shows its effect on a fit.
         """
         if not len(self.edges):
             return white
@@ -121,46 +121,46 @@ class Noise:
 
     @cached_property
     def _roughness(self) -> Array:
-        """(B, C) logarithm of a smooth spectrum over the measured one."""
+        """Logarithm (B, C) of a smooth spectrum over the measured one."""
         smooth = smoothed(self.centres, self.levels, self.lines)
         return np.asarray(np.log(smooth / self.levels))
 
-    def padded(self, unread: Mask, *, beyond: float = 1e9) -> "Noise":
-        """Return this noise of the other channels with those (C,) without data among them, which then count for nothing.
+    def padded(self, without_data: Mask, *, above_noise: float = 1e9) -> "Noise":
+        """Return this noise with channels without data (C,) inserted, which then have no weight.
 
         Args:
             beyond: standard deviation of their noise, larger than all that could be in them, in any unit.
         """
-        if not unread.any():
+        if not without_data.any():
             return self
 
         def among(x: Array, fill: float) -> Array:
-            out = np.full((*x.shape[:-1], len(unread)), fill)
-            out[..., ~unread] = x
+            out = np.full((*x.shape[:-1], len(without_data)), fill)
+            out[..., ~without_data] = x
             return out
 
-        correlation = np.eye(len(unread))
-        correlation[np.ix_(~unread, ~unread)] = self.correlation
+        correlation = np.eye(len(without_data))
+        correlation[np.ix_(~without_data, ~without_data)] = self.correlation
         return replace(
             self,
-            levels=among(self.levels, beyond**2),
-            sigma=among(self.sigma, beyond),
+            levels=among(self.levels, above_noise**2),
+            sigma=among(self.sigma, above_noise),
             correlation=correlation,
             steps=among(self.steps, 0.0),
-            unread=unread,
-            kept={},
+            without_data=without_data,
+            cache={},
         )
 
     def flat(self) -> "Noise":
-        """White noise at the lowest level of the spectrum: the least that the noise can be."""
+        """Return white noise at the lowest level of the spectrum: the least that the noise can be."""
         sigma = np.sqrt(np.min(self.levels, axis=0))
-        return replace(self, edges=np.empty(0), levels=np.empty((0, len(sigma))), sigma=sigma, kept={})
+        return replace(self, edges=np.empty(0), levels=np.empty((0, len(sigma))), sigma=sigma, cache={})
 
     def transformed(self, x: Array) -> Array:
-        """(P, ...) of rows (M, ...) as `whitened` takes them, P >= M: the part of the work that is the same for all channels.
+        """Return the cosine transform (P, ...) of each run of rows (M, ...), P >= M, for `whitened`; the same for all channels.
 
-        The cosine transform of a run is that of the signal with its mirror image behind it: the two ends stay apart. A run of
-        an awkward length (a prime) goes on into its mirror image up to one that is transformed quickly.
+        The cosine transform of a run is that of the signal with its mirror image behind it: the two ends stay apart. A run of an
+        awkward length (a prime) is extended into its mirror image to a length that is transformed quickly.
         """
         out = np.empty((self._places[-1].stop, *x.shape[1:]))
         for run, place in zip(self.rows.runs, self._places, strict=True):
@@ -170,11 +170,11 @@ class Noise:
         return out
 
     def whitened(self, transformed: Array, channel: int) -> Array:
-        """(M, k) white columns from transformed ones (P, k)."""
+        """Return whitened columns (M, k) from transformed ones (P, k)."""
         return self._filtered(transformed[:, None], (channel,), -0.5)[:, 0]
 
     def whitened_each(self, transformed: Array, channels: tuple[int, ...]) -> Array:
-        """(M, c, k) white columns of several channels from transformed ones (P, c, k)."""
+        """Return whitened columns (M, c, k) of several channels from transformed ones (P, c, k)."""
         return self._filtered(transformed, channels, -0.5)
 
     def _filtered(self, transformed: Array, channels: tuple[int, ...], power: float) -> Array:
@@ -192,31 +192,31 @@ class Noise:
 
     @cached_property
     def _places(self) -> tuple[slice, ...]:
-        """Where each run stands among the transformed rows."""
+        """Slice of each run among the transformed rows."""
         lengths = [run.stop - run.start for run in self.rows.runs]
         quick = [int(next_fast_len(n, real=True)) if self._coloured(slice(0, n)) else n for n in lengths]
         edges = np.cumsum([0, *quick]).tolist()
         return tuple(slice(a, b) for a, b in itertools.pairwise(edges))
 
     def _levels(self, n: int, power: float) -> Array:
-        """A power of the spectrum at the frequencies of a cosine transform of length n, kept."""
-        if (n, power) not in self.kept:
-            self.kept[n, power] = self.spectrum(np.arange(n) / (2.0 * n)) ** power
-        return self.kept[n, power]
+        """Return a power of the spectrum at the frequencies of a cosine transform of length n, cached."""
+        if (n, power) not in self.cache:
+            self.cache[n, power] = self.spectrum(np.arange(n) / (2.0 * n)) ** power
+        return self.cache[n, power]
 
     def independent(self, rows: int) -> Array:
-        """(C,) independent values among so many rows, for the error of a mean square."""
+        """Return the number (C,) of independent values among so many rows, for the error of a mean square."""
         level = self.spectrum((np.arange(2048) + 0.5) / 4096)
         return np.asarray(rows * np.mean(level, axis=0) ** 2 / np.mean(level**2, axis=0))
 
     @cached_property
-    def slower(self) -> Array:
-        """(C,) mean square over all rows, with what is too slow to be measured, over `sigma` squared."""
+    def slow_power_ratio(self) -> Array:
+        """Mean square (C,) over all rows, with unmeasured low-frequency noise, over `sigma` squared."""
         return np.asarray(np.maximum(np.mean(self._all, axis=0) / self.sigma**2, 1.0))
 
     @property
-    def wander(self) -> tuple[Array, Array]:
-        """(C,) rms of what is slower than a fiftieth of the recording, (C,) of what is quicker."""
+    def slow_and_quick_rms(self) -> tuple[Array, Array]:
+        """Rms (C,) below and rms (C,) above 50 cycles in the recording."""
         if not len(self.edges):
             return np.zeros_like(self.sigma), self.sigma
         slow, quick = np.split(self._all / len(self.rows), [2 * RESOLUTION.wanders])
@@ -224,9 +224,9 @@ class Noise:
 
     @property
     def ringing(self) -> tuple[Array, Array]:
-        """(C,) frequency, cycles a row, and rms of the band that rings: it holds more than all others and stands out of them.
+        """Frequency (C,), cycles a row, and rms (C,) of a band that rings: it holds more power than all others.
 
-        nan and 0 where none does. A band that rings is no slow memory: the spectrum falls from it to both sides.
+        NaN and 0 where none does. The spectrum falls from it to both sides, unlike that of noise with a memory.
         """
         frequency, size = np.full(len(self.sigma), np.nan), np.zeros(len(self.sigma))
         M = len(self.rows)
@@ -234,11 +234,14 @@ class Noise:
         for c in range(len(self.sigma)) if len(self.centres) > 4 else ():
             top = int(np.argmax(self.levels[:, c]))
             far = np.abs(np.arange(len(self.centres)) - top) > 1
-            beside = [
+            neighbours = [
                 self.levels[side & far, c]
                 for side in (self.centres < self.centres[top], self.centres > self.centres[top])
             ]
-            if min(map(len, beside)) == 0 or max(map(np.max, beside)) * CRITERIA.outstanding > self.levels[top, c]:
+            if (
+                min(map(len, neighbours)) == 0
+                or max(map(np.max, neighbours)) * CRITERIA.outstanding > self.levels[top, c]
+            ):
                 continue
             own = (at > self.edges[max(top - 1, 0)]) & (at < self.edges[min(top + 2, len(self.edges) - 1)])
             power = self._all[:, c] / M
@@ -248,33 +251,32 @@ class Noise:
 
     @cached_property
     def _all(self) -> Array:
-        """(M, C) level at as many frequencies as there are rows."""
+        """Level (M, C) at as many frequencies as there are rows."""
         M = len(self.rows)
         return self.spectrum(np.linspace(0.25 / M, 0.5 - 0.25 / M, M))
 
     @cached_property
     def slow(self) -> Array:
-        """(C,) level that a slow regressor meets."""
+        """Level (C,) at the frequency of a slow regressor."""
         return np.asarray(self.spectrum(np.array([RESOLUTION.slow]))[0])
 
     @cached_property
     def effective(self) -> float:
-        """Number of independent values that a slow regressor meets, over all channels with data."""
+        """Effective sample size for a slow regressor, over all channels with data."""
         independent = len(self.rows) * np.minimum(1.0, self.sigma**2 / self.slow)
-        return float(max(np.sum(independent, where=True if self.unread is None else ~self.unread), 20.0))
+        return float(max(np.sum(independent, where=True if self.without_data is None else ~self.without_data), 20.0))
 
 
-def _line(at: Array, centres: Array, level: Array, shelf: float, *, steepest: float = -1.0) -> Array:
-    """Linear interpolation; below the first centre the shelf, else along the slope of the slowest decade (at most `steepest`).
+def _line(at: Array, centres: Array, level: Array, plateau: float, *, steepest: float = -1.0) -> Array:
+    """Return a linear interpolation; below the first centre the plateau, else a line with the slope of the slowest decade.
 
     Args:
-        steepest: power of the frequency of flicker noise: slower wander than a recording can tell from drift is
-            called drift.
+        steepest: power of the frequency of flicker noise: what rises more steeply counts as drift.
     """
     out = np.interp(at, centres, level)
     below = at < centres[0]
-    if np.isfinite(shelf):
-        out[below] = shelf
+    if np.isfinite(plateau):
+        out[below] = plateau
         return out
     slowest = centres < centres[0] + 1.5 * np.log(10.0)
     slope = _slope(centres[slowest], level[slowest]) if slowest.sum() >= 3 else 0.0
@@ -283,9 +285,9 @@ def _line(at: Array, centres: Array, level: Array, shelf: float, *, steepest: fl
 
 
 def _slope(x: Array, y: Array) -> float:
-    """Least squares, less its own standard error: in doubt slow noise is stronger."""
+    """Return the least-squares slope less its own standard error: in doubt slow noise is stronger."""
     A = np.stack([np.ones_like(x), x - x[0]], axis=-1)
     inverse = np.linalg.inv(A.T @ A)
     value = inverse @ A.T @ y
-    rest = y - A @ value
-    return float(value[1] - np.sqrt(rest @ rest / max(len(x) - 2, 1) * inverse[1, 1]))
+    residual = y - A @ value
+    return float(value[1] - np.sqrt(residual @ residual / max(len(x) - 2, 1) * inverse[1, 1]))

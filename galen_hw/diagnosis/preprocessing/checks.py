@@ -1,13 +1,12 @@
-"""Before any fitting: rows that can be compared, and what is odd about the rest. Each thing becomes one line."""
+"""Screening before any fit: rows that can be compared, and notes on the others."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
-from galen_hw.diagnosis.preprocessing.data_quality import Premise
 from galen_hw.diagnosis.stats.paired_test import PIECES
 from galen_hw.diagnosis.stats.sampling import Index, Mask
 from galen_hw.errors import UsageError
@@ -15,13 +14,40 @@ from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.pose import QUATERNION
 from galen_hw.physics.signals.differentiation import at_rest, denoised
+from galen_hw.premises import Action, Examination
 from galen_hw.spatial import Array
 
 ORIENTATION: Final = tuple(f"sensor.orientation.{axis}" for axis in "xyzw")
 
 
-def premises(scene: Scene, *, short: int = 100) -> Premise:
-    """Leave out rows that cannot be compared; axes, signs, units and clocks were looked at before (`galen_hw.premises`).
+@dataclass
+class Screening:
+    """Hold a recording without the rows that cannot be compared, and what was noted of it.
+
+    Args:
+        scene: without the rows that cannot be compared.
+        notes: one line each.
+        wrong: lines that make every finding worthless (axes, signs, units); channels they concern.
+    """
+
+    scene: Scene
+    notes: list[str] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+    channels: list[str] = field(default_factory=list)
+
+    def take(self, examination: Examination) -> None:
+        """Add what the premises say of the recording; what they claim as physics becomes a finding as well."""
+        first = [r for r in examination.remarks if r.action is not Action.REFUSED]
+        self.notes[:0] = [r.line for r in first] + [r.line for r in examination.refused]
+        if examination.refused:
+            # What is refused is the cause of what later checks found.
+            self.notes = [line for line in self.notes if line not in self.wrong]
+            self.wrong = [r.line for r in examination.refused]
+            self.channels = [c for r in examination.refused for c in r.columns]
+
+
+def screened(scene: Scene, *, short: int = 100) -> Screening:
+    """Leave out rows that cannot be compared; axes, signs, units and clocks are checked before (`galen_hw.premises`).
 
     Args:
         short: rows of a motion below which only gross effects can show.
@@ -33,8 +59,8 @@ def premises(scene: Scene, *, short: int = 100) -> Premise:
         group = scene.observations.predict
         raise UsageError(f"no column of the group {group!r} is there to compare", where="recording", todo="see predict")
     _drivable(scene)
-    out = Premise(scene)
-    for step in (_measured, _with_tool, _ordered, _parted, _driven):
+    out = Screening(scene)
+    for step in (_measured, _with_tool, _in_time_order, _split_at_gaps, _with_inputs):
         out.scene = step(out.scene, out.notes)
     out.scene = _complete(out.scene, out.notes, out.wrong)
     out.scene = quiet(out.scene)
@@ -45,20 +71,20 @@ def premises(scene: Scene, *, short: int = 100) -> Premise:
 
 
 def held_out(scene: Scene, notes: list[str]) -> Scene:
-    """A second recording, to be judged on, without the rows that cannot be compared; what is left out is noted.
+    """Return a held-out recording without the rows that cannot be compared, and note what is left out.
 
     Raises:
-        UsageError: as `premises`.
+        UsageError: as `screened`.
     """
     mine: list[str] = []
-    for step in (_with_tool, _ordered, _parted, _driven, _complete):
+    for step in (_with_tool, _in_time_order, _split_at_gaps, _with_inputs, _complete):
         scene = step(scene, mine)
     notes += [f"held-out recording: {line}" for line in mine]
     return quiet(scene)
 
 
 def _drivable(scene: Scene) -> None:
-    """There is something to simulate from."""
+    """Raise if there is nothing to simulate from."""
     seen, robot, columns = scene.observations, scene.belief.robot, scene.observations.columns
     if seen.simulation is not None or seen.predict == "position":
         return
@@ -77,7 +103,7 @@ def _drivable(scene: Scene) -> None:
 
 
 def _measured(scene: Scene, notes: list[str]) -> Scene:
-    """Without the joints and orientations of which nothing was measured: the others can be compared."""
+    """Leave out joints and orientations of which nothing was measured: the others can be compared."""
     columns = scene.observations.columns
     may_lack = {name for name in scene.channels if name.startswith("joint.")}
     may_lack |= set(QUATERNION) if scene.observations.predict == "pose" else set()
@@ -89,7 +115,7 @@ def _measured(scene: Scene, notes: list[str]) -> Scene:
 
 
 def _with_tool(scene: Scene, notes: list[str]) -> Scene:
-    """Without the poses of a calibration sweep in which nothing hung on the sensor: the tool that is named was not there."""
+    """Leave out poses of a calibration sweep in which nothing hung on the sensor: the named tool was not there."""
     tool = scene.observations.columns.get("covariate.tool")
     bare = np.zeros(len(scene), dtype=bool) if tool is None else np.asarray(tool < 0.5)
     if scene.observations.predict != "wrench" or not bare.any() or bare.all():
@@ -98,8 +124,8 @@ def _with_tool(scene: Scene, notes: list[str]) -> Scene:
     return scene_of(scene.observations.taken(~bare))
 
 
-def _ordered(scene: Scene, notes: list[str], *, most: float = 0.05) -> Scene:
-    """Rows whose clock stands or runs backwards inside a segment go.
+def _in_time_order(scene: Scene, notes: list[str], *, most: float = 0.05) -> Scene:
+    """Leave out rows whose clock stands or runs backwards inside a segment.
 
     Args:
         most: share of rows out of order beyond which the clock is not one clock.
@@ -129,7 +155,7 @@ def _ordered(scene: Scene, notes: list[str], *, most: float = 0.05) -> Scene:
 
 
 def longest_rising(t: Array) -> Index:
-    """Places of a longest subsequence of (N,) that never falls (patience sorting, N log N)."""
+    """Return the indices of a longest subsequence of (N,) that never falls (patience sorting, N log N)."""
     tails: list[float] = []
     ends: list[int] = []
     before = np.full(len(t), -1, dtype=np.intp)
@@ -145,8 +171,8 @@ def longest_rising(t: Array) -> Index:
     return np.array(out[::-1], dtype=np.intp)
 
 
-def _parted(scene: Scene, notes: list[str], *, times: float = 5.0, least: float = 0.5) -> Scene:
-    """Rows on either side of a gap are no longer continuous with each other.
+def _split_at_gaps(scene: Scene, notes: list[str], *, times: float = 5.0, least: float = 0.5) -> Scene:
+    """Begin a new segment after each gap of the clock.
 
     Args:
         times: the median step; what is longer is a gap: what happened in it nobody knows.
@@ -174,8 +200,8 @@ def _parted(scene: Scene, notes: list[str], *, times: float = 5.0, least: float 
     return scene_of(replace(observations, columns=columns))
 
 
-def _driven(scene: Scene, notes: list[str]) -> Scene:
-    """Rows without what the simulation is driven by go; a thermometer's missing cells are bridged."""
+def _with_inputs(scene: Scene, notes: list[str]) -> Scene:
+    """Leave out rows without the inputs of the simulation; interpolate empty cells of thermometers."""
     columns, robot = scene.observations.columns, scene.belief.robot
     bridged = {}
     for name, values in columns.items():
@@ -198,12 +224,12 @@ def _driven(scene: Scene, notes: list[str]) -> Scene:
 
 
 def quiet(scene: Scene) -> Scene:
-    """The scene with joints at rest where they stand and moving ones without noise, if that goes straight into what is compared.
+    """Return the scene with denoised joint positions, at rest where they stand, where their noise enters the simulation.
 
-    In a tracked pose it is in all channels at once: an arm that is wrong by a foot would explain what shakes it at rest, and
-    a dead band or a filter that does no more than quieten the encoders would be believed. A wrench that is simulated from noisy
-    joints is noisy itself, and a lag quietens that where a delay does not. What looks like noise may be poses one
-    after the other: a joint that the tracker or the sensor saw go there stays as it was read.
+    In a tracked pose it is in all channels at once: an arm that is wrong by a foot would explain what shakes it at rest, and a
+    dead band or a filter that does no more than quieten the encoders would be believed. A wrench that is simulated from noisy
+    joints is noisy itself, and a lag quietens that where a delay does not. What looks like noise may be poses one after the
+    other: a joint that the tracker or the sensor saw go there stays as it was read.
     """
     seen = scene.observations
     if seen.predict not in ("pose", "targets", "wrench") or not scene.clock or not np.isfinite(scene.q).all():
@@ -228,8 +254,8 @@ def _as_near(other: Scene, scene: Scene, *, sure: float = 4.0, most: float = 0.1
         sure: standard errors over pieces of the recording.
         most: share of the variance of what the simulation misses that may come to it; more is motion taken for noise.
     """
-    rest, its = (one.residual - np.nanmean(one.residual, axis=0) for one in (scene, other))
-    more = (its**2 - rest**2) / np.maximum(np.nanvar(rest, axis=0), 1e-30)
+    residual, its = (one.residual - np.nanmean(one.residual, axis=0) for one in (scene, other))
+    more = (its**2 - residual**2) / np.maximum(np.nanvar(residual, axis=0), 1e-30)
     pieces = [np.nanmean(x) for x in np.array_split(more, min(PIECES, len(more)))]
     surely = np.mean(pieces) > sure * np.std(pieces) / np.sqrt(len(pieces))
     return bool(np.nanmean(more) <= most and not surely)
@@ -250,7 +276,7 @@ def enough(good: Mask, *, fewest: int = 8) -> None:
 
 
 def _complete(scene: Scene, notes: list[str], wrong: Sequence[str] = ()) -> Scene:
-    """Rows without a measured or simulated value go; a dead channel is named."""
+    """Leave out rows without a measured or simulated value; raise for a channel without any."""
     y, s = scene.measured, scene.simulated
     for c, name in enumerate(scene.channels):
         if not np.isfinite(y[:, c]).any():

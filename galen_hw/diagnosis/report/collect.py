@@ -1,11 +1,11 @@
-"""From the work of a diagnosis to what its page shows: traces, curves, maps, evidence, look-alikes, possible recordings."""
+"""What the page of a diagnosis shows: traces, curves, maps, evidence, look-alikes, possible recordings."""
 
 from typing import Any
 
 import numpy as np
 
-from galen_hw.diagnosis.findings.localisation import baseline_rest, organised
-from galen_hw.diagnosis.findings.variables import Variable, variables
+from galen_hw.diagnosis.findings.localisation import baseline_residual, organised
+from galen_hw.diagnosis.findings.variables import variables
 from galen_hw.diagnosis.identifiability.experiment import options_of
 from galen_hw.diagnosis.identifiability.rivals import rivals
 from galen_hw.diagnosis.report.caps import CAPS
@@ -17,27 +17,28 @@ from galen_hw.spatial import Array
 
 
 def traces_of(work: Work) -> Traces:
-    """Everything that the page draws."""
-    bench, scene, before = work.bench, work.bench.scene, baseline_rest(work.model)
+    """Return everything that the page draws."""
+    bench, scene, before = work.bench, work.bench.scene, baseline_residual(work.model)
+    advice = options_of(work.model, work.selection, work.diagnosis.findings)[: CAPS.alike]
     return Traces(
-        time=bench.rows.average(scene.time),
+        time=bench.time,
         clock=scene.clock,
         channels=tuple(scene.channels),
         units=tuple(scene.units),
         before=before,
-        after=work.model.rest(),
-        held_out=np.asarray(bench.aside),
+        after=work.model.residual(),
+        held_out=np.asarray(bench.held_out),
         along=_along(work, before),
         plane=_plane(work, before),
         curves=curves_of(work),
         evidence=_evidence(work),
         alike=_alike(work),
-        options=[Option(a.recipe.name, a.minutes, a.angle) for a in _options(work)],
+        options=[Option(a.recipe.name, a.minutes, a.angle) for a in advice],
     )
 
 
 def _along(work: Work, before: Array, *, least: float = 0.1) -> list[Along]:
-    """The variables that organise the excess best, one picture a variable, with the region where one was found.
+    """Return the variables that explain the excess best, one picture a variable, with the region where one was found.
 
     Args:
         least: share of the excess from which a variable is worth a picture.
@@ -51,16 +52,12 @@ def _along(work: Work, before: Array, *, least: float = 0.1) -> list[Along]:
         whole = region is None or (region[0] <= v.values.min() and region[1] >= v.values.max())
         inside = None if whole or region is None else (float(region[0]), float(region[1]))
         if share > least or inside is not None:
-            out.append(Along(_label(v), v.unit, names.index(channel), v.values, share, inside))
+            out.append(Along(v.label, v.unit, names.index(channel), v.values, share, inside))
     return out[: CAPS.alike]
 
 
-def _label(v: Variable) -> str:
-    return v.name.removeprefix("joint.").replace(".", " ")
-
-
 def _plane(work: Work, before: Array) -> tuple[tuple[str, str, Array], tuple[str, str, Array]] | None:
-    """The two variables of motion, of two joints where it can be, that organise the excess best."""
+    """Return the two variables of motion, of two joints where possible, that explain the excess best."""
     motion = (".position", ".velocity")
     known = [v for v in variables(work.bench) if v.name.endswith(motion) and v.about in work.bench.scene.moved]
     order = [v for v, _, _ in organised(work.bench, known, before)]
@@ -68,16 +65,15 @@ def _plane(work: Work, before: Array) -> tuple[tuple[str, str, Array], tuple[str
         return None
     a = order[0]
     b = next((v for v in order[1:] if v.about != a.about), order[1])
-    return (_label(a), a.unit, a.values), (_label(b), b.unit, b.values)
+    return (a.label, a.unit, a.values), (b.label, b.unit, b.values)
 
 
 def _alike(work: Work) -> list[Alike]:
-    """The nearest look-alikes of every finding, told apart or not."""
+    """Return the nearest look-alikes of every finding, told apart or not."""
     out = []
     for finding in work.diagnosis.findings:
         tied = {c.effect for c in finding.rivals}
         near = rivals(work.selection, finding, everyone=True)
-        near.sort(key=lambda r: r.lead)
         shown = [Alike(finding.effect, r.key, r.angle, r.nearest, 0.5 * r.lead, r.key not in tied) for r in near]
         known = {one.rival for one in shown}
         nan = float("nan")
@@ -86,13 +82,8 @@ def _alike(work: Work) -> list[Alike]:
     return out
 
 
-def _options(work: Work) -> list[Any]:
-    """Recipes for the first open question, quickest first."""
-    return options_of(work.model, work.selection, work.diagnosis.findings)[: CAPS.alike]
-
-
 def _evidence(work: Work) -> list[Evidence]:
-    """The best of every family before anything was chosen, strongest first."""
+    """Return the best hypothesis of every family before anything was chosen, strongest first."""
     selection, model = work.selection, work.model
     rows: list[Evidence] = []
     seen: set[tuple[Any, ...]] = set()

@@ -51,14 +51,14 @@ def write_page(path: Path, answer: Diagnosis, traces: Traces) -> None:
 
 
 def _parameter(name: str, value: Value) -> str:
-    """A parameter in SI with its standard deviation, and in a unit that reads well where that is another."""
+    """Return a parameter in SI with its standard deviation, and in a readable unit where that is another."""
     plain = quantity(value.value, value.std, "" if value.unit == "1" else value.unit)
     shown = text(name.rsplit(": ", 1)[-1], value)
     return plain if shown == plain else f"{plain} ({shown})"
 
 
 def _pictures(answer: Diagnosis, traces: Traces) -> dict[str, Any]:
-    """Data addresses of all pictures; curves by effect."""
+    """Return data addresses of all pictures; curves by effect."""
     json = answer.to_json()
     floor = {k: v for k, v in json["fit"]["noise_floor"].items() if v}
     curves: dict[str, list[tuple[Curve, str]]] = {}

@@ -1,4 +1,4 @@
-"""What a report shows beside the answer: traces, curves, maps and tables. Numbers only, no pictures."""
+"""Data of a report besides the answer: traces, curves, maps and tables. Numbers only, no pictures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -39,9 +39,9 @@ class Evidence:
 
     Args:
         effect: key; where: channel or joint.
-        score: likelihood gain less its price, in units of log-likelihood times two.
+        score: penalised gain, in units of twice the log likelihood.
         chance: probability that noise alone reaches the gain.
-        heldout_gain: share of the held-out excess that it removes beside the others; NaN where it was not tried.
+        heldout_gain: share of the held-out excess that it removes given the others; NaN where it was not tried.
         outcome: "kept", "refused", or "not needed"; reason: in words.
     """
 

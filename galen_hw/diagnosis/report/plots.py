@@ -1,4 +1,4 @@
-"""The report's pictures, each as SVG: residuals, floors, map and curves of where, an effect's own curve."""
+"""The report's pictures, each as SVG."""
 
 import io
 from collections.abc import Mapping
@@ -12,6 +12,7 @@ from galen_hw.diagnosis.findings.quantities import readable
 from galen_hw.diagnosis.report.caps import CAPS
 from galen_hw.diagnosis.report.plot_data import Along, Curve, Option, Traces
 from galen_hw.diagnosis.report.summary import channel_words
+from galen_hw.diagnosis.stats.sampling import true_runs
 from galen_hw.spatial import Array
 
 BEFORE, AFTER, FLOOR, GREY, INK, HELD = "#d1603d", "#17627f", "#d5e7ee", "#8a949b", "#1d2a33", "#efe9da"
@@ -36,14 +37,14 @@ STYLE: Final[Any] = {
 
 
 def svg(figure: Figure) -> bytes:
-    """The picture; dense points are rasterised inside it."""
+    """Return the picture; dense points are rasterised inside it."""
     out = io.BytesIO()
     figure.savefig(out, format="svg", dpi=150, metadata={"Date": None})
     return out.getvalue()
 
 
 def residuals(traces: Traces, floor: Mapping[str, float]) -> bytes:
-    """Residual before and after over time, a panel a channel, with the band of two sigma of the noise."""
+    """Draw the residual before and after over time, a panel a channel, with the band of two sigma of the noise."""
     shown = _channels(traces)
     columns = 1 if len(shown) <= 2 else 2
     rows = -(-len(shown) // columns)
@@ -65,7 +66,7 @@ def residuals(traces: Traces, floor: Mapping[str, float]) -> bytes:
 
 
 def _residual(ax: Any, traces: Traces, c: int, keep: Array, level: float) -> None:
-    """One channel, in the unit that reads well of all channels of its quantity."""
+    """Draw one channel, in the unit that is readable for all channels of its quantity."""
     before, after, name = traces.before[:, c], traces.after[:, c], traces.channels[c]
     alike = [k for k in _channels(traces) if traces.units[k] == traces.units[c]]
     factor, unit = _scale(traces.before[:, alike].ravel(), traces.units[c])
@@ -88,16 +89,15 @@ def _residual(ax: Any, traces: Traces, c: int, keep: Array, level: float) -> Non
 
 def _shade(ax: Any, traces: Traces) -> None:
     """Mark the rows that the effects were not fitted on."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], traces.held_out.astype(int), [0]])))
     last = len(traces.time) - 1
-    for k, (a, b) in enumerate(edges.reshape(-1, 2)):
+    for k, (a, b) in enumerate(true_runs(traces.held_out)):
         if b - a < len(traces.time):
             label = "held out" if k == 0 else None
             ax.axvspan(traces.time[a], traces.time[min(b, last)], color=HELD, lw=0, zorder=-1, label=label)
 
 
 def bars(answer: Mapping[str, Any]) -> bytes:
-    """Held-out rms of each channel over its noise floor, before and after, with the ceiling."""
+    """Draw the held-out rms of each channel over its noise floor, before and after, with the ceiling."""
     fit = answer["fit"]
     names = [c for c in fit["rmse_before"] if fit["noise_floor"].get(c)]
     ratio = {k: np.array([(fit[k].get(c) or np.nan) / fit["noise_floor"][c] for c in names]) for k in fit}
@@ -124,7 +124,7 @@ def bars(answer: Mapping[str, Any]) -> bytes:
 
 
 def plane(traces: Traces) -> bytes | None:
-    """Where in joint space: rms over the noise on the plane of the two joints that matter most, before and after."""
+    """Draw the rms over the noise on the plane of the two joints that matter most, before and after."""
     if traces.plane is None:
         return None
     (name_a, unit_a, a), (name_b, unit_b, b) = traces.plane
@@ -151,7 +151,7 @@ def plane(traces: Traces) -> bytes | None:
 
 
 def along(traces: Traces) -> bytes | None:
-    """The residual along each variable that organises it: mean in bins before and after, the region shaded."""
+    """Draw the residual over each variable that explains it: mean in bins before and after, the region shaded."""
     if not traces.along:
         return None
     columns = min(3, len(traces.along))
@@ -190,7 +190,7 @@ def _along(ax: Any, traces: Traces, one: Along) -> None:
 
 
 def curve(one: Curve) -> bytes:
-    """The data with all other effects taken off, and what the effect says."""
+    """Draw the data with all other effects removed, and the effect."""
     (fx, unit_x), (fy, unit_y) = _scale(one.x, one.x_unit), _scale(one.y, one.y_unit)
     x, y, fit = fx * one.x, fy * one.y, fy * one.fit
     with mpl.rc_context(STYLE):
@@ -215,7 +215,7 @@ def curve(one: Curve) -> bytes:
 
 
 def _function(ax: Any, x: Array, y: Array, fit: Array) -> None:
-    """Means of the data in bins; the effect as a line where it is a function of x, else its mean and spread."""
+    """Draw means of the data in bins; the effect as a line where it is a function of x, else its mean and spread."""
     at, mean, _, _ = _binned(x, y, bins=28)
     middle, level, low, high = _binned(x, fit, bins=120)
     if float(np.mean(high - low)) < 0.12 * max(float(np.ptp(fit)), 1e-300):
@@ -227,7 +227,7 @@ def _function(ax: Any, x: Array, y: Array, fit: Array) -> None:
 
 
 def options(chosen: list[Option]) -> bytes | None:
-    """Minutes until each recording settles the first open question, and the angle that it gives."""
+    """Draw the minutes until each recording settles the first open question, and the angle that it gives."""
     if not chosen:
         return None
     y = np.arange(len(chosen))
@@ -245,13 +245,13 @@ def options(chosen: list[Option]) -> bytes | None:
 
 
 def _channels(traces: Traces) -> list[int]:
-    """At most fourteen, those that changed most, in their own order."""
+    """Return at most fourteen channels, those that changed most, in their own order."""
     change = np.nanstd(traces.before - traces.after, axis=0) / np.maximum(np.nanstd(traces.after, axis=0), 1e-300)
     return sorted(np.argsort(-change)[: CAPS.channels].tolist())
 
 
 def _scale(x: Array, unit: str) -> tuple[float, str]:
-    """Factor and unit in which values read well."""
+    """Return factor and unit in which values are readable."""
     base, slash, per = unit.partition("/")
     size = float(np.nanmax(np.abs(x))) if len(x) else 1.0
     shown = readable(size, 0.0, base)
@@ -268,7 +268,7 @@ def _thin(n: int) -> Array:
 
 
 def _binned(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array, Array, Array]:
-    """Median of x, mean and middle two thirds of y in bins of equal count along x."""
+    """Return the median of x, and mean and middle two thirds of y, in bins of equal count along x."""
     good = np.isfinite(x) & np.isfinite(y)
     order = np.argsort(x[good], kind="stable")
     parts = [p for p in np.array_split(order, min(bins, max(int(good.sum()) // 4, 1))) if len(p)]

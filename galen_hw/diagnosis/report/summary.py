@@ -1,9 +1,9 @@
-"""The answer for people in five lines: what differs, where, why, how much better it is with the physics, what to do next."""
+"""The answer for people in five lines: mismatch, place, reason, improvement, next recording."""
 
 from collections.abc import Mapping
 from typing import Any, Final
 
-from galen_hw.diagnosis.findings.quantities import headline, quantity, readable
+from galen_hw.diagnosis.findings.quantities import headline, readable
 from galen_hw.diagnosis.report.caps import CAPS
 from galen_hw.diagnosis.result import Diagnosis, Finding
 from galen_hw.physics.effects.registry import effect_class
@@ -15,16 +15,14 @@ VERDICTS: Final = {
     "unexplained": "simulation and recording differ, and no named physics explains it",
 }
 
-__all__ = ["VERDICTS", "channel_words", "lines", "quantity", "summary"]
-
 
 def summary(d: Diagnosis) -> str:
-    """The five lines as plain text, each under its label, and notes."""
+    """Return the five lines as plain text, each under its label, and notes."""
     return "\n".join([f"{d.recording}: {VERDICTS[d.verdict]}", *(f"  {label:<6} {text}" for label, text in lines(d))])
 
 
 def lines(d: Diagnosis) -> list[tuple[str, str]]:
-    """Label and text of each line; one line a finding; notes last."""
+    """Return label and text of each line; one line a finding; notes last."""
     out = [("what", _what(d))]
     if d.findings:
         out.append(("where", _where(d)))
@@ -38,7 +36,7 @@ def lines(d: Diagnosis) -> list[tuple[str, str]]:
 
 
 def channel_words(channel: str) -> str:
-    """Short for people: "torque x", "elbow effort", "position z", "target 2 x"."""
+    """Return a short name for people: "torque x", "elbow effort", "position z", "target 2 x"."""
     parts = channel.split(".")
     if parts[0] == "target" and len(parts) == 4:
         return f"target {parts[1]} {parts[3]}"
@@ -55,7 +53,7 @@ def in_one_unit(a: float, b: float, unit: str) -> tuple[str, str]:
 
 
 def times_words(ratio: float) -> str:
-    """Two digits, written out: 2300, 41, 1.3."""
+    """Return a ratio with two digits, written out: 2300, 41, 1.3."""
     return f"{float(f'{ratio:.2g}'):.10g}"
 
 
@@ -93,7 +91,7 @@ def _momentary(finding: Finding) -> bool:
 
 
 def moment(start: float, end: float, clock: bool = True) -> str:
-    """A time or a stretch of time, s; of a recording without a clock a row or rows."""
+    """Return a time or a stretch of time, s, in words; of a recording without a clock a row or rows."""
     if not clock:
         return f"row {start:.0f}" if round(end) <= round(start) else f"rows {start:.0f} to {end:.0f}"
     return f"{start:.2f} s" if end <= start else f"{start:.1f} to {end:.1f} s"

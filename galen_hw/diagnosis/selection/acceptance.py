@@ -1,11 +1,11 @@
-"""Whether a hypothesis is worth its place: what it takes on blocks left out, and whether its parameters can be real."""
+"""Acceptance of a hypothesis: cross-validated gain, and parameters that can be real."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis, with_parameters
-from galen_hw.diagnosis.estimation.cross_validation import errors
+from galen_hw.diagnosis.estimation.cross_validation import cross_validated
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
@@ -14,42 +14,47 @@ from galen_hw.diagnosis.stats.paired_test import Gain, paired
 from galen_hw.diagnosis.stats.sampling import Mask
 from galen_hw.spatial import Array
 
-UNDONE = 0.1
+CANCELLED = 0.1
 """Share of either of two effects that their sum must reach: what they do is not to cancel."""
 
 
 def improvement(
     out: Selection, trial: list[int], i: int | None = None, *, whitened: bool = False
 ) -> tuple[Gain, float]:
-    """Compare a trial with the chosen model on training blocks, each predicted from the others.
+    """Compare a trial with the chosen model on cross-validated training blocks.
 
     Args:
-        i: the effect that is asked for, None: several.
+        i: the effect in question, None: several.
 
     Returns:
-        What falls of the excess that there was before anything was chosen, and the share of it that the trial leaves where the
-        effect acts: in its channels, and of a touch that stands out from all other times while it lasts.
+        The gain, as a share of the excess before anything was chosen, and the share of that excess that the trial leaves
+        where the effect acts: in its channels, and for an outstanding contact while it lasts.
     """
     bench, scorer = out.bench, out.scorer
     sigma = np.ones(bench.width) if whitened else bench.noise.sigma
     h = None if i is None else scorer.library[i]
     fine = h is not None and h.effect is not None and not h.effect.lasting()
-    without, rest = (
-        errors(bench, scorer, model, fine=fine, whitened=whitened) / sigma for model in (out.chosen, trial)
+    without, residual = (
+        cross_validated(bench, scorer.parts(model), scorer.white, fine=fine, whitened=whitened) / sigma
+        for model in (out.chosen, trial)
     )
-    if not len(out.begun):
-        out.begun = errors(bench, scorer, out.chosen) ** 2
-    begun = np.mean(errors(bench, scorer, [], whitened=True) ** 2, axis=0) if whitened else out.start
-    gain = paired(without, rest, begun / sigma**2 - 1.0)
+    if not len(out.initial_errors):
+        out.initial_errors = cross_validated(bench, scorer.parts(out.chosen), scorer.white) ** 2
+    begun = (
+        np.mean(cross_validated(bench, scorer.base, scorer.white, whitened=True) ** 2, axis=0)
+        if whitened
+        else out.initial_mean_square
+    )
+    gain = paired(without, residual, begun / sigma**2 - 1.0)
     own = list(range(bench.width)) if h is None else list(h.raw.channels)
     rows = _moments(h, bench, without[:, own])
-    square = np.mean(rest[rows][:, own] ** 2, axis=0)
-    left = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0) * np.mean(rows))
-    return gain, min(left / gain.excess, 1.0) if gain.excess > 0.0 else 0.0
+    square = np.mean(residual[rows][:, own] ** 2, axis=0)
+    unexplained = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0) * np.mean(rows))
+    return gain, min(unexplained / gain.excess, 1.0) if gain.excess > 0.0 else 0.0
 
 
 def _moments(h: Hypothesis | None, bench: Bench, without: Array) -> Mask:
-    """(n,) training rows of a touch if errors (n, c) without it are far larger then than at all other times; else all."""
+    """Return the training rows (n,) of a contact, if errors (n, c) without it are far larger in these; else all."""
     every = np.ones(len(without), dtype=bool)
     if h is None or h.effect is None or not h.effect.touches:
         return every
@@ -61,10 +66,10 @@ def _moments(h: Hypothesis | None, bench: Bench, without: Array) -> Mask:
 
 
 def pays(out: Selection, trial: list[int], i: int | None = None) -> tuple[bool, float]:
-    """Return whether a trial lowers the error on blocks left out as a finding has to, and by which share of the excess.
+    """Return whether a trial significantly lowers the cross-validated error, and its share of the excess.
 
-    Raw errors are asked first. Where the trial leaves noise alone these are mostly slow noise, in which a small effect is lost
-    that whitened ones show; what belongs to moments fits nearly any noise, and of it raw errors must speak.
+    Raw errors are tested first. Where the trial leaves noise alone these are mostly slow noise, in which a small effect is lost
+    that whitened errors show. A momentary effect fits nearly any noise: for it raw errors have to decide.
 
     Args:
         i: the effect that is asked for, None: several.
@@ -72,36 +77,36 @@ def pays(out: Selection, trial: list[int], i: int | None = None) -> tuple[bool, 
     effect = None if i is None else out.scorer.library[i].effect
     lasting = effect is None or effect.lasting()
     moments = len(effect.single) or 1 if effect is not None and effect.EPISODIC and not effect.THROUGHOUT else 0
-    gain, left = improvement(out, trial, i)
-    if gain.credible(unexplained=left, moments=moments):
+    gain, unexplained = improvement(out, trial, i)
+    if gain.credible(unexplained=unexplained, moments=moments):
         return True, gain.share
     if not (lasting and gain.tolerable and out.bench.scene.clock) or out.scorer.misfit(trial) >= CRITERIA.noise_alone:
         return False, gain.share
-    white, left = improvement(out, trial, i, whitened=True)
-    # Raw errors alone tell what completes: in whitened units physics that is missing may pass for slow noise.
-    return replace(white, completes=gain.completes).credible(unexplained=left), gain.share
+    white, unexplained = improvement(out, trial, i, whitened=True)
+    # Raw errors alone show completeness: in whitened units missing physics may pass for slow noise.
+    return replace(white, completes=gain.completes).credible(unexplained=unexplained), gain.share
 
 
 def improves(out: Selection, before: Array, after: Array) -> bool:
-    """Return whether errors (n, C) on blocks left out, in units of the noise, fall with a trial as a finding's have to."""
-    gain = paired(before, after, out.start / out.bench.noise.sigma**2 - 1.0)
+    """Return whether normalised errors (n, C) on held-out blocks fall with a trial as a finding requires."""
+    gain = paired(before, after, out.initial_mean_square / out.bench.noise.sigma**2 - 1.0)
     square = np.mean(after**2, axis=0)
-    left = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0)) / max(gain.excess, 1e-300)
-    return gain.credible(unexplained=min(left, 1.0))
+    unexplained = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0)) / max(gain.excess, 1e-300)
+    return gain.credible(unexplained=min(unexplained, 1.0))
 
 
-def left_out(out: Selection, model: list[int]) -> Array:
-    """(n, C) errors of a model on training blocks, each predicted from the others, in units of the noise."""
-    return errors(out.bench, out.scorer, model) / out.bench.noise.sigma
+def held_out_errors(out: Selection, model: list[int]) -> Array:
+    """Return cross-validated errors (n, C) of a model on training blocks, over the noise's standard deviation."""
+    return cross_validated(out.bench, out.scorer.parts(model), out.scorer.white) / out.bench.noise.sigma
 
 
 def no_worse(before: Array, after: Array) -> bool:
-    """Return whether errors (n, C) on blocks left out stay within one standard error of those before."""
+    """Return whether errors (n, C) on held-out blocks rise by no more than one standard error."""
     return paired(before, after, np.zeros(1)).tolerable
 
 
 def as_good(before: Array, after: Array) -> bool:
-    """Return whether errors (n, C) on blocks left out rise by less than what is missing may do along any regressor."""
+    """Return whether errors (n, C) on held-out blocks rise by less than model discrepancy allows."""
     square = np.mean(before**2, axis=0)
     missing = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0))
     gain = paired(before, after, np.zeros(1))
@@ -109,32 +114,33 @@ def as_good(before: Array, after: Array) -> bool:
 
 
 def plausible(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> bool:
-    """Return whether the parameters can be what the effect is called."""
+    """Return whether the parameters fit the effect's name."""
     h = scorer.library[i]
     assert h.effect is not None, "nuisances are never candidates"
-    theta, at, _ = scorer.solve([*chosen, i], asked=i)
+    theta, at, _ = scorer.solve([*chosen, i], freed=i)
     misfit = scorer.misfit([*chosen, i])
     spread = scorer.spread(at)[-h.count :] * np.sqrt(misfit)
     named = list(zip(h.effect.parameters(bench.scene), theta[-h.count :], spread, strict=True))
-    # A lag of a twentieth is no lag. Bounds matter where physics is missing: else the shape has proved it, whatever its size.
+    # A lag with a share of a twentieth is no lag. Bounds matter where physics is missing: else the shape has proved it.
     named_so = all(p.near(t, s) and (misfit < CRITERIA.noise_alone or p.plausible(t, s)) for p, t, s in named)
     real = named_so and h.effect.at_work(bench.scene) and h.effect.possible(bench.scene, theta[-h.count :], spread)
-    return real and not _undone(bench, scorer, [*chosen, i], theta)
+    return real and not _cancelled(bench, scorer, [*chosen, i], theta)
 
 
-def _undone(bench: Bench, scorer: Scorer, chosen: list[int], theta: Array) -> bool:
-    """Whether the last of the chosen and another do the same with opposite signs, but for a small part which alone is needed.
+def _cancelled(bench: Bench, scorer: Scorer, chosen: list[int], theta: Array) -> bool:
+    """Return whether the last effect is nearly cancelled by another one, but for a small part that alone is needed.
 
-    `theta` (k,): parameters of what is always fitted, and of the chosen in their order.
+    `theta` (k,): parameters of the constants and of the chosen effects in their order.
 
-    Two large errors that happen to cancel are less likely than that neither is there: their difference bends as it must.
+    Two large errors that happen to cancel are less likely than none: only the difference of their nonlinear parts fits the data.
     """
     changes = []
     for h, t in list(with_parameters(scorer.parts(chosen), theta))[len(scorer.base) :]:
         change = np.zeros_like(bench.y)
-        change[:, list(h.raw.channels)] = h.does(t)
+        change[:, list(h.raw.channels)] = h.contribution(t)
         changes.append((change - change.mean(axis=0)) / bench.noise.sigma)
     last, size = changes[-1], float(np.linalg.norm(changes[-1]))
     return any(
-        float(np.linalg.norm(last + other)) < UNDONE * min(size, float(np.linalg.norm(other))) for other in changes[:-1]
+        float(np.linalg.norm(last + other)) < CANCELLED * min(size, float(np.linalg.norm(other)))
+        for other in changes[:-1]
     )

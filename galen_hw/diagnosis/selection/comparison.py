@@ -1,4 +1,4 @@
-"""Candidates compared in each other's place, each at its optimum."""
+"""Comparison of candidates in each other's place, each at its optimum."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -7,35 +7,35 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from galen_hw.diagnosis.estimation.candidate import Hypothesis, place_of, told, with_parameters
+from galen_hw.diagnosis.estimation.candidate import Hypothesis, identity_of, place_of, with_parameters
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import fit, rests
-from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
-from galen_hw.diagnosis.estimation.linearisation import tangent, unbent
+from galen_hw.diagnosis.estimation.least_squares import fit, residuals
+from galen_hw.diagnosis.estimation.levenberg_marquardt import ConditionalGain
+from galen_hw.diagnosis.estimation.linearisation import nonlinear_restored, tangent
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
-from galen_hw.diagnosis.selection.limits import LIMITS
+from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.stats.paired_test import paired
 from galen_hw.physics.effects.base import DOUBT, Effect
 from galen_hw.spatial import Array
 
 
 def in_place(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> dict[int, Score]:
-    """Scores of every hypothesis in the place of the chosen one i, which is among them; near rivals at their optimum.
+    """Return the scores of every hypothesis in the place of the chosen one i, itself included; near rivals at their optimum.
 
-    Where i is bent, the others are scored on the residual with its bend put back, as if i had never been there.
+    Where i is nonlinear, the others are scored on the residual with its nonlinear remainder restored.
     """
-    others, rest = [j for j in chosen if j != i], scorer.solve(chosen)[2]
+    others, residual = [j for j in chosen if j != i], scorer.solve(chosen)[2]
     firm, found = len(scorer.library), dict[object, tuple[Hypothesis, Score]]()
-    with unbent(scorer, i), unclocked(scorer, i) as for_a_while:
+    with nonlinear_restored(scorer, i), without_timing(scorer, i) as for_a_while:
         scores = scorer.scores(others)[0]
         if i not in scores:
             return {j: s for j, s in scores.items() if j < firm}
-        gain = scorer.solve(others)[2] - rest
+        gain = scorer.solve(others)[2] - residual
         scores[i] = replace(scores[i], gain=gain, rank=scores[i].rank + gain - scores[i].gain)
         for j in _near(scorer, scores, i):
             h = scorer.library[j]
-            if h.theta is None and j != i and _is_bent(bench, h):
-                scores[j] = bent(bench, scorer, others, j, scores[j])
+            if h.theta is None and j != i and _is_nonlinear(bench, h):
+                scores[j] = at_nonlinear_optimum(bench, scorer, others, j, scores[j])
             elif _on_a_grid(h):
                 better = polished(bench, scorer, others, j)
                 if better != j:
@@ -51,10 +51,10 @@ def in_place(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> dict[in
 
 
 @contextmanager
-def unclocked(scorer: Scorer, i: int) -> Iterator[bool]:
-    """The scorer for a while with other ends of the stream (a filter behind a delay) as if the chosen i had never been there.
+def without_timing(scorer: Scorer, i: int) -> Iterator[bool]:
+    """Remove the timing effect i from the output stage while the context lasts.
 
-    Whether there are any: then what joins the library meanwhile leaves it again.
+    Yield whether any columns pass through it: then hypotheses that join the library meanwhile leave it again.
     """
     bench, own, before = scorer.bench, scorer.library[i].effect, scorer.bench.timing
     others = [(end, theta) for end, theta in before if end != own]
@@ -64,17 +64,17 @@ def unclocked(scorer: Scorer, i: int) -> Iterator[bool]:
         yield False
         return
     with bench.delivering(others):
-        fresh = [bench.add(h.effect, h.looked) for h in behind if h.effect is not None]
+        fresh = [bench.hypothesis(h.effect, h.trials) for h in behind if h.effect is not None]
         with scorer.trying(fresh):
             yield True
 
 
-def _is_bent(bench: Bench, h: Hypothesis) -> bool:
+def _is_nonlinear(bench: Bench, h: Hypothesis) -> bool:
     return h.effect is not None and h.effect.bends(bench.scene, np.zeros(h.count))
 
 
 def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:
-    """The chosen hypothesis and the best of the kinds that nearly reach it."""
+    """Return the chosen hypothesis and the best of the kinds that nearly reach its score."""
     leaders: dict[object, int] = {}
     for j in sorted(scores, key=lambda j: -scores[j].rank - scores[j].beyond):
         effect = scorer.library[j].effect
@@ -83,16 +83,16 @@ def _near(scorer: Scorer, scores: dict[int, Score], i: int) -> list[int]:
             break
         if loosens(effect, scorer.library[i].effect):
             continue
-        leaders.setdefault(told(effect), j)
+        leaders.setdefault(identity_of(effect), j)
     rivals = [j for j in leaders.values() if j != i][: LIMITS.rivals]
     return [i, *rivals]
 
 
 def loosens(other: Effect | None, effect: Effect | None) -> bool:
-    """Return whether the other is of the kind that the effect was found from, linear in more parameters than its physics has.
+    """Return whether the other is the linear relaxation of the effect, or a needlessly general response.
 
-    Or a response of second order for a delay or a lag: quicker than the rows it follows noise between them, and the clocks
-    are asked all at once whether there is one.
+    A relaxation has more parameters than the physics. A response of second order in the place of a delay or a lag that is quicker
+    than the rows follows noise between them; all timing effects are tested together elsewhere.
     """
     if other is None or effect is None:
         return False
@@ -102,98 +102,100 @@ def loosens(other: Effect | None, effect: Effect | None) -> bool:
 
 
 def _on_a_grid(h: Hypothesis) -> bool:
-    """Return whether it has searched values, and these from a grid; what was sought in the residual has found its own."""
-    return h.effect is not None and bool(h.effect.searched()) and h.looked == 1
+    """Return whether its searched values are from a grid; what was proposed from the residual has found its own."""
+    return h.effect is not None and bool(h.effect.searched()) and h.trials == 1
 
 
-def bent(bench: Bench, scorer: Scorer, chosen: list[int], i: int, score: Score) -> Score:
-    """The score of a nonlinear effect at its own optimum (Gauss and Newton) instead of by its slope at zero."""
+def at_nonlinear_optimum(bench: Bench, scorer: Scorer, chosen: list[int], i: int, score: Score) -> Score:
+    """Return the score of a nonlinear effect at its own optimum (Gauss-Newton) instead of by its slope at zero."""
     rows = np.flatnonzero(bench.train)
-    before = float(np.sum(rests(bench, scorer, chosen)[1][rows] ** 2))
-    best = max(score.gain, *(before - float(np.sum(rest**2)) for rest in _approached(bench, scorer, chosen, i)))
+    before = float(np.sum(residuals(bench, scorer, chosen)[1][rows] ** 2))
+    best = max(
+        score.gain, *(before - float(np.sum(residual**2)) for residual in _gauss_newton_steps(bench, scorer, chosen, i))
+    )
     return replace(score, gain=best, rank=score.rank + best - score.gain)
 
 
-def _approached(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Iterator[Array]:
-    """(n, C) whitened rests of the training rows by the model with a nonlinear effect, after each step of the search."""
+def _gauss_newton_steps(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Iterator[Array]:
+    """Yield whitened residuals (n, C) of the training rows with a nonlinear effect, after each Gauss-Newton step."""
     h, y, theta = scorer.library[i], bench.y, scorer.solve([*chosen, i])[0][-scorer.library[i].count :]
-    base = [scorer.library[j] for j in [*range(len(scorer.base)), *chosen]]
+    base = scorer.parts(chosen)
     rows = np.flatnonzero(bench.train)
     for _ in range(2):
         new = tangent(bench, h, theta)
-        assert new.bend is not None, "a tangent has one"
-        target = bench.whitened(y - new.bend)
+        assert new.nonlinear is not None, "a tangent has one"
+        target = bench.whitened(y - new.nonlinear)
         model = [*base, new]
         solved = fit(model, target, rows, bench.width)
-        rest = target[rows].copy()
+        residual = target[rows].copy()
         for part, t in with_parameters(model, solved):
-            rest[:, list(part.white.channels)] -= part.white.values[rows] @ t
+            residual[:, list(part.white.channels)] -= part.white.values[rows] @ t
         theta = solved[-h.count :]
-        yield rest
+        yield residual
 
 
-def ahead(bench: Bench, scorer: Scorer, others: list[int], i: int, j: int) -> float:
-    """By how many standard errors hypothesis i explains the training blocks better than j, both beside the others.
+def vuong_statistic(bench: Bench, scorer: Scorer, others: list[int], i: int, j: int) -> float:
+    """Return by how many standard errors hypothesis i explains the training blocks better than j, given the others.
+
+    Source: Vuong 1989, the likelihood ratio of models that are not nested, over blocks since rows depend on each other. A
+    likelihood ratio below its own spread is no evidence.
 
     Source: Vuong 1989, the likelihood ratio of models that are not nested, over blocks since rows depend on each other.
     Beside its own spread a likelihood ratio shows whether it is evidence, or what both miss.
     """
-    worse, better = (_best_rest(bench, scorer, others, k) for k in (j, i))
+    worse, better = (_best_residual(bench, scorer, others, k) for k in (j, i))
     gain = paired(worse, better, np.zeros(1))
     return gain.fall / max(gain.error, 1e-300)
 
 
-def _best_rest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> Array:
-    """(n, C) whitened rest of the training rows with hypothesis i at its optimum."""
+def _best_residual(bench: Bench, scorer: Scorer, others: list[int], i: int) -> Array:
+    """Return the whitened residual (n, C) of the training rows with hypothesis i at its optimum."""
     h = scorer.library[i]
-    if h.theta is None and _is_bent(bench, h):
-        return min(_approached(bench, scorer, others, i), key=lambda rest: float(np.sum(rest**2)))
-    # What a tangent predicts beyond its slope is not in its columns.
-    with nullcontext() if h.bend is None else scorer.against(bench.y - h.bend):
+    if h.theta is None and _is_nonlinear(bench, h):
+        return min(_gauss_newton_steps(bench, scorer, others, i), key=lambda residual: float(np.sum(residual**2)))
+    # The nonlinear remainder of a tangent is not in its columns.
+    with nullcontext() if h.nonlinear is None else scorer.against(bench.y - h.nonlinear):
         pinned = None if h.effect is None else h.effect.pinned(bench.scene)
         if pinned is None or np.isnan(pinned).any():
-            return rests(bench, scorer, [*others, i])[1][bench.train]
+            return residuals(bench, scorer, [*others, i])[1][bench.train]
     own = np.zeros_like(bench.y)
     own[:, list(h.raw.channels)] = h.raw.values @ pinned
     with scorer.against(bench.y - own):
-        return rests(bench, scorer, others)[1][bench.train]
+        return residuals(bench, scorer, others)[1][bench.train]
 
 
 def polished(bench: Bench, scorer: Scorer, chosen: list[int], i: int, passes: int = 1) -> int:
-    """The same effect with its searched values at the optimum: a new place in the library, or the old one.
-
-    Of several values one after the other, so many times at most.
-    """
+    """Optimise the searched values of a hypothesis, one after the other; return its number in the library, new or old."""
     hypothesis = scorer.library[i]
     effect = hypothesis.effect
     if effect is None or not effect.searched():
         return i
-    beside, best = Beside(bench, scorer, chosen), -np.inf
-    for left in reversed(range(passes if len(effect.searched()) > 1 else 1)):
+    given, best = ConditionalGain(bench, scorer, chosen), -np.inf
+    for remaining in reversed(range(passes if len(effect.searched()) > 1 else 1)):
         for name, value in effect.searched().items():
-            effect = _along(bench, beside, effect, name, value)
-        if left:
-            before, best = best, beside.gain(bench.add(effect))
+            effect = _along(bench, given, effect, name, value)
+        if remaining:
+            before, best = best, given.gain(bench.hypothesis(effect))
             if best < before + LIMITS.tie:
                 break
-    scorer.append([bench.add(effect, hypothesis.looked)])
+    scorer.append([bench.hypothesis(effect, hypothesis.trials)])
     last = len(scorer.library) - 1
     pair, _ = scorer.scores(chosen, [i, last])
     return last if last in pair and (i not in pair or pair[last].gain > pair[i].gain) else i
 
 
-def _along(bench: Bench, beside: Beside, effect: Effect, name: str, value: float) -> Effect:
+def _along(bench: Bench, given: ConditionalGain, effect: Effect, name: str, value: float) -> Effect:
     bound = effect.SEARCHED[name]
     wide = effect.doubt(bench.scene)
 
     def cost(log_value: float) -> float:
-        h = bench.add(effect.with_searched({name: float(np.exp(log_value))}))
-        return -beside.gain(h)
+        h = bench.hypothesis(effect.with_searched({name: float(np.exp(log_value))}))
+        return -given.gain(h)
 
     low, high = max(np.log(value / wide), np.log(bound.low)), min(np.log(value * wide), np.log(bound.high))
     if not high > low:
         return effect
-    # Where the size is not free, the searched value is the size; a narrow peak is a number by itself.
+    # Where the size is fixed, the searched value is the size; a narrow peak needs a finer tolerance.
     coarse = wide >= DOUBT and effect.pinned(bench.scene) is None
     tolerance, most = (3e-3, 12) if coarse else (min(1e-3, 1e-2 * np.log(wide)), 20)
     found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": tolerance, "maxiter": most})

@@ -1,4 +1,4 @@
-"""One kind of effect in every joint, as one competitor: a finding is a kind, and the search asks one place after the other.
+"""One kind of effect in every joint as one competitor: a finding is a kind, and the search tests place after place.
 
 What acts in all channels at once, as a late clock does, would else win over friction: more than the friction of any one joint,
 and far less than that of all of them.

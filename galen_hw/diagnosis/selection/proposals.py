@@ -1,56 +1,58 @@
-"""What a search begins with, and what the rest of a model proposes by itself."""
+"""The library of hypotheses that a search begins with, and proposals from the residual of a model."""
 
 import numpy as np
 
 from galen_hw.diagnosis.detection import clipping, drift, proposal, spectral_lines, steps
 from galen_hw.diagnosis.detection.contacts import contacts
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.interactions import load
-from galen_hw.diagnosis.estimation.least_squares import rests
+from galen_hw.diagnosis.estimation.interactions import update_stream
+from galen_hw.diagnosis.estimation.least_squares import residuals
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.registry import kinds
 
 
 def library(bench: Bench) -> list[Effect]:
-    """Every hypothesis that the scene allows; offsets are always in the model and judged at the end."""
+    """Return every hypothesis that the scene allows; offsets are always in the model and judged at the end."""
     predict = bench.scene.observations.predict
     asked = [kind for kind in kinds() if not kind.always_fitted(predict)]
     return [effect for kind in asked for effect in kind.propose(bench.scene)]
 
 
 def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sought]:
-    """What the rest of the present model shows by itself."""
-    load(bench, scorer, chosen)
-    rest, _ = rests(bench, scorer, chosen)
-    found = steps.steps(bench.scene, rest, bench.rows, bench.noise) + steps.staircases(bench.scene, rest, bench.noise)
-    found += contacts(bench.scene, rest, bench.rows)
-    found += steps.slips(bench.scene, rest, bench.rows)
-    found += steps.loads(bench.scene, rest, bench.rows)
-    found += drift.walks(bench.scene, rest, bench.noise)
-    found += drift.drifts(bench.scene, rest, bench.rows)
-    found += drift.temperatures(bench.scene, rest, bench.rows)
-    # A limit that was found before something else was is sought again as if it had not been.
+    """Return the proposals of all detectors for the residual of the present model."""
+    update_stream(bench, scorer, chosen)
+    residual, _ = residuals(bench, scorer, chosen)
+    found = steps.steps(bench.scene, residual, bench.rows, bench.noise) + steps.staircases(
+        bench.scene, residual, bench.noise
+    )
+    found += contacts(bench.scene, residual, bench.rows)
+    found += steps.slips(bench.scene, residual, bench.rows)
+    found += steps.loads(bench.scene, residual, bench.rows)
+    found += drift.random_walks(bench.scene, residual, bench.noise)
+    found += drift.drifts(bench.scene, residual, bench.rows)
+    found += drift.temperatures(bench.scene, residual, bench.rows)
+    # Limits are sought in the unclipped stream, as if none had been found.
     added = bench.rows.average(np.asarray(bench.stream.standing + bench.stream.carried))
-    stream, seen = bench.simulated + added, ~bench.dropped
+    stream, seen = bench.simulated + added, ~bench.excluded_rows
     found += clipping.saturations(bench.scene, np.asarray(bench.whole - added)[seen], stream[seen])
-    hums = [(h.raw.channels, line) for h in (scorer.library[i] for i in chosen) if (line := h.line(bench.scene))]
+    known_lines = [(h.raw.channels, line) for h in (scorer.library[i] for i in chosen) if (line := h.line(bench.scene))]
     return (
         found
-        + spectral_lines.lines(bench.scene, rest, bench.rows, hums)
-        + spectral_lines.ripples(bench.scene, rest, bench.rows)
+        + spectral_lines.lines(bench.scene, residual, bench.rows, known_lines)
+        + spectral_lines.ripples(bench.scene, residual, bench.rows)
     )
 
 
 def known(bench: Bench, scorer: Scorer, effect: Effect) -> bool:
-    """Return whether a hypothesis is in the library: turn after turn the rest shows the same, as long as nothing takes it."""
+    """Return whether a hypothesis is in the library: detectors propose the same turn after turn while nothing explains it."""
     family, span = effect.family, float(np.ptp(bench.scene.time))
     return any(h.effect is not None and effect.indistinct(h.effect, span) for h in scorer.library if h.family == family)
 
 
 def at_first_sight(bench: Bench) -> list[proposal.Sought]:
-    """What belongs to moments and shows in the residual itself: it must not pass for noise, whatever it is to be called."""
-    rest = bench.whole - np.median(bench.whole, axis=0)
-    found = contacts(bench.scene, rest, bench.rows)
-    found += spectral_lines.lines(bench.scene, rest, bench.rows, narrow=np.inf)
-    return found + steps.steps(bench.scene, rest, bench.rows)[:-1]
+    """Return momentary effects that show in the residual itself: they must not pass for noise."""
+    residual = bench.whole - np.median(bench.whole, axis=0)
+    found = contacts(bench.scene, residual, bench.rows)
+    found += spectral_lines.lines(bench.scene, residual, bench.rows, narrow=np.inf)
+    return found + steps.steps(bench.scene, residual, bench.rows)[:-1]

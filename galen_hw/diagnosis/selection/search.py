@@ -1,23 +1,23 @@
-"""Which effects: a loop over a table of moves, until none is better."""
+"""The search for the effects of a model: a loop over a table of moves, until none improves it."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
-from galen_hw.diagnosis.estimation.cross_validation import errors
+from galen_hw.diagnosis.estimation.cross_validation import cross_validated
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import retime, settle_together
 from galen_hw.diagnosis.estimation.linearisation import rebase, tangent
 from galen_hw.diagnosis.estimation.normal_equations import Scorer, threshold
-from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves import MOVES
-from galen_hw.diagnosis.selection.moves.clipping import levelled
+from galen_hw.diagnosis.selection.moves.clipping import limits_updated
 from galen_hw.diagnosis.selection.moves.drop import alone, dropped
-from galen_hw.diagnosis.selection.moves.step_times import timed
+from galen_hw.diagnosis.selection.moves.step_times import steps_relocated
 from galen_hw.diagnosis.selection.moves.swap import swapped
 from galen_hw.diagnosis.selection.proposals import known, sought
 from galen_hw.diagnosis.selection.search_state import Selection, Turn
+from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
@@ -30,7 +30,7 @@ def select(bench: Bench, scorer: Scorer, *, start: Start = ()) -> Selection:
     """Search for the effects: in each turn the first move that finds a better model, then those that tidy it.
 
     Args:
-        bench: the data; is left in the state of the model found.
+        bench: the data; has the state of the model found afterwards.
         scorer: with all hypotheses.
         start: the model to begin with.
     """
@@ -48,17 +48,16 @@ def select(bench: Bench, scorer: Scorer, *, start: Start = ()) -> Selection:
                 settle_together(bench, scorer, out.chosen)
         retime(bench, scorer, out.chosen)
         out.turn.failed.clear()
-        # What was added only to be exchanged again would be added again.
-        model = frozenset(scorer.library[i].family for i in out.chosen)
-        if model in seen:
+        # The search is in a cycle: what was added only to be exchanged again would be added again.
+        if out.families in seen:
             break
-        seen.add(model)
+        seen.add(out.families)
     _conclude(out)
     return out
 
 
 def settled(scorer: Scorer, start: Start, needed: float, *, rivals: bool = False) -> Selection:
-    """Return a start as a model, settled and with nothing else searched.
+    """Return a start as a converged model, without further search.
 
     Args:
         scorer: with all hypotheses, which the start joins.
@@ -66,67 +65,67 @@ def settled(scorer: Scorer, start: Start, needed: float, *, rivals: bool = False
         rivals: whether each effect is asked for better ones in its place.
     """
     out = Selection(scorer, needed=needed)
-    _stand(out, start)
+    _start_from(out, start)
     if rivals and swapped(out):
         settle_together(out.bench, scorer, out.chosen)
-    _rest(out)
+    _restore_residual(out)
     return out
 
 
 def _begin(out: Selection, start: Start) -> None:
     """Look at a model that has no effects, then put those of a start into it."""
     _look(out)
-    out.begun = errors(out.bench, out.scorer, []) ** 2
-    _stand(out, start)
+    out.initial_errors = cross_validated(out.bench, out.scorer.base, out.scorer.white) ** 2
+    _start_from(out, start)
 
 
-def _stand(out: Selection, start: Start) -> None:
-    """Put the effects of a start into a model that has none, and let them settle."""
+def _start_from(out: Selection, start: Start) -> None:
+    """Put the effects of a start into a model that has none, and iterate to convergence."""
     bench, scorer = out.bench, out.scorer
-    looked = {h.effect.family: h.looked for h in scorer.library if h.effect is not None}
+    trials = {h.effect.family: h.trials for h in scorer.library if h.effect is not None}
     first = len(scorer.library)
-    scorer.append([_placed(bench, effect, theta, looked.get(effect.family, 1)) for effect, theta in start])
+    scorer.append([_placed(bench, effect, theta, trials.get(effect.family, 1)) for effect, theta in start])
     out.chosen = list(range(first, first + len(start)))
     rebase(scorer, out.chosen)
     settle_together(bench, scorer, out.chosen)
     retime(bench, scorer, out.chosen)
 
 
-def _placed(bench: Bench, effect: Effect, theta: Array, looked: int) -> Hypothesis:
-    """An effect as a hypothesis that stands where its parameters (k,) are."""
-    h = bench.add(effect, looked)
+def _placed(bench: Bench, effect: Effect, theta: Array, trials: int) -> Hypothesis:
+    """Return an effect as a hypothesis linearised at its parameters (k,)."""
+    h = bench.hypothesis(effect, trials)
     return tangent(bench, h, theta) if effect.bends(bench.scene, np.zeros(h.count)) else h
 
 
 def _look(out: Selection) -> None:
-    """Begin a turn: propose what the rest shows by itself, place limits and jumps anew, score all."""
+    """Begin a turn: add proposals from the residual, re-estimate limits and jumps, score all."""
     bench, scorer = out.bench, out.scorer
     fresh = [s for s in sought(bench, scorer, out.chosen) if not known(bench, scorer, s.effect)]
-    scorer.append([bench.add(s.effect, s.looked) for s in fresh])
-    levelled(out)
-    timed(out)
-    out.turn.able = []
+    scorer.append([bench.hypothesis(s.effect, s.trials) for s in fresh])
+    limits_updated(out)
+    steps_relocated(out)
+    out.turn.significant = []
     out.turn.scores, highest = scorer.scores(out.chosen, surrogates=True)
     out.needed = max(out.needed, threshold(highest, CRITERIA.chance))
     out.first = out.first or out.turn.scores
 
 
 def _conclude(out: Selection) -> None:
-    """Drop what the last turn has made needless, score each effect beside the others, and leave the residual to the model."""
+    """Drop effects that the last turn made needless, score each given the others, and restore the model's residual."""
     bench, scorer = out.bench, out.scorer
-    # The last turn moved what is searched: what stood before need not stand now.
+    # The last turn changed searched values: effects may have become needless.
     if dropped(out):
         settle_together(bench, scorer, out.chosen)
     for i in out.chosen:
-        # What the others can do as well has no score of its own.
+        # An effect that is collinear with the others has no score.
         score = alone(scorer, out.chosen, i)
         if score is not None:
             out.evidence[i] = score
     out.turn = Turn()
-    _rest(out)
+    _restore_residual(out)
 
 
-def _rest(out: Selection) -> None:
-    """Leave the residual to the model, which tells by itself what its effects do to each other."""
-    out.bench.stand(interaction=0.0)
+def _restore_residual(out: Selection) -> None:
+    """Set the residual to that of the model without interactions, which the model adds itself."""
+    out.bench.update_state(interaction=0.0)
     rebase(out.scorer, out.chosen)

@@ -1,4 +1,4 @@
-"""The chosen model and how it came about."""
+"""The state of a search: the chosen model and how it was found."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -16,24 +16,24 @@ from galen_hw.spatial import Array
 
 @dataclass
 class Turn:
-    """What one turn of a search has learnt.
+    """What one turn of a search has found.
 
     Args:
-        scores: of all hypotheses beside the model as the turn began.
-        able: those that chance does not explain, best first.
+        scores: of all hypotheses given the model as the turn began.
+        significant: hypotheses that chance does not explain, best first.
         failed: hypotheses that were refused in this turn.
         swapped: whether the last swaps changed anything.
     """
 
     scores: dict[int, Score] = field(default_factory=dict)
-    able: list[int] = field(default_factory=list)
+    significant: list[int] = field(default_factory=list)
     failed: set[int] = field(default_factory=set)
     swapped: bool = False
 
 
 @dataclass
 class Attempt:
-    """Another model while it is tried; `kept`: it is to stay."""
+    """A trial model; `kept`: it replaces the present one."""
 
     kept: bool = False
 
@@ -43,15 +43,15 @@ class Selection:
     """The chosen model and how it came about.
 
     Args:
-        chosen: places in the scorer's library.
-        evidence: score of each when all others are in.
+        chosen: numbers in the scorer's library.
+        evidence: score of each given all others.
         first: score of every hypothesis before any was chosen, best of its family.
         needed: surprise that chance reaches.
-        refused: effects that looked significant but did not pass the guard.
-        clocked: how often a model, by the families of its effects, was asked for all of its clocks at once.
-        tightened: models whose spring was already asked for the tendon that it may be.
-        regrouped: models in which two of the effects were already asked whether others stand for both.
-        begun: (n, C) squared errors of the training rows, each left out, before anything was chosen.
+        refused: significant effects that were not accepted, with their share of the excess.
+        clocked: how often all timing effects of a model, by the families of its effects, were tested at once.
+        tightened: models whose spring was already compared with a tendon.
+        regrouped: models of which two effects were already compared with others in their place.
+        initial_errors: (n, C) squared cross-validated errors of the training rows before anything was chosen.
     """
 
     scorer: Scorer
@@ -63,17 +63,17 @@ class Selection:
     clocked: Counter[frozenset[object]] = field(default_factory=Counter)
     tightened: set[frozenset[object]] = field(default_factory=set)
     regrouped: set[frozenset[object]] = field(default_factory=set)
-    begun: Array = field(default_factory=lambda: np.empty((0, 0)))
+    initial_errors: Array = field(default_factory=lambda: np.empty((0, 0)))
     turn: Turn = field(default_factory=Turn)
 
     @property
     def bench(self) -> Bench:
-        """The data."""
+        """Bench of the scorer."""
         return self.scorer.bench
 
     @contextmanager
     def attempt(self) -> Iterator["Attempt"]:
-        """Try another model: terms and what was settled beside them stand again as before, unless the attempt is kept."""
+        """Try another model while the context lasts, and restore the present one unless the attempt is kept."""
         bench, chosen, before, one = self.scorer.bench, list(self.chosen), self.scorer.bench.state, Attempt()
         try:
             yield one
@@ -84,17 +84,22 @@ class Selection:
                     self.scorer.retarget(before.y)
 
     @property
-    def start(self) -> Array:
-        """(C,) mean squared error on blocks left out before anything was chosen."""
-        return np.asarray(self.begun.mean(axis=0))
+    def initial_mean_square(self) -> Array:
+        """Cross-validated mean squared error (C,) before anything was chosen."""
+        return np.asarray(self.initial_errors.mean(axis=0))
+
+    @property
+    def families(self) -> frozenset[object]:
+        """Families of the chosen effects."""
+        return frozenset(h.family for h in self.hypotheses)
 
     @property
     def hypotheses(self) -> list[Hypothesis]:
-        """The chosen ones."""
+        """Chosen hypotheses."""
         return [self.scorer.library[i] for i in self.chosen]
 
 
 def elsewhere(scorer: Scorer, model: Iterable[int], candidates: Iterable[int]) -> list[int]:
-    """The candidates, in their order, whose place nothing in the model has."""
+    """Return the candidates, in their order, whose place is free in the model."""
     taken = {place_of(scorer.library[i].effect) for i in model}
     return [j for j in candidates if place_of(scorer.library[j].effect) not in taken]

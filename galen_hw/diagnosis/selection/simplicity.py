@@ -1,10 +1,10 @@
-"""Which of two look-alikes goes first: the plainer one, where the recording does not say otherwise."""
+"""Choice of the simplest of candidates that the recording cannot tell apart."""
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import missed
+from galen_hw.diagnosis.estimation.least_squares import reduced_chi2
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
-from galen_hw.diagnosis.selection.comparison import ahead
-from galen_hw.diagnosis.selection.limits import LIMITS
+from galen_hw.diagnosis.selection.comparison import vuong_statistic
+from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 
@@ -12,14 +12,14 @@ from galen_hw.physics.effects.base import Effect
 def plainest(
     bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], able: list[int], *, unsure: float
 ) -> int:
-    """Return the plainest hypothesis that the first of the able does not lead by more than a standard error.
+    """Return the simplest hypothesis that the first of the significant ones leads by no more than a standard error.
 
-    A likelihood ratio is compared with its own spread from block to block (Vuong 1989), and with what laws may miss of what they
-    explain: where noise alone is left with either, less than that is no evidence (a steady pull is a weight but for inertia).
+    A likelihood ratio is compared with its own spread from block to block (Vuong 1989), and with the discrepancy of the laws:
+    where noise alone is left with either, less than that is no evidence (a steady pull is a weight but for inertia).
 
     Args:
         able: best first.
-        unsure: difference of rank that says nothing, see `undecided`; 0: of what stands each is evidence while more may be found.
+        unsure: difference of rank that is no evidence, see `undecided`; 0 while more may be found.
     """
     best = able[0]
     nothing = max(LIMITS.tie, unsure)
@@ -34,24 +34,24 @@ def plainest(
         lead = scores[best].rank - scores[i].rank
         tied = lead <= nothing or (
             lead <= CRITERIA.least_share * scores[best].gain
-            and missed(bench, scorer, [*chosen, i]) <= CRITERIA.noise_alone
+            and reduced_chi2(bench, scorer, [*chosen, i]) <= CRITERIA.noise_alone
         )
-        if tied or (asked < LIMITS.rivals and ahead(bench, scorer, chosen, best, i) < 1.0):
+        if tied or (asked < LIMITS.rivals and vuong_statistic(bench, scorer, chosen, best, i) < 1.0):
             return i
     return best
 
 
 def undecided(bench: Bench, scorer: Scorer, model: list[int]) -> float:
-    """Difference of rank that says nothing between models: a part of what the better one leaves above the noise."""
-    over = missed(bench, scorer, model)
+    """Return the rank difference that model discrepancy explains: a part of what the better model leaves above the noise."""
+    over = reduced_chi2(bench, scorer, model)
     return (
-        CRITERIA.beside_unexplained * (over - 1.0) * bench.train.sum() * bench.read
+        CRITERIA.beside_unexplained * (over - 1.0) * bench.train.sum() * bench.live_channels
         if over > CRITERIA.noise_alone
         else 0.0
     )
 
 
 def _cost(scorer: Scorer, scores: dict[int, Score], i: int) -> tuple[int, int]:
-    """The lower, the plainer: of kinds those that are commoner, then those with fewer parameters."""
+    """Return the complexity of a hypothesis: rarer kinds are more complex, then those with more parameters."""
     effect = scorer.library[i].effect
     return (Effect.COMPLEXITY if effect is None else effect.COMPLEXITY, scores[i].count)

@@ -1,4 +1,4 @@
-"""The levels that decide what is believed: all of them, and nowhere else."""
+"""The significance levels of all decisions."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -8,22 +8,21 @@ from scipy.special import ndtri
 
 @dataclass(frozen=True)
 class Criteria:
-    """Levels of the rules that a search and a finding have to meet.
+    """Significance levels of the search and of findings.
 
     Args:
-        chance: probability that noise passes for an effect: one budget a recording, shared among all that is asked of it.
-        log_odds: twice the log of the odds, beyond the prices of the parameters, from which the other of two models is taken
+        chance: false-alarm probability of a recording, shared among all tests (Bonferroni).
+        log_odds: twice the log of the odds, beyond the penalty of the parameters, from which the other of two models is taken
             (Kass and Raftery, JASA 90, 1995: 6 to 10 is strong evidence).
-        least_share: of the held-out excess over the noise that a finding takes at least, as mean square, unless noise alone is
-            left with it and more without it: at 0.02 it is a seventh of what is missed, and the laws beside it may miss as much
-            of what they speak of (Kennedy and O'Hagan 2001: a law's own error is part of the noise) as long as nothing shows
-            that they do not.
-        beside_unexplained: of what the whole model leaves of the excess: physics that is missing has a part along any regressor,
-            and what takes less than a quarter of it may be that part, as may a difference between two models (the discrepancy's
-            variance of Kennedy and O'Hagan). What belongs to moments fits nearly anything, and has to take all of it.
-        outstanding: mean square during a touch over that at all other times, from which it is judged by its own moments, and is
-            an event: three times as large.
-        noise_alone: mean square over that of the noise up to which noise alone is left: its level is learnt, and no better known.
+        least_share: share of the held-out excess over the noise, as mean square, that a finding explains at least, unless the
+            residual is noise alone with it and more without it. At 0.02 it is a seventh of the amplitude; the other laws may
+            have as large a discrepancy (Kennedy and O'Hagan 2001: a law's own error is part of the noise).
+        beside_unexplained: share of the unexplained excess that an effect explains at least: missing physics is correlated with
+            any regressor, and a smaller gain, or difference between two models, may be that correlation (model discrepancy).
+            Momentary effects fit nearly anything, and have to explain as much as remains.
+        outstanding: mean square during a contact over that at all other times, from which it is judged by its own rows, and is
+            an event: three times the amplitude.
+        noise_alone: mean square over that of the noise up to which the residual is noise alone: the noise level is an estimate.
     """
 
     chance: float = 0.002
@@ -35,11 +34,11 @@ class Criteria:
 
     @property
     def beyond_noise(self) -> float:
-        """Mean square over that of the noise from which more than noise is left: both that are compared may be off."""
+        """Mean square over that of the noise from which there is more than noise: both levels are estimates."""
         return 1.0 + 2.0 * (self.noise_alone - 1.0)
 
     def standard_errors(self, questions: int = 1) -> float:
-        """Return by how many standard errors an answer must stand out where so many are asked for (Bonferroni, one side)."""
+        """Return the required number of standard errors of one of so many tests (Bonferroni, one side)."""
         return float(-ndtri(self.chance / max(questions, 1)))
 
 

@@ -1,4 +1,4 @@
-"""Linear algebra of the bench: Gram matrices of long columns, weak directions left out, tails of chi square and F."""
+"""Linear algebra on Gram matrices of long columns, without weak directions; tails of chi square and F."""
 
 import numpy as np
 from scipy.special import betainc, gammaincc, gammaln
@@ -7,7 +7,7 @@ from galen_hw.diagnosis.stats.sampling import Index
 from galen_hw.spatial import Array
 
 WEAK = 1e-5
-"""A direction of which less than this share is left beside the model is taken as already in it."""
+"""Share of a direction, projected orthogonally to the model, below which it is not identifiable."""
 MANY = 4000.0
 """Degrees of freedom of the noise from which F is as good as chi square."""
 
@@ -33,10 +33,10 @@ def solve_sym(A: Array, B: Array) -> Array:
 
 
 def quadratic(A: Array, before: Array, r: Array, fakes: Array) -> tuple[Array, Array, Index]:
-    """R' A^-1 r of m hypotheses with k columns each, over the directions of which enough is left beside the model.
+    """Return r' A^-1 r of m hypotheses with k columns each, over the directions that are identifiable given the model.
 
     Args:
-        A: (m, k, k) inner products beside the model; before: (m, k) squares of the columns themselves.
+        A: (m, k, k) inner products given the model; before: (m, k) squares of the columns themselves.
         r: (m, k) inner products with the residual; fakes: (m, k, B) with surrogates.
 
     Returns:
@@ -52,7 +52,7 @@ def quadratic(A: Array, before: Array, r: Array, fakes: Array) -> tuple[Array, A
 
 
 def pinned_at(at: Array, A: Array, r: Array) -> Array:
-    """(k,) parameters of least squares (inner products A (k, k), r (k,)) of which some are given: `at`, nan where free."""
+    """Return least-squares parameters (k,) from A (k, k), r (k,), some of them fixed: `at`, NaN where free."""
     free = np.isnan(at)
     if not free.any():
         return at
@@ -62,7 +62,7 @@ def pinned_at(at: Array, A: Array, r: Array) -> Array:
 
 
 def orthonormal(X: Array, *, weakest: float = 1e-7, most: int | None = None) -> Array:
-    """Orthonormal basis (M, r) of the strongest directions of columns (M, k), from their Gram matrix (M is long)."""
+    """Return an orthonormal basis (M, r) of the strongest directions of columns (M, k), from their Gram matrix."""
     if not X.shape[1]:
         return X
     value, vector = np.linalg.eigh(X.T @ X)
@@ -72,16 +72,16 @@ def orthonormal(X: Array, *, weakest: float = 1e-7, most: int | None = None) -> 
 
 
 def scaled(X: Array, keep: float = 0.0) -> Array:
-    """Columns of unit length; those not longer than `keep` are left out."""
+    """Return the columns scaled to unit length, without those not longer than `keep`."""
     size = np.linalg.norm(X, axis=0)
     good = size > max(keep, 1e-300)
     return np.asarray(X[:, good] / size[good])
 
 
 def log_tail(gain: Array, count: Index, degrees: float) -> Array:
-    """Log of the chance that noise reaches gains with `count` parameters (shapes that broadcast).
+    """Return the log of the probability that noise reaches gains with `count` parameters (shapes that broadcast).
 
-    The noise rests on `degrees` of freedom. Where the tail is too small for a double, its leading term (Abramowitz and Stegun
+    The noise estimate has `degrees` of freedom. Where the tail is too small for a double, its leading term (Abramowitz and Stegun
     6.5.32, 26.5.4).
     """
     if degrees > MANY:

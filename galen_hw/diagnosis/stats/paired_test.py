@@ -1,4 +1,4 @@
-"""The paired test on held-out errors, block by block: what an effect takes of the excess, and how surely."""
+"""The paired test on held-out errors, block by block: an effect's share of the excess and its significance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ PIECES: Final = 40
 
 @dataclass(frozen=True)
 class Gain:
-    """What falls away of the held-out excess with an effect, all channels together, each weighed by its noise.
+    """Gain of an effect in the held-out excess, all channels together, each weighted by its noise.
 
     Args:
         fall: mean over the rows of the squared error without it less that with it; error: its standard error.
-        sure: by how many standard errors what is there without it matches what it says.
-        excess: the same of the baseline's squared error above the noise, not below 0 or what falls.
-        completes: noise alone is left with it, and more without it: laws that leave nothing are not rough.
+        sure: correlation of the error without it with its contribution, in standard errors.
+        excess: mean of the baseline's squared error above the noise, not below 0 or `fall`.
+        completes: noise alone is left with it, and more without it: then the laws have no discrepancy.
     """
 
     fall: float
@@ -48,13 +48,13 @@ class Gain:
         questions: int = 1,
         moments: int = 0,
     ) -> bool:
-        """Return whether it is there beyond luck, and more than what laws that are rough or missing leave along it.
+        """Return whether the gain is significant, and larger than model discrepancy and missing physics explain.
 
         Args:
             criteria: the levels.
             unexplained: share of the excess, 0 to 1, that the whole model leaves.
             questions: how many effects are asked about at once.
-            moments: how many it belongs to, each of which has to take as much as all leave; 0: it lasts.
+            moments: number of its episodes, each of which has to explain as much as remains unexplained; 0: it lasts.
         """
         least = max(
             0.0 if self.completes else criteria.least_share, (moments or criteria.beside_unexplained) * unexplained
@@ -62,34 +62,33 @@ class Gain:
         return bool(self.fall > 0.0 and self.sure > criteria.standard_errors(questions) and self.share >= least)
 
     def contrary(self, criteria: Criteria = CRITERIA, *, questions: int = 1) -> bool:
-        """Return whether the error rises with it beyond luck, and by more than a law that is right may miss."""
+        """Return whether the error rises with it significantly, and by more than the discrepancy of a correct law."""
         return bool(
             self.fall < -criteria.standard_errors(questions) * self.error and self.share <= -criteria.least_share
         )
 
 
 def paired(
-    without: Array, rest: Array, excess: Array, *, own: Sequence[int] | slice = slice(None), parameters: int = 0
+    without: Array, residual: Array, excess: Array, *, own: Sequence[int] | slice = slice(None), parameters: int = 0
 ) -> Gain:
     """Compare the errors (n, C) without an effect and with it on the same rows, in units of the noise.
 
-    With w without it, r with it and d = w - r what it says, the error falls by d^2 + 2 r d, and what is there matches that by
-    w d = d^2 + r d: a match is there before the fall is sure, for a law that is not there at all raises the error by d^2. The
-    square is there whatever the noise does, and luck is in r d alone: for an effect that acts in one piece of many it is no less
-    sure for that. Where physics is missing r d is large, but a fall in nearly every piece is no luck either: the less of the two
-    spreads counts.
+    With the error w without it, r with it and its contribution d = w - r, the squared error falls by d^2 + 2 r d, and w
+    correlates with d by w d = d^2 + r d: the correlation is significant before the fall is, for an effect that is absent raises
+    the error by d^2. Only r d is random, so that an effect that acts in one piece of many is no less significant for that. Where
+    physics is missing r d is large, but a fall in nearly every piece is no chance either: the smaller of the two spreads counts.
 
     Args:
         excess: (C,) of the baseline.
         own: channels that are compared; all have to be noise alone where the effect completes the model.
-        parameters: that were learnt on these very rows: each takes as much of the noise as it adds elsewhere (Akaike 1974).
+        parameters: number of parameters fitted on these very rows, each with the penalty of Akaike 1974.
     """
-    old, new = (np.mean(x**2, axis=0) for x in (without, rest))
+    old, new = (np.mean(x**2, axis=0) for x in (without, residual))
     whole = bool(np.any(old > CRITERIA.beyond_noise) and np.all(new <= CRITERIA.noise_alone))
-    without, rest, excess = without[:, own], rest[:, own], excess[own]
-    effect, n = without - rest, max(len(rest), 1)
-    count = max(min(PIECES, len(rest)), 1)
-    luck = np.sum(rest * effect, axis=1)
+    without, residual, excess = without[:, own], residual[:, own], excess[own]
+    effect, n = without - residual, max(len(residual), 1)
+    count = max(min(PIECES, len(residual)), 1)
+    luck = np.sum(residual * effect, axis=1)
     match = np.sum(effect**2, axis=1) + luck
     fall, error = _sum(match + luck, 2.0 * luck, count)
     matched, its = _sum(match, luck, count)
@@ -98,7 +97,7 @@ def paired(
 
 
 def _sum(x: Array, lucky: Array, count: int) -> tuple[float, float]:
-    """Sum of x (n,) and its standard error by sums over so many pieces: of its luck, or their spread if less."""
+    """Return the sum of x (n,) and its standard error over so many pieces: from its random part, or the spread if less."""
     each, luck = (np.array([piece.sum() for piece in np.array_split(one, count)]) for one in (x, lucky))
     spread = float(np.std(each, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
     return float(each.sum()), min(float(np.sqrt(np.sum(luck**2))), spread)

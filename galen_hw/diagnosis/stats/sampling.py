@@ -1,4 +1,4 @@
-"""Rows of a recording: averaging over neighbours, contiguous blocks, and which are set aside."""
+"""Rows of a recording: averaging over neighbours, contiguous blocks, folds, and held-out rows."""
 
 import itertools
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ class Rows:
     cut: float = 0.0
 
     def of(self, segments: Sequence[slice]) -> "Rows":
-        """The same groups of another recording."""
+        """Return the same groups of another recording."""
         return replace(self, segments=tuple(segments))
 
     @cached_property
@@ -43,16 +43,16 @@ class Rows:
 
     @cached_property
     def runs(self) -> tuple[slice, ...]:
-        """The segments in groups."""
+        """Slices of the groups of each segment."""
         edges = np.cumsum([0] + [-(-(s.stop - s.start) // self.stride) for s in self.segments])
         return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
 
     def __len__(self) -> int:
-        """Number of groups."""
+        """Return the number of groups."""
         return len(self.starts)
 
     def average(self, x: Array) -> Array:
-        """(M, ...) means of (N, ...) over the groups."""
+        """Return means (M, ...) of (N, ...) over the groups."""
         x = self._filtered(x)
         if self.stride == 1:
             return x
@@ -68,9 +68,9 @@ class Rows:
         return out
 
     def late(self, x: Array, steps: Sequence[float], *, bowed: bool = False) -> Array:
-        """The same of signals that come so many rows later in each segment, or earlier; at the ends the first or last row stands.
+        """Return means of signals delayed by so many rows in each segment; the end rows are held.
 
-        As `operators.delay` on an even clock, averaged: of the way between two neighbours their means need no row by itself.
+        As `operators.delay` on an even clock, averaged, without interpolating each row between its neighbours.
         """
         flat = self._filtered(x).reshape(len(x), -1)
         parts = [
@@ -79,7 +79,7 @@ class Rows:
         return (parts[0] if len(parts) == 1 else np.concatenate(parts)).reshape(len(self), *x.shape[1:])
 
     def _filtered(self, x: Array) -> Array:
-        """Signals (N, ...) without what is quicker than `cut`; a gap (NaN) is bridged, and stays one."""
+        """Return signals (N, ...) low-passed at `cut`; a gap (NaN) is interpolated first, and stays one."""
         if not self.cut:
             return x
         out = np.array(x, dtype=float)
@@ -99,17 +99,17 @@ class Rows:
         return np.concatenate([np.gradient(part, axis=0) if len(part) > 1 else np.zeros_like(part) for part in parts])
 
     def spread(self, x: Mask) -> Mask:
-        """(M,) mask of the groups that hold any marked row (N,)."""
+        """Return the mask (M,) of the groups that hold any marked row (N,)."""
         return np.asarray(np.logical_or.reduceat(x, self.starts))
 
 
 def _late(x: Array, steps: float, stride: int, *, bowed: bool) -> Array:
-    """(G, k) means over groups of `stride` rows of x (n, k), so many rows later."""
+    """Return means (G, k) over groups of `stride` rows of x (n, k), delayed by so many rows."""
     count, groups = len(x), -(-len(x) // stride)
     whole = int(np.floor(min(max(steps, -float(count)), float(count))))
     share = steps - whole
     bow = 0.5 * share * (1.0 - share) if bowed else 0.0
-    # Groups of which every row lies between two that were recorded, and has two before it.
+    # Groups of which every row lies between two recorded ones, and has two before it.
     begin = min(max(-(-(whole + 2) // stride), 0), groups)
     end = max(min(count, count + whole) // stride, begin)
     out = np.empty((groups, x.shape[1]))
@@ -133,8 +133,14 @@ def _late(x: Array, steps: float, stride: int, *, bowed: bool) -> Array:
     return out
 
 
+def true_runs(mask: Mask) -> list[tuple[int, int]]:
+    """Return the first row of each run of marked rows in a mask (N,), and the row after its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
 def blocks(runs: tuple[slice, ...], count: int) -> Index:
-    """Block number (M,) of every row: about `count` contiguous blocks that do not cross segments."""
+    """Return the block number (M,) of every row: about `count` contiguous blocks that do not cross segments."""
     total = sum(r.stop - r.start for r in runs)
     out, number = np.empty(total, dtype=np.intp), 0
     for run in runs:
@@ -149,10 +155,10 @@ FOLDS: Final = 5
 
 
 def folds(block: Index, count: int = FOLDS) -> Index:
-    """Deal blocks out in turn: the fold (M,) of every row, none of them empty.
+    """Deal blocks out in turn, and return the fold (M,) of every row, none of them empty.
 
-    There are as many folds as blocks where these are fewer than `count`, and each row is a block where there is but one:
-    whatever is learnt without a fold has rows to be learnt from, and every fold has rows to be judged on.
+    There are as many folds as blocks where these are fewer than `count`, and each row is a block where there is but one: whatever
+    is learnt without a fold has rows to be learnt from, and every fold has rows to be judged on.
 
     Args:
         block: (M,) block number of every row.
@@ -164,7 +170,7 @@ def folds(block: Index, count: int = FOLDS) -> Index:
 
 
 def set_aside(block: Index, share: float, seed: int) -> Mask:
-    """(M,) mask of rows held out: whole blocks, spread over the recording, never neighbours at small shares."""
+    """Return the mask (M,) of held-out rows: whole blocks, spread over the recording."""
     numbers = np.unique(block)
     count = round(share * len(numbers))
     if len(numbers) < 4 or count < 1:

@@ -1,1 +1,1 @@
-"""Each effect with and without, on data that it was not learnt from."""
+"""Each effect with and without, on held-out data."""

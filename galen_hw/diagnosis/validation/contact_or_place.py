@@ -1,4 +1,4 @@
-"""Whether what passes for touches is an event or a place: nobody pushes by the arm's position."""
+"""Test whether contacts are events or a function of the arm's position: nobody pushes by the arm's position."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -11,67 +11,68 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit import trees
 from galen_hw.diagnosis.lack_of_fit.basis_functions import POSITION, Inputs
-from galen_hw.diagnosis.lack_of_fit.structure_test import Left
+from galen_hw.diagnosis.lack_of_fit.structure_test import Structure
 from galen_hw.diagnosis.stats.criteria import CRITERIA
-from galen_hw.diagnosis.stats.sampling import Mask
+from galen_hw.diagnosis.stats.sampling import Mask, true_runs
 from galen_hw.diagnosis.validation.judgement import touched
 
 AROUND: Final = 0.5
-"""Of a touch's length: how long before and after it nothing is learnt about it either."""
+"""Share of a contact's length before and after it that is left out of the training rows too."""
 
 
 def touches_of(model: Model) -> list[Hypothesis]:
-    """Contacts that a model believes in."""
+    """Return the contacts of a model."""
     return [h for h in model.effects if h.effect is not None and h.effect.touches]
 
 
 @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
-def foretold(whole: Model, less: Model) -> list[Left]:
-    """What a model without its contacts leaves during each, if that follows from where the arm was during the others.
+def predicted_by_place(whole: Model, less: Model) -> list[Structure]:
+    """Return structure of the residual during contacts that follows from the arm's position during the others.
 
-    Of trees on the joint positions, which know corners of a workspace that polynomials do not. One touch alone has no others.
+    By trees on the joint positions, which describe corners of a workspace that polynomials do not. It needs two contacts.
 
     Args:
         whole: with contacts; less: the same without them.
     """
-    bench, touches = whole.bench, touches_of(whole)
-    channels = sorted({c for h in touches for c in h.raw.channels})
-    # What belongs to moments is fitted on all rows, those set aside too.
-    good = ~bench.dropped
+    bench, contacts = whole.bench, touches_of(whole)
+    channels = sorted({c for h in contacts for c in h.raw.channels})
+    # Momentary effects are fitted on all rows, held-out ones too.
+    good = ~bench.excluded_rows
     during = good & touched(whole)
-    each = [rows for rows in _each(bench, touches) if np.any(during & rows)]
+    each = [rows for rows in _each(bench, contacts) if np.any(during & rows)]
     if len(each) < 2:
         return []
     sigma = bench.noise.sigma[channels]
-    missed, kept = (model.rest()[:, channels] / sigma for model in (less, whole))
+    residual, kept = (model.residual()[:, channels] / sigma for model in (less, whole))
     position = Inputs.of(bench.scene, bench.rows).position
-    predicted = np.zeros_like(missed)
+    predicted = np.zeros_like(residual)
     for rows in each:
         others, asked = good & ~rows, during & rows
         for c in range(len(channels)):
-            predicted[asked, c] = trees.new().fit(position[others], missed[others, c]).predict(position[asked])
-    gain = np.sum(predicted * (2.0 * missed - predicted), axis=0)
-    taken = np.sum(missed[during] ** 2 - kept[during] ** 2)
+            predicted[asked, c] = (
+                trees.boosted_trees().fit(position[others], residual[others, c]).predict(position[asked])
+            )
+    gain = np.sum(predicted * (2.0 * residual - predicted), axis=0)
+    taken = np.sum(residual[during] ** 2 - kept[during] ** 2)
     if taken <= 0.0 or gain.sum() < CRITERIA.beside_unexplained * taken:
         return []
-    share = gain / np.sum(missed[good] ** 2, axis=0)
+    share = gain / np.sum(residual[good] ** 2, axis=0)
     size = sigma * np.sqrt(np.sum(predicted**2, axis=0) / good.sum())
     found = [
-        Left(c, POSITION, float(gain[k] - 1.0) / np.sqrt(2.0), float(share[k]), float(size[k]), predicted[:, [k]])
+        Structure(c, POSITION, float(gain[k] - 1.0) / np.sqrt(2.0), float(share[k]), float(size[k]), predicted[:, [k]])
         for k, c in enumerate(channels)
         if gain[k] > 0.0
     ]
     return sorted(found, key=lambda one: -one.z)
 
 
-def _each(bench: Bench, touches: Sequence[Hypothesis]) -> list[Mask]:
-    """Rows (M,) of each touch with its surroundings; what overlaps is one."""
-    time = bench.rows.average(bench.scene.time)
+def _each(bench: Bench, contacts: Sequence[Hypothesis]) -> list[Mask]:
+    """Return the rows (M,) of each contact with its surroundings; overlapping ones are one."""
+    time = bench.time
     near = np.zeros(len(bench.rows), dtype=bool)
-    for h in touches:
+    for h in contacts:
         for start, end in () if h.effect is None else h.effect.touches:
             margin = AROUND * (end - start)
             near |= (time >= start - margin) & (time <= end + margin)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(int))).reshape(-1, 2)
     at = np.arange(len(near))
-    return [(at >= a) & (at < b) for a, b in edges]
+    return [(at >= a) & (at < b) for a, b in true_runs(near)]

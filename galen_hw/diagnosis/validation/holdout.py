@@ -1,4 +1,4 @@
-"""The model on data that it did not learn from."""
+"""Judgement of a model on held-out data, and backward elimination of unsupported effects."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
-from galen_hw.diagnosis.estimation.cross_validation import white_left_out
+from galen_hw.diagnosis.estimation.cross_validation import cross_validated
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder
 from galen_hw.diagnosis.stats.paired_test import Gain, paired
-from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, predict, touched
-from galen_hw.diagnosis.validation.other_recording import apply, noisier, undisturbed
+from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, touched
+from galen_hw.diagnosis.validation.other_recording import apply, noise_ratio, undisturbed
 from galen_hw.diagnosis.validation.support import HoldoutTest
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.registry import effect_class
@@ -23,41 +23,43 @@ if TYPE_CHECKING:
 
 
 def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> Judged:
-    """Errors before and after on the rows set aside, or on another recording.
+    """Return errors before and after on held-out rows, or on another recording.
 
-    `first` is what was judged before: smaller models are judged on the same rows as the largest, or a poor one would call
-    what it misses a contact and be judged on the rest.
+    `first`: an earlier judgement; smaller models are judged on the same rows as the largest, or a poor one would call its
+    residual a contact and be judged on the other rows.
     """
     bench = model.bench
     keys = list(dict.fromkeys(h.effect.KEY for h in model.effects if h.effect is not None))
-    # The baseline fits its constants as anybody would, by plain least squares.
+    # The baseline's constants are fitted by plain least squares.
     baseline = Model(bench, [Hypothesis(None, h.raw, h.raw) for h in model.nuisances], [], bench.whole)
     smaller = {
         key: model.without([h for h in model.effects if h.effect is not None and key == h.effect.KEY]) for key in keys
     }
     floor = bench.noise.sigma**2
-    rest: Array
+    residual: Array
     if holdout is None:
         rows = bench.judged if bench.judged.any() else bench.train
         name = "contiguous blocks set aside" if bench.judged.any() else "the recording itself"
-        before = np.asarray(np.mean((bench.whole - predict(baseline))[rows] ** 2, axis=0))
-        judged = Judged(name, before, np.mean(model.rest()[rows] ** 2, axis=0), {}, floor)
+        before = np.asarray(np.mean(baseline.residual()[rows] ** 2, axis=0))
+        judged = Judged(name, before, np.mean(model.residual()[rows] ** 2, axis=0), {}, floor)
         free = rows & ~touched(model)
         if 0 < free.sum() < rows.sum():
-            judged.untouched = np.asarray(np.mean(model.rest()[free] ** 2, axis=0))
+            judged.outside_contacts = np.asarray(np.mean(model.residual()[free] ** 2, axis=0))
         test = HoldoutTest(
-            floor, lambda part: part.rest()[rows], lambda part: part.rest(white=True)[rows], model, baseline
+            floor, lambda part: part.residual()[rows], lambda part: part.residual(white=True)[rows], model, baseline
         )
     else:
         if first is None or first.good is None:
             good, episodes = undisturbed(model, holdout)
         else:
             good, episodes = first.good, first.episodes
-        rest = apply(model, holdout, good)
+        residual = apply(model, holdout, good)
         before = np.mean(apply(baseline, holdout, good)[good] ** 2, axis=0)
-        floor = floor * noisier(model, rest[good])
-        judged = Judged(ELSEWHERE, before, np.mean(rest[good] ** 2, axis=0), {}, floor, episodes=episodes, good=good)
-        noise = replace(bench.noise, rows=bench.rows.of(holdout.segments), kept={})
+        floor = floor * noise_ratio(model, residual[good])
+        judged = Judged(
+            ELSEWHERE, before, np.mean(residual[good] ** 2, axis=0), {}, floor, episodes=episodes, good=good
+        )
+        noise = replace(bench.noise, rows=bench.rows.of(holdout.segments), cache={})
         test = HoldoutTest(
             floor,
             lambda part: apply(part, holdout, good)[good],
@@ -68,81 +70,83 @@ def judge(model: Model, holdout: Scene | None, first: Judged | None = None) -> J
     for key, part in smaller.items():
         judged.without[key] = np.mean(test.raw(part) ** 2, axis=0)
         _ask(judged, key, test, (model, part, baseline), len(smaller), elsewhere=holdout is not None)
-    judged.places = _places(model, test, len(smaller))
+    judged.by_place = _places(model, test, len(smaller))
     return judged
 
 
 def _ask(
     judged: Judged, key: str, test: HoldoutTest, models: tuple[Model, Model, Model], questions: int, *, elsewhere: bool
 ) -> None:
-    """Ask of one kind of effect what falls with it.
+    """Test one kind of effect on held-out rows.
 
-    What belongs to moments shows nowhere else: its own rows alone say that it is there, and those set aside only that it is not.
+    A momentary effect shows nowhere else: its own rows alone support it, and held-out rows can only contradict it.
 
     Args:
         models: with all effects, without the one asked for, and without any; elsewhere: another recording judges.
     """
     model, part, baseline = models
-    told, tests = test.could_tell(part, questions), test.gains(part)
+    informative, tests = test.could_tell(part, questions), test.gains(part)
     if not effect_class(key).lasting():
-        # In another recording these rows speak of the others' sizes alone.
-        if not elsewhere and told and all(one.fall < 0.0 for one in tests):
+        # In another recording these rows only show the sizes of other episodes.
+        if not elsewhere and informative and all(one.fall < 0.0 for one in tests):
             judged.refused.add(key)
         tests = [_at_moments(model, part, baseline)]
-    elif elsewhere and not told:
-        judged.at_home.add(key)
-        tests = [_at_home(model, part)]
+    elif elsewhere and not informative:
+        judged.cross_validated.add(key)
+        tests = [_cross_validated_gain(model, part)]
     elif test.belied(part, _channels(model, key), questions):
         judged.refused.add(key)
-    # Raw errors are the first that were asked.
+    # The first gain is that of raw errors.
     judged.gains[key], judged.tests[key] = tests[0], tests
 
 
 def _at_moments(model: Model, part: Model, baseline: Model) -> Gain:
-    """What falls with what a smaller model has left out on the rows that it was learnt on, which alone hold its moments."""
-    good, sigma = ~model.bench.dropped, model.bench.noise.sigma
-    rest, without, before = (one.rest()[good] / sigma for one in (model, part, baseline))
-    learnt = sum(h.owed(whole=True) for h in model.effects) - sum(h.owed(whole=True) for h in part.effects)
-    return paired(without, rest, np.mean(before**2, axis=0) - 1.0, parameters=learnt)
+    """Return the gain of what a smaller model lacks, on its training rows, which alone hold its moments."""
+    good, sigma = ~model.bench.excluded_rows, model.bench.noise.sigma
+    residual, without, before = (one.residual()[good] / sigma for one in (model, part, baseline))
+    learnt = sum(h.effective_parameters(whole=True) for h in model.effects) - sum(
+        h.effective_parameters(whole=True) for h in part.effects
+    )
+    return paired(without, residual, np.mean(before**2, axis=0) - 1.0, parameters=learnt)
 
 
-def _at_home(model: Model, part: Model) -> Gain:
-    """What falls with what a smaller model has left out, on blocks left out of its own data.
+def _cross_validated_gain(model: Model, part: Model) -> Gain:
+    """Return the gain of what a smaller model lacks, on held-out blocks of its own recording.
 
-    A temperature that stays where it is, or a joint that rests, says nothing for an effect and nothing against it.
+    A temperature or a joint that does not move in another recording neither supports an effect nor contradicts it.
     """
     each = (model, part, model.without(model.effects))
-    rest, without, before = (white_left_out(model.bench, one.parts, one.white) for one in each)
-    return paired(without, rest, np.mean(before**2, axis=0) - 1.0)
+    residual, without, before = (cross_validated(model.bench, one.parts, one.white, whitened=True) for one in each)
+    return paired(without, residual, np.mean(before**2, axis=0) - 1.0)
 
 
 def judge_remainder(model: Model, holdout: Scene | None, judged: Judged, remainder: Remainder | None) -> Judged:
-    """The same with what a remainder predicts on the same rows, in the channels where it earns its place as an effect does."""
+    """Return the judgement with a remainder's predictions, in the channels where held-out data support them."""
     bench = model.bench
     if remainder is None:
         return judged
     if holdout is None:
         rows = bench.judged if bench.judged.any() else bench.train
-        rest = model.rest()[rows]
-        fuller = rest - remainder.own(bench.width)[rows]
+        residual = model.residual()[rows]
+        fuller = residual - remainder.own(bench.width)[rows]
     else:
         said = remainder.predict(holdout, bench.rows.of(holdout.segments), bench.width)
         if said is None:
             return judged
         good = np.ones(len(said), dtype=bool) if judged.good is None else judged.good
-        rest, fuller = (apply(model, holdout, good, besides)[good] for besides in (None, said))
+        residual, fuller = (apply(model, holdout, good, besides)[good] for besides in (None, said))
     unnamed = judged.after.copy()
     for c in remainder.parts:
         better = float(np.mean(fuller[:, c] ** 2))
-        with_it, without = (x[:, [c]] / np.sqrt(judged.floor[c]) for x in (fuller, rest))
+        with_it, without = (x[:, [c]] / np.sqrt(judged.floor[c]) for x in (fuller, residual))
         gain = paired(without, with_it, judged.before[[c]] / judged.floor[[c]] - 1.0)
         if gain.credible(questions=len(remainder.parts)):
             unnamed[c] = better
-    return replace(judged, unnamed=unnamed) if np.any(unnamed != judged.after) else judged
+    return replace(judged, with_generic=unnamed) if np.any(unnamed != judged.after) else judged
 
 
-def _beside(model: Model, key: str) -> list[int]:
-    """Channels in which it counts what the model leaves: of touches none, which are compared with it moment by moment."""
+def _unexplained_channels(model: Model, key: str) -> list[int]:
+    """Return the channels whose residual counts as unexplained; none for contacts, which are compared moment by moment."""
     touching = any(h.effect is not None and key == h.effect.KEY and h.effect.touches for h in model.effects)
     return [] if touching else _channels(model, key)
 
@@ -152,7 +156,7 @@ def _channels(model: Model, key: str) -> list[int]:
 
 
 def _places(model: Model, test: HoldoutTest, questions: int) -> dict[int, list[Gain]]:
-    """Gains of each lasting effect whose kind stands in several places, in its own channels, where these rows could tell."""
+    """Return the gains of each lasting effect whose kind is in several places, where these rows are informative."""
     keys = [h.effect.KEY for h in model.effects if h.effect is not None]
     out: dict[int, list[Gain]] = {}
     for k, h in enumerate(model.effects):
@@ -164,13 +168,13 @@ def _places(model: Model, test: HoldoutTest, questions: int) -> dict[int, list[G
     return out
 
 
-def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) -> tuple[Model, Judged]:
-    """The model without what held-out data do not support, the least supported first.
+def backward_eliminated(model: Model, holdout: Scene | None, judged: Judged | None = None) -> tuple[Model, Judged]:
+    """Remove effects that held-out data do not support, one at a time (backward elimination).
 
-    What belongs to moments shows nowhere else, and need not be wanted there; it only must not make worse what it touches. Where a
-    kind stands in several places (friction in five joints), each place has to earn its own. What fits with parameters that
-    are not known at all has the shape of its name and no more; what others need to be what they are called stays. One at
-    a time, and what is left fitted again: of two that do the same one stays, and of two that need each other both do.
+    A momentary effect shows nowhere else, and need not be supported there; it only must not make its channels worse. Where a kind
+    is in several places (friction in five joints), each place needs its own support. Effects whose parameters are not significant
+    go; effects stay without which another one is implausible. The model is fitted again after each removal: of two that explain
+    the same one stays, and of two that need each other both do.
 
     Args:
         judged: of a larger model, whose rows are judged on again.
@@ -182,18 +186,18 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
             (judged.gains[key].share, key)
             for key, tests in judged.tests.items()
             if key in judged.refused
-            or not (_supported(judged, tests, _beside(model, key), asked) or _is_needed(model, key))
+            or not (_supported(judged, tests, _unexplained_channels(model, key), asked) or _is_needed(model, key))
         ]
         places = [
             (max(one.share for one in tests), k)
-            for k, tests in judged.places.items()
+            for k, tests in judged.by_place.items()
             if not _supported(judged, tests, model.effects[k].raw.channels, asked)
         ]
         vague = _vague(model)
         if vague:
             out = vague
         elif places:
-            # One place first: the kind may earn its name without it.
+            # One place first: the kind may be supported without it.
             out = [model.effects[min(places)[1]]]
         elif weak:
             out = [h for h in model.effects if h.effect is not None and min(weak)[-1] == h.effect.KEY]
@@ -203,25 +207,25 @@ def earned(model: Model, holdout: Scene | None, judged: Judged | None = None) ->
 
 
 def _supported(judged: Judged, tests: Sequence[Gain], channels: Sequence[int], questions: int) -> bool:
-    """Return whether one of the tests is credible beside all else that the model has and leaves."""
+    """Return whether one of the tests is credible given what the model leaves unexplained."""
     return any(one.credible(unexplained=judged.unexplained(channels), questions=questions) for one in tests)
 
 
 def _is_needed(model: Model, key: str) -> bool:
-    """Return whether another effect cannot be what it is called without this kind: a loop whose linear part has a gear's sign."""
+    """Return whether another effect is implausible without this kind: a loop whose linear part has a gear's sign."""
     smaller = model.without([h for h in model.effects if h.effect is not None and key == h.effect.KEY])
     return len(_impossible(smaller)) > len(_impossible(model))
 
 
 def _impossible(model: Model) -> list[Effect]:
-    """Effects whose parameters cannot be those of what they are called."""
+    """Return effects whose parameters do not fit their names."""
     spread, scene = np.sqrt(model.variance), model.bench.scene
     each = [(h.effect, s) for h, s in zip(model.parts, model.slices(), strict=True) if h.effect is not None]
     return [effect for effect, s in each if not effect.possible(scene, model.final[s], spread[s])]
 
 
 def _vague(model: Model) -> list[Hypothesis]:
-    """Effects whose parameters do not say that they are what they are called, and those that patch what another one misses."""
+    """Return effects whose parameters do not prove their names, and those that patch what another one misses."""
     effects = [
         (h, h.effect, s)
         for h, s in zip(model.parts, model.slices(), strict=True)

@@ -1,4 +1,4 @@
-"""Structure in what a model leaves of another recording: physics that names stood in for on one motion shows on the next."""
+"""Application of a model to another recording, and structure in its residual there."""
 
 from dataclasses import replace
 
@@ -22,15 +22,13 @@ from galen_hw.physics.scenes.initial_state import fading
 from galen_hw.spatial import Array
 
 
-def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure_test.Left]:
-    """What a model leaves above the noise of another recording, strongest first, by the noise of the first.
+def structures_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure_test.Structure]:
+    """Return the structure in a model's residual of another recording, strongest first, by the noise of the first.
 
-    To be asked of models with flexible names: these may follow one motion by what the next one does not have, and there generic
-    functions find what they left out. Of other models it would mostly be told that an effect was too weak to be seen at first,
-    which is worth saying only where they are far off there.
-    What the model's own parameters, learnt anew, would take is no structure but their error. Nothing is asked where something
-    belongs to moments and is fitted to each recording anew: what such a fit leaves proves nothing. The rows of contacts are left
-    out there, and the others speak.
+    For models with flexible effects: these may fit one motion by what the next one does not have, and there generic functions
+    find the rest. Of other models it would mostly show effects too weak to be seen at first, which matters only where the model
+    is far off. What the model's own parameters, fitted again, would explain is no structure but their error. Nothing is tested
+    where momentary effects are fitted to each recording anew: their residual proves nothing. The rows of contacts are left out.
     """
     effects = [(h, h.effect) for h in model.effects if h.effect is not None]
     ratio, excess = judged.after / judged.floor, judged.before - judged.floor
@@ -39,19 +37,21 @@ def left_elsewhere(model: Model, scene: Scene, judged: Judged) -> list[structure
     here = _bench(model, scene, judged)
     if here is None:
         return []
-    rest = apply(model, scene, judged.good)
+    residual = apply(model, scene, judged.good)
     # The second recording's noise may be larger or smaller, of the same colour.
-    white = here.whitened(rest) * model.bench.noise.sigma / np.sqrt(judged.floor)
-    own = [here.made(None, columns).white for columns in here.constants()]
+    white = here.whitened(residual) * model.bench.noise.sigma / np.sqrt(judged.floor)
+    own = [here.hypothesis_of(None, columns).white for columns in here.constants()]
     for h, effect in effects:
         if effect.touches:
             continue
-        again = here.add(effect)
+        again = here.hypothesis(effect)
         own.append((again if h.theta is None else tangent(here, again, h.theta)).white)
-    (left,) = structure_test.leftovers(here, structure_test.families(here), [structure_test.Fitted(own, rest, white)])
+    (structures,) = structure_test.leftovers(
+        here, structure_test.families(here), [structure_test.Fitted(own, residual, white)]
+    )
     return [
         replace(one, elsewhere=True)
-        for one in left
+        for one in structures
         if ratio[one.channel] > CRITERIA.noise_alone and one.size**2 > CRITERIA.least_share * excess[one.channel]
     ]
 
@@ -62,42 +62,42 @@ def _anew(effect: Effect) -> bool:
 
 
 def _bench(model: Model, scene: Scene, judged: Judged) -> Bench | None:
-    """One for the other recording with rows as long, the first one's noise and clocks; None where its rows cannot be as long."""
+    """Return a bench for the other recording with rows as long, the first one's noise and timing; None where impossible."""
     first = model.bench
-    here = Bench(scene, held=0.0, most=max(-(-len(scene) // first.rows.stride), 1))
+    here = Bench(scene, held_share=0.0, most=max(-(-len(scene) // first.rows.stride), 1))
     if here.rows.stride != first.rows.stride:
         return None
     if judged.good is not None:
-        here.hollow = here.dropped = ~judged.good
-    here.noise = replace(first.noise, rows=here.rows, kept={})
-    here.stand(timing=first.timing)
+        here.invalid_rows = here.excluded_rows = ~judged.good
+    here.noise = replace(first.noise, rows=here.rows, cache={})
+    here.update_state(timing=first.timing)
     return here
 
 
-def noisier(model: Model, rest: Array) -> Array:
-    """(C,) noise of another recording over that of the first, from second differences: they hold hardly any motion.
+def noise_ratio(model: Model, residual: Array) -> Array:
+    """Return the noise (C,) of another recording over that of the first, from second differences, without most motion.
 
-    Of rounded readings no less: where what is read stands between two steps, rounding hides the noise, and not its own error.
-    Outside touches, whose edges no smooth shape follows.
+    Of rounded readings at least 1: where the value is between two steps, rounding hides the noise, and not its own error. Rows of
+    contacts, whose edges are not smooth, are left out.
     """
-    good = ~model.bench.dropped
+    good = ~model.bench.excluded_rows
     free = good & ~touched(model)
-    own = model.rest()[free if free.any() else good]
-    here, there = (np.mean(np.diff(x, n=2, axis=0) ** 2, axis=0) for x in (own, rest))
-    told = model.bench.scene.clock & (here > 0.0) & (there > 0.0)
-    ratio = np.where(told, there / np.where(told, here, 1.0), 1.0)
+    own = model.residual()[free if free.any() else good]
+    here, there = (np.mean(np.diff(x, n=2, axis=0) ** 2, axis=0) for x in (own, residual))
+    known = model.bench.scene.clock & (here > 0.0) & (there > 0.0)
+    ratio = np.where(known, there / np.where(known, here, 1.0), 1.0)
     return np.where(model.bench.steps > 0.0, np.maximum(ratio, 1.0), ratio)
 
 
 def undisturbed(model: Model, scene: Scene) -> tuple[Mask, tuple[tuple[float, float], ...]]:
-    """Rows (M,) of another recording that nothing of a moment spoils, and the times (s) of its contacts.
+    """Return the rows (M,) of another recording without momentary effects, and the times (s) of its contacts.
 
-    Only what was found in the recording itself is looked for: isolated samples, and outside forces. These are sought again
-    once the constants no longer give way to them.
+    Only what was found in the recording itself is looked for: isolated samples, and outside forces. These are sought again once
+    the constants no longer give way to them.
     """
     rows = model.bench.rows.of(scene.segments)
     whole = ~rows.spread(scene.ends | scene.unanswered)
-    if model.bench.spoilt.any():
+    if model.bench.outlier_rows.any():
         spoilt = outliers.spikes(scene.raw_residual, tuple(scene.segments))
         whole &= ~rows.spread(np.asarray((spoilt | repeated(scene)).any(axis=1)))
     good, episodes, time = whole, tuple[tuple[float, float], ...](), rows.average(scene.time)
@@ -113,10 +113,9 @@ def undisturbed(model: Model, scene: Scene) -> tuple[Mask, tuple[tuple[float, fl
 
 
 def apply(model: Model, scene: Scene, good: Mask | None = None, besides: Array | None = None) -> Array:
-    """(M, C) rest of another recording after the effects as learnt; nuisances, and what belongs to moments, are fitted anew.
+    """Return the residual (M, C) of another recording with the lasting effects as learnt, all else fitted anew.
 
-    What drifts, hums or jumped once does so in another recording too, from another start, with another phase or at another
-    moment.
+    Nuisances, drifts, lines and jumps recur with another start, another phase or at another moment, and are fitted anew.
 
     Args:
         good: (M,) rows to fit these on, None: all; besides: (M, C) something else that is taken off.
@@ -126,43 +125,44 @@ def apply(model: Model, scene: Scene, good: Mask | None = None, besides: Array |
     seen = np.ones(len(rows), dtype=bool) if good is None else good
     refit = [h for h in model.parts if h.effect is None]
     lasting = [(effect, theta) for effect, theta in model.placed() if not effect.EPISODIC]
-    rest = rows.average(scene.residual - signal_chain.added(scene, lasting, bench.timing))
-    rest = rest - (0.0 if besides is None else besides)
+    residual = rows.average(scene.residual - signal_chain.added(scene, lasting, bench.timing))
+    residual = residual - (0.0 if besides is None else besides)
     columns = [_nuisances(refit, scene, rows, bench)] if refit else []
     found = [h.effect for h in model.parts if h.effect is not None]
     start, length = float(scene.time[0]), max(float(np.ptp(scene.time)), 1e-9)
     for effect in found:
         columns += [_full(other, scene, rows, bench.width) for other in effect.again(start, length)]
-    left = _less(rest, columns, seen)
+    refitted = _residual_after(residual, columns, seen)
     for effect in found:
         if effect.jump is not None:
-            jumps = [_full(effect.jumping(t), scene, rows, bench.width) for t in _moments(scene, left, rows)]
-            columns.append(min(jumps, key=lambda jump: float(np.sum(_less(left, [jump], seen)[seen] ** 2))))
-            left = _less(rest, columns, seen)
-    return left
+            jumps = [_full(effect.jumping(t), scene, rows, bench.width) for t in _moments(scene, refitted, rows)]
+            columns.append(
+                min(jumps, key=lambda jump: float(np.sum(_residual_after(refitted, [jump], seen)[seen] ** 2)))
+            )
+            refitted = _residual_after(residual, columns, seen)
+    return refitted
 
 
-def _moments(scene: Scene, rest: Array, rows: Rows) -> list[float]:
-    """Times at which something may have jumped in a recording; its start where nothing did."""
-    jumps = steps.steps(scene, rest, rows) + steps.slips(scene, rest, rows)
-    jumps += steps.loads(scene, rest, rows)
+def _moments(scene: Scene, residual: Array, rows: Rows) -> list[float]:
+    """Return times of possible jumps in a recording; its start where there are none."""
+    jumps = steps.steps(scene, residual, rows) + steps.slips(scene, residual, rows)
+    jumps += steps.loads(scene, residual, rows)
     found = [s.effect.jump for s in jumps if s.effect.jump is not None]
     return sorted(set(found)) or [float(scene.time[0])]
 
 
 def _full(effect: Effect, scene: Scene, rows: Rows, width: int) -> Array:
-    """(M, C, k) columns of an effect in all channels, on averaged rows."""
-    full = effect.columns(scene).full(width)
-    return np.stack([rows.average(full[:, :, i]) for i in range(full.shape[2])], axis=-1)
+    """Return columns (M, C, k) of an effect in all channels, on averaged rows."""
+    return rows.average(effect.columns(scene).full(width))
 
 
-def _less(rest: Array, columns: list[Array], seen: Mask) -> Array:
-    """(M, C) of a rest without what columns (M, C, k) do in it, by plain least squares on the rows seen (M,)."""
+def _residual_after(residual: Array, columns: list[Array], seen: Mask) -> Array:
+    """Return the residual (M, C) of a least-squares fit of columns (M, C, k) on the rows seen (M,)."""
     if not columns:
-        return rest
+        return residual
     stacked = np.concatenate(columns, axis=2)
-    X, y = stacked[seen].reshape(-1, stacked.shape[2]), rest[seen].reshape(-1)
-    return np.asarray(rest - stacked @ np.linalg.lstsq(X, y, rcond=1e-9)[0])
+    X, y = stacked[seen].reshape(-1, stacked.shape[2]), residual[seen].reshape(-1)
+    return np.asarray(residual - stacked @ np.linalg.lstsq(X, y, rcond=1e-9)[0])
 
 
 def _nuisances(refit: list[Hypothesis], scene: Scene, rows: Rows, bench: Bench) -> Array:

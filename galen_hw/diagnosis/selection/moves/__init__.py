@@ -1,13 +1,12 @@
-"""What a search may do to a model: one table, in the order in which it is tried."""
+"""The table of moves of the search, in the order in which they are tried."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from galen_hw.diagnosis.selection.moves.add import added
+from galen_hw.diagnosis.selection.moves.add import added, hidden
 from galen_hw.diagnosis.selection.moves.drop import dropped
 from galen_hw.diagnosis.selection.moves.exchange import regrouped
-from galen_hw.diagnosis.selection.moves.pairs import hidden
 from galen_hw.diagnosis.selection.moves.refine import refined
 from galen_hw.diagnosis.selection.moves.swap import simplified, swapped, swapped_again
 from galen_hw.diagnosis.selection.moves.tighten import tightened
@@ -17,7 +16,7 @@ from galen_hw.diagnosis.selection.search_state import Selection
 
 @dataclass(frozen=True)
 class Move:
-    """One way to another model.
+    """One kind of change to a model.
 
     Args:
         kind: word for it.

@@ -1,4 +1,4 @@
-"""One more effect: the best that chance does not explain and that pays on blocks left out."""
+"""Moves that add an effect: the best significant one, or two that are supported only together."""
 
 from collections.abc import Iterator
 
@@ -7,20 +7,21 @@ import numpy as np
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.acceptance import pays, plausible
-from galen_hw.diagnosis.selection.comparison import bent, polished
+from galen_hw.diagnosis.selection.comparison import at_nonlinear_optimum, polished
 from galen_hw.diagnosis.selection.kinds import kind_first
-from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves.clock_offset import clock_offset
 from galen_hw.diagnosis.selection.moves.course import finest
-from galen_hw.diagnosis.selection.moves.step_times import parted
+from galen_hw.diagnosis.selection.moves.step_times import steps_split
 from galen_hw.diagnosis.selection.moves.tighten import tightened
-from galen_hw.diagnosis.selection.moves.timing import own_clocks
+from galen_hw.diagnosis.selection.moves.timing import clocks_per_joint
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import plainest, undecided
+from galen_hw.diagnosis.settings import LIMITS
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 
 
 def added(out: Selection) -> bool:
-    """Return whether the best effect that is there joined the model; of a clock that is far off no slope promises anything."""
+    """Return whether the best significant effect joined the model; a clock that is far off is tested first."""
     best = clock_offset(out.bench, out.scorer, out.chosen, out.turn.scores)
     joining = _best(out) if best is None else [best]
     for i in joining:
@@ -29,19 +30,19 @@ def added(out: Selection) -> bool:
 
 
 def _admit(out: Selection, i: int) -> None:
-    """A hypothesis joins the model: a first clock as those of each joint if it is these, a spring as a tendon if it is one."""
+    """Add a hypothesis to the model: a first clock per joint where that is better, a spring as a tendon where it is one."""
     out.chosen.append(i)
-    parted(out)
-    if not own_clocks(out):
+    steps_split(out)
+    if not clocks_per_joint(out):
         tightened(out, i)
 
 
 def _best(out: Selection) -> list[int]:
-    """The best hypothesis that chance does not explain and that pays on blocks left out, with what it needs beside it.
+    """Return the best significant hypothesis that is supported on held-out blocks, with a partner where it needs one.
 
-    The turn's `able` is filled with those that chance does not explain, best first.
+    The turn's `significant` is filled with the significant hypotheses, best first.
     """
-    bench, scorer, scores, able, failed = out.bench, out.scorer, out.turn.scores, out.turn.able, out.turn.failed
+    bench, scorer, scores, able, failed = out.bench, out.scorer, out.turn.scores, out.turn.significant, out.turn.failed
     fit = [i for i, s in scores.items() if s.surprise > out.needed and s.rank > 0.0 and i not in failed]
     fit = elsewhere(scorer, out.chosen, fit)
     fit.sort(key=lambda i: -scores[i].rank)
@@ -59,11 +60,11 @@ def _best(out: Selection) -> list[int]:
             break
         tries += 1
         share = 0.0
-        for better, paid, share in _ways(out, i):
+        for better, paid, share in _variants(out, i):
             if paid and plausible(bench, scorer, out.chosen, better):
                 return [better]
             if paid:
-                # At the optimum it is not what it is called; beside it, where other physics is still missing, it may be.
+                # Implausible at the optimum, it may be plausible with a partner, or beside its optimum.
                 if (both := with_partner(out, better)) is not None:
                     return both
                 near = _plausible_kin(bench, scorer, out.chosen, scores, i)
@@ -91,10 +92,10 @@ def _kinds_first(scorer: Scorer, able: list[int]) -> list[int]:
     return list(dict.fromkeys([*first.values(), *able]))
 
 
-def _ways(out: Selection, i: int) -> Iterator[tuple[int, bool, float]]:
-    """Yield the hypothesis, what it searches at the optimum, then in a finer form, each with what `pays` says of it.
+def _variants(out: Selection, i: int) -> Iterator[tuple[int, bool, float]]:
+    """Yield the hypothesis at its optimum, then in a finer form, each with what `pays` says of it.
 
-    As it was proposed it says whether the optimum is worth the time.
+    As it was proposed it shows whether the optimum is worth the time.
     """
     effect, proposed = out.scorer.library[i].effect, None
     if effect is not None and effect.searched():
@@ -108,10 +109,7 @@ def _ways(out: Selection, i: int) -> Iterator[tuple[int, bool, float]]:
 
 
 def with_partner(out: Selection, i: int) -> list[int] | None:
-    """Return a hypothesis and the likeliest one beside it, if both can be what they are called and pay together; else None.
-
-    A loop that lags behind a gear is none while the gear's scale is missing: its linear part has the scale's sign.
-    """
+    """Return a hypothesis and the likeliest one given it, if both are plausible and supported together; else None."""
     bench, scorer = out.bench, out.scorer
     model = [*out.chosen, i]
     scores, _ = scorer.scores(model)
@@ -124,8 +122,27 @@ def with_partner(out: Selection, i: int) -> list[int] | None:
     return both if real and pays(out, [*out.chosen, *both])[0] else None
 
 
+def hidden(out: Selection) -> bool:
+    """Return whether an effect joined that is supported only together with the likeliest second one.
+
+    An arm that is turned and late errs by the sum: what fits one of the two alone fits the other's half as well, and the
+    residual is hardly smaller for it on held-out blocks.
+    """
+    scorer = out.scorer
+    if scorer.misfit(out.chosen) < CRITERIA.noise_alone:
+        return False
+    leaders: dict[str, int] = {}
+    for i in out.turn.significant:
+        leaders.setdefault(scorer.library[i].effect.KEY, i)  # type: ignore[union-attr]
+    for i in list(leaders.values())[: LIMITS.leaders]:
+        if with_partner(out, i) is not None:
+            out.chosen.append(i)
+            return True
+    return False
+
+
 def _plausible_kin(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], i: int) -> int | None:
-    """The best of the same hypothesis at other searched values whose parameters can be what it is called."""
+    """Return the best plausible hypothesis of the same family at other searched values."""
     ranked = sorted((j for j in kin(scorer, i) if j in scores), key=lambda j: -scores[j].rank)
     return next((j for j in ranked if scores[j].rank > 0.0 and plausible(bench, scorer, chosen, j)), None)
 
@@ -138,7 +155,7 @@ def kin(scorer: Scorer, i: int) -> list[int]:
 
 
 def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int, Score], able: list[int]) -> list[int]:
-    """The able ones ranked again after the leaders of up to four kinds were polished: a coarse grid must not decide."""
+    """Return the significant ones ranked again, the leaders of up to four kinds at their optimum: a grid must not decide."""
     leaders: dict[str, int] = {}
     for i in able:
         effect = scorer.library[i].effect
@@ -148,7 +165,7 @@ def sharpened(bench: Bench, scorer: Scorer, chosen: list[int], scores: dict[int,
     for i in list(leaders.values())[: LIMITS.leaders]:
         effect = scorer.library[i].effect
         if effect is not None and effect.bends(bench.scene, np.zeros(scorer.library[i].count)):
-            scores[i] = bent(bench, scorer, chosen, i, scores[i])
+            scores[i] = at_nonlinear_optimum(bench, scorer, chosen, i, scores[i])
         elif effect is not None and effect.searched() and len(leaders) > 1:
             better = polished(bench, scorer, chosen, i)
             if better != i:

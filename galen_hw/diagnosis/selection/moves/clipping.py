@@ -1,4 +1,4 @@
-"""Limits: where they stand beside a model."""
+"""Re-estimation of saturation limits given the present model."""
 
 import numpy as np
 
@@ -8,17 +8,18 @@ from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 
 
-def levelled(out: Selection) -> None:
-    """Limits that were sought beside another model stand where the readings that clip beside the present one have their mean.
+def limits_updated(out: Selection) -> None:
+    """Re-estimate each saturation limit from the mean of the clipped readings.
 
-    With all columns told anew: what the other effects do is cut where the readings clip, and beside columns that one limit has
-    cut no other is right; a limit too low stays, and leaves a share of what the others do, or a touch, to make up for it.
+    All columns are made again: what the other effects contribute is cut where the readings clip, and none of them fits with the
+    columns of another limit. A limit too low would stay, and leave a share of the others' contribution, or a contact, to make up
+    for it.
     """
     bench, scorer = out.bench, out.scorer
-    measured = bench.whole + bench.rows.average(bench.scene.simulated)
+    measured = bench.whole + bench.simulated
     for i in list(out.chosen):
         effect = scorer.library[i].effect
-        if effect is None or not effect.clips or scorer.library[i].looked == 1:
+        if effect is None or not effect.clips or scorer.library[i].trials == 1:
             continue
         name, limit = effect.clips
         c = bench.scene.channels.index(name)
@@ -28,7 +29,7 @@ def levelled(out: Selection) -> None:
         if off < CRITERIA.standard_errors() or any(h.effect == level for h in scorer.library):
             continue
         before, cost = list(out.chosen), scorer.solve(out.chosen)[2]
-        scorer.append([bench.add(level, scorer.library[i].looked)])
+        scorer.append([bench.hypothesis(level, scorer.library[i].trials)])
         out.chosen = [len(scorer.library) - 1 if k == i else k for k in before]
         _told_anew(out)
         if scorer.solve(out.chosen)[2] > cost:

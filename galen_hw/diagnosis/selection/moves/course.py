@@ -1,9 +1,9 @@
-"""The course of a touch: followed more finely where a level and a few half waves leave much of it."""
+"""Refinement of a contact's time course where a level and a few half waves leave much of it."""
 
 import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import rests
+from galen_hw.diagnosis.estimation.least_squares import residuals
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
@@ -11,9 +11,9 @@ from galen_hw.physics.effects.traits import Span
 
 
 def followed(out: Selection) -> bool:
-    """Whether a chosen touch was exchanged for the same with more half waves, twice as many while likelihood pays for them.
+    """Return whether a chosen contact got more half waves, doubled as long as the likelihood pays for them.
 
-    A hand that pushes a thousand times harder than the noise leaves of any plain shape more than noise, which is its own.
+    A hand that pushes a thousand times harder than the noise leaves more than noise of any simple shape.
     """
     bench, scorer = out.bench, out.scorer
     changed = False
@@ -24,18 +24,18 @@ def followed(out: Selection) -> bool:
 
 
 def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
-    """The same touch, in the library, with as many half waves as pay beside the others; what is none stays as it is.
+    """Return the number of the same contact with as many half waves as pay given the others; of any other effect its own.
 
-    So it does where more than noise is left at all other times: what other physics does in an episode would pass for its course.
+    The contact keeps its form where more than noise is left at all other times: other physics would pass for its time course.
     """
     effect = scorer.library[i].effect
     if effect is None or not effect.touches or not _quiet_else(bench, scorer, [*others, i], effect.touches):
         return i
-    found, looked = None, scorer.library[i].looked
+    found, trials = None, scorer.library[i].trials
     best = scorer.scores(others, [i])[0].get(i)
     rank = -np.inf if best is None else best.rank
-    for finer in effect.finer(bench.rows.average(bench.scene.time)):
-        new = bench.add(finer, looked)
+    for finer in effect.finer(bench.time):
+        new = bench.hypothesis(finer, trials)
         with scorer.trying([new]):
             score = scorer.scores(others, [len(scorer.library) - 1])[0].get(len(scorer.library) - 1)
         if score is None or score.rank <= rank + CRITERIA.log_odds:
@@ -48,8 +48,8 @@ def finest(bench: Bench, scorer: Scorer, others: list[int], i: int) -> int:
 
 
 def _quiet_else(bench: Bench, scorer: Scorer, model: list[int], touches: tuple[Span, ...]) -> bool:
-    """Return whether a model leaves hardly more than noise on the rows outside a touch's episodes."""
-    time = bench.rows.average(bench.scene.time)
+    """Return whether the residual is hardly more than noise outside a contact's episodes."""
+    time = bench.time
     outside = bench.train & ~np.any([(time >= start) & (time <= end) for start, end in touches], axis=0)
-    rest = rests(bench, scorer, model)[0][outside]
-    return len(rest) > 0 and float(np.mean((rest / bench.noise.sigma) ** 2)) < CRITERIA.noise_alone
+    residual = residuals(bench, scorer, model)[0][outside]
+    return len(residual) > 0 and float(np.mean((residual / bench.noise.sigma) ** 2)) < CRITERIA.noise_alone

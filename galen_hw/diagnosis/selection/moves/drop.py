@@ -1,14 +1,14 @@
-"""Effects that no longer stand beside the others go."""
+"""Removal of effects that are no longer needed given the others."""
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.linearisation import rebase, unbent
+from galen_hw.diagnosis.estimation.linearisation import nonlinear_restored, rebase
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
 from galen_hw.diagnosis.selection.search_state import Selection
 
 
 def dropped(out: Selection) -> bool:
-    """Backward: what no longer stands beside the others goes; whether anything did."""
+    """Return whether effects were removed that have no gain left given the others (backward elimination)."""
     scorer = out.scorer
     before = len(out.chosen)
     while len(out.chosen) > 1:
@@ -23,6 +23,6 @@ def dropped(out: Selection) -> bool:
 
 
 def alone(scorer: Scorer, chosen: list[int], i: int) -> Score | None:
-    """The score of a chosen hypothesis beside the others."""
-    with unbent(scorer, i):
+    """Return the score of a chosen hypothesis given the others."""
+    with nonlinear_restored(scorer, i):
         return scorer.scores([j for j in chosen if j != i], [i])[0].get(i)

@@ -1,29 +1,29 @@
-"""Two errors of geometry or load exchanged at once for one or two others: single exchanges pass through nothing in between."""
+"""Exchange of two errors of geometry or load for one or two others, where no single exchange is an improvement."""
 
 from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.candidate import place_of, told
+from galen_hw.diagnosis.estimation.candidate import identity_of, place_of
 from galen_hw.diagnosis.estimation.interactions import settle_together
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
-from galen_hw.diagnosis.selection.acceptance import left_out, no_worse, plausible
-from galen_hw.diagnosis.selection.limits import LIMITS
+from galen_hw.diagnosis.selection.acceptance import held_out_errors, no_worse, plausible
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import undecided
+from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 
 
 def regrouped(out: Selection) -> bool:
-    """Return whether two rigid errors gave way to others that do as much with fewer numbers, or more.
+    """Return whether two rigid errors were exchanged for others that explain as much with fewer parameters, or more.
 
     Forward search takes what is best alone. Of an axis turned about one direction beside a joint's zero that is a turned sensor
-    with three numbers, and then the zero of the wrong joint: no single exchange is better, and each is the other's reason.
-    A model that does not come to rest has no optimum with which others could be compared, and takes long not to.
+    with three parameters, and then the zero of the wrong joint: no single exchange is better, and each is the other's reason. A
+    diverging model has no optimum with which others could be compared.
     """
     bench, scorer = out.bench, out.scorer
-    if bench.state.restless:
+    if bench.state.diverging:
         return False
     able = [
         i
@@ -36,10 +36,10 @@ def regrouped(out: Selection) -> bool:
             continue
         out.regrouped.add(tried)
         others = [i for i in out.chosen if i not in pair]
-        bends = sum((b for i in pair if (b := scorer.library[i].bend) is not None), np.zeros_like(bench.y))
-        with scorer.against(bench.y + bends):
+        nonlinear = sum((b for i in pair if (b := scorer.library[i].nonlinear) is not None), np.zeros_like(bench.y))
+        with scorer.against(bench.y + nonlinear):
             scores = scorer.scores(others)[0]
-            price = {i: scores[i].gain - scores[i].rank for i in scores}
+            penalty = {i: scores[i].gain - scores[i].rank for i in scores}
             if not all(i in scores for i in pair):
                 continue
             whole = scorer.solve(others)[2] - scorer.solve([*others, *pair])[2]
@@ -48,36 +48,36 @@ def regrouped(out: Selection) -> bool:
                 for first in _firsts(scorer, others, pair, scores, whole)
             ]
         unsure = undecided(bench, scorer, out.chosen)
-        for chain in _best(scorer, pair, chains, price, whole, unsure):
-            if _taken(out, pair, chain, price):
+        for chain in _best(scorer, pair, chains, penalty, whole, unsure):
+            if _taken(out, pair, chain, penalty):
                 return True
-    return _counted_otherwise(out)
+    return _reparametrised(out)
 
 
-def _counted_otherwise(out: Selection) -> bool:
-    """Return whether an effect counted from another zero did without one that only made up for the difference.
+def _reparametrised(out: Selection) -> bool:
+    """Return whether an effect in its equivalent form made another one needless that only covered the difference.
 
-    What settles after a load is less at first than in the end: told as what is missing at first, it wants a heavier load.
+    What settles after a load is less at first than in the end: described by what is missing at first, it needs a heavier load.
     """
     bench, scorer = out.bench, out.scorer
     for i in list(out.chosen):
         h = scorer.library[i]
         other = None if h.effect is None else h.effect.otherwise()
         lasting = [j for j in out.chosen if j != i and (e := scorer.library[j].effect) is not None and not e.EPISODIC]
-        tried = frozenset((told(scorer.library[j].effect), j == i) for j in out.chosen)
+        tried = frozenset((identity_of(scorer.library[j].effect), j == i) for j in out.chosen)
         if other is None or not lasting or tried in out.regrouped:
             continue
         out.regrouped.add(tried)
-        scorer.append([bench.add(other, h.looked)])
+        scorer.append([bench.hypothesis(other, h.trials)])
         instead = len(scorer.library) - 1
         for j in lasting:
             others = [k for k in out.chosen if k not in (i, j)]
             scores = scorer.scores(others, [i, j, instead])[0]
-            price = {k: score.gain - score.rank for k, score in scores.items()}
+            penalty = {k: score.gain - score.rank for k, score in scores.items()}
             whole = scorer.solve(others)[2] - scorer.solve(out.chosen)[2]
-            if len(price) < 3 or scores[instead].gain < (1.0 - LIMITS.near) * whole:
+            if len(penalty) < 3 or scores[instead].gain < (1.0 - LIMITS.near) * whole:
                 continue
-            if _taken(out, (i, j), [instead], price):
+            if _taken(out, (i, j), [instead], penalty):
                 return True
     return False
 
@@ -86,38 +86,38 @@ def _best(
     scorer: Scorer,
     pair: tuple[int, ...],
     chains: list[tuple[float, list[int]]],
-    price: dict[int, float],
+    penalty: dict[int, float],
     whole: float,
     unsure: float,
 ) -> list[list[int]]:
-    """The best chains of other kinds than the pair: better than that by more than `unsure`, or cheaper and nearly as good."""
-    own = sum(price[i] for i in pair)
-    ranked = sorted(((gain - sum(price[i] for i in chain), chain) for gain, chain in chains), reverse=True)
+    """Return the best chains of other kinds than the pair: better by more than `unsure`, or cheaper and nearly as good."""
+    own = sum(penalty[i] for i in pair)
+    ranked = sorted(((gain - sum(penalty[i] for i in chain), chain) for gain, chain in chains), reverse=True)
     found: dict[frozenset[object], list[int]] = {_kinds(scorer, pair): []}
     for rank, chain in ranked:
-        plainer = _needed(pair, chain, price) < CRITERIA.log_odds
+        plainer = _needed(pair, chain, penalty) < CRITERIA.log_odds
         if rank > whole - own + unsure - plainer * LIMITS.near * whole:
             found.setdefault(_kinds(scorer, chain), chain)
     return [chain for chain in found.values() if chain][: LIMITS.rivals]
 
 
-def _needed(pair: Sequence[int], chain: Sequence[int], price: dict[int, float]) -> float:
-    """By how much a chain must be better than the pair, prices paid: one body need not be, beside its half and a shift."""
-    saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
+def _needed(pair: Sequence[int], chain: Sequence[int], penalty: dict[int, float]) -> float:
+    """Return by how much a chain must be better than the pair, penalties paid; negative for one body instead of two."""
+    saved = sum(penalty[i] for i in pair) - sum(penalty[i] for i in chain)
     if len(chain) < len(pair) and saved > -LIMITS.tie:
         return -CRITERIA.log_odds
     return 0.0 if len(chain) <= len(pair) and saved > LIMITS.tie else CRITERIA.log_odds
 
 
 def _kinds(scorer: Scorer, which: Sequence[int]) -> frozenset[object]:
-    """What they are, and where; a small body at another point is the same."""
+    """Return the locations of hypotheses; a small body at another point counts as the same."""
     return frozenset(place_of(scorer.library[i].effect) for i in which)
 
 
 def _firsts(
     scorer: Scorer, others: list[int], pair: tuple[int, ...], scores: dict[int, Score], whole: float
 ) -> list[int]:
-    """The best of each kind of rigid error and place that could be the first of the others."""
+    """Return the best of each kind of rigid error and place that could be the first of the others."""
     best: dict[object, int] = {}
     for i in elsewhere(scorer, others, sorted(scores, key=lambda i: -scores[i].rank)):
         effect = scorer.library[i].effect
@@ -131,7 +131,7 @@ def _firsts(
 def _chain(
     scorer: Scorer, others: list[int], first: int, able: dict[int, Score], needed: float
 ) -> tuple[float, list[int]]:
-    """The first and, where it adds anything, the best rigid error beside it; what both take."""
+    """Return the gain of the first rigid error with the best second one, where it adds anything, and the chain."""
     model, none = [*others, first], scorer.solve(others)[2]
     scores = scorer.scores(model, [i for i in able if _rigid(scorer, i) and scorer.library[i].theta is None])[0]
     second = max(elsewhere(scorer, model, scores), key=lambda i: scores[i].rank, default=None)
@@ -148,18 +148,18 @@ def _rigid(scorer: Scorer, i: int) -> bool:
     return effect is not None and effect.RIGID
 
 
-def _taken(out: Selection, pair: tuple[int, ...], chain: list[int], price: dict[int, float]) -> bool:
-    """Return whether the others, at their optimum, were better and were taken."""
+def _taken(out: Selection, pair: tuple[int, ...], chain: list[int], penalty: dict[int, float]) -> bool:
+    """Return whether the chain, at its optimum, was better than the pair and replaced it."""
     bench, scorer = out.bench, out.scorer
-    before, errors = scorer.solve(out.chosen)[2], left_out(out, out.chosen)
-    saved = sum(price[i] for i in pair) - sum(price[i] for i in chain)
+    before, errors = scorer.solve(out.chosen)[2], held_out_errors(out, out.chosen)
+    saved = sum(penalty[i] for i in pair) - sum(penalty[i] for i in chain)
     with out.attempt() as attempt:
         out.chosen = trial = [*(i for i in out.chosen if i not in pair), *chain]
         settle_together(bench, scorer, trial)
         new, fall = trial[len(trial) - len(chain) :], before - scorer.solve(trial)[2]
-        margin = _needed(pair, chain, price) + undecided(bench, scorer, trial)
-        rests = not bench.state.restless
-        real = rests and all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in new)
+        margin = _needed(pair, chain, penalty) + undecided(bench, scorer, trial)
+        converged = not bench.state.diverging
+        real = converged and all(plausible(bench, scorer, [j for j in trial if j != i], i) for i in new)
         better = real and fall + saved > margin
-        attempt.kept = better and no_worse(errors, left_out(out, trial))
+        attempt.kept = better and no_worse(errors, held_out_errors(out, trial))
     return attempt.kept

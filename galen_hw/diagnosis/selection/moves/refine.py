@@ -1,26 +1,26 @@
-"""A chosen effect in a richer form of its kind, where that pays."""
+"""Richer forms of a chosen effect, where these are supported."""
 
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import pays, plausible
 from galen_hw.diagnosis.selection.comparison import polished
-from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves.course import followed
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 
 
 def refined(out: Selection) -> bool:
-    """Return whether a chosen effect was told in a richer form, bound to what it is here, or followed more finely."""
+    """Return whether a chosen effect got a richer form, a law between its parameters, or a finer time course."""
     return enriched(out) or _bound(out) or followed(out)
 
 
 def enriched(out: Selection) -> bool:
-    """A richer form of a chosen effect (friction with a viscous part, by direction) takes its place where it pays.
+    """Return whether a richer form of a chosen effect (friction with a viscous part, by direction) replaced it.
 
-    Nested forms of one kind in one joint are judged by increment alone: likelihood beyond the price of the added
-    parameters, and what a finding has to show on blocks left out.
+    Nested forms of one kind in one joint are judged by increment alone: likelihood beyond the penalty of the added parameters,
+    and what a finding has to show on held-out blocks.
     """
     bench, scorer = out.bench, out.scorer
     changed = False
@@ -46,12 +46,12 @@ def enriched(out: Selection) -> bool:
 
 
 def _grown(bench: Bench, scorer: Scorer, others: list[int], forms: list[Effect]) -> None:
-    """The library is given richer forms of one effect, the best of them at its optimum, unless it has any."""
+    """Add richer forms of one effect to the library, the best of them at its optimum, unless it has any."""
     known = {(h.effect.family, *h.effect.searched()) for h in scorer.library if h.effect is not None}
     if not forms or (forms[0].family, *forms[0].searched()) in known:
         return
     first = len(scorer.library)
-    scorer.append([bench.add(one) for one in forms])
+    scorer.append([bench.hypothesis(one) for one in forms])
     scores = scorer.scores(others, list(range(first, len(scorer.library))))[0]
     if scores:
         polished(bench, scorer, others, max(scores, key=lambda j: scores[j].rank), LIMITS.forms)
@@ -70,7 +70,7 @@ def _same_kind(other: Effect | None, effect: Effect) -> bool:
 
 
 def _bound(out: Selection) -> bool:
-    """An effect whose parameters obey a law that they place themselves stands for a freer one where it ranks above it."""
+    """Return whether an effect bound by a law between its parameters replaced a freer one that it ranks above."""
     bench, scorer = out.bench, out.scorer
     changed = False
     for place, i in enumerate(list(out.chosen)):
@@ -78,11 +78,10 @@ def _bound(out: Selection) -> bool:
         for _ in range(LIMITS.chain):
             effect = scorer.library[j].effect
             theta, at, _ = scorer.solve([*others, j])
-            own = scorer.places[j]
-            told = None if effect is None else effect.told_by(theta[(at >= own.start) & (at < own.stop)])
-            if told is None:
+            bound = None if effect is None else effect.told_by(theta[scorer.mask_of(at, j)])
+            if bound is None:
                 break
-            scorer.append([bench.add(told)])
+            scorer.append([bench.hypothesis(bound)])
             j = len(scorer.library) - 1
         if j == i:
             continue

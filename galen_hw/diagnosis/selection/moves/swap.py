@@ -1,17 +1,17 @@
-"""Each chosen effect against every rival in its place."""
+"""Exchange of each chosen effect for a better one in its place."""
 
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import cost_without, settle_together
-from galen_hw.diagnosis.estimation.linearisation import as_if, rebase, unbent
+from galen_hw.diagnosis.estimation.linearisation import as_if, nonlinear_restored, rebase
 from galen_hw.diagnosis.estimation.normal_equations import Score, Scorer
-from galen_hw.diagnosis.selection.acceptance import as_good, left_out, no_worse, plausible
-from galen_hw.diagnosis.selection.comparison import ahead, in_place, loosens
+from galen_hw.diagnosis.selection.acceptance import as_good, held_out_errors, no_worse, plausible
+from galen_hw.diagnosis.selection.comparison import in_place, loosens, vuong_statistic
 from galen_hw.diagnosis.selection.kinds import with_its_kind
-from galen_hw.diagnosis.selection.limits import LIMITS
 from galen_hw.diagnosis.selection.moves.add import kin
-from galen_hw.diagnosis.selection.moves.step_times import parted
+from galen_hw.diagnosis.selection.moves.step_times import steps_split
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.selection.simplicity import plainest, undecided
+from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 
 
@@ -22,20 +22,20 @@ def swapped(out: Selection) -> bool:
 
 
 def simplified(out: Selection) -> bool:
-    """Return whether a plainer effect took the place of one that is no better than what physics that is missing may do.
+    """Return whether a simpler effect replaced one that is better by no more than model discrepancy explains.
 
-    Asked when nothing else is found: what is missing before that is mostly what will be found.
+    Tested when nothing else is found: what is missing before that is mostly what will be found.
     """
     return _swap(out, simpler=True)
 
 
 def _swap(out: Selection, *, simpler: bool = False) -> bool:
-    """Each chosen effect against every rival in its place; whether any was exchanged."""
+    """Compare each chosen effect with every rival in its place; return whether any was exchanged."""
     bench, scorer = out.bench, out.scorer
     start = list(out.chosen)
     for i in list(out.chosen):
         others = [j for j in out.chosen if j != i]
-        # A cable has shown by now whether a tendon does what its spring does.
+        # A cable has been compared with a tendon by now.
         rivals = {
             j: scorer.in_full(j, s)
             for j, s in in_place(bench, scorer, out.chosen, i).items()
@@ -53,34 +53,34 @@ def _swap(out: Selection, *, simpler: bool = False) -> bool:
         flattered = _flattered(bench, scorer, trial, i, best)
         if flattered > 0.0 and rivals[best].rank - flattered <= rivals[i].rank + CRITERIA.log_odds:
             continue
-        before = left_out(out, out.chosen)
+        before = held_out_errors(out, out.chosen)
         with out.attempt() as attempt:
             out.chosen = trial
-            parted(out)
+            steps_split(out)
             rebase(scorer, out.chosen)
-            # What stays was settled beside what goes: beside what comes it stands elsewhere.
+            # The others were at their optimum given the old effect, not the new one.
             settle_together(bench, scorer, out.chosen)
-            attempt.kept = (as_good if simpler else no_worse)(before, left_out(out, out.chosen))
+            attempt.kept = (as_good if simpler else no_worse)(before, held_out_errors(out, out.chosen))
     return out.chosen != start
 
 
 def _best(out: Selection, others: list[int], i: int, rivals: dict[int, Score], *, simpler: bool) -> int:
-    """The rival that is better in the place of the chosen i, beyond luck, and of what does as well the plainest; else i.
+    """Return the rival that is significantly better in the place of the chosen i, and the simplest of equals; else i.
 
-    A plainer one need not be better, only as good: what came first in an earlier turn must not decide.
+    A simpler one need not be better, only as good: what came first in an earlier turn must not decide.
     """
     bench, scorer = out.bench, out.scorer
     own, ranked = set(kin(scorer, i)), sorted(rivals, key=lambda j: -rivals[j].rank)
     best, whole = i, with_its_kind(scorer, rivals, i)
-    with unbent(scorer, i):
+    with nonlinear_restored(scorer, i):
         for j in ranked[: LIMITS.tries]:
-            # What acts in several channels at once is compared with all joints' own: one of them alone does less.
+            # An effect in several channels is compared with the kind in all joints: in one of them alone it explains less.
             lead = rivals[j].rank - (whole if len(scorer.library[j].raw.channels) > 1 else rivals[i].rank)
             if j == i or rivals[j].rank - rivals[i].rank <= LIMITS.tie:
                 break
             better = j in own or (
                 lead > CRITERIA.log_odds + undecided(bench, scorer, [*others, j])
-                and ahead(bench, scorer, others, j, i) >= 1.0
+                and vuong_statistic(bench, scorer, others, j, i) >= 1.0
             )
             if better and plausible(bench, scorer, others, j):
                 best = j
@@ -92,7 +92,7 @@ def _best(out: Selection, others: list[int], i: int, rivals: dict[int, Score], *
 
 
 def _flattered(bench: Bench, scorer: Scorer, trial: list[int], i: int, best: int) -> float:
-    """How much less the trial leaves than it will without the delay or lag i, through which its columns came."""
+    """Return how much the trial's fit worsens without the delay or lag i, through which its columns came."""
     gone, come = scorer.library[i].effect, scorer.library[best].effect
     if gone is None or not gone.CLOCK or (come is not None and come.CLOCK):
         return 0.0
@@ -102,24 +102,19 @@ def _flattered(bench: Bench, scorer: Scorer, trial: list[int], i: int, best: int
 
 
 def swapped_again(out: Selection) -> bool:
-    """Return whether one more round of swaps brings other hypotheses in, not only better values of the same.
+    """Return whether one more round of swaps brings other hypotheses in, not only other values of the same.
 
     What was exchanged last may have made room for better: a wander beside a tool stood for a warm-up beside a cable.
     """
     if not out.turn.swapped:
         return False
-    scorer = out.scorer
-    families = _families(scorer, out.chosen)
+    families = out.families
     with out.attempt() as attempt:
-        attempt.kept = _swap(out) and _families(scorer, out.chosen) != families
+        attempt.kept = _swap(out) and out.families != families
     return attempt.kept
 
 
 def _left_behind(scorer: Scorer, i: int, j: int) -> bool:
-    """Whether j is the chosen i where it stood before it was settled: a tangent says of itself that it reaches anywhere."""
+    """Return whether j is the chosen i as it was before it converged: a tangent seems to reach anywhere."""
     own, other = scorer.library[i], scorer.library[j]
     return other.theta is not None and own.effect == other.effect and own.effect is not None and own.effect.curved
-
-
-def _families(scorer: Scorer, chosen: list[int]) -> set[object]:
-    return {effect.family for i in chosen if (effect := scorer.library[i].effect) is not None}

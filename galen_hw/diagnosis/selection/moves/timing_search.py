@@ -1,4 +1,4 @@
-"""The best of nothing, a delay, a lag of the first or second order, and a delay of what lags, beside other effects."""
+"""Search for the best timing: none, a delay, a lag of first or second order, or a delay of what lags."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.levenberg_marquardt import Beside
+from galen_hw.diagnosis.estimation.levenberg_marquardt import ConditionalGain
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.clocks import BETWEEN, Shift, Timing
@@ -23,13 +23,13 @@ DAMPINGS = (0.35, 0.7)
 FINE = 0.02
 """Share of what is late to which a clock is sought."""
 FINEST = 2e-4
-"""The same of a constant and a damping, which then stand as they were found."""
+"""The same of a constant and a damping, which are not optimised again."""
 STRIDE = 0.2
 """The same, of the first steps from there to the optimum."""
 SHORTEST = 1.05
-"""Times the shortest constant that can be told from a delay, up to which a lag beside a delay is none."""
+"""Times the shortest constant that differs from a delay, up to which a lag with a delay counts as none."""
 LN2 = float(np.log(2.0))
-"""Constants and bands are sought up to twice and down to half of where they stood."""
+"""Constants and bands are sought within a factor of two."""
 NEAR = 10.0
 """Log likelihood by which the last steps to an optimum may still matter, at most, once a step is no more than `FINE`."""
 
@@ -39,125 +39,127 @@ Clocks = list[tuple[Timing, float]]
 
 @dataclass
 class ClockSearch:
-    """For the best of nothing, a delay, a lag, and a delay of what lags, where `delay` acts, beside other effects.
+    """Search for the best of nothing, a delay, a lag, and a delay of what lags, where `delay` acts, given other effects.
 
-    With friction `within` the lag: of servos that have the lag's constant, and are as late; beside the best of clocks these
-    stand `instead` of them. `swings`: a lag of second order is in the model already.
+    `friction`: of servos, with the lag's constant and delay; `replacements`: the same at the best timing. `swings`: a lag of
+    second order is in the model already.
     """
 
     bench: Bench
-    beside: Beside
+    given: ConditionalGain
     delay: Shift
-    within: tuple[Effect, ...]
+    friction: tuple[Effect, ...]
     swings: bool
 
     def __post_init__(self) -> None:
         self.places = self.delay.places(self.bench.stream)
         self.simulated = self.bench.stream.simulated[:, self.places]
         self.averaged = self.bench.simulated[:, self.places]
-        self.behind: dict[object, Array] = {}
-        self.instead: dict[Effect, Effect] = {}
-        self.price = float(np.log(self.bench.noise.effective))
+        self.lagged: dict[object, Array] = {}
+        self.replacements: dict[Effect, Effect] = {}
+        self.penalty = float(np.log(self.bench.noise.effective))
         self.shortest = 0.5 * spacing(self.bench.scene)
 
-    def either(self) -> Clocks:
-        """The clocks that are there, by what lies `BETWEEN` two rows as the recording is nearest to it.
+    def best_interpolation(self) -> Clocks:
+        """Return the best timing effects over the possible interpolations `BETWEEN` two rows.
 
-        Machines are smooth; a logger that fills in rows draws straight lines; a filter of samples takes each for the time
-        before it.
+        Machines are smooth; a logger that fills in rows draws straight lines; a filter of samples takes each for the time before
+        it.
         """
         clocks, search = self.best(), self
-        if not clocks or self.within or self.bench.stream.commanded:
+        if not clocks or self.friction or self.bench.stream.commanded:
             return clocks
         for between in BETWEEN:
             if between != self.delay.between and self._differs(clocks, between) >= CRITERIA.log_odds:
                 other = replace(self, delay=self.delay.interpolated(between))
-                if other.worth(found := other.best()) > search.worth(clocks):
+                if other.penalised_gain(found := other.best()) > search.penalised_gain(clocks):
                     clocks, search = found, other
         return clocks
 
     def _differs(self, clocks: Clocks, between: str) -> float:
-        """Whitened sum of squares of what it changes about clocks that are as late as before: without any, nothing could tell."""
+        """Return the whitened sum of squares by which another interpolation changes equally late timing effects."""
         late, constant, damping = _read(clocks)
         sooner = self.shortest if between == "steps" and constant > 0.0 else 0.0
         other = replace(self, delay=self.delay.interpolated(between))
         change = other.arriving(late + sooner, constant, 1.0, (), damping) - self.arriving(
             late, constant, 1.0, (), damping
         )
-        white = self.bench.made(None, Columns(self.places, change[:, :, None])).white.values
+        white = self.bench.hypothesis_of(None, Columns(self.places, change[:, :, None])).white.values
         return float(np.sum(white[self.bench.train] ** 2))
 
     def best(self) -> Clocks:
-        """The clocks that are there, by what lies between two rows for its `delay`."""
+        """Return the best timing effects for the interpolation of its `delay`."""
         step = spacing(self.bench.scene)
         reach = max(4.0 * step, 4.0 * abs(self._by_slope()))
         most, all_late = self._latest(0.0, (-reach, reach))
-        ways: list[tuple[float, Clocks]] = [
+        candidates: list[tuple[float, Clocks]] = [
             (self._gain(0.0, 0.0), []),
-            (most - self.price, [(self.delay, all_late)]),
+            (most - self.penalty, [(self.delay, all_late)]),
         ]
         for constant in log_grid(self.shortest, 2.0 * all_late, CONSTANTS):
             lag = self.delay.lagging(constant, self.shortest)
-            ways.append((self._gain(0.0, constant) - self.price, [(lag, constant)]))
+            candidates.append((self._gain(0.0, constant) - self.penalty, [(lag, constant)]))
             most, late = self._latest(constant, (0.0, all_late))
-            ways.append((most - 2.0 * self.price - CRITERIA.log_odds, [(self.delay, late), (lag, constant)]))
-        clocks = self._plainer(self._refined(max(ways, key=lambda way: way[0])[1], all_late), all_late)
-        # A response of second order looks like a delay, or a delay and a lag; friction within has a lag of the first. In one
-        # joint by itself two more numbers would take what the others show to be something else.
-        if self.within or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
+            candidates.append((most - 2.0 * self.penalty - CRITERIA.log_odds, [(self.delay, late), (lag, constant)]))
+        clocks = self._plainer(self._refined(max(candidates, key=lambda one: one[0])[1], all_late), all_late)
+        # A response of second order looks like a delay, or a delay and a lag; friction of a servo has a lag of first order. In
+        # one joint by itself two more parameters would explain what the other joints show to be something else.
+        if self.friction or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
             return clocks
-        wanted = self.worth(clocks) + (0.0 if self.swings else CRITERIA.log_odds)
-        swinging = self._swinging(all_late, wanted)
-        return swinging if self.worth(swinging) > wanted else clocks
+        required = self.penalised_gain(clocks) + (0.0 if self.swings else CRITERIA.log_odds)
+        swinging = self._swinging(all_late, required)
+        return swinging if self.penalised_gain(swinging) > required else clocks
 
     def _plainer(self, clocks: Clocks, all_late: float) -> Clocks:
-        """A lag alone for a delay of what lags, where it does as well: on a grid it stands beside its optimum, and is late."""
-        if len(clocks) < 2 or self.within:
+        """Return a lag alone for a delay of what lags, where it explains as much: on a grid it is not at its optimum."""
+        if len(clocks) < 2 or self.friction:
             return clocks
         (_, late), (_, constant) = clocks
         lag = self.delay.lagging(constant + late, self.shortest)
         alone = self._refined([(lag, constant + late)], all_late)
-        return alone if self.worth(alone) + CRITERIA.log_odds >= self.worth(clocks) else clocks
+        return alone if self.penalised_gain(alone) + CRITERIA.log_odds >= self.penalised_gain(clocks) else clocks
 
-    def worth(self, clocks: Clocks) -> float:
-        """Gain less the price of delay, lag or swing alone."""
+    def penalised_gain(self, clocks: Clocks) -> float:
+        """Return the gain less the penalty of delay, lag or second-order response."""
         late, constant, damping = _read(clocks)
-        return self._gain(late, constant, damping=damping) - self.price * numbers([end for end, _ in clocks])
+        return self._gain(late, constant, damping=damping) - self.penalty * parameter_count([end for end, _ in clocks])
 
     def _refined(self, clocks: Clocks, all_late: float) -> Clocks:
-        """The same with a lag, the delay with it, and the bands of friction within it at their common optimum."""
+        """Return the same timing effects with lag, delay and bands of friction at their common optimum."""
         if not clocks or clocks[-1][0].SHIFT:
             return clocks
         delays, constant = clocks[:-1], clocks[-1][1]
-        begun = np.array([0.0, *(late / all_late for _, late in delays), *(bool(self.within) * [0.0])])
+        begun = np.array([0.0, *(late / all_late for _, late in delays), *(bool(self.friction) * [0.0])])
         limits = [(np.log(min(self.shortest / constant, 1.0)), LN2), *(len(delays) * [(0.0, 1.0)]), (-LN2, LN2)]
 
         def read(at: Array) -> tuple[float, float, float]:
             late = all_late * float(at[1]) if delays else 0.0
-            return late, constant * float(np.exp(at[0])), float(np.exp(at[-1])) if self.within else 1.0
+            return late, constant * float(np.exp(at[0])), float(np.exp(at[-1])) if self.friction else 1.0
 
-        def missed(within: tuple[Effect, ...], at: Array) -> float:
-            return -self._gain(*read(at), within)
+        def missed(friction: tuple[Effect, ...], at: Array) -> float:
+            return -self._gain(*read(at), friction)
 
         best, least = (0.0, constant, 1.0), np.inf
-        for within in dict.fromkeys((self.within, tuple(one.stripped for one in self.within))):
-            at, cost = _lowest(partial(missed, within), begun, limits[: len(begun)])
+        for friction in dict.fromkeys((self.friction, tuple(one.stripped for one in self.friction))):
+            at, cost = _lowest(partial(missed, friction), begun, limits[: len(begun)])
             if FINE**2 * -cost > NEAR:
-                at, cost = _lowest(partial(missed, within), at, limits[: len(begun)], FINEST, FINE)
-            cost += self.price * sum(len(one.searched()) for one in within)
+                at, cost = _lowest(partial(missed, friction), at, limits[: len(begun)], FINEST, FINE)
+            cost += self.penalty * sum(len(one.searched()) for one in friction)
             if cost < least:
                 best, least = read(at), cost
-                self.instead = dict(zip(self.within, (_with_lag(one, *best[1:]) for one in within), strict=True))
+                self.replacements = dict(
+                    zip(self.friction, (_with_lag(one, *best[1:]) for one in friction), strict=True)
+                )
         late, constant, _ = best
-        if delays and not self.within and constant <= SHORTEST * self.shortest:
-            # At its shortest it is none, but a part of the delay.
+        if delays and not self.friction and constant <= SHORTEST * self.shortest:
+            # The shortest lag is a part of the delay.
             return [(self.delay, self._latest(0.0, (0.0, 2.0 * all_late))[1])] if all_late > 0.0 else clocks[:-1]
         return [*((end, late) for end, _ in delays), (self.delay.lagging(constant, self.shortest), constant)]
 
-    def _swinging(self, all_late: float, wanted: float) -> Clocks:
-        """The best lag of second order: damping and constant make up for each other, and are sought together.
+    def _swinging(self, all_late: float, required: float) -> Clocks:
+        """Return the best lag of second order; damping and constant are correlated, and optimised together.
 
-        Roughly, where it stays far from being worth what is wanted.
+        Only roughly where it stays far from the required gain.
         """
         bound = self.delay.lagging(all_late, self.shortest).SEARCHED["damping"]
         starts = [np.log([0.5 * all_late / damping, damping]) for damping in DAMPINGS]
@@ -172,13 +174,13 @@ class ClockSearch:
             (np.log(bound.low), np.log(bound.high)),
         ]
         at, least = _lowest(cost, np.clip(begun, *np.transpose(limits)), limits)
-        if -least - 2.0 * self.price > wanted - NEAR:
+        if -least - 2.0 * self.penalty > required - NEAR:
             at, _ = _lowest(cost, at, limits, FINEST, FINE)
         constant, damping = np.exp(at).tolist()
         return [(self.delay.lagging(constant, self.shortest, damping), constant)]
 
     def _latest(self, constant: float, bounds: tuple[float, float]) -> tuple[float, float]:
-        """The most that a delay of what lags with this constant (s) takes, and the delay, s."""
+        """Return the largest gain of a delay of what lags with this constant (s), and that delay, s."""
         options = {"xatol": FINE * (bounds[1] - bounds[0])}
         found = minimize_scalar(
             lambda late: -self._gain(late, constant), bounds=bounds, method="bounded", options=options
@@ -189,43 +191,48 @@ class ClockSearch:
         self,
         late: float,
         constant: float,
-        wide: float = 1.0,
-        within: tuple[Effect, ...] | None = None,
+        band_factor: float = 1.0,
+        friction: tuple[Effect, ...] | None = None,
         damping: float | None = None,
     ) -> float:
-        """Fall of the whitened sum of squares with a delay and a lag, s, and bands of friction so many times as wide."""
-        y = self.arriving(late, constant, wide, self.within if within is None else within, damping) - self.averaged
-        return self.beside.whole(self.bench.made(None, Columns(self.places, y[:, :, None])))
+        """Return the gain with a delay and a lag, s, and bands of friction scaled by a factor."""
+        y = (
+            self.arriving(late, constant, band_factor, self.friction if friction is None else friction, damping)
+            - self.averaged
+        )
+        return self.given.fixed_gain(self.bench.hypothesis_of(None, Columns(self.places, y[:, :, None])))
 
     def arriving(
-        self, late: float, constant: float, wide: float, within: tuple[Effect, ...], damping: float | None
+        self, late: float, constant: float, band_factor: float, friction: tuple[Effect, ...], damping: float | None
     ) -> Array:
-        """(M, m) averages of what the same make of the simulated."""
-        return self.bench.late(self._lagged(constant, wide, within, damping), late, bowed=self.delay.bowed)
+        """Return averages (M, m) of the simulated channels through a delay, a lag and friction."""
+        return self.bench.late(self._lagged(constant, band_factor, friction, damping), late, bowed=self.delay.bowed)
 
-    def _lagged(self, constant: float, wide: float, within: tuple[Effect, ...], damping: float | None) -> Array:
-        """(N, m) what servos with this constant (s) make of the simulated; kept, for it comes again with other delays."""
+    def _lagged(
+        self, constant: float, band_factor: float, friction: tuple[Effect, ...], damping: float | None
+    ) -> Array:
+        """Return the simulated channels (N, m) through servos with this constant (s), cached for other delays."""
         x, stream = self.simulated, self.bench.stream
         if damping is not None:
             return self.delay.lagging(constant, self.shortest, damping).filtered(stream, x)
-        key = (constant, wide, within)
-        if key not in self.behind:
+        key = (constant, band_factor, friction)
+        if key not in self.lagged:
             y = self.delay.lagging(constant, self.shortest).filtered(stream, x) if constant > 0.0 else x
-            for one in within:
-                stands = _with_lag(one, constant, wide).columns(self.bench.scene)
+            for one in friction:
+                stands = _with_lag(one, constant, band_factor).columns(self.bench.scene)
                 y = y + Columns(stands.channels, stands.values[:, :, :1]).full(self.bench.width)[:, self.places, 0]
-            self.behind[key] = y
-        return self.behind[key]
+            self.lagged[key] = y
+        return self.lagged[key]
 
     def _by_slope(self) -> float:
-        """How late the recording is for small delays, s."""
-        made = self.bench.made(None, self.bench.averaged(self.delay.columns(self.bench.stream)))
-        A, r = self.beside.products(made)
+        """Return the small delay, s, with the largest gain by its slope at zero."""
+        made = self.bench.hypothesis_of(None, self.bench.averaged(self.delay.columns(self.bench.stream)))
+        A, r = self.given.products(made)
         return float(r[0] / A[0, 0]) if A[0, 0] > 0.0 else 0.0
 
 
 def _read(clocks: Clocks) -> tuple[float, float, float | None]:
-    """Delay and constant, s, and damping of a delay, a lag or both; 0 and None for what is not there."""
+    """Return delay and constant, s, and damping of a delay, a lag or both; 0 and None for what is not there."""
     late = sum(size for end, size in clocks if end.SHIFT)
     slow = next((end.searched() for end, _ in clocks if not end.SHIFT), None)
     return (late, 0.0, None) if slow is None else (late, slow["constant"], slow.get("damping"))
@@ -238,19 +245,19 @@ def _lowest(
     fine: float = FINE,
     stride: float = STRIDE,
 ) -> tuple[Array, float]:
-    """Where a cost of a few values is lowest, and how low; by simplices, for a servo that sticks has corners."""
+    """Minimise a cost of a few values by Nelder-Mead, for a servo that sticks has corners; return values and cost."""
     simplex = begun + np.vstack([np.zeros_like(begun), stride * np.eye(len(begun))])
     options = {"xatol": fine, "fatol": 1.0, "initial_simplex": simplex}
     found = minimize(cost, begun, method="Nelder-Mead", bounds=limits, options=options)
     return found.x, float(found.fun)
 
 
-def _with_lag(effect: Effect, constant: float, wide: float) -> Effect:
-    """Friction of a servo whose lag has this constant (s; 0: its own), in a band so many times as wide."""
+def _with_lag(effect: Effect, constant: float, band_factor: float) -> Effect:
+    """Return friction of a servo with this constant (s; 0: its own), in a band scaled by a factor."""
     response = {"response": constant} if constant > 0.0 else {}
-    return effect.with_searched({"coulomb": wide * effect.searched()["coulomb"]} | response)
+    return effect.with_searched({"coulomb": band_factor * effect.searched()["coulomb"]} | response)
 
 
-def numbers(effects: Sequence[Effect]) -> int:
-    """Delays, constants and dampings."""
+def parameter_count(effects: Sequence[Effect]) -> int:
+    """Return the number of delays, constants and dampings."""
     return sum(max(len(effect.searched()), 1) for effect in effects)
