@@ -4,7 +4,7 @@ import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.least_squares import fit, predicted
+from galen_hw.diagnosis.estimation.least_squares import Normal, normal_equations, predicted, solved
 from galen_hw.diagnosis.stats.sampling import Chosen, Index, folds
 from galen_hw.spatial import Array
 
@@ -35,18 +35,25 @@ def cross_validated(
         fold = folds(np.asarray(train // piece))
     else:
         fold = folds(bench.block[train])
-    out = np.zeros((len(train), bench.width))
-    stays = _of_moments(model, white, train, fold, bench.width, fine=fine)
-    for k in range(int(fold.max(initial=0)) + 1):
-        learn, aside = fold != k, fold == k
-        theta = fit(model, white, train[learn], bench.width, stays)
-        target = white if whitened else bench.y
-        out[aside] = target[train[aside]] - predicted(model, theta, train[aside], bench.width, whitened=whitened)
+    held_out = [fold == k for k in range(int(fold.max(initial=0)) + 1)]
+    # Once by folds: what is learnt without one of them is the sum of the others.
+    normal = normal_equations(model, white, [train[rows] for rows in held_out], bench.width)
+    stays = _of_moments(model, train, fold, normal, fine=fine)
+    out, target = np.zeros((len(train), bench.width)), white if whitened else bench.y
+    for k, rows in enumerate(held_out):
+        theta = solved(model, [*normal[:k], *normal[k + 1 :]] or [(0.0 * G, 0.0 * b) for G, b in normal], stays)
+        out[rows] = target[train[rows]] - predicted(model, theta, train[rows], bench.width, whitened=whitened)
     return out
 
 
 def _of_moments(
-    model: list[Hypothesis], white: Array, rows: Chosen, fold: Index, width: int, *, fine: bool, lives: float = 0.9
+    model: list[Hypothesis],
+    rows: Chosen,
+    fold: Index,
+    normal: list[Normal],
+    *,
+    fine: bool,
+    lives: float = 0.9,
 ) -> Array | None:
     """Return parameters (k,) that only one fold informs, as fitted on all rows, else NaN; None where there are none.
 
@@ -64,4 +71,4 @@ def _of_moments(
             square = np.stack([np.sum(h.white.values[rows[fold == k]] ** 2, axis=(0, 1)) for k in np.unique(fold)])
             held[done : done + h.count] = square.max(axis=0) > lives * square.sum(axis=0)
         done += h.count
-    return np.where(held, fit(model, white, rows, width), np.nan) if held.any() else None
+    return np.where(held, solved(model, normal), np.nan) if held.any() else None

@@ -1,5 +1,7 @@
 """Generalised least squares fits of a model and their residuals."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis, with_parameters
@@ -9,25 +11,41 @@ from galen_hw.diagnosis.stats.linear_algebra import pinned_at
 from galen_hw.diagnosis.stats.sampling import Chosen
 from galen_hw.spatial import Array
 
+Normal = tuple[Array, Array]
+"""Normal equations: inner products (k, k) of a model's whitened columns, and those (k,) with the residual."""
 
-def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int, stays: Array | None = None) -> Array:
-    """Fit a model by generalised least squares on some rows, and return its parameters (k,).
 
-    `stays`: (k,) fixed values of parameters besides those of the hypotheses themselves, NaN for free ones.
-    """
+def normal_equations(model: list[Hypothesis], white: Array, parts: Sequence[Chosen], width: int) -> list[Normal]:
+    """Return the normal equations of a model on each part of the rows: those of several parts are their sum."""
     size = sum(h.count for h in model)
-    G, b = np.zeros((size, size)), np.zeros(size)
+    out = [(np.zeros((size, size)), np.zeros(size)) for _ in parts]
     starts = np.cumsum([0, *(h.count for h in model)])
     for c in range(width):
         mine = [(h, s) for h, s in zip(model, starts, strict=False) if c in h.white.channels]
         if not mine:
             continue
         at = np.concatenate([np.arange(s, s + h.count) for h, s in mine])
-        X = np.concatenate([h.white.values[:, h.white.channels.index(c)] for h, _ in mine], axis=1)[rows]
-        G[np.ix_(at, at)] += X.T @ X
-        b[at] += X.T @ white[rows, c]
-    held = np.concatenate([np.empty(0), *(h.fixed for h in model)])
-    return pinned_at(held if stays is None else np.where(np.isnan(held), stays, held), G, b)
+        columns = np.concatenate([h.white.values[:, h.white.channels.index(c)] for h, _ in mine], axis=1)
+        for (G, b), rows in zip(out, parts, strict=True):
+            X = columns[rows]
+            G[np.ix_(at, at)] += X.T @ X
+            b[at] += X.T @ white[rows, c]
+    return out
+
+
+def solved(model: list[Hypothesis], normal: Sequence[Normal], stays: Array | None = None) -> Array:
+    """Return the parameters (k,) that solve the normal equations of some parts of the rows together.
+
+    `stays`: (k,) fixed values of parameters besides those of the hypotheses themselves, NaN for free ones.
+    """
+    fixed = np.concatenate([np.empty(0), *(h.fixed for h in model)])
+    G, b = (np.sum([one[k] for one in normal], axis=0) for k in range(2))
+    return pinned_at(fixed if stays is None else np.where(np.isnan(fixed), stays, fixed), G, b)
+
+
+def fit(model: list[Hypothesis], white: Array, rows: Chosen, width: int, stays: Array | None = None) -> Array:
+    """Fit a model by generalised least squares on some rows, and return its parameters (k,), see `solved`."""
+    return solved(model, normal_equations(model, white, [rows], width), stays)
 
 
 def predicted(model: list[Hypothesis], theta: Array, rows: Chosen, width: int, *, whitened: bool = False) -> Array:
