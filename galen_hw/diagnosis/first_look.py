@@ -124,14 +124,14 @@ def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list
     seen = [coarse.raw(s.effect) for s in at_first_sight(bench)]
     extra, above = [*structure_test.leading_directions(coarse, generic), *seen], coarse.motion_band()
     coarse.learn_noise(columns, extra, above=above)
-    ((_, model), *_), structures = searched(coarse, effects, columns, generic, blind=blind, names=False)
+    ((_, model), *_), structures = searched(coarse, effects, columns, generic, blind=blind)
     coarse = model.bench
     if shifts := far_off(model):
         # With a wrong clock no effect matched the measured signals: slow ones had passed for noise.
         late = [coarse.raw(effect) for effect in effects]
         coarse.reset()
         coarse.learn_noise(late, [*extra, *shifts], above=above)
-        ((_, model), *_), structures = searched(coarse, effects, columns, generic, blind=blind, names=False)
+        ((_, model), *_), structures = searched(coarse, effects, columns, generic, blind=blind)
         coarse = model.bench
     if not structures and len(coarse.noise.edges):
         # Fine structure passes for quick noise: only held-out blocks can show it, whatever the noise.

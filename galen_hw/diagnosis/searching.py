@@ -33,24 +33,22 @@ def searched(
     generic: list[structure_test.Family],
     *,
     blind: bool,
-    names: bool = True,
     start: Start = (),
 ) -> tuple[list[Search], list[structure_test.Structure]]:
     """Search under the present noise; return the models, the better one first, and the structure that it leaves.
 
     Args:
-        names: whether effects are exchanged for others that do nearly the same.
         start: a model that another search has found; where it is better than what was found without it, one begins there too.
     """
     # Creep that began at rest is redundant where any initial transient as quick is fitted.
     each = zip(effects, columns, strict=True)
     hypotheses = [bench.hypothesis_of(e, raw) for e, raw in each if not e.presumes(bench.scene)]
     bench.cache_columns(hypotheses)
-    searches = _models(bench, hypotheses, blind=blind, names=names, start=start)
+    searches = _models(bench, hypotheses, blind=blind, start=start)
     return searches, remaining_structures([searches[0][1]], generic)[0]
 
 
-def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, names: bool, start: Start) -> list[Search]:
+def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: Start) -> list[Search]:
     """Search once or twice, and return the better model first; of two each has a bench of its own.
 
     Once with offsets always in the model and judged at the end (so that a drift is not called an offset), once with offsets among
@@ -65,7 +63,7 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, names: b
         return Scorer(on, [*own, *hypotheses], free=not own)
 
     def one(on: Bench, own: list[Hypothesis], begun: Start = ()) -> Search:
-        selection = select(on, scored(on, own), names=names, start=begun)
+        selection = select(on, scored(on, own), start=begun)
         return selection, settle_model(on, selection.scorer, selection)
 
     def better_from(found: Search, own: list[Hypothesis]) -> Search:

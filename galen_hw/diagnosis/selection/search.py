@@ -26,18 +26,16 @@ Start = Sequence[tuple[Effect, Array]]
 """Effects with their parameters (k,), from which a search may begin."""
 
 
-def select(bench: Bench, scorer: Scorer, *, names: bool, start: Start = ()) -> Selection:
+def select(bench: Bench, scorer: Scorer, *, start: Start = ()) -> Selection:
     """Search for the effects: in each turn the first move that finds a better model, then those that tidy it.
 
     Args:
         bench: the data; has the state of the model found afterwards.
         scorer: with all hypotheses.
-        names: whether effects are exchanged for others that do nearly the same.
         start: the model to begin with.
     """
     out, seen = Selection(scorer), set[frozenset[object]]()
-    moves = [one for one in MOVES if names or not one.names]
-    finding, tidying = ([one.make for one in moves if one.tidies is tidies] for tidies in (False, True))
+    finding, tidying = ([one.make for one in MOVES if one.tidies is tidies] for tidies in (False, True))
     if start:
         _begin(out, start)
     for _ in range(LIMITS.turns):

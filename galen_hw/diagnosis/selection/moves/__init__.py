@@ -22,23 +22,21 @@ class Move:
         kind: word for it.
         make: changes the model of a search if the other is better, and returns whether it did.
         tidies: asked in every turn, after the first of the other moves that found something.
-        names: it exchanges effects for others that do nearly the same: a first look, which only has to explain, goes without.
     """
 
     kind: Literal["add", "drop", "swap", "exchange", "refine", "timing"]
     make: Callable[[Selection], bool]
     tidies: bool = False
-    names: bool = False
 
 
 MOVES: Final = (
     Move("add", added),
     Move("exchange", tightened),
-    Move("exchange", regrouped, names=True),
+    Move("exchange", regrouped),
     Move("timing", reclocked),
-    Move("swap", swapped_again, names=True),
+    Move("swap", swapped_again),
     Move("add", hidden),
-    Move("swap", simplified, names=True),
+    Move("swap", simplified),
     Move("drop", dropped, tidies=True),
     Move("swap", swapped, tidies=True),
     Move("refine", refined, tidies=True),
