@@ -36,9 +36,9 @@ class Body:
         com = np.asarray(self.mass * self.com + more[1:4]) / mass
         xx, xy, yy, xz, yz, zz = more[4:]
         about_origin = (
-            self.inertia + self.mass * _parallel(self.com) + np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            self.inertia + self.mass * parallel_axis(self.com) + np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         )
-        return Body(mass, com, about_origin - mass * _parallel(com))
+        return Body(mass, com, about_origin - mass * parallel_axis(com))
 
     def seen_from(self, T: Array) -> "Body":
         """Return the body in the axes of a frame in which its own stand at T (4, 4)."""
@@ -46,7 +46,7 @@ class Body:
         return Body(self.mass, R @ self.com + T[:3, 3], R @ self.inertia @ R.T)
 
 
-def _parallel(c: Array) -> Array:
+def parallel_axis(c: Array) -> Array:
     """Return the inertia (3, 3) about the origin of unit mass at c."""
     return np.asarray(np.dot(c, c) * np.eye(3) - np.outer(c, c))
 

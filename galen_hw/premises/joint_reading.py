@@ -30,6 +30,11 @@ Rates = tuple[Array, Array] | None
 SIGN: Final = "the opposite sign of the model's"
 SWAPPED: Final = "swapped"
 COUPLED: Final = "those of two motors that drive both joints, as in a differential"
+REFUSED: Final = {
+    SWAPPED: ("the two exchanged", "give each joint its own column"),
+    COUPLED: ("their sum and difference", "give the efforts of the joints themselves"),
+}
+"""What is refused: as what it was read instead, and what to do."""
 DIFFERENTIABLE_S = 0.05
 """Time between rows up to which a motion of an arm can be differentiated: ten rows of its quickest half second."""
 
@@ -112,16 +117,10 @@ class JointReading:
             return
         names = " or ".join(", ".join(one.columns) for one in good)
         before, after = (1.0 - _mean_unexplained(left, plain, found) for left in (plain, found[best]))
-        if best.says in (SWAPPED, COUPLED):
+        if best.says in REFUSED:
+            read, todo = REFUSED[best.says]
             what = f"{names} are {best.says}: the simulation explains {before:.0%} of what is compared"
-            what += (
-                f", and {after:.0%} with {'the two exchanged' if best.says == SWAPPED else 'their sum and difference'}"
-            )
-            todo = (
-                "give each joint its own column"
-                if best.says == SWAPPED
-                else "give the efforts of the joints themselves"
-            )
+            what += f", and {after:.0%} with {read}"
             yield Remark(self.KEY, what, todo, best.columns, Action.REFUSED)
             return
         has = "has" if len(best.joints) == 1 else "have"

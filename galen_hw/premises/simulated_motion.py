@@ -40,7 +40,7 @@ class SimulatedMotion:
 
 
 def _moves(x: Array) -> Array:
-    """(N,) of a column its deviation from the mean over its standard deviation; zeros where it does not move, or is not known."""
+    """Return a column (N,) less its mean over its standard deviation; zeros where it does not move, or is not known."""
     there = np.isfinite(x)
     if not there.any() or not np.ptp(x[there]) > 0.0:
         return np.zeros(len(x))

@@ -8,7 +8,7 @@ import numpy as np
 
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
-from galen_hw.physics.rigid import Body
+from galen_hw.physics.rigid import Body, parallel_axis
 from galen_hw.premises.base import Action, Remark, Stage
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.wrench_reading import TORQUE, comparable
@@ -24,7 +24,7 @@ class ToolInertia:
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield at most one remark, where a motion shows moments of the one and not of the other."""
         tool = seen.belief.tool
-        about_com = tool.inertia - _steiner(tool)
+        about_com = tool.inertia - tool.mass * parallel_axis(tool.com)
         if (
             seen.predict != "wrench"
             or seen.simulation is not None
@@ -39,7 +39,7 @@ class ToolInertia:
         some = comparable(seen)
         if len(some) < 2 * CRITERIA.pieces:
             return
-        before, after = (_missed(comparable(one)) for one in (seen, other))
+        before, after = (_squares(comparable(one)) for one in (seen, other))
         pieces = [len(part) for part in np.array_split(before, CRITERIA.pieces)]
         gain = np.array([part.mean() for part in np.split(before - after, np.cumsum(pieces)[:-1])])
         error = float(np.std(gain, ddof=1)) / np.sqrt(len(gain))
@@ -51,19 +51,14 @@ class ToolInertia:
         yield Remark(self.KEY, what, "", TORQUE, Action.REPAIRED, other)
 
 
-def _steiner(tool: Body) -> Array:
-    """Return m (c'c 1 - c c'), (3, 3) kg m^2: what an inertia grows by from the centre of mass c to the origin."""
-    return np.asarray(tool.mass * (tool.com @ tool.com * np.eye(3) - np.outer(tool.com, tool.com)))
-
-
 def _possible(inertia: Array) -> bool:
     """Return whether a body can have such an inertia (3, 3): no principal moment is larger than the other two together."""
     first, second, third = np.linalg.eigvalsh(inertia)
     return bool(first > 0.0 and third <= first + second)
 
 
-def _missed(seen: Observations) -> Array:
-    """(N,) squared residual of the torques beside a constant, each over its variance."""
+def _squares(seen: Observations) -> Array:
+    """Return the squared residual (N,) of the torques, given a constant, each over its variance."""
     scene = scene_of(seen)
     at = [scene.channels.index(name) for name in TORQUE]
     residual = (scene.measured - scene.simulated)[:, at]
