@@ -32,6 +32,8 @@ class CutMotion:
         for part in seen.segments[1:]:
             known[part.start - 1] = True
         period = np.diff(seen.time)
+        if not np.any(period > 0.0):
+            return
         # Rows may be lost on a clock that shows it: then as much time has passed as the motion needs.
         longer = np.maximum(period / np.median(period[period > 0.0]), 1.0)
         cut = (np.sum([_jumps(q, longer) for q in columns], axis=0) >= 2) & ~known
