@@ -1,5 +1,6 @@
 """What the bench counts and where its averaged rows lie: channels without data, segments, spectral lines, generic inputs."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,8 @@ from galen_hw.diagnosis.identifiability.motions import recipes
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
 from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.effects.sensor import Gain
+from galen_hw.physics.effects.timing import TimeDelay
 from galen_hw.physics.effects.traits import Line
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
@@ -104,3 +107,17 @@ def test_a_value_is_shown_in_the_unit_of_its_error_where_that_is_larger() -> Non
     assert readable(1e-5, 0.3, "rad").unit == "deg"
     assert readable(0.0, 0.01, "m").unit == "mm"
     assert readable(1e-5, np.inf, "rad").unit == "urad"
+
+
+def test_hypotheses_of_a_family_are_counted_whatever_becomes_of_them() -> None:
+    """Renamed, tried and made anew: what a place among so many costs is by those that are there."""
+    bench = Dataset(scene_of(Bench(3, rows=1500).observations()))
+    bench.learn_noise([])
+    scorer = Scorer(bench, [bench.hypothesis(TimeDelay()), bench.hypothesis(Gain(WRENCH[0]))])
+    with scorer.trying([bench.hypothesis(TimeDelay())]):
+        scorer.rename(len(scorer.base), TimeDelay(between="bows"))
+        assert +scorer.families == Counter(h.family for h in scorer.library)
+    assert +scorer.families == Counter(h.family for h in scorer.library)
+    scorer.rename(len(scorer.base), TimeDelay(between="steps"))
+    scorer.retime()
+    assert +scorer.families == Counter(h.family for h in scorer.library)

@@ -55,10 +55,10 @@ def test_delay_of_an_industrial_arm(tmp_path: Path) -> None:
     assert better > 5.0
 
 
-@pytest.mark.parametrize("run", ["train", "test"])
-def test_hysteresis_of_a_damper(tmp_path: Path, run: str) -> None:
-    """BRFD: stick and slip with play; a stop operator with its cube takes 3.8 and 2.6 times off the error."""
+@pytest.mark.parametrize(("run", "least"), [("train", 3.8), ("test", 1.25 * 2.6)])
+def test_hysteresis_of_a_damper(tmp_path: Path, run: str, least: float) -> None:
+    """BRFD: stick and slip with play; a stop operator with its cube takes 3.8 and 2.6 times off the error, ours more."""
     names, better = judged(asked(tmp_path, "brfd-backlash", run, other=False))
     assert names[0] == "hysteresis"
     assert "contact" not in names
-    assert better > 3.5
+    assert better > least

@@ -14,6 +14,7 @@ from galen_hw.diagnosis.estimation.inner_products import Group, InnerProducts
 from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.diagnosis.stats.linear_algebra import log_tail, pinned_at, quadratic, solve_sym
 from galen_hw.diagnosis.stats.sampling import Index, Mask
+from galen_hw.physics.effects.base import Effect
 from galen_hw.spatial import Array
 
 
@@ -85,6 +86,13 @@ class Scorer:
         self.b = np.concatenate([self.b, self.products.with_targets(self._white_rows, old)[:, 0]])
         self.fakes = np.concatenate([self.fakes, self.products.with_targets(self._fake_rows, old)])
 
+    def rename(self, i: int, effect: Effect) -> None:
+        """Let a hypothesis of the library be of another effect with the same columns."""
+        h = self.library[i]
+        self.library[i] = replace(h, effect=effect)
+        self.families.subtract([h.family])
+        self.families.update([self.library[i].family])
+
     def _group(self, h: Hypothesis) -> Group:
         """Return its whitened columns on the training rows."""
         own = {c: h.nonzero_columns(c) for c in h.raw.channels} if h.count else {}
@@ -142,15 +150,15 @@ class Scorer:
     @contextmanager
     def trying(self, new: list[Hypothesis]) -> Iterator[None]:
         """Add hypotheses while the context lasts; whatever joins meanwhile leaves with them."""
-        kept = self.library, self.places, self.b, self.fakes
+        kept, families = (self.library, self.places, self.b, self.fakes), self.families.copy()
         self.library, self.places = list(kept[0]), list(kept[1])
         with self.products.fewer_again():
             try:
                 self.append(new)
                 yield
             finally:
-                self.families.subtract(h.family for h in self.library[len(kept[0]) :])
                 self.library, self.places, self.b, self.fakes = kept
+                self.families = families
 
     @property
     def total(self) -> float:

@@ -6,7 +6,6 @@ goes to nonlinear effects. Where each joint has its own timing, no single exchan
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -167,7 +166,7 @@ def _same_interpolation(scorer: Scorer, clocks: Clocks) -> None:
     for i, h in enumerate(scorer.library):
         end = h.effect
         if end is not None and end.CLOCK and end.interpolation != told.get(end.joints, end.interpolation):
-            scorer.library[i] = replace(h, effect=end.interpolated(told[end.joints]))
+            scorer.rename(i, end.interpolated(told[end.joints]))
 
 
 def _in_place_of(bench: Bench, h: Hypothesis, instead: dict[Effect, Effect]) -> Hypothesis:
