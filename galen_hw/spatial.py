@@ -90,6 +90,12 @@ def quaternion_from_rotation(R: ArrayLike) -> Array:
     return np.asarray(np.where(q[..., 3:] < 0.0, -q, q))
 
 
+def continuous(xyzw: Array) -> Array:
+    """Return quaternions (N, 4) with the sign of each that lies nearer to the one before."""
+    signs = np.where(np.sum(xyzw[1:] * xyzw[:-1], axis=1) < 0.0, -1.0, 1.0)
+    return np.asarray(xyzw * np.concatenate([np.ones(1), np.cumprod(signs)])[: len(xyzw), None])
+
+
 def transform(R: ArrayLike, p: ArrayLike) -> Array:
     """Homogeneous transform from a rotation (..., 3, 3) and a translation (..., 3) in m; (..., 4, 4)."""
     R, p = np.asarray(R, dtype=float), np.asarray(p, dtype=float)

@@ -87,3 +87,15 @@ def test_a_weight_reads_as_the_recording_format_says() -> None:
     shifted = spatial.transform(np.eye(3), c)
     wrench = spatial.wrench_adjoint(shifted) @ spatial.wrench_adjoint(at_centre) @ np.concatenate([w, np.zeros(3)])
     assert_allclose(wrench, np.concatenate([R.T @ w, np.cross(c, R.T @ w)]), atol=1e-13)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_quaternions_that_go_on_have_the_rotations_they_had(seed):
+    """Signs at random along a turn: no step is longer than its mirror image, and no rotation changes."""
+    rng = np.random.default_rng(seed)
+    q = rng.normal(size=(20, 4))
+    q /= np.linalg.norm(q, axis=1)[:, None]
+    out = spatial.continuous(q)
+    assert np.all(np.sum(out[1:] * out[:-1], axis=1) >= 0.0)
+    assert np.allclose(spatial.rotation_from_quaternion(out), spatial.rotation_from_quaternion(q))
+    assert spatial.continuous(q[:0]).shape == (0, 4)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns
 from galen_hw.premises.clock import ALONE, STEP, moving, smooth
-from galen_hw.spatial import Array
+from galen_hw.spatial import Array, continuous
 
 RARE: Final = 0.01
 """Share of the rows up to which what stands out is a cut: of more it is how this machine moves."""
@@ -53,8 +53,7 @@ def _continuous(columns: list[Array]) -> list[Array]:
     q = np.stack(columns or [np.zeros(1)], axis=1)
     if len(columns) != 4 or not np.allclose(np.sum(q**2, axis=1), 1.0, atol=1e-2):
         return columns
-    signs = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0)
-    return list((q * np.concatenate([[1.0], np.cumprod(signs)])[:, None]).T)
+    return list(continuous(q).T)
 
 
 def _jumps(q: Array, longer: Array) -> NDArray[np.bool_]:

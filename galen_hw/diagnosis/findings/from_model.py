@@ -12,7 +12,6 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.line_frequency import mean_frequency
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.findings.quantities import SIGNAL, headline
-from galen_hw.diagnosis.findings.variables import joint_units
 from galen_hw.diagnosis.findings.wording import believing, saying
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
 from galen_hw.diagnosis.lack_of_fit.structure_test import FALSE_ALARM, Structure
@@ -136,7 +135,7 @@ def _unit(scene: Scene, joints: tuple[str, ...], unit: str) -> str:
     """Return the joint's own unit of "rad or m" and its like, inside a compound unit too."""
     if " or " not in unit or not joints or joints[0] not in scene.joint_names:
         return unit
-    slides = joint_units(scene, joints[0])[0] == "m"
+    slides = scene.joint_units(joints[0])[0] == "m"
     inner = re.sub(r"\((\S+) or (\S+)\)", r"\2" if slides else r"\1", unit)
     first, either, second = inner.partition(" or ")
     return second if slides and either else first

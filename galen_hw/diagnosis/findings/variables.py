@@ -6,7 +6,6 @@ import numpy as np
 
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.physics.rigid import gravity_in_sensor
-from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.wrench import WrenchScene
 from galen_hw.spatial import Array
 
@@ -50,16 +49,11 @@ class Variable:
         return f"{self.name} is from {low:.3g} to {high:.3g} {self.unit}"
 
 
-def joint_units(scene: Scene, joint: str) -> tuple[str, str]:
-    """Return the units of a joint's position and load: m and N where it slides, rad and N m where it turns."""
-    return scene.joint_units(joint)
-
-
 def variables(bench: Bench) -> list[Variable]:
     """Return all known variables of the recording's rows that vary."""
     scene, average, out = bench.scene, bench.rows.average, []
     for joint in scene.moved:
-        j, (unit, load_unit) = scene.joint_index(joint), joint_units(scene, joint)
+        j, (unit, load_unit) = scene.joint_index(joint), scene.joint_units(joint)
         out.append(Variable(f"joint.{joint}.position", unit, joint, average(scene.q[:, j])))
         if scene.clock:
             speed = average(scene.rates[0][:, j])

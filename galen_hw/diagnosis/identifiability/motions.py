@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from galen_hw.diagnosis.findings.variables import joint_units
 from galen_hw.physics.effects.registry import kinds
 from galen_hw.physics.rigid import Body
 from galen_hw.physics.scenes.base import Scene
@@ -131,7 +130,7 @@ def recipes(scene: Scene, step: float, joints: tuple[str, ...]) -> Iterator[Reci
 
 def _sweeps(scene: Scene, room: Room, joint: str) -> Iterator[Recipe]:
     """Yield sweeps of one joint: slowly, by sizes, by speeds, with quick starts, with long rests."""
-    j, unit = scene.joint_index(joint), joint_units(scene, joint)[0]
+    j, unit = scene.joint_index(joint), scene.joint_units(joint)[0]
     low, high, top = float(room.low[j]), float(room.high[j]), float(room.speed[j])
     if not top > 0.0:
         return

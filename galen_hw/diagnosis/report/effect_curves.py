@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from galen_hw.diagnosis.findings.variables import Variable, joint_units, variables
+from galen_hw.diagnosis.findings.variables import Variable, variables
 from galen_hw.diagnosis.report.caps import CAPS
 from galen_hw.diagnosis.report.plot_data import Curve
 from galen_hw.diagnosis.report.summary import channel_words
@@ -102,7 +102,7 @@ class _Along:
     def position(self) -> Axis:
         """Return the position of the joint that the effect follows."""
         joint = self.follows.name
-        x, unit = self.average(self.scene.q[:, self.scene.joint_index(joint)]), joint_units(self.scene, joint)[0]
+        x, unit = self.average(self.scene.q[:, self.scene.joint_index(joint)]), self.scene.joint_units(joint)[0]
         return _folded(f"{joint} position", unit, x, self.follows)
 
     def speed(self) -> Axis | None:
@@ -111,7 +111,7 @@ class _Along:
         if joint is None:
             return self._force()
         speed = self.average(self.scene.rates[0][:, self.scene.joint_index(joint)])
-        return Axis(f"{joint} speed", f"{joint_units(self.scene, joint)[0]}/s", speed)
+        return Axis(f"{joint} speed", f"{self.scene.joint_units(joint)[0]}/s", speed)
 
     def load(self) -> Axis | None:
         """Return the load of the joint that it follows, or of its own, or the force at the tip where there is none."""
@@ -120,7 +120,7 @@ class _Along:
             load = self.scene.load(joint)
         if joint is None or load is None:
             return self._force()
-        return Axis(f"{joint} load", joint_units(self.scene, joint)[1], self.average(load), self.follows.memory)
+        return Axis(f"{joint} load", self.scene.joint_units(joint)[1], self.average(load), self.follows.memory)
 
     def column(self) -> Axis | None:
         """Return the thermometer that it follows."""

@@ -7,7 +7,7 @@ from galen_hw.kinematics import Motion
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.rigid import gravity_in_sensor
 from galen_hw.physics.signals.differentiation import denoised, derivatives, ends
-from galen_hw.spatial import Array, quaternion_from_rotation
+from galen_hw.spatial import Array, continuous, quaternion_from_rotation
 
 ACCELERATION = tuple(f"imu.acceleration.{axis}" for axis in "xyz")
 ANGULAR_VELOCITY = tuple(f"imu.angular_velocity.{axis}" for axis in "xyz")
@@ -67,9 +67,7 @@ def turn_rates(time: Array, R: Array, segments: list[slice]) -> tuple[Array, Arr
 
 def _continuous(R: Array) -> Array:
     """Return unit quaternions x y z w (N, 4) whose sign does not jump."""
-    q = quaternion_from_rotation(R)
-    q[1:] *= np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
-    return q
+    return continuous(quaternion_from_rotation(R))
 
 
 def _turning(rate: Array, q: Array) -> Array:
